@@ -1,0 +1,185 @@
+"""Value types that cross the hardware boundary.
+
+Units are SI, angles radians, stamps integer nanoseconds of the *source clock* (the simulator's clock in
+simulation, the host's wall clock on hardware; the backend converts). Frames follow REP 105: `base_link` is the
+trunk centre, x forward, y left, z up. Arrays are float64 unless said otherwise and must not be modified.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+NS = 1_000_000_000
+"""Nanoseconds in a second."""
+
+POINT_DTYPE = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("time", "<f4"),
+    ]
+)
+"""One LiDAR return: x, y, z [m] in the `lidar` frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One inertial sample, already rotated into `base_link` axes."""
+
+    stamp: int
+    gyro: Array
+    """(3,) angular rate [rad/s], base_link."""
+    accel: Array
+    """(3,) specific force [m/s^2], base_link; +9.81 on z at rest."""
+
+
+@dataclass(frozen=True, slots=True)
+class JointSample:
+    """All sixteen motors in SDK order (`hal.go2w.MOTORS`)."""
+
+    stamp: int
+    position: Array
+    """(16,) [rad]; wheels are continuous."""
+    velocity: Array
+    """(16,) [rad/s]."""
+    effort: Array
+    """(16,) [Nm]."""
+
+
+@dataclass(frozen=True, slots=True)
+class LidarScan:
+    """One sweep. `points` is a structured array of `POINT_DTYPE` in the `lidar` frame, body returns removed."""
+
+    stamp: int
+    """Start of the sweep [ns]; `points["time"]` counts from here."""
+    points: NDArray[np.void]
+
+
+@dataclass(frozen=True, slots=True)
+class GroundTruth:
+    """True pose from a simulator. For evaluation only: no stage of the stack may consume it."""
+
+    stamp: int
+    position: Array
+    """(3,) base_link in the world [m]."""
+    orientation: Array
+    """(4,) quaternion x, y, z, w: world <- base_link."""
+    linear: Array
+    """(3,) velocity of base_link, expressed in base_link [m/s]."""
+    angular: Array
+    """(3,) [rad/s], base_link."""
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityCommand:
+    """Body velocity, frame `base_link`."""
+
+    stamp: int
+    vx: float = 0.0
+    """Forward [m/s]."""
+    vy: float = 0.0
+    """Left [m/s]; must be 0 where `Capabilities.strafe` is false."""
+    wz: float = 0.0
+    """Yaw rate, counter-clockwise positive [rad/s]."""
+    frame: str = "base_link"
+
+
+@dataclass(frozen=True, slots=True)
+class PostureCommand:
+    """Trunk posture relative to the ground plane under the wheels."""
+
+    stamp: int
+    height: float | None = None
+    """base_link above the ground plane [m]; None keeps the default."""
+    roll: float = 0.0
+    pitch: float = 0.0
+
+
+class Phase(StrEnum):
+    """State machine every backend shows. Transitions carry a cause and have a timeout."""
+
+    DISCONNECTED = "disconnected"
+    DAMPED = "damped"
+    SITTING = "sitting"
+    STANDING = "standing"
+    """Getting up; not yet ready to take velocity."""
+    READY = "ready"
+    MOVING = "moving"
+    STOPPED = "stopped"
+    """Standing still under the e-stop latch."""
+    FAULT = "fault"
+
+
+class ModeRequest(StrEnum):
+    """What an operator or a stage may ask of the robot besides velocity."""
+
+    STAND = "stand"
+    SIT = "sit"
+    DAMP = "damp"
+    RECOVER = "recover"
+    STOP = "stop"
+    """Latched e-stop: zero velocity now, stays until `resume`."""
+    RESUME = "resume"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotState:
+    """Summary state at `stamp`."""
+
+    stamp: int
+    phase: Phase
+    cause: str = ""
+    """Plain words: why the robot is in this phase (fault reason, stop reason, last transition)."""
+    battery: float = 1.0
+    """State of charge [0..1]."""
+    motor_temperature: float = 30.0
+    """Hottest motor [deg C]."""
+    contact: tuple[bool, bool, bool, bool] = (True, True, True, True)
+    """Wheel on ground: FR, FL, RR, RL."""
+
+
+@dataclass(frozen=True, slots=True)
+class Extrinsics:
+    """Pose of a sensor in base_link."""
+
+    translation: tuple[float, float, float]
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Capabilities:
+    """What this robot with this controller can do: hard limits for gate, planner and tracker."""
+
+    name: str
+    max_vx: float = 1.0
+    """[m/s], both directions."""
+    max_vy: float = 0.0
+    max_wz: float = 1.0
+    """[rad/s]."""
+    max_accel: float = 1.0
+    """[m/s^2] slew of the commanded linear velocity."""
+    max_alpha: float = 3.0
+    """[rad/s^2] slew of the commanded yaw rate."""
+    max_step: float = 0.10
+    """Highest vertical face driven over [m]."""
+    max_slope: float = 0.436
+    """[rad]."""
+    max_gap: float = 0.10
+    """Widest gap crossed [m]."""
+    strafe: bool = False
+    lidar: str = "xt16"
+    lidar_mount: Extrinsics = field(
+        default_factory=lambda: Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 1.5707963267948966))
+    )
+
+
+Sample = ImuSample | JointSample | LidarScan | RobotState | GroundTruth

@@ -1,0 +1,1 @@
+"""LiDAR-inertial odometry and elevation mapping, on numpy values."""

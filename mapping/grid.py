@@ -1,0 +1,60 @@
+"""The elevation grid: what planning sees of the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class GridError(ValueError):
+    """The grid's arrays do not fit together; the message names the array and what was expected."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ElevationGrid:
+    """A dense height grid in the `map` frame.
+
+    Row grows with y, column with x; cell [r, c] is centred on `(origin[0] + c * resolution, origin[1] + r * resolution)`.
+    """
+
+    height: NDArray[np.float32]
+    """(rows, cols) float32 [m]; NaN where never seen, unless filled for planning."""
+    trusted: NDArray[np.bool_]
+    """(rows, cols) bool; False where the height is unknown, filled or not certain."""
+    origin: tuple[float, float]
+    """x, y [m] of the CENTRE of cell [0, 0]."""
+    resolution: float
+    """Cell size [m]."""
+
+    def __post_init__(self) -> None:
+        height = np.ascontiguousarray(self.height, dtype=np.float32)
+        trusted = np.ascontiguousarray(self.trusted)
+        if height.ndim != 2 or height.size == 0:
+            raise GridError(f"height must be a non-empty 2-D array, got shape {height.shape}")
+        if trusted.dtype != np.bool_:
+            raise GridError(f"trusted must be bool, got {trusted.dtype}")
+        if trusted.shape != height.shape:
+            raise GridError(f"trusted has shape {trusted.shape}, height has {height.shape}")
+        origin = (float(self.origin[0]), float(self.origin[1]))
+        if not np.isfinite(origin).all():
+            raise GridError(f"origin must be finite, got {origin}")
+        if not (np.isfinite(self.resolution) and self.resolution > 0.0):
+            raise GridError(f"resolution must be a positive number of metres, got {self.resolution}")
+        object.__setattr__(self, "height", height)
+        object.__setattr__(self, "trusted", trusted)
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "resolution", float(self.resolution))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.height.shape[0], self.height.shape[1]
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max of the outermost cell centres [m]."""
+        rows, cols = self.shape
+        x0, y0 = self.origin
+        return x0, y0, x0 + (cols - 1) * self.resolution, y0 + (rows - 1) * self.resolution

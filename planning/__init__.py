@@ -1,0 +1,1 @@
+"""Traversal-risk graph, body risk, search, smoothing and path tracking, on numpy values."""

@@ -1,0 +1,1 @@
+"""Programs for the people who develop the stack: benchmarks, studies, reports (not in the wheel)."""

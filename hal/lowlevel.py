@@ -1,0 +1,57 @@
+"""The joint-level interface between a locomotion controller and a robot, shaped like the SDK's LowState/LowCmd.
+
+Arrays are (16,) float64 in SDK motor order (`hal.go2w.MOTORS`): FR hip, thigh, calf; FL; RR; RL; wheels FR, FL, RR, RL.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from hal.types import Array, PostureCommand, VelocityCommand
+
+
+@dataclass(slots=True)
+class LowState:
+    """What the motors and the IMU report at one control tick."""
+
+    time: float
+    """Source clock [s]."""
+    q: Array
+    """(16,) joint positions [rad]."""
+    dq: Array
+    """(16,) joint velocities [rad/s]."""
+    tau: Array
+    """(16,) estimated joint torques [Nm]."""
+    quaternion: Array
+    """(4,) w, x, y, z: gravity-aligned world <- base_link (heading arbitrary), from the IMU's attitude filter."""
+    gyro: Array
+    """(3,) [rad/s], base_link."""
+    accel: Array
+    """(3,) specific force [m/s^2], base_link."""
+
+
+@dataclass(slots=True)
+class LowCommand:
+    """Per motor: torque = tau + kp (q - q_measured) + kd (dq - dq_measured), clipped by the motor."""
+
+    q: Array
+    dq: Array
+    tau: Array
+    kp: Array
+    kd: Array
+
+
+class Locomotion(Protocol):
+    """Turns body velocity into joint commands. Deterministic; no wall clock, no I/O."""
+
+    period: float
+    """Control period [s]; the host calls `step` at this rate of the source clock."""
+
+    def reset(self) -> None:
+        """Forget all state: the robot was moved, stood up or fell."""
+
+    def step(
+        self, state: LowState, velocity: VelocityCommand, posture: PostureCommand
+    ) -> LowCommand:
+        """One control tick. The returned arrays are owned by the controller and valid until the next call."""

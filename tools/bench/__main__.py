@@ -1,0 +1,30 @@
+"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import sys
+
+import tools.bench
+
+
+def main(argv: list[str]) -> int:
+    """Dispatch to `tools.bench.NAME.run(args)`."""
+    names = sorted(
+        m.name for m in pkgutil.iter_modules(tools.bench.__path__) if m.name not in ("report",)
+    )
+    names = [n for n in names if not n.startswith("_")]
+    if not argv or argv[0] not in names:
+        print(f"usage: python -m tools.bench NAME [--json]; NAME is one of: {', '.join(names)}")
+        return 2
+    args = argv[1:]
+    as_json = "--json" in args
+    args = [a for a in args if a != "--json"]
+    report = importlib.import_module(f"tools.bench.{argv[0]}").run(args)
+    print(report.to_json() if as_json else report.to_text())
+    return 0 if report.ok else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

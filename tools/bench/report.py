@@ -1,0 +1,82 @@
+"""What every benchmark prints: rows with a value, its limit and a baseline measured in the same run."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One figure. `at_least` turns the limit from a ceiling into a floor."""
+
+    key: str
+    value: float
+    unit: str
+    limit: float | None = None
+    baseline: float | None = None
+    at_least: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """True when the value keeps its limit; NaN never does."""
+        if self.limit is None:
+            return True
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+
+@dataclass(slots=True)
+class Report:
+    """The result of one benchmark."""
+
+    bench: str
+    rows: list[Row] = field(default_factory=list)
+
+    def add(
+        self,
+        key: str,
+        value: float,
+        unit: str,
+        limit: float | None = None,
+        baseline: float | None = None,
+        at_least: bool = False,
+    ) -> None:
+        """Append one row."""
+        self.rows.append(Row(key, float(value), unit, limit, baseline, at_least))
+
+    @property
+    def ok(self) -> bool:
+        """True when every row keeps its limit."""
+        return all(row.ok for row in self.rows)
+
+    def to_json(self) -> str:
+        """`{"bench", "machine", "rows": [{"key", "value", "unit", "limit", "baseline"}]}`; NaN becomes null."""
+        rows = [
+            {
+                "key": r.key,
+                "value": r.value if r.value == r.value else None,
+                "unit": r.unit,
+                "limit": r.limit,
+                "baseline": r.baseline,
+            }
+            for r in self.rows
+        ]
+        return json.dumps({"bench": self.bench, "machine": machine(), "rows": rows}, indent=1)
+
+    def to_text(self) -> str:
+        """A table for people; a row that misses its limit is marked."""
+        lines = [f"{self.bench} on {machine()}"]
+        for r in self.rows:
+            sign = ">=" if r.at_least else "<="
+            limit = "" if r.limit is None else f"  ({sign} {r.limit:g})"
+            base = "" if r.baseline is None else f"  baseline {r.baseline:.4g}"
+            flag = "" if r.ok else "  MISSED"
+            lines.append(f"  {r.key:40s} {r.value:12.5g} {r.unit}{limit}{base}{flag}")
+        return "\n".join(lines)
+
+
+def machine() -> str:
+    """Processor count and architecture, Python version."""
+    return f"{os.cpu_count()} cores, {platform.machine()}, Python {platform.python_version()}"

@@ -51,7 +51,5 @@ class Locomotion(Protocol):
     def reset(self) -> None:
         """Forget all state: the robot was moved, stood up or fell."""
 
-    def step(
-        self, state: LowState, velocity: VelocityCommand, posture: PostureCommand
-    ) -> LowCommand:
+    def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One control tick. The returned arrays are owned by the controller and valid until the next call."""

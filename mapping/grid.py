@@ -41,9 +41,7 @@ class ElevationGrid:
         if not np.isfinite(origin).all():
             raise GridError(f"origin must be finite, got {origin}")
         if not (np.isfinite(self.resolution) and self.resolution > 0.0):
-            raise GridError(
-                f"resolution must be a positive number of metres, got {self.resolution}"
-            )
+            raise GridError(f"resolution must be a positive number of metres, got {self.resolution}")
         object.__setattr__(self, "height", height)
         object.__setattr__(self, "trusted", trusted)
         object.__setattr__(self, "origin", origin)

@@ -11,9 +11,7 @@ import tools.bench
 
 def main(argv: list[str]) -> int:
     """Dispatch to `tools.bench.NAME.run(args)`."""
-    names = sorted(
-        m.name for m in pkgutil.iter_modules(tools.bench.__path__) if m.name not in ("report",)
-    )
+    names = sorted(m.name for m in pkgutil.iter_modules(tools.bench.__path__) if m.name not in ("report",))
     names = [n for n in names if not n.startswith("_")]
     if not argv or argv[0] not in names:
         print(f"usage: python -m tools.bench NAME [--json]; NAME is one of: {', '.join(names)}")

@@ -1,0 +1,48 @@
+"""Why a goal ended. Every surface shows the same plain words."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Reason(StrEnum):
+    """Reason of a goal's state, as it stands in GoalStatus and Plan."""
+
+    NONE = ""
+    INVALID = "invalid"
+    OUTSIDE = "outside_area"
+    IN_OBSTACLE = "goal_in_obstacle"
+    START_OFF_GRAPH = "start_not_on_graph"
+    NO_ROUTE = "no_route"
+    LOST = "localization_lost"
+    STUCK = "stuck"
+    ESTOP = "emergency_stop"
+    TIMEOUT = "timeout"
+    PROCESS_LOST = "process_lost"
+    ROBOT_FAULT = "robot_fault"
+    CANCELLED = "cancelled"
+    PREEMPTED = "preempted"
+
+
+WORDS: dict[Reason, str] = {
+    Reason.NONE: "",
+    Reason.INVALID: "the goal is not a valid position",
+    Reason.OUTSIDE: "the goal is outside the allowed area",
+    Reason.IN_OBSTACLE: "the goal is in a known obstacle (no free place within 0.5 m)",
+    Reason.START_OFF_GRAPH: "the robot stands where no route can begin",
+    Reason.NO_ROUTE: "no route to the goal",
+    Reason.LOST: "localization is lost",
+    Reason.STUCK: "the robot is stuck",
+    Reason.ESTOP: "emergency stop",
+    Reason.TIMEOUT: "the goal timed out",
+    Reason.PROCESS_LOST: "a process the goal needs was lost",
+    Reason.ROBOT_FAULT: "the robot reports a fault",
+    Reason.CANCELLED: "cancelled",
+    Reason.PREEMPTED: "another goal took its place",
+}
+
+
+def words(reason: str, detail: str = "") -> str:
+    """The reason in plain words, with its detail."""
+    text = WORDS.get(Reason(reason), reason) if reason in Reason._value2member_map_ else reason
+    return f"{text}: {detail}" if detail and text else text or detail

@@ -1,0 +1,32 @@
+"""A stage: messages in, messages out. No I/O, no wall clock, no threads, no unseeded randomness.
+
+The same object runs in three hosts: live on Zenoh (`node`), in lockstep with a simulator (`lockstep`), and offline
+on a log (`rerun`). Messages are what `messages.decode` gives; a stage must not modify them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from rbtrg_robot.topics import Topic
+
+Outputs = list[tuple[Topic, Any]]
+
+
+class Stage(Protocol):
+    """One process's logic."""
+
+    inputs: tuple[Topic, ...]
+    outputs: tuple[Topic, ...]
+
+    def warm_up(self) -> None:
+        """Compile and allocate, so that the first message is handled as fast as the thousandth."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+
+    def tick(self, now: int) -> Outputs:
+        """Called every period of the source clock; `now` in ns."""
+
+    def close(self) -> None:
+        """Release what was opened."""

@@ -1,1 +1,16 @@
+"""LiDAR models and the ray casters behind them."""
 
+from hal.lidar.caster import CasterError, OrientedBox, TerrainCaster, make_caster
+from hal.lidar.simulator import GO2W_BODY, LidarSimulator
+from hal.lidar.spec import LIDARS, LidarSpec
+
+__all__ = [
+    "GO2W_BODY",
+    "LIDARS",
+    "CasterError",
+    "LidarSimulator",
+    "LidarSpec",
+    "OrientedBox",
+    "TerrainCaster",
+    "make_caster",
+]

@@ -1,0 +1,231 @@
+"""A LiDAR on a moving robot: rays leave in firing order from where the sensor is at that instant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.lidar.caster import OrientedBox, TerrainCaster, cast_onto_boxes, pack_boxes
+from hal.lidar.kernels import moving_rays
+from hal.lidar.spec import LidarSpec
+from hal.types import POINT_DTYPE, Array, Extrinsics, LidarScan
+
+QUANTUM = 2.0**-10
+"""Coordinates are multiples of this [m]: a third of the noise bits gone, logs half the size."""
+
+MIXED_GAP = (0.10, 1.0)
+"""Depth edges [m] at which one pulse sees both sides; beyond the upper one the echoes separate."""
+
+
+def _leg(x: float, y: float) -> tuple[OrientedBox, OrientedBox]:
+    return (
+        OrientedBox((x, y, -0.15), (0.22, 0.08, 0.28)),
+        OrientedBox((x, y + (0.04 if y > 0 else -0.04), -0.32), (0.24, 0.09, 0.20)),
+    )
+
+
+GO2W_BODY: tuple[OrientedBox, ...] = (
+    OrientedBox((0.0, 0.0, 0.0), (0.40, 0.20, 0.114)),
+    OrientedBox((0.285, 0.0, 0.02), (0.11, 0.10, 0.08)),
+    *_leg(0.193, 0.142),
+    *_leg(0.193, -0.142),
+    *_leg(-0.193, 0.142),
+    *_leg(-0.193, -0.142),
+)
+"""The robot as boxes in `base_link`, standing: rays into them are blocked, returns from them filtered."""
+
+
+class LidarTimeError(ValueError):
+    """`advance` was called with a stamp that is not after the last one or skips a whole sweep."""
+
+
+@dataclass(slots=True)
+class _Sweep:
+    """Everything about the sweep in progress; all arrays have one row per ray."""
+
+    start: int
+    fired: int
+    """Rays cast so far."""
+    nominal: NDArray[np.float32]
+    """(n, 3) directions the sensor reports, `lidar` frame."""
+    time: NDArray[np.int64]
+    ring: NDArray[np.uint16]
+    beams: NDArray[np.float32]
+    """(n, 3) directions the rays really take, `base_link` axes."""
+    seen: NDArray[np.bool_]
+    """False where the body blocks the ray."""
+    ranges: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+    random: np.random.Generator
+
+
+class LidarSimulator:
+    """Makes LidarScans from the true base pose. Same seed and poses, same bytes; no ray depends on how `advance` is
+    sliced except through the interpolation between the poses it was given.
+    """
+
+    def __init__(
+        self,
+        spec: LidarSpec,
+        mount: Extrinsics,
+        caster: TerrainCaster,
+        seed: int,
+        *,
+        self_filter: Sequence[OrientedBox] = GO2W_BODY,
+        noise: bool = True,
+    ) -> None:
+        self.spec = spec
+        self.mount = mount
+        self.caster = caster
+        self._seed = seed
+        self._noise = noise
+        self._rotation = rotation_rpy(mount.rpy)
+        self._offset = np.asarray(mount.translation, np.float64)
+        self._body = pack_boxes(tuple(self_filter))
+        self._boxes = pack_boxes(())
+        self._pattern: (
+            tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.uint16], NDArray[np.bool_]] | None
+        )
+        self._pattern = None
+        self._sweep: _Sweep | None = None
+        self._last: tuple[int, Array, Array] | None = None
+
+    def set_boxes(self, boxes: Sequence[OrientedBox]) -> None:
+        """Moving obstacles in the world from now on."""
+        self._boxes = pack_boxes(tuple(boxes))
+
+    def advance(self, stamp: int, position: Array, quaternion: Array) -> LidarScan | None:
+        """Fire all rays due in (last stamp, `stamp`]; the finished scan when its sweep ended, else None.
+
+        `stamp` [ns]; `position` (3,) of base_link in the world [m]; `quaternion` (4,) w, x, y, z, world <- base_link.
+        Sweeps start at multiples of the period; the first one at or after the first stamp.
+        """
+        pose = (int(stamp), np.array(position, np.float64), np.array(quaternion, np.float64))
+        if self._last is None:
+            self._last = (pose[0] - 1, pose[1], pose[2])
+            self._sweep = self._open(-(-pose[0] // self.spec.period) * self.spec.period)
+        assert self._sweep is not None
+        if pose[0] <= self._last[0]:
+            raise LidarTimeError(f"advance to {pose[0]} ns after {self._last[0]} ns: stamps must grow")
+        if pose[0] >= self._sweep.start + 2 * self.spec.period:
+            raise LidarTimeError(f"advance by {pose[0] - self._last[0]} ns skips a sweep: call it more often")
+        scan = None
+        self._fire(self._sweep, pose)
+        if pose[0] >= self._sweep.start + self.spec.period:
+            scan = self._finish(self._sweep)
+            self._sweep = self._open(self._sweep.start + self.spec.period)
+            self._fire(self._sweep, pose)
+        self._last = pose
+        return scan
+
+    def _open(self, start: int) -> _Sweep:
+        number = start // self.spec.period
+        if self._pattern is None or not self.spec.repeats:
+            pattern = self.spec.pattern(number)
+            self._pattern = (
+                pattern.directions,
+                pattern.time,
+                pattern.ring,
+                self._unblocked(pattern.directions),
+            )
+        nominal, time, ring, seen = self._pattern
+        random = np.random.Generator(np.random.Philox(key=np.array([self._seed, number], np.uint64)))
+        true = nominal
+        if self._noise and self.spec.angle_sigma > 0.0:
+            # The part of the error along the ray has no effect after normalising.
+            true = nominal + np.float32(self.spec.angle_sigma) * random.standard_normal(
+                nominal.shape, dtype=np.float32
+            )
+            true /= np.sqrt(np.einsum("ij,ij->i", true, true))[:, None]
+        n = len(nominal)
+        return _Sweep(
+            start=start,
+            fired=0,
+            nominal=nominal,
+            time=time,
+            ring=ring,
+            beams=(true @ self._rotation.T.astype(np.float32)),
+            seen=seen,
+            ranges=np.full(n, np.inf, np.float32),
+            cosine=np.zeros(n, np.float32),
+            random=random,
+        )
+
+    def _unblocked(self, nominal: NDArray[np.float32]) -> NDArray[np.bool_]:
+        beams = np.ascontiguousarray(nominal @ self._rotation.T.astype(np.float32))
+        origins = np.broadcast_to(self._offset.astype(np.float32), beams.shape)
+        reach = np.full(len(beams), np.inf, np.float32)
+        cast_onto_boxes(self._body, np.ascontiguousarray(origins), beams, reach)
+        return np.isinf(reach)
+
+    def _fire(self, sweep: _Sweep, pose: tuple[int, Array, Array]) -> None:
+        """Cast the rays of `sweep` that are due by `pose`."""
+        assert self._last is not None
+        last, p0, q0 = self._last
+        first = sweep.fired
+        until = int(np.searchsorted(sweep.time, pose[0] - sweep.start, side="right"))
+        if until <= first:
+            return
+        sweep.fired = until
+        due = slice(first, until)
+        alpha = (sweep.time[due] + (sweep.start - last)) / float(pose[0] - last)
+        origins = np.empty((until - first, 3), np.float32)
+        directions = np.empty_like(origins)
+        moving_rays(sweep.beams[due], alpha, p0, q0, pose[1], pose[2], self._offset, origins, directions)
+        ranges = self.caster.cast(origins, directions)
+        sweep.cosine[due] = self.caster.surface.cos_incidence(origins, directions, ranges)
+        if len(self._boxes):
+            terrain = ranges.copy()
+            cast_onto_boxes(self._boxes, origins, directions, ranges)
+            sweep.cosine[due][ranges < terrain] = 1.0
+        sweep.ranges[due] = ranges
+
+    def _finish(self, sweep: _Sweep) -> LidarScan:
+        """Sensor errors and limits on a complete sweep; misses and body returns are left out."""
+        spec = self.spec
+        ranges = sweep.ranges
+        keep = sweep.seen & np.isfinite(ranges)
+        if self._noise:
+            draw = sweep.random.random((3, len(ranges)), dtype=np.float32)
+            ranges = _mix(ranges, spec.rings, draw[0] / np.float32(max(spec.mixed, 1e-9)))
+            ranges = ranges + np.float32(spec.range_sigma) * sweep.random.standard_normal(
+                len(ranges), dtype=np.float32
+            )
+            keep &= draw[1] >= spec.dropout
+            keep &= sweep.cosine >= draw[2] * np.float32(cos(spec.grazing))
+        keep &= (ranges >= spec.min_range) & (ranges <= spec.max_range)
+        points = np.zeros(int(keep.sum()), POINT_DTYPE)
+        xyz = sweep.nominal[keep] * ranges[keep][:, None]
+        xyz = np.round(xyz / np.float32(QUANTUM)) * np.float32(QUANTUM)
+        points["x"], points["y"], points["z"] = xyz.T
+        points["intensity"] = np.round(100.0 * sweep.cosine[keep])
+        points["ring"] = sweep.ring[keep]
+        points["time"] = sweep.time[keep] * 1e-9
+        return LidarScan(sweep.start, points)
+
+
+def _mix(ranges: NDArray[np.float32], stride: int, draw: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Put a ray beside a depth edge between both sides where `draw` < 1; it is also the blend factor."""
+    mixed = ranges.copy()
+    here, there = ranges[:-stride], ranges[stride:]
+    with np.errstate(invalid="ignore"):  # inf - inf beside misses
+        gap = np.abs(there - here)
+    edge = (gap > MIXED_GAP[0]) & (gap < MIXED_GAP[1]) & (draw[:-stride] < 1.0)
+    mixed[:-stride][edge] += draw[:-stride][edge] * (there[edge] - here[edge])
+    return mixed
+
+
+def rotation_rpy(rpy: tuple[float, float, float]) -> Array:
+    """(3, 3) rotation of roll, pitch, yaw about fixed x, y, z axes (REP 103)."""
+    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

@@ -1,0 +1,86 @@
+"""A scene: the terrain a simulated robot stands on, where it starts and where it may be sent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Pose = tuple[float, float, float]
+"""x, y [m], yaw [rad]."""
+Goal = tuple[float, float, float | None]
+"""x, y [m], yaw [rad] or None for any heading."""
+Pair = tuple[tuple[float, float], tuple[float, float]]
+"""x, y [m] of a start and of a goal."""
+
+
+class SceneError(ValueError):
+    """The scene does not exist or cannot be read; the message tells what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Terrain in the `world` frame; rows grow with y, columns with x, as in `ElevationGrid`."""
+
+    name: str
+    height: NDArray[np.float32]
+    """(rows, cols) [m], finite."""
+    resolution: float
+    """Cell size [m]."""
+    origin: tuple[float, float]
+    """x, y [m] of the CENTRE of cell [0, 0]."""
+    start: Pose
+    goals: Mapping[str, Goal]
+    friction: float = 0.8
+    """Sliding friction of the ground."""
+    description: str = ""
+    allowed_area: tuple[tuple[float, float], ...] | None = None
+    """Polygon x, y [m] outside which goals are refused; None: everywhere."""
+    trusted: NDArray[np.bool_] | None = None
+    """(rows, cols) cells that a survey of the scene has seen; None: all of them."""
+    pairs: tuple[Pair, ...] = field(default=())
+    """Start and goal of each benchmark query, frozen."""
+
+    def __post_init__(self) -> None:
+        height = np.ascontiguousarray(self.height, np.float32)
+        if height.ndim != 2 or min(height.shape) < 2:
+            raise SceneError(f"{self.name}: height must be 2-D and at least 2 x 2, got {height.shape}")
+        if not np.isfinite(height).all():
+            raise SceneError(
+                f"{self.name}: height has unknown cells; import it with load_scene, which fills them"
+            )
+        if not (np.isfinite(self.resolution) and self.resolution > 0.0):
+            raise SceneError(f"{self.name}: resolution must be positive [m], got {self.resolution}")
+        if self.trusted is not None and self.trusted.shape != height.shape:
+            raise SceneError(f"{self.name}: trusted has shape {self.trusted.shape}, height {height.shape}")
+        object.__setattr__(self, "height", height)
+        for name, (x, y, _) in {"start": self.start, **self.goals}.items():
+            if not self.contains(x, y):
+                raise SceneError(f"{self.name}: {name} ({x:.2f}, {y:.2f}) lies outside the terrain")
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """x_min, y_min, x_max, y_max of the outermost cell centres [m]."""
+        rows, cols = self.height.shape
+        x0, y0 = self.origin
+        return x0, y0, x0 + (cols - 1) * self.resolution, y0 + (rows - 1) * self.resolution
+
+    def contains(self, x: float, y: float) -> bool:
+        """True inside the extent."""
+        x0, y0, x1, y1 = self.extent
+        return bool(x0 <= x <= x1 and y0 <= y <= y1)
+
+    def z(self, x: float, y: float) -> float:
+        """Terrain height [m] at x, y [m], bilinear; the edge value outside."""
+        rows, cols = self.height.shape
+        c = min(max((x - self.origin[0]) / self.resolution, 0.0), cols - 1.0)
+        r = min(max((y - self.origin[1]) / self.resolution, 0.0), rows - 1.0)
+        i, j = min(int(r), rows - 2), min(int(c), cols - 2)
+        v, u = r - i, c - j
+        h = self.height
+        return float(
+            (1 - v) * ((1 - u) * h[i, j] + u * h[i, j + 1])
+            + v * ((1 - u) * h[i + 1, j] + u * h[i + 1, j + 1])
+        )

@@ -1,0 +1,257 @@
+"""The Traversal Risk Graph: where the robot may stand and which straight moves connect those places.
+
+After Lee et al., "TRG-planner" (RA-L 2025). `mode="native"` reproduces the released planner for comparison with
+published figures, its defects included; `mode="corrected"` (the default) is for driving.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+
+FORMAT = 1
+"""Version of the npz layout; `load` refuses others."""
+SNAP_DISTANCE = 0.50
+"""Endpoints farther than this from every node [m] are not on the graph."""
+
+Changed = NDArray[np.bool_] | Sequence[tuple[int, int, int, int]]
+
+
+class GraphParams(BaseModel):
+    """Settings of the graph. The defaults are the dense setting of the published scenes plus the robot's limits."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    mode: Literal["corrected", "native"] = "corrected"
+    expand_dist: float = Field(0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
+    robot_size: float = Field(
+        0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
+    )
+    sample_num: int = Field(
+        32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
+    )
+    height_threshold: float = Field(
+        0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
+    )
+    collision_threshold: float = Field(
+        0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
+    )
+    max_step: float = Field(0.10, gt=0.0, description="corrected: highest vertical face driven over [m]")
+    max_slope: float = Field(
+        0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
+    )
+    max_gap: float = Field(0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]")
+    min_coverage: float = Field(
+        0.70,
+        ge=0.0,
+        le=1.0,
+        description="corrected: least seen share of every cross-section of an edge's corridor",
+    )
+    blind_radius: float = Field(
+        2.0,
+        ge=0.0,
+        description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
+    )
+    length: float = Field(0.70, gt=0.0, description="corrected: footprint along travel [m]")
+    width: float = Field(0.43, gt=0.0, description="corrected: footprint across travel [m]")
+
+
+class TraversalGraph:
+    """Nodes on the ground and undirected edges with a native risk, as CSR over both directions.
+
+    Arrays are replaced, never written to, when the graph changes; `version` rises with each change.
+
+    Attributes:
+        nodes: (n, 3) float64 x, y, z in the grid's frame [m].
+        indptr: (n + 1,) int64; the edges that leave node i are `indptr[i]:indptr[i + 1]`, targets ascending.
+        indices: (nnz,) int32 target nodes.
+        risk: (nnz,) float32 native risk, the same in both directions.
+        frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the node.
+        clearance: (n,) float32 distance to the nearest obstacle cell [m], capped at 0.6; inf where not known
+            (native, `from_edges`). At or above the footprint's circumradius the robot may turn in place freely.
+        node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
+        node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
+        edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived
+            from the map for an edge is still true while the edge's revision is not above the version it was
+            derived at; cells outside every footprint pose do not matter.
+        version: int, 1 after a build.
+    """
+
+    nodes: NDArray[np.float64]
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    risk: NDArray[np.float32]
+    frontier: NDArray[np.bool_]
+    clearance: NDArray[np.float32]
+    node_ids: NDArray[np.int64]
+    node_revision: NDArray[np.int64]
+    edge_revision: NDArray[np.int64]
+
+    def __init__(self, params: GraphParams, seed: int, start_xy: tuple[float, float] | None) -> None:
+        self.params = params
+        self.seed = int(seed)
+        self.start_xy = start_xy
+        self.version = 0
+        self._state: Any = None
+
+    # -- making one ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def build(
+        cls,
+        grid: ElevationGrid,
+        start_xy: tuple[float, float],
+        params: GraphParams | None = None,
+        seed: int = 0,
+    ) -> TraversalGraph:
+        """The graph of all terrain reachable from `start_xy` [m]. Same arguments, same graph.
+
+        Raises:
+            NoRoute: the grid has no trusted cell, or the start is off the map or on no valid ground.
+            PlanningError: an argument has the wrong type or is not finite.
+        """
+        raise NotImplementedError
+
+    @classmethod
+    def from_edges(
+        cls,
+        nodes: NDArray[np.floating],
+        edges: NDArray[np.integer],
+        risk: NDArray[np.floating],
+        frontier: NDArray[np.bool_] | None = None,
+    ) -> TraversalGraph:
+        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,). It cannot be updated."""
+        nodes = np.ascontiguousarray(nodes, dtype=np.float64)
+        edges = np.asarray(edges)
+        risk = np.asarray(risk, dtype=np.float32)
+        if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.isfinite(nodes).all():
+            raise PlanningError(f"nodes must be finite with shape (n, 3), got shape {nodes.shape}")
+        if edges.shape != (len(risk), 2) or not np.issubdtype(edges.dtype, np.integer):
+            raise PlanningError(
+                f"edges must be integers of shape ({len(risk)}, 2), got {edges.dtype} {edges.shape}"
+            )
+        if len(edges) and (edges.min() < 0 or edges.max() >= len(nodes)):
+            raise PlanningError(f"edges name nodes outside 0..{len(nodes) - 1}")
+        graph = cls(GraphParams(), 0, None)
+        n = len(nodes)
+        graph._publish(nodes, edges, risk, frontier, None, np.arange(n), np.ones(n), np.ones(len(edges)))
+        return graph
+
+    def _publish(
+        self,
+        nodes: NDArray[np.float64],
+        edges: NDArray[np.integer],
+        risk: NDArray[np.float32],
+        frontier: NDArray[np.bool_] | None,
+        clearance: NDArray[np.float32] | None,
+        ids: NDArray[np.integer],
+        node_revision: NDArray[Any],
+        edge_revision: NDArray[Any],
+    ) -> None:
+        """Set all public arrays from an undirected edge list (m, 2) and raise `version`."""
+        n = len(nodes)
+        source = np.concatenate([edges[:, 0], edges[:, 1]]).astype(np.int64)
+        target = np.concatenate([edges[:, 1], edges[:, 0]]).astype(np.int64)
+        order = np.argsort(source * max(n, 1) + target, kind="stable")
+        self.nodes = np.ascontiguousarray(nodes, dtype=np.float64)
+        self.indptr = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=n))]).astype(np.int64)
+        self.indices = target[order].astype(np.int32)
+        self.risk = np.tile(np.asarray(risk, dtype=np.float32), 2)[order]
+        self.edge_revision = np.tile(np.asarray(edge_revision, dtype=np.int64), 2)[order]
+        self.node_revision = np.asarray(node_revision, dtype=np.int64)
+        self.node_ids = np.asarray(ids, dtype=np.int64)
+        self.frontier = (
+            np.zeros(n, dtype=np.bool_) if frontier is None else np.asarray(frontier, dtype=np.bool_)
+        )
+        self.clearance = (
+            np.full(n, np.inf, dtype=np.float32)
+            if clearance is None
+            else np.asarray(clearance, dtype=np.float32)
+        )
+        self.version += 1
+
+    # -- asking it ----------------------------------------------------------------------------------------------
+
+    @property
+    def edges(self) -> NDArray[np.int64]:
+        """(m, 2) undirected edges, lower index first, in CSR order."""
+        source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
+        keep = source < self.indices
+        return np.stack([source[keep], self.indices[keep].astype(np.int64)], axis=1)
+
+    def nearest_node(self, xy: tuple[float, float], max_distance: float = SNAP_DISTANCE) -> int | None:
+        """Index of the node nearest to x, y [m] (lowest index on a tie), None if farther than `max_distance`."""
+        x, y = float(xy[0]), float(xy[1])
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise NoRoute(NoRouteReason.BAD_INPUT, f"the position ({x}, {y}) is not finite")
+        if not len(self.nodes):
+            return None
+        d2 = (self.nodes[:, 0] - x) ** 2 + (self.nodes[:, 1] - y) ** 2
+        best = int(np.argmin(d2))
+        return best if d2[best] <= max_distance**2 else None
+
+    # -- keeping it up to date ----------------------------------------------------------------------------------
+
+    def update(
+        self, grid: ElevationGrid, changed: Changed, start_xy: tuple[float, float] | None = None
+    ) -> bool:
+        """Rebuild the part of the graph whose terrain changed; True if the graph is not the same as before.
+
+        `grid` is the whole map as it is now; it may have grown since the last call (same resolution, cells aligned).
+        `changed` tells where it differs: a bool mask over `grid`, or windows (row0, col0, row1, col1), ends
+        exclusive. Cells that the previous grid did not have count as changed by themselves. `start_xy` is where the
+        robot is now [m]: the graph holds what is reachable from there (None: from where it was).
+        """
+        raise NotImplementedError
+
+    # -- files --------------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write the graph as npz. The suffix is not changed."""
+        header = {
+            "format": FORMAT,
+            "params": self.params.model_dump(),
+            "seed": self.seed,
+            "start": self.start_xy,
+            "version": self.version,
+        }
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        with Path(path).open("wb") as file:
+            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> TraversalGraph:
+        """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it."""
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                header = json.loads(str(data["header"]))
+                if header["format"] != FORMAT:
+                    raise PlanningError(
+                        f"{path}: graph format {header['format']}, this program reads {FORMAT}"
+                    )
+                start = (
+                    None
+                    if header["start"] is None
+                    else (float(header["start"][0]), float(header["start"][1]))
+                )
+                graph = cls(GraphParams(**header["params"]), header["seed"], start)
+                for name in _ARRAYS:
+                    setattr(graph, name, data[name])
+                graph.version = int(header["version"])
+        except (KeyError, json.JSONDecodeError) as error:
+            raise PlanningError(f"{path} is not a traversal graph file: {error}") from error
+        return graph
+
+
+_ARRAYS = (
+    "nodes", "indptr", "indices", "risk", "frontier", "clearance", "node_ids", "node_revision", "edge_revision",
+)  # fmt: skip

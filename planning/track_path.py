@@ -1,0 +1,172 @@
+"""The path as the tracker sees it: evenly resampled, with heading, curvature and a speed profile that can be braked.
+
+Everything that can be computed once per path is computed here, so that a control step only interpolates.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+STEP = 0.05
+"""Spacing of the resampled path [m]."""
+
+
+class PathError(ValueError):
+    """The path cannot be tracked; the message names the field and what was expected."""
+
+
+def wrap(angle: float) -> float:
+    """Angle [rad] in (-pi, pi]."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class TrackPath:
+    """A path in the `map` frame, sampled every `step` metres. Plain lists: scalar access is what a control step does."""
+
+    x: list[float]
+    y: list[float]
+    heading: list[float]
+    """Direction of travel [rad], unwrapped."""
+    curvature: list[float]
+    """[1/m], positive to the left, mean over one step either side."""
+    speed: list[float]
+    """[m/s] the robot may have here and still brake for everything that follows."""
+    step: float
+    """Spacing of the samples [m]."""
+    length: float
+    """[m]."""
+
+    @property
+    def goal(self) -> tuple[float, float]:
+        """x, y of the last point [m]."""
+        return self.x[-1], self.y[-1]
+
+    def at(self, values: list[float], s: float) -> float:
+        """`values` interpolated at arc length `s` [m], clamped to the ends."""
+        u = s / self.step
+        i = int(u)
+        if u <= 0.0:
+            return values[0]
+        if i >= len(values) - 1:
+            return values[-1]
+        f = u - i
+        return values[i] * (1.0 - f) + values[i + 1] * f
+
+    def project(self, x: float, y: float, s_from: float, s_to: float) -> float:
+        """Arc length of the point of [s_from, s_to] nearest to x, y. The earliest wins a tie."""
+        xs, ys, step, last = self.x, self.y, self.step, len(self.x) - 1
+        if last == 0:
+            return 0.0
+        best_s, best_d = s_from, math.inf
+        for i in range(min(int(s_from / step), last - 1), min(int(s_to / step) + 1, last)):
+            dx, dy = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
+            squared = dx * dx + dy * dy
+            f = ((x - xs[i]) * dx + (y - ys[i]) * dy) / squared if squared > 0.0 else 0.0
+            s = min(max((i + min(max(f, 0.0), 1.0)) * step, s_from), s_to)
+            f = s / step - i
+            d = (x - xs[i] - f * dx) ** 2 + (y - ys[i] - f * dy) ** 2
+            if d < best_d - 1e-12:
+                best_s, best_d = s, d
+        return best_s
+
+
+def make_path(
+    points: ArrayLike,
+    yaw: ArrayLike | None,
+    speed: ArrayLike | float,
+    *,
+    min_speed: float,
+    max_speed: float,
+    max_decel: float,
+    lateral_accel: float,
+    max_yaw_rate: float,
+) -> TrackPath:
+    """Check and resample a path.
+
+    points: (n, 2) or (n, 3) x, y[, z] in `map` [m], n >= 1. yaw: (n,) heading of the path or of the body along it
+    [rad] (a body that drives backwards may carry its own heading: the direction of travel decides), or None to
+    take it from the points. speed: (n,) or scalar upper bound [m/s]. Raises PathError.
+    """
+    xy = _finite("points", points)
+    if xy.ndim != 2 or xy.shape[0] < 1 or xy.shape[1] not in (2, 3):
+        raise PathError(f"points must have shape (n, 2) or (n, 3) with n >= 1, got {xy.shape}")
+    n = xy.shape[0]
+    limit = _finite("speed", speed)
+    if limit.ndim == 0:
+        limit = np.full(n, float(limit))
+    if limit.shape != (n,):
+        raise PathError(f"speed must be a number or have shape ({n},), got {limit.shape}")
+    if (limit < 0.0).any():
+        raise PathError("speed must not be negative; use reverse=True to drive a path backwards")
+    given = None if yaw is None else _finite("yaw", yaw)
+    if given is not None and given.shape != (n,):
+        raise PathError(f"yaw must have shape ({n},), got {given.shape}")
+
+    keep = np.concatenate([[True], np.hypot(*np.diff(xy[:, :2], axis=0).T) > 1e-6])
+    keep[0] = True
+    xy, limit = xy[keep, :2], limit[keep]
+    given = None if given is None else given[keep]
+    if len(xy) == 1:
+        heading = 0.0 if given is None else float(given[0])
+        return TrackPath([xy[0, 0]], [xy[0, 1]], [heading], [0.0], [min_speed], STEP, 0.0)
+
+    chord = np.diff(xy, axis=0)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(chord[:, 0], chord[:, 1]))])
+    length = float(arc[-1])
+    count = max(2, math.ceil(length / STEP) + 1)
+    step = length / (count - 1)
+    s = np.arange(count) * step
+    x, y = np.interp(s, arc, xy[:, 0]), np.interp(s, arc, xy[:, 1])
+    if given is None:
+        # Backward and forward chords averaged: the tangent at a sample, exact on arcs. The end chords are turned by
+        # half a step for the same reason, unless there is a corner in it.
+        tangent = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
+        bend = 0.5 * np.diff(tangent, append=tangent[-1:], prepend=tangent[:1])
+        bend[[0, -1]] = bend[[1, -2]] if count > 2 else 0.0
+        ends = np.where(np.abs(bend[[0, -1]]) < 0.2, bend[[0, -1]], 0.0)
+        middle = 0.5 * (tangent[:-1] + tangent[1:])
+        heading_at = np.concatenate([tangent[:1] - ends[0], middle, tangent[-1:] + ends[1]])
+    else:
+        heading_at = np.interp(s, arc, np.unwrap(_along_travel(given, chord)))
+    before, after = np.maximum(np.arange(count) - 1, 0), np.minimum(np.arange(count) + 1, count - 1)
+    curvature = (heading_at[after] - heading_at[before]) / ((after - before) * step)
+
+    allowed = np.minimum(np.interp(s, arc, limit), max_speed)
+    bend = np.maximum(np.abs(curvature), 1e-6)
+    allowed = np.minimum(allowed, np.minimum(np.sqrt(lateral_accel / bend), max_yaw_rate / bend))
+    allowed = np.maximum(allowed, min_speed)
+    for i in range(count - 2, -1, -1):
+        allowed[i] = min(allowed[i], math.sqrt(allowed[i + 1] ** 2 + 2.0 * max_decel * step))
+    return TrackPath(
+        x.tolist(), y.tolist(), heading_at.tolist(), curvature.tolist(), allowed.tolist(), step, length
+    )
+
+
+def _finite(name: str, values: ArrayLike) -> NDArray[np.float64]:
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise PathError(f"{name} must be numbers: {error}") from error
+    if not np.isfinite(array).all():
+        raise PathError(f"{name} must be finite")
+    return array
+
+
+def _along_travel(yaw: NDArray[np.float64], chord: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Yaw turned by pi where it points against the direction of travel. Raises PathError where it does not follow it."""
+    travel = np.arctan2(chord[:, 1], chord[:, 0])
+    travel = np.append(travel, travel[-1])
+    against = np.cos(yaw - travel) < 0.0
+    folded = np.where(against, yaw + np.pi, yaw)
+    error = np.abs((folded - travel + np.pi) % (2.0 * np.pi) - np.pi)
+    if np.median(error) > np.radians(30.0):
+        raise PathError(
+            f"yaw does not follow the points (median difference {np.degrees(np.median(error)):.0f} deg); "
+            "pass yaw=None to take the heading from the points"
+        )
+    return folded

@@ -1,0 +1,174 @@
+"""Facts of the Unitree Go2-W: inertia, geometry, limits, motor order, poses and leg kinematics.
+
+Frames: x forward, y left, z up; at zero angles the legs hang straight down and the knee angle is negative. Legs come in the
+SDK's order FR, FL, RR, RL (`LEGS`), motors in the SDK's order (`MOTORS`). Source: the URDF of `go2w_description`
+(unitreerobotics/unitree_ros) for masses, geometry and limits; `unitree_sdk2_python/example/go2w` for motor order.
+
+The kinematics are numba functions: they can be called from Python with numpy arrays and from other kernels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hal.types import Array
+
+LEGS: Final = ("FR", "FL", "RR", "RL")
+MOTORS: Final = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")) + tuple(
+    f"{leg}_wheel" for leg in LEGS
+)
+"""The sixteen motors in SDK order (LowCmd and LowState slots 0..15)."""
+WHEELS: Final = slice(12, 16)
+"""Where the wheels sit in a (16,) motor array."""
+
+SX: Final = np.array([1.0, 1.0, -1.0, -1.0])
+"""+1 front, -1 rear, per leg."""
+SY: Final = np.array([-1.0, 1.0, -1.0, 1.0])
+"""+1 left, -1 right, per leg."""
+
+# --- geometry [m] -------------------------------------------------------------------------------------------------
+HIP_X: Final = 0.1934
+HIP_Y: Final = 0.0465
+THIGH_Y: Final = 0.0955
+"""Hip joint to thigh joint, sideways."""
+THIGH: Final = 0.213
+CALF: Final = 0.2264
+"""Knee to wheel axle."""
+TREAD_Y: Final = 0.0508
+"""Wheel joint frame to the centre plane of the tread, sideways."""
+TREAD_WIDTH: Final = 0.0518
+WHEEL_RADIUS: Final = 0.086
+BODY_LENGTH: Final = 0.70
+BODY_WIDTH: Final = 0.43
+IMU_POSITION: Final = (-0.02557, 0.0, 0.04232)
+"""IMU in base_link; its axes are base_link's."""
+L1_MOUNT: Final = ((0.28945, 0.0, -0.046825), (0.0, 2.8782, 0.0))
+"""Built-in L1 LiDAR: translation [m] and roll, pitch, yaw in base_link (it looks forward-down, upside down)."""
+XT16_MOUNT: Final = ((0.1634, 0.0, 0.116), (0.0, 0.0, math.pi / 2))
+"""Hesai XT16 as carried by a public Go2-W set-up."""
+
+
+# --- inertia ------------------------------------------------------------------------------------------------------
+class Link(NamedTuple):
+    """Rigid-body inertia in the link's own frame, for the front left leg (sx = sy = +1)."""
+
+    mass: float
+    """[kg]"""
+    com: tuple[float, float, float]
+    """[m]"""
+    inertia: tuple[float, float, float, float, float, float]
+    """Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2]."""
+
+
+BASE: Final = Link(
+    6.921, (0.021112, 0.0, -0.005366), (0.02448, 0.098077, 0.107, 1.2166e-4, 1.4849e-3, -3.12e-5)
+)
+HIP: Final = Link(
+    0.678, (-0.0054, 0.00194, -0.000105), (0.00048, 0.000884, 0.000596, -3.01e-6, 1.11e-6, -1.42e-6)
+)
+THIGH_LINK: Final = Link(
+    1.152, (-0.00374, -0.0223, -0.0327), (0.00584, 0.0058, 0.00103, 8.72e-5, -2.89e-4, 8.08e-4)
+)
+CALF_LINK: Final = Link(
+    0.154, (0.00548, -0.000975, -0.115), (0.00108, 0.0011, 3.29e-5, 3.4e-7, 1.72e-5, 8.28e-6)
+)
+WHEEL_MOTOR: Final = Link(0.646, (0.0, 0.01, -0.2264), (0.001, 0.0016, 0.001, 0.0, 0.0, 0.0))
+"""Fixed to the calf; `com` is in the calf frame."""
+WHEEL: Final = Link(0.520, (0.0, 0.06, 0.0), (0.0007, 0.0012, 0.0007, 0.0, 0.0, 0.0))
+MASS: Final = BASE.mass + 4 * (HIP.mass + THIGH_LINK.mass + CALF_LINK.mass + WHEEL_MOTOR.mass + WHEEL.mass)
+"""Whole robot [kg]: 19.52."""
+ARMATURE: Final = 0.01
+"""Reflected rotor inertia of every motor [kg m^2]."""
+DAMPING: Final = 0.1
+"""Viscous joint friction [Nm s/rad]."""
+FRICTIONLOSS: Final = 0.2
+"""Dry joint friction [Nm]."""
+
+# --- limits, (16,) in SDK order -----------------------------------------------------------------------------------
+_FRONT = ((-1.0472, 1.0472), (-1.5708, 3.4907), (-2.7227, -0.83776))
+_REAR = ((-1.0472, 1.0472), (-0.5236, 4.5379), (-2.7227, -0.83776))
+JOINT_RANGE: Final[Array] = np.array([*_FRONT, *_FRONT, *_REAR, *_REAR] + [(-np.inf, np.inf)] * 4)
+"""(16, 2) lowest and highest joint angle [rad]; wheels turn freely."""
+TORQUE_LIMIT: Final[Array] = np.array([23.7, 23.7, 35.55] * 4 + [23.7] * 4)
+"""(16,) [Nm]."""
+SPEED_LIMIT: Final[Array] = np.array([30.1, 30.1, 20.07] * 4 + [30.1] * 4)
+"""(16,) [rad/s]."""
+
+
+# --- poses, (16,) in SDK order ------------------------------------------------------------------------------------
+def pose(hip: float, thigh: float, calf: float) -> Array:
+    """(16,) the same leg angles [rad] in all four legs, wheels at zero."""
+    return np.array([hip, thigh, calf] * 4 + [0.0] * 4)
+
+
+STAND: Final[Array] = pose(0.0, 0.8, -1.5)
+"""Default stand: base_link 0.408 m above level ground."""
+SDK_STAND: Final[Array] = pose(0.0, 0.67, -1.3)
+"""The vendor's stand: 0.436 m."""
+FOLDED: Final[Array] = pose(0.0, 1.36, -2.65)
+"""Lying: 0.193 m."""
+
+
+# --- kinematics ---------------------------------------------------------------------------------------------------
+@njit(cache=True)
+def wheel_centres(q: Array) -> Array:
+    """Centres of the four treads.
+
+    `q`: (16,) or (12,) joint angles [rad], SDK order. Returns (4, 3) [m] in base_link, legs FR, FL, RR, RL. A wheel touches
+    level ground `WHEEL_RADIUS` below its centre.
+    """
+    out = np.empty((4, 3))
+    for leg in range(4):
+        sx = SX[leg]
+        sy = SY[leg]
+        hip = q[3 * leg]
+        thigh = q[3 * leg + 1]
+        shank = thigh + q[3 * leg + 2]
+        x = -THIGH * math.sin(thigh) - CALF * math.sin(shank)
+        y = (THIGH_Y + TREAD_Y) * sy
+        z = -THIGH * math.cos(thigh) - CALF * math.cos(shank)
+        s = math.sin(hip)
+        c = math.cos(hip)
+        out[leg, 0] = HIP_X * sx + x
+        out[leg, 1] = HIP_Y * sy + y * c - z * s
+        out[leg, 2] = y * s + z * c
+    return out
+
+
+@njit(cache=True)
+def wheel_jacobians(q: Array) -> Array:
+    """Jacobians of `wheel_centres`.
+
+    Returns (4, 3, 3) [m/rad]: `J[leg, axis, joint]`, joints hip, thigh, calf. The wheel's own angle does not move its centre.
+    """
+    out = np.empty((4, 3, 3))
+    for leg in range(4):
+        hip = q[3 * leg]
+        thigh = q[3 * leg + 1]
+        shank = thigh + q[3 * leg + 2]
+        y = (THIGH_Y + TREAD_Y) * SY[leg]
+        calf_x = -CALF * math.sin(shank)
+        calf_z = -CALF * math.cos(shank)
+        x = -THIGH * math.sin(thigh) + calf_x
+        z = -THIGH * math.cos(thigh) + calf_z
+        s = math.sin(hip)
+        c = math.cos(hip)
+        out[leg, 0, 0] = 0.0
+        out[leg, 1, 0] = -y * s - z * c
+        out[leg, 2, 0] = y * c - z * s
+        out[leg, 0, 1] = z
+        out[leg, 1, 1] = x * s
+        out[leg, 2, 1] = -x * c
+        out[leg, 0, 2] = calf_z
+        out[leg, 1, 2] = calf_x * s
+        out[leg, 2, 2] = -calf_x * c
+    return out
+
+
+def stand_height(q: Array) -> float:
+    """Height [m] of base_link above level ground with the joints at `q` (16,) and the trunk level: mean of the four legs."""
+    return float(WHEEL_RADIUS - wheel_centres(q)[:, 2].mean())

@@ -1,0 +1,261 @@
+"""One control tick of the virtual model controller, compiled. Frame H and leg order as in `hal.locomotion.geometry`."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hal.go2w import (
+    DAMPING,
+    FRICTIONLOSS,
+    HIP_X,
+    HIP_Y,
+    MASS,
+    SX,
+    SY,
+    THIGH_Y,
+    TREAD_Y,
+    WHEEL_RADIUS,
+    wheel_centres,
+    wheel_jacobians,
+)
+from hal.locomotion.geometry import (
+    GRAVITY,
+    contact_geometry,
+    distribute,
+    fit_plane,
+    inverse3,
+    leg_weight,
+    level_frame,
+    rotate,
+)
+from hal.locomotion.params import VmcParams
+from hal.types import Array
+
+MEMORY = np.dtype(
+    [
+        ("ticks", "i8"),
+        ("vx", "f8"),  # slewed command [m/s]
+        ("wz", "f8"),  # [rad/s]
+        ("speed", "f8"),  # estimated ground speed [m/s]
+        ("speed_i", "f8"),  # common wheel torque of the speed integral [Nm]
+        ("yaw_i", "f8"),  # yaw-rate integral [rad/s]
+        ("lift_i", "f8"),  # learnt extra load [N]
+        ("slope_x", "f8"),  # ground plane, filtered
+        ("slope_y", "f8"),
+        ("height", "f8"),  # base_link above the ground plane [m]
+        ("hold", "i8"),  # wheels latched in place
+        ("latch", "f8", (4,)),  # their rolled angle [rad]
+        ("place", "f8", (4, 2)),  # wheel placement relative to nominal, slewed [m]
+        ("force", "f8", (4, 3)),  # contact force on the wheel, H [N]
+        ("contact", "i8", (4,)),
+        ("load", "f8", (4,)),  # commanded vertical force [N]
+    ]
+)
+"""What the controller remembers between ticks."""
+
+OUT_Q, OUT_DQ, OUT_TAU, OUT_KP, OUT_KD = range(5)
+"""Rows of the (5, 16) command."""
+
+
+@njit(cache=True)
+def clip(x: float, low: float, high: float) -> float:
+    """`x` inside [low, high]."""
+    return min(max(x, low), high)
+
+
+@njit(cache=True)
+def slew(x: float, target: float, step: float) -> float:
+    """`x` moved towards `target` by at most `step`."""
+    return x + min(max(target - x, -step), step)
+
+
+@njit(cache=True)
+def estimate_contacts(m, tau: Array, weight_torque: Array, jac_c: Array, dt: float, p: VmcParams) -> None:
+    """Contact forces from leg torques (quasi-static), low-passed, and contact flags with hysteresis."""
+    alpha = dt / (dt + p.force_filter)
+    for leg in range(4):
+        inv = inverse3(jac_c[leg])
+        for axis in range(3):
+            f = 0.0
+            for joint in range(3):
+                f += inv[joint, axis] * (weight_torque[leg, joint] - tau[3 * leg + joint])
+            m.force[leg, axis] += alpha * (clip(f, -300.0, 300.0) - m.force[leg, axis])
+        if m.contact[leg] == 1:
+            if m.force[leg, 2] < p.contact_off:
+                m.contact[leg] = 0
+        elif m.force[leg, 2] > p.contact_on:
+            m.contact[leg] = 1
+
+
+@njit(cache=True)
+def vmc_tick(
+    q: Array,
+    dq: Array,
+    tau: Array,
+    quaternion: Array,
+    gyro: Array,
+    command: Array,
+    dt: float,
+    p: VmcParams,
+    memory,
+    out: Array,
+) -> None:
+    """Compute one command.
+
+    `q`, `dq`, `tau`: (16,) measured; `command`: (5,) vx, wz, height, roll, pitch; `memory`: (1,) of `MEMORY`; `out`: (5, 16).
+    """
+    m = memory[0]
+    rot = level_frame(quaternion)
+    omega = rotate(rot, gyro.reshape(1, 3))[0]
+    roll = math.atan2(rot[2, 1], rot[2, 2]) + p.lookahead * omega[0]
+    pitch = -math.asin(clip(rot[2, 0], -1.0, 1.0)) + p.lookahead * omega[1]
+
+    centres = rotate(rot, wheel_centres(q))
+    jac_base = wheel_jacobians(q)
+    jac = np.empty((4, 3, 3))
+    for leg in range(4):
+        jac[leg] = rotate(rot, jac_base[leg].T).T
+    points, jac_c, forward, axles = contact_geometry(q, rot, centres, jac, m.slope_x, m.slope_y)
+    weight_torque, com = leg_weight(q, rot)
+    if m.ticks == 0:
+        for leg in range(4):
+            m.contact[leg] = 1
+            m.load[leg] = 0.25 * MASS * GRAVITY
+            m.force[leg, 2] = m.load[leg]
+            m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg]
+            m.place[leg, 1] = centres[leg, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg]
+    m.ticks += 1
+    estimate_contacts(m, tau, weight_torque, jac_c, dt, p)
+
+    # --- ground plane and height
+    weight = np.empty(4)
+    for leg in range(4):
+        weight[leg] = 1.0 if m.contact[leg] == 1 else 0.05
+    ground, slope_x, slope_y = fit_plane(points, weight)
+    alpha = 1.0 if m.ticks == 1 else dt / (dt + p.slope_filter)
+    m.slope_x += alpha * (clip(slope_x, -1.0, 1.0) - m.slope_x)
+    m.slope_y += alpha * (clip(slope_y, -1.0, 1.0) - m.slope_y)
+    m.height = -ground
+
+    # --- wheel centres relative to base_link, velocity in H; ground speed from rolling
+    velocity = np.empty((4, 3))
+    spin = np.empty(4)
+    rise = 0.0
+    speed = 0.0
+    total = 0.0
+    for leg in range(4):
+        for axis in range(3):
+            v = 0.0
+            for joint in range(3):
+                v += jac[leg, axis, joint] * dq[3 * leg + joint]
+            velocity[leg, axis] = v
+        velocity[leg, 0] += omega[1] * centres[leg, 2] - omega[2] * centres[leg, 1]
+        velocity[leg, 1] += omega[2] * centres[leg, 0] - omega[0] * centres[leg, 2]
+        velocity[leg, 2] += omega[0] * centres[leg, 1] - omega[1] * centres[leg, 0]
+        pitch_rate = axles[leg, 0] * omega[0] + axles[leg, 1] * omega[1] + axles[leg, 2] * omega[2]
+        spin[leg] = dq[3 * leg + 1] + dq[3 * leg + 2] + pitch_rate
+        total += weight[leg]
+        rise -= weight[leg] * velocity[leg, 2]
+        speed += weight[leg] * (
+            WHEEL_RADIUS * (dq[12 + leg] + spin[leg]) * forward[leg, 0] - velocity[leg, 0]
+        )
+    rise /= total
+    m.speed += dt / (dt + 0.03) * (speed / total - m.speed)
+
+    # --- commands
+    m.vx = slew(m.vx, command[0], p.accel * dt)
+    m.wz = slew(m.wz, command[1], p.alpha * dt)
+    height = command[2]
+    ground_pitch = -math.atan(m.slope_x)
+    ground_roll = math.atan(m.slope_y)
+    pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.max_level, p.max_level)
+    roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.max_level, p.max_level)
+
+    # --- trunk wrench and its distribution on the wheels
+    error = clip(height - m.height, -0.08, 0.08)
+    m.lift_i = clip(m.lift_i + p.trim * p.heave_k * error * dt, -60.0, 60.0)
+    wrench = np.empty(3)
+    wrench[0] = MASS * GRAVITY + m.lift_i + p.heave_k * error - p.heave_d * rise
+    wrench[1] = p.roll_k * clip(roll_wanted - roll, -0.25, 0.25) - p.roll_d * omega[0]
+    wrench[2] = p.pitch_k * clip(pitch_wanted - pitch, -0.25, 0.25) - p.pitch_d * omega[1]
+    lower = np.zeros(4)
+    upper = np.full(4, p.force_max)
+    for leg in range(4):
+        # The soft stops of the leg bound its force: a stretched leg cannot push, a folded one must.
+        hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
+        stroke = hip_z - centres[leg, 2]
+        upper[leg] = clip(p.force_max * (p.stroke_max - stroke) / 0.02, 3.0, p.force_max)
+        lower[leg] = clip(80.0 * (p.stroke_min - stroke) / 0.02, 0.0, 120.0)
+        lower[leg] = min(lower[leg] + 3.0, upper[leg])
+    distribute(points, com, wrench, lower, upper, m.load, 20)
+
+    # --- drive
+    yaw_error = m.wz - omega[2]
+    stopped = abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0
+    if stopped:
+        m.yaw_i = 0.0
+    else:
+        m.yaw_i = clip(m.yaw_i + p.yaw_ki * yaw_error * dt, -3.0, 3.0)
+    turn = m.wz + (0.0 if stopped else p.yaw_kp * yaw_error + m.yaw_i)
+    limit = p.wheel_torque
+    nose_up = pitch_wanted - pitch if m.vx >= 0.0 else pitch - pitch_wanted
+    if nose_up > 0.5 * p.nose_up:
+        limit *= clip(2.0 - 2.0 * nose_up / p.nose_up, 0.0, 1.0)
+    if stopped:
+        m.speed_i *= 1.0 - dt / 0.5
+    elif abs(m.vx - m.speed) < 0.3:
+        m.speed_i = clip(m.speed_i + p.speed_ki * (m.vx - m.speed) * dt, -2.5, 2.5)
+    if stopped and m.hold == 0 and abs(m.speed) < 0.03 and abs(omega[2]) < 0.05:
+        m.hold = 1
+        for leg in range(4):
+            m.latch[leg] = q[12 + leg] + q[3 * leg + 1] + q[3 * leg + 2] + pitch
+    elif not stopped:
+        m.hold = 0
+
+    # --- wheel placement under the trunk
+    pull = p.turn_pull * clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
+    step = p.place_rate * dt
+    for leg in range(4):
+        goal_x = -pull * SX[leg] + com[0]
+        before = m.place[leg, 0]
+        m.place[leg, 0] = slew(before, goal_x, step)
+        m.place[leg, 1] = slew(m.place[leg, 1], com[1], step)
+        rate_x = (m.place[leg, 0] - before) / dt
+        error_x = HIP_X * SX[leg] + m.place[leg, 0] - centres[leg, 0]
+        error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg] + m.place[leg, 1] - centres[leg, 1]
+        inv = inverse3(jac[leg])
+        wheel = 12 + leg
+        # The wheel's feed-forward holds the vertical load on the slope; its motor-side speed loop does the rest.
+        hold_torque = WHEEL_RADIUS * forward[leg, 2] * m.load[leg]
+        extra = clip(tau[wheel] - hold_torque, -p.wheel_torque, p.wheel_torque)
+        for joint in range(3):
+            i = 3 * leg + joint
+            t = weight_torque[leg, joint] - jac_c[leg, 2, joint] * m.load[leg]
+            if joint > 0:
+                # The wheel motor's reaction turns the calf; carry it up to the trunk.
+                t += extra
+            out[OUT_TAU, i] = t
+            delta = clip(inv[joint, 0] * error_x + inv[joint, 1] * error_y, -0.3, 0.3)
+            out[OUT_Q, i] = q[i] + delta
+            out[OUT_DQ, i] = 0.0
+            out[OUT_KP, i] = 0.0 if joint == 2 else p.leg_kp
+            out[OUT_KD, i] = p.leg_kd
+        ground_speed = m.vx - turn * points[leg, 1] + rate_x
+        want = ground_speed / WHEEL_RADIUS - spin[leg]
+        band = limit / p.wheel_kd
+        want = clip(want, dq[wheel] - band, dq[wheel] + band)
+        friction = FRICTIONLOSS * clip(want / 0.5, -1.0, 1.0) + DAMPING * want
+        out[OUT_DQ, wheel] = want
+        out[OUT_KD, wheel] = p.wheel_kd
+        if m.hold == 1:
+            rolled = q[3 * leg + 1] + q[3 * leg + 2] + pitch
+            out[OUT_Q, wheel] = m.latch[leg] - rolled
+            out[OUT_KP, wheel] = p.wheel_kp
+            out[OUT_TAU, wheel] = hold_torque
+        else:
+            out[OUT_Q, wheel] = q[wheel]
+            out[OUT_KP, wheel] = 0.0
+            out[OUT_TAU, wheel] = hold_torque + friction + m.speed_i * clip(limit / p.wheel_torque, 0.0, 1.0)

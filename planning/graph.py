@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph_native import build_native
 
 FORMAT = 1
 """Version of the npz layout; `load` refuses others."""
@@ -32,37 +33,41 @@ class GraphParams(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     mode: Literal["corrected", "native"] = "corrected"
-    expand_dist: float = Field(0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
+    expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
     robot_size: float = Field(
-        0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
+        default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
     )
     sample_num: int = Field(
-        32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
+        default=32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
     )
     height_threshold: float = Field(
-        0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
+        default=0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
     )
     collision_threshold: float = Field(
-        0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
+        default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
     )
-    max_step: float = Field(0.10, gt=0.0, description="corrected: highest vertical face driven over [m]")
+    max_step: float = Field(
+        default=0.10, gt=0.0, description="corrected: highest vertical face driven over [m]"
+    )
     max_slope: float = Field(
-        0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
+        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
     )
-    max_gap: float = Field(0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]")
+    max_gap: float = Field(
+        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
+    )
     min_coverage: float = Field(
-        0.70,
+        default=0.70,
         ge=0.0,
         le=1.0,
         description="corrected: least seen share of every cross-section of an edge's corridor",
     )
     blind_radius: float = Field(
-        2.0,
+        default=2.0,
         ge=0.0,
         description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
     )
-    length: float = Field(0.70, gt=0.0, description="corrected: footprint along travel [m]")
-    width: float = Field(0.43, gt=0.0, description="corrected: footprint across travel [m]")
+    length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
+    width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
 
 
 class TraversalGraph:
@@ -102,6 +107,7 @@ class TraversalGraph:
         self.start_xy = start_xy
         self.version = 0
         self._state: Any = None
+        self._next_id = 0
 
     # -- making one ---------------------------------------------------------------------------------------------
 
@@ -119,7 +125,12 @@ class TraversalGraph:
             NoRoute: the grid has no trusted cell, or the start is off the map or on no valid ground.
             PlanningError: an argument has the wrong type or is not finite.
         """
-        raise NotImplementedError
+        params = params or GraphParams()
+        start = _checked_start(grid, start_xy)
+        graph = cls(params, seed, start)
+        if params.mode == "native":
+            graph._build_native(grid)
+        return graph
 
     @classmethod
     def from_edges(
@@ -146,11 +157,32 @@ class TraversalGraph:
         graph._publish(nodes, edges, risk, frontier, None, np.arange(n), np.ones(n), np.ones(len(edges)))
         return graph
 
+    def _build_native(self, grid: ElevationGrid) -> None:
+        """Grow the whole graph anew; nodes that stand where they stood keep their ids."""
+        assert self.start_xy is not None
+        built = build_native(grid.height, grid.origin, grid.resolution, self.start_xy, self.params, self.seed)
+        if built is None:
+            raise NoRoute(
+                NoRouteReason.START_NOT_ON_GRAPH, f"no free ground beside the start {self.start_xy}"
+            )
+        nodes, edges, risk = built
+        version = self.version + 1
+        ids = np.arange(len(nodes))
+        if version > 1:
+            known = dict(zip(map(tuple, self.nodes[:, :2].tolist()), self.node_ids.tolist(), strict=True))
+            ids = np.array([known.get((float(x), float(y)), -1) for x, y in nodes[:, :2]], dtype=np.int64)
+            fresh = ids < 0
+            ids[fresh] = self._next_id + np.arange(np.count_nonzero(fresh))
+        self._next_id = max(self._next_id, int(ids.max(initial=-1)) + 1)
+        self._publish(
+            nodes, edges, risk, None, None, ids, np.full(len(nodes), version), np.full(len(edges), version)
+        )
+
     def _publish(
         self,
-        nodes: NDArray[np.float64],
+        nodes: NDArray[np.floating],
         edges: NDArray[np.integer],
-        risk: NDArray[np.float32],
+        risk: NDArray[np.floating],
         frontier: NDArray[np.bool_] | None,
         clearance: NDArray[np.float32] | None,
         ids: NDArray[np.integer],
@@ -255,3 +287,21 @@ class TraversalGraph:
 _ARRAYS = (
     "nodes", "indptr", "indices", "risk", "frontier", "clearance", "node_ids", "node_revision", "edge_revision",
 )  # fmt: skip
+
+
+def _checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:
+    """The start as two floats, once grid and start make sense."""
+    if not isinstance(grid, ElevationGrid):
+        raise PlanningError(f"grid must be an ElevationGrid, got {type(grid).__name__}")
+    if not grid.trusted.any():
+        raise NoRoute(NoRouteReason.NO_TERRAIN, "the map holds no trusted cell: wait for the first scans")
+    start = np.asarray(start_xy, dtype=np.float64)
+    if start.shape != (2,) or not np.isfinite(start).all():
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"the start must be two finite metres x, y, got {start_xy}")
+    x0, y0, x1, y1 = grid.extent
+    half = 0.5 * grid.resolution
+    if not (x0 - half <= start[0] <= x1 + half and y0 - half <= start[1] <= y1 + half):
+        raise NoRoute(
+            NoRouteReason.OUTSIDE_MAP, f"the start {start_xy} is outside the map ({x0}, {y0})..({x1}, {y1})"
+        )
+    return float(start[0]), float(start[1])

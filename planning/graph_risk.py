@@ -1,0 +1,251 @@
+"""Kernels that both graph modes share: disc test, direction-aware terrain risk, symmetric 3x3 eigenvectors.
+
+Grids are float32 heights [m] with NaN where there is no map point; x0, y0 are the coordinates of the centre of
+cell [0, 0] and res is the cell size [m].
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+F32 = np.float32
+
+
+@njit(cache=True)
+def window_minmax(height, k):
+    """Least and largest height over the (2k + 1)^2 square around each cell: two (rows, cols) float32. NaN ignored.
+
+    Doubling: each pass joins windows of length w into windows of length up to 2w, so a window of 31 costs five
+    passes instead of thirty, all of them over contiguous rows.
+    """
+    rows, cols = height.shape
+    low = np.empty((rows, cols), np.float32)
+    high = np.empty((rows, cols), np.float32)
+    for r in range(rows):
+        for c in range(cols):
+            z = height[r, c]
+            low[r, c] = z if z == z else np.inf
+            high[r, c] = z if z == z else -np.inf
+    width = 1
+    target = 2 * k + 1
+    # forward windows [i, i + width), cut at the border
+    while width < target:
+        s = min(width, target - width)
+        for r in range(rows):
+            for c in range(cols - s):
+                low[r, c] = min(low[r, c], low[r, c + s])
+                high[r, c] = max(high[r, c], high[r, c + s])
+        for r in range(rows - s):
+            for c in range(cols):
+                low[r, c] = min(low[r, c], low[r + s, c])
+                high[r, c] = max(high[r, c], high[r + s, c])
+        width += s
+    return low, high
+
+
+@njit(cache=True)
+def _select(values, n, k):
+    """The k-th smallest of values[:n] (Hoare's quickselect; reorders `values`)."""
+    left = 0
+    right = n - 1
+    while left < right:
+        pivot = values[(left + right) >> 1]
+        i = left
+        j = right
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                t = values[i]
+                values[i] = values[j]
+                values[j] = t
+                i += 1
+                j -= 1
+        if k <= j:
+            right = j
+        elif k >= i:
+            left = i
+        else:
+            return values[k]
+    return values[k]
+
+
+@njit(cache=True)
+def disc_blocked(height, xs, ys, x0, y0, res, low, high, k, x, y, radius, limit, share, buffer):
+    """True if more than `share` of the map points within `radius` of x, y lie over `limit` off their upper median.
+
+    xs, ys: float32 coordinates of columns and rows. `low`, `high`, `k` from `window_minmax`, with k cells covering the
+    radius: where the whole square spans no more than `limit`, no cell can be an outlier and the median is not needed.
+    No map point at all counts as blocked.
+    """
+    rows, cols = height.shape
+    r_mid = math.floor((y - y0) / res + 0.5)
+    c_mid = math.floor((x - x0) / res + 0.5)
+    # window_minmax starts its windows at their lower corner
+    inside = k <= r_mid < rows - k and k <= c_mid < cols - k
+    if inside and high[r_mid - k, c_mid - k] - low[r_mid - k, c_mid - k] <= limit:
+        known = height[r_mid, c_mid]
+        if known == known:
+            return False
+    r2 = radius * radius
+    n = 0
+    for r in range(max(0, r_mid - k), min(rows, r_mid + k + 1)):
+        dy = ys[r] - y
+        rest = r2 - dy * dy
+        if rest < 0.0:
+            continue
+        for c in range(max(0, c_mid - k), min(cols, c_mid + k + 1)):
+            dx = xs[c] - x
+            if dx * dx + dy * dy <= r2:
+                z = height[r, c]
+                if z == z:
+                    buffer[n] = z
+                    n += 1
+    if n == 0:
+        return True
+    median = _select(buffer, n, n // 2)
+    outliers = 0
+    for i in range(n):
+        if abs(buffer[i] - median) > limit:
+            outliers += 1
+    return F32(outliers) / F32(n) > share
+
+
+@njit(cache=True)
+def top_two_z(a, b, c, d, e, f):
+    """|z| of the unit eigenvectors of [[a, b, c], [b, d, e], [c, e, f]] with the largest and second eigenvalue.
+
+    Cyclic Jacobi: stays accurate where two eigenvalues meet, which is the usual case on flat ground.
+    """
+    m = np.empty((3, 3))
+    m[0, 0] = a
+    m[1, 1] = d
+    m[2, 2] = f
+    m[0, 1] = m[1, 0] = b
+    m[0, 2] = m[2, 0] = c
+    m[1, 2] = m[2, 1] = e
+    vz = np.array([0.0, 0.0, 1.0])  # the z row of the eigenvector matrix is all that is needed
+    scale = abs(a) + abs(d) + abs(f)
+    for _ in range(12):
+        off = abs(m[0, 1]) + abs(m[0, 2]) + abs(m[1, 2])
+        if off <= 1e-15 * scale:
+            break
+        for p in range(2):
+            for q in range(p + 1, 3):
+                if m[p, q] == 0.0:
+                    continue
+                theta = (m[q, q] - m[p, p]) / (2.0 * m[p, q])
+                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                cs = 1.0 / math.sqrt(t * t + 1.0)
+                sn = t * cs
+                for i in range(3):
+                    u = m[i, p]
+                    v = m[i, q]
+                    m[i, p] = cs * u - sn * v
+                    m[i, q] = sn * u + cs * v
+                for i in range(3):
+                    u = m[p, i]
+                    v = m[q, i]
+                    m[p, i] = cs * u - sn * v
+                    m[q, i] = sn * u + cs * v
+                u = vz[p]
+                v = vz[q]
+                vz[p] = cs * u - sn * v
+                vz[q] = sn * u + cs * v
+    first = 0
+    for i in range(1, 3):
+        if m[i, i] > m[first, first]:
+            first = i
+    second = -1
+    for i in range(3):
+        if i != first and (second < 0 or m[i, i] > m[second, second]):
+            second = i
+    return abs(vz[first]), abs(vz[second])
+
+
+@njit(cache=True)
+def edge_risk(height, xs, ys, x0, y0, res, xa, ya, xb, yb, radius, native):
+    """Terrain risk of the straight move a -> b, or -1 where fewer than three map points describe it.
+
+    Principal axes of the points in the ellipse with foci a and b and minor semi-axis `radius`:
+    0.8 |e1.z| + 0.2 |e2.z|, below 0.1 counted as 0. `native` keeps two defects of the released planner: the ellipse is
+    turned the wrong way (mirrored about the x axis) and the eigenvectors are sqrt(3) too short.
+    """
+    rows, cols = height.shape
+    dx = xb - xa
+    dy = yb - ya
+    d = F32(math.sqrt(dx * dx + dy * dy))
+    cx = (xa + xb) * F32(0.5)
+    cy = (ya + yb) * F32(0.5)
+    f = d * F32(0.5)
+    minor = F32(radius)
+    circle = f < minor
+    major = minor
+    if not circle:
+        major = F32(math.sqrt(f * f + minor * minor))
+        circle = major == minor
+    cs = dx / d
+    sn = dy / d
+    if not native:
+        sn = -sn
+    a2 = major * major
+    b2 = minor * minor
+    r_lo = max(0, math.floor((cy - major - y0) / res))
+    r_hi = min(rows - 1, math.ceil((cy + major - y0) / res))
+    c_lo = max(0, math.floor((cx - major - x0) / res))
+    c_hi = min(cols - 1, math.ceil((cx + major - x0) / res))
+    n = 0
+    z0 = 0.0
+    su = sv = sz = suu = suv = suz = svv = svz = szz = 0.0
+    for r in range(r_lo, r_hi + 1):
+        v = ys[r] - cy
+        for c in range(c_lo, c_hi + 1):
+            u = xs[c] - cx
+            if u * u + v * v > a2:
+                continue
+            if not circle:
+                lx = cs * u - sn * v
+                ly = sn * u + cs * v
+                if lx * lx * b2 + ly * ly * a2 >= a2 * b2:
+                    continue
+            z = height[r, c]
+            if z != z:
+                continue
+            if n == 0:
+                z0 = float(z)
+            w = float(z) - z0
+            n += 1
+            du = float(u)
+            dv = float(v)
+            su += du
+            sv += dv
+            sz += w
+            suu += du * du
+            suv += du * dv
+            suz += du * w
+            svv += dv * dv
+            svz += dv * w
+            szz += w * w
+    if n < 3:
+        return F32(-1.0)
+    i = 1.0 / n
+    j = 1.0 / (n - 1)
+    e1, e2 = top_two_z(
+        (suu - su * su * i) * j,
+        (suv - su * sv * i) * j,
+        (suz - su * sz * i) * j,
+        (svv - sv * sv * i) * j,
+        (svz - sv * sz * i) * j,
+        (szz - sz * sz * i) * j,
+    )
+    risk = 0.8 * e1 + 0.2 * e2
+    if native:
+        risk /= math.sqrt(3.0)
+    return F32(0.0) if risk < 0.1 else F32(risk)

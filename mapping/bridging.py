@@ -1,0 +1,110 @@
+"""Bridging the gaps between LiDAR rings.
+
+A 16-ring LiDAR at 0.5 m height draws rings 0.3 m apart at 2 m and 0.6 m apart at 3 m; a robot that stands still would
+live in a world of thin trusted circles. A gap along a row, a column or a diagonal is bridged when its two ends are
+trusted and fit one slope, and every cell in it carries a certificate: a ray passed low over it (so nothing tall stands
+there) and none passed below the bridge (that would be a hole). Shadows, which no ray crossed, stay unknown.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+
+@njit(cache=True)
+def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  # pragma: no cover
+    """Bridge along one line of cells starting at (r, c); see `bridge`."""
+    rows, cols = height.shape
+    n = 0
+    k = 0
+    while 0 <= r + k * dr < rows and 0 <= c + k * dc < cols:
+        if source[r + k * dr, c + k * dc] != 0:
+            pos[n] = k
+            n += 1
+        k += 1
+    step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
+    for q in range(n - 1):
+        a, b = pos[q], pos[q + 1]
+        d = (b - a) * step
+        if b - a < 2 or d > rule[6]:
+            continue
+        ra, ca, rb, cb = r + a * dr, c + a * dc, r + b * dr, c + b * dc
+        if not (trusted[ra, ca] and trusted[rb, cb]):
+            continue
+        blind = source[ra, ca] == 1 or source[rb, cb] == 1
+        if not blind and d > rule[1]:
+            continue
+        ha, hb = np.float64(height[ra, ca]), np.float64(height[rb, cb])
+        slope = (hb - ha) / d
+        if abs(slope) > rule[3]:
+            continue
+        small = b - a <= 3
+        fits = abs(hb - ha) <= rule[2] or (small and abs(hb - ha) <= 2.0 * rule[2])
+        if not fits:
+            # the same slope before or behind the gap, over at least 3 cells
+            p = q - 1
+            while p >= 0 and a - pos[p] < 3:
+                p -= 1
+            if p >= 0 and (a - pos[p]) * step <= rule[1] and trusted[r + pos[p] * dr, c + pos[p] * dc]:
+                rest = ha - height[r + pos[p] * dr, c + pos[p] * dc] - slope * (a - pos[p]) * step
+                fits = abs(rest) <= 0.7 * rule[2]
+            p = q + 2
+            while p < n and pos[p] - b < 3:
+                p += 1
+            if (
+                not fits
+                and p < n
+                and (pos[p] - b) * step <= rule[1]
+                and trusted[r + pos[p] * dr, c + pos[p] * dc]
+            ):
+                rest = height[r + pos[p] * dr, c + pos[p] * dc] - hb - slope * (pos[p] - b) * step
+                fits = abs(rest) <= 0.7 * rule[2]
+        if not fits:
+            continue
+        for k in range(a + 1, b):
+            z = ha + slope * (k - a) * step
+            u = upper[r + k * dr, c + k * dc]
+            if u < z - rule[5] or not (small or blind or u <= z + rule[4]):
+                fits = False
+                break
+        if not fits:
+            continue
+        for k in range(a + 1, b):
+            rk, ck = r + k * dr, c + k * dc
+            if d < gap[rk, ck]:
+                gap[rk, ck] = d
+                out[rk, ck] = ha + slope * (k - a) * step
+
+
+@njit(cache=True)
+def bridge(height, source, trusted, upper, rule):  # pragma: no cover
+    """Heights of bridged cells.
+
+    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
+    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (all metres).
+    Returns out (rows, cols) f32, NaN where nothing was bridged. Of several bridges the shortest wins.
+    """
+    rows, cols = height.shape
+    out = np.full((rows, cols), np.nan, dtype=np.float32)
+    gap = np.full((rows, cols), np.inf, dtype=np.float32)
+    pos = np.empty(rows + cols, dtype=np.int64)
+    for r in range(rows):
+        _line(height, source, trusted, upper, r, 0, 0, 1, rule, pos, out, gap)
+        _line(height, source, trusted, upper, r, 0, 1, 1, rule, pos, out, gap)
+        _line(height, source, trusted, upper, r, cols - 1, 1, -1, rule, pos, out, gap)
+    for c in range(cols):
+        _line(height, source, trusted, upper, 0, c, 1, 0, rule, pos, out, gap)
+        if c > 0:
+            _line(height, source, trusted, upper, 0, c, 1, 1, rule, pos, out, gap)
+        if c < cols - 1:
+            _line(height, source, trusted, upper, 0, c, 1, -1, rule, pos, out, gap)
+    return out
+
+
+def bridge_rule(
+    resolution: float, gap: float, step: float, slope: float, bound: float, hole: float, blind: float
+) -> NDArray[np.float64]:
+    """The `rule` array of `bridge`."""
+    return np.array([resolution, gap, step, slope, bound, hole, blind], dtype=np.float64)

@@ -1,0 +1,280 @@
+"""The elevation map: deskewed scans in, a world-fixed map of heights with their certainty out.
+
+    fuse(scan) -> project -> one measurement per cell -> two-mode Kalman -> height drift of the odometry
+    fuse_ground(wheels) -> support plane where the LiDAR is blind
+    clean() -> what rays look through goes; upper bound of unseen cells
+    take_patches() -> cells that changed, for `MapMirror`
+
+Same calls, same bytes: no clock, no randomness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mapping import elevation_kernels as kernels
+from mapping.elevation_params import ElevationParams
+from mapping.grid import ElevationGrid
+from mapping.ground import support_patch
+from mapping.patch import MapError, MapPatch
+from mapping.readout import MapReader
+from mapping.tiles import CONTACT, UNKNOWN, TileStore
+from mapping.visibility import judge, trace
+
+XT16_ORIGIN = (0.1634, 0.0, 0.116)
+
+
+@dataclass(frozen=True, slots=True)
+class FuseReport:
+    """What became of one scan: points by reason, then cells by outcome."""
+
+    points: int
+    used: int
+    invalid: int
+    """NaN or infinite."""
+    out_of_range: int
+    body: int
+    ceiling: int
+    cells: int
+    agreed: int
+    new: int
+    conflict: int
+    replaced: int
+    overhang: int
+    z_correction: float
+    """Height drift of the odometry taken out so far [m]."""
+
+
+class ElevationMap:
+    """A map in the `map` frame. One instance belongs to one thread."""
+
+    def __init__(self, params: ElevationParams | None = None) -> None:
+        self.params = p = params or ElevationParams()
+        self.store = TileStore(p.tile_cells)
+        self.epoch = 0
+        self.z_correction = 0.0
+        self.stamp = 0
+        self.scans = 0
+        self._start = 0
+        self._fresh = True
+        self._rays = 0
+        self._sensor = np.zeros(3)
+        self._buffers(1024)
+        self._limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope])
+        self._body = np.array(p.body_box)
+        self._reader = MapReader(self.store, p)
+
+    def _buffers(self, n: int) -> None:
+        self._i, self._j = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
+        self._xyz, self._var, self._ends = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 3))
+        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 5))
+        self._top, self._bottom = np.empty(n), np.empty(n)
+
+    def warm_up(self) -> None:
+        """Compile (or load) every kernel on a throw-away map."""
+        other = ElevationMap(self.params)
+        points = np.array([[2.0, 0.1 * k, -0.4 + 0.1 * (k % 2)] for k in range(8)], dtype=np.float32)
+        other.fuse_ground(
+            np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]]), np.zeros(3), (0, 0, 0, 1), 0
+        )
+        other.fuse(points, np.zeros(3), (0, 0, 0, 1), 0)
+        other.clean()
+        for patch in other.take_patches():
+            patch.grid(filled=True)
+
+    def reset(self) -> None:
+        """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
+        self.store.clear()
+        self.epoch += 1
+        self.z_correction = 0.0
+        self.scans = 0
+        self._rays = 0
+        self._fresh = True
+
+    def fuse(
+        self,
+        points: NDArray[np.float32],
+        position: ArrayLike,
+        orientation: ArrayLike,
+        stamp: int,
+        sensor_origin: ArrayLike = XT16_ORIGIN,
+        attitude_sigma: float | None = None,
+        height_sigma: float | None = None,
+    ) -> FuseReport:
+        """Fuse one scan.
+
+        points (n,3) float32 in base_link, deskewed to `stamp`; position (3,) and orientation (4,) x, y, z, w of
+        base_link in `map`; sensor_origin (3,) in base_link; sigmas of the pose override the parameters [rad, m].
+        Raises MapError for wrong shapes or a pose that is not finite. A stamp that runs backwards counts as the last.
+        """
+        p = self.params
+        points = np.asarray(points)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise MapError(f"points must be (n, 3), got {points.shape}")
+        points = np.ascontiguousarray(points, dtype=np.float32)
+        rotation, place = _pose(position, orientation)
+        origin = np.asarray(sensor_origin, dtype=np.float64)
+        place[2] += self.z_correction
+        now = self._clock(stamp)
+        if len(points) > len(self._i):
+            self._buffers(2 * len(points))
+        noise = np.array(
+            [
+                p.range_sigma,
+                p.beam_sigma,
+                p.attitude_sigma if attitude_sigma is None else attitude_sigma,
+                p.height_sigma if height_sigma is None else height_sigma,
+            ]
+        )
+        drops = np.zeros(5, dtype=np.int64)
+        m, rays = kernels.project(
+            points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
+            self._i, self._j, self._xyz, self._var, self._ends, drops,
+        )  # fmt: skip
+        cell = self.store.locate(self._i[:m], self._j[:m])
+        s = self.store
+        k, overhangs = kernels.reduce_cells(
+            cell, self._xyz[:, 2], self._var, m, s["mark"], p.surface_band, p.clearance,
+            self._which, self._top, self._bottom, self._sums,
+        )  # fmt: skip
+        out = np.zeros(6, dtype=np.int64)
+        residuals = np.zeros(2)
+        kernels.fuse(
+            self._which, self._top, self._bottom, self._sums, k, s["height"], s["variance"], s["count"], s["seen"],
+            s["source"], s["alt"], s["streak"], s["below"], s["upper"], s["passes"], now, p.gate, p.gate_min, p.face,
+            p.clearance, p.up_after, p.down_after, p.min_sigma**2, p.drift_sigma**2 / 1000.0, p.trust_sigma**2,
+            out, residuals,
+        )  # fmt: skip
+        s.touched[np.unique(self._which[:k] >> (2 * s.shift))] = 1
+        if residuals[1] >= p.drift_min_cells:
+            self.z_correction -= p.drift_gain * float(np.clip(residuals[0] / residuals[1], -0.05, 0.05))
+        self._rays, self._sensor = rays, place + rotation @ origin
+        self._angle = float(np.hypot(noise[1], noise[2]))
+        self.scans += 1
+        return FuseReport(
+            points=len(points),
+            used=m,
+            invalid=int(drops[kernels.DROP_NAN]),
+            out_of_range=int(drops[kernels.DROP_RANGE]),
+            body=int(drops[kernels.DROP_BODY]),
+            ceiling=int(drops[kernels.DROP_CEILING]),
+            cells=int(out[kernels.CELLS]),
+            agreed=int(out[kernels.AGREED]),
+            new=int(out[kernels.NEW]),
+            conflict=int(out[kernels.CONFLICT]),
+            replaced=int(out[kernels.REPLACED]),
+            overhang=int(out[kernels.OVERHANG]) + overhangs,
+            z_correction=self.z_correction,
+        )
+
+    def fuse_ground(
+        self,
+        wheel_contacts: ArrayLike,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        stamp: int,
+        start: bool | None = None,
+    ) -> int:
+        """Enter the ground under the wheels at low confidence; LiDAR-seen cells stay, and LiDAR overrides it.
+
+        wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the
+        footprint; by default the first time after a reset. Returns the number of cells entered.
+        """
+        p = self.params
+        contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
+        rotation, place = _pose(position, orientation)
+        place[2] += self.z_correction
+        self._clock(stamp)
+        start = self._fresh if start is None else start
+        half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
+        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        patch = support_patch(
+            contacts @ rotation.T + place, place[:2], yaw, half, p.start_radius if start else None,
+            p.contact_sigma, p.resolution,
+        )  # fmt: skip
+        if patch is None:
+            return 0
+        self._fresh = False
+        s = self.store
+        cell = s.locate(patch.i, patch.j)
+        source, variance = s["source"], s["variance"]
+        take = (source[cell] == UNKNOWN) | ((source[cell] == CONTACT) & (patch.variance <= variance[cell]))
+        cell = cell[take]
+        s["height"][cell], variance[cell], source[cell] = patch.height[take], patch.variance[take], CONTACT
+        s.touched[np.unique(cell >> (2 * s.shift))] = 1
+        return int(cell.size)
+
+    def clean(self) -> int:
+        """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""
+        p, s = self.params, self.store
+        if self._rays == 0:
+            return 0
+        hit = np.empty(200_000, dtype=np.int64)
+        stride = 2 if self._rays > 4000 else 1
+        n = trace(
+            self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
+            p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, s["height"], s["variance"],
+            s["source"], s["upper"], s["mark"], hit,
+        )  # fmt: skip
+        now = self._clock(self.stamp)
+        removed = judge(
+            hit, n, p.clean_passes, int(1000 * p.clean_unseen), now, s["height"], s["variance"], s["count"], s["seen"],
+            s["source"], s["alt"], s["streak"], s["below"], s["upper"], s["passes"],
+        )  # fmt: skip
+        s.touched[np.unique(hit[:n] >> (2 * s.shift))] = 1
+        return int(removed)
+
+    def _clock(self, stamp: int) -> int:
+        """Milliseconds since the first stamp; never runs backwards."""
+        stamp = int(stamp)
+        if self._start == 0:
+            self._start = self.stamp = stamp
+        self.stamp = max(self.stamp, stamp)
+        return min((self.stamp - self._start) // 1_000_000, 2**31 - 1)
+
+    # ------------------------------------------------------------------ reading
+
+    def window(self, x: float, y: float, half: float) -> MapPatch:
+        """The square of half width `half` [m] around (x, y)."""
+        r = self.params.resolution
+        n = int(np.ceil(half / r))
+        return self._reader.read(
+            (round(y / r) - n, round(x / r) - n, 2 * n + 1, 2 * n + 1), self.stamp, self.epoch
+        )
+
+    def full(self) -> MapPatch:
+        """The whole map. Raises MapError while it is empty."""
+        box = self.store.bounds()
+        if box is None:
+            raise MapError("the map is empty: nothing was seen yet")
+        return self._reader.read(box, self.stamp, self.epoch)
+
+    def grid(self) -> ElevationGrid:
+        """The whole map as a grid, unknown heights NaN."""
+        return self.full().grid()
+
+    def take_patches(self) -> list[MapPatch]:
+        """Cells whose height, trust or source changed since the last call: at most one patch per row of tiles."""
+        return self._reader.take_changes(self.stamp, self.epoch)
+
+
+def _pose(position: ArrayLike, orientation: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Rotation matrix (3,3) and position (3,) of a checked pose."""
+    place = np.array(position, dtype=np.float64)
+    q = np.asarray(orientation, dtype=np.float64)
+    if place.shape != (3,) or q.shape != (4,) or not (np.isfinite(place).all() and np.isfinite(q).all()):
+        raise MapError(f"pose must be finite (3,) and (4,), got {place} and {q}")
+    norm = float(np.linalg.norm(q))
+    if norm < 0.5:
+        raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
+    x, y, z, w = q / norm
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    ), place

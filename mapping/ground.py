@@ -1,0 +1,74 @@
+"""Ground the wheels stand on: the support plane under a robot whose LiDAR cannot see its own feet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROUGH = 0.04
+"""Contacts this far off their common plane [m] stand on steps or rubble: no plane, only the wheels' own spots."""
+WHEEL_SPOT = 0.10
+"""Radius of ground known around one wheel contact [m]."""
+MAX_SLOPE = 0.7
+"""Steeper planes come from a wheel on a kerb, not from ground."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SupportPatch:
+    """Cells on the world lattice with the height and variance of the support plane."""
+
+    i: NDArray[np.int64]
+    j: NDArray[np.int64]
+    height: NDArray[np.float32]
+    variance: NDArray[np.float32]
+
+
+def support_patch(
+    contacts: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    yaw: float,
+    half: tuple[float, float],
+    radius: float | None,
+    sigma: float,
+    resolution: float,
+) -> SupportPatch | None:
+    """Cells under the robot from wheel contacts.
+
+    contacts (k,3) bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
+    width of the body rectangle including its margin [m]; radius: a disc of this radius instead [m]. Three contacts
+    give the plane by least squares; fewer leave the direction they do not tell level. None without contacts.
+    """
+    contacts = contacts[np.isfinite(contacts).all(axis=1)]
+    if len(contacts) == 0:
+        return None
+    mean = contacts.mean(axis=0)
+    local = contacts - mean
+    slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
+    rough = np.abs(local[:, 2] - local[:, :2] @ slope).max() > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
+    reach = max(half) * 1.5 if radius is None else radius
+    lo = np.floor((centre - reach) / resolution).astype(int)
+    hi = np.ceil((centre + reach) / resolution).astype(int)
+    j, i = np.meshgrid(np.arange(lo[0], hi[0] + 1), np.arange(lo[1], hi[1] + 1))
+    x, y = j * resolution - centre[0], i * resolution - centre[1]
+    if radius is None:
+        c, s = np.cos(yaw), np.sin(yaw)
+        inside = (np.abs(c * x + s * y) <= half[0]) & (np.abs(-s * x + c * y) <= half[1])
+    else:
+        inside = x * x + y * y <= radius * radius
+    px, py = j * resolution, i * resolution
+    away = np.hypot(px[..., None] - contacts[:, 0], py[..., None] - contacts[:, 1])
+    nearest = away.min(axis=-1)
+    if rough:
+        inside &= nearest <= WHEEL_SPOT
+        z = contacts[:, 2][away.argmin(axis=-1)]
+    else:
+        z = mean[2] + (px - mean[0]) * slope[0] + (py - mean[1]) * slope[1]
+    spread = sigma + 0.05 * nearest
+    return SupportPatch(
+        i[inside].astype(np.int64),
+        j[inside].astype(np.int64),
+        z[inside].astype(np.float32),
+        (spread[inside] ** 2).astype(np.float32),
+    )

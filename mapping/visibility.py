@@ -1,0 +1,128 @@
+"""Visibility: what a ray passed through is not there (any more).
+
+One walk along the rays of a scan gives both the clean-up (surfaces that rays looked through) and the upper bound (the
+lowest ray over a cell never hit). Source of the idea: lowest-point clean-up of ANYbotics/elevation_mapping; here every
+ray is walked exactly (Amanatides & Woo) over the tiles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True)
+def trace(
+    xyz, m, stride, first_ray, sensor, directory, first, shift, resolution, reach, skip, margin, angle,
+    height, variance, source, upper, mark, hit,
+):  # fmt: skip  # pragma: no cover
+    """Walk rays from sensor (3,) to every `stride`-th of xyz[:m] (world), over cells of allocated tiles.
+
+    Lowers `upper` of cells without a LiDAR height; collects in `hit` the pool index of each cell with a height that a
+    ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the ray's end. angle: sigma of the
+    ray direction [rad]. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
+    """
+    n = 0
+    size = np.int64(1) << shift
+    mask = size - 1
+    rows, cols = directory.shape
+    inv = 1.0 / resolution
+    # lattice coordinates in which cell k spans [k, k+1)
+    sx, sy = sensor[0] * inv + 0.5, sensor[1] * inv + 0.5
+    for p in range(first_ray, m, stride):
+        dx, dy = xyz[p, 0] - sensor[0], xyz[p, 1] - sensor[1]
+        dist = np.sqrt(dx * dx + dy * dy)
+        if dist < 2.0 * resolution:
+            continue
+        dz = (xyz[p, 2] - sensor[2]) / dist
+        ux, uy = dx / dist, dy / dist
+        end = min(dist - resolution, reach)
+        solid_end = min(dist - skip, reach)
+        j, i = np.int64(np.floor(sx)), np.int64(np.floor(sy))
+        step_j = np.int64(1) if ux > 0 else np.int64(-1)
+        step_i = np.int64(1) if uy > 0 else np.int64(-1)
+        gap_j = resolution / abs(ux) if ux != 0.0 else np.inf
+        gap_i = resolution / abs(uy) if uy != 0.0 else np.inf
+        next_j = ((j + 1 - sx) if ux > 0 else (sx - j)) * gap_j if ux != 0.0 else np.inf
+        next_i = ((i + 1 - sy) if uy > 0 else (sy - i)) * gap_i if uy != 0.0 else np.inf
+        at = 0.0
+        tile_i, tile_j = np.int64(1) << 40, np.int64(1) << 40
+        base = np.int64(-1)
+        while True:
+            leave = min(next_i, next_j)
+            if leave > end:
+                break
+            ti, tj = i >> shift, j >> shift
+            if ti != tile_i or tj != tile_j:
+                tile_i, tile_j = ti, tj
+                r, c = ti - first[0], tj - first[1]
+                base = np.int64(-1)
+                if 0 <= r < rows and 0 <= c < cols:
+                    slot = directory[r, c]
+                    if slot >= 0:
+                        base = np.int64(slot) << (2 * shift)
+            if base >= 0:
+                cell = base + ((i & mask) << shift) + (j & mask)
+                # the ray's highest point over the cell: only what lies above all of it is disproved
+                z = sensor[2] + dz * (at if dz < 0.0 else leave)
+                if source[cell] == 2:
+                    if leave <= solid_end and z + margin < height[cell]:
+                        spread = 9.0 * (variance[cell] + angle * angle * leave * leave)
+                        over = height[cell] - z - margin
+                        if over * over > spread:
+                            s = mark[cell]
+                            if n < hit.size and (s < 0 or s >= n or hit[s] != cell):
+                                mark[cell] = n
+                                hit[n] = cell
+                                n += 1
+                else:
+                    # the middle of the crossing, one sigma up
+                    low = sensor[2] + dz * 0.5 * (at + leave) + angle * leave
+                    if low < upper[cell]:
+                        upper[cell] = low
+            at = leave
+            if next_j < next_i:
+                next_j += gap_j
+                j += step_j
+            else:
+                next_i += gap_i
+                i += step_i
+    return n
+
+
+@njit(cache=True)
+def judge(
+    hit, n, passes_needed, unseen, now, height, variance, count, seen, source, alt, streak, below, upper, passes,
+):  # fmt: skip  # pragma: no cover
+    """Remove cells looked through in `passes_needed` clean-ups and unconfirmed for `unseen` [ms].
+
+    The ground that was known before something came to stand there returns; else the cell becomes unknown.
+    Returns the number of cells removed.
+    """
+    removed = 0
+    for k in range(n):
+        c = hit[k]
+        if now - seen[c] < unseen:
+            continue
+        if passes[c] < 255:
+            passes[c] += 1
+        if passes[c] < passes_needed:
+            continue
+        passes[c] = 0
+        removed += 1
+        if below[c] < height[c]:
+            height[c] = below[c]
+            below[c] = np.nan
+            streak[c] = 0
+            alt[c] = np.nan
+            seen[c] = now
+            continue
+        height[c] = np.nan
+        variance[c] = np.nan
+        below[c] = np.nan
+        alt[c] = np.nan
+        streak[c] = 0
+        count[c] = 0
+        source[c] = 0
+        upper[c] = np.inf
+    return removed

@@ -171,6 +171,11 @@ class Bus:
         taken.sort(key=lambda entry: entry[0])
         return [received for _, received in taken]
 
+    @property
+    def waiting(self) -> bool:
+        """Something is in the inbox."""
+        return self._signal.is_set()
+
     def wake(self) -> None:
         """Make a waiting `take` return."""
         self._signal.set()

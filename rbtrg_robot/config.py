@@ -1,0 +1,196 @@
+"""The whole stack's configuration: one frozen model, validated before any process starts.
+
+Layers, later ones win: defaults, `--config FILE` (YAML), `--set a.b=c`, the flags of `up`.
+"""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hal.go2w import IMU_POSITION
+from hal.lidar.spec import LIDARS
+from hal.safety import GateParams
+from hal.scenes import Scene, load_scene
+from hal.types import Extrinsics
+from mapping.elevation_params import ElevationParams
+from mapping.odometry import OdometryParams
+from planning.body_risk import BodyModel
+from planning.graph import GraphParams
+from planning.tracking import TrackerParams
+from rbtrg_robot import __version__
+from rbtrg_robot.params import (
+    ElevationStageParams,
+    FreshnessParams,
+    NavigatorParams,
+    PlannerParams,
+    RecorderParams,
+)
+
+
+class ConfigError(ValueError):
+    """A configuration file or key is wrong; the message names it."""
+
+
+class StackConfig(BaseModel):
+    """Everything that can be set. Units stand in the descriptions."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    robot: str = Field("go2w", pattern=r"^[A-Za-z0-9_-]+$", description="name of this robot on this machine")
+    backend: Literal["sim", "unitree"] = "sim"
+    port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
+    domain: int = Field(0, ge=0, le=232, description="ROS domain")
+    scene: str = Field("yard", description="built-in scene or terrain file (sim)")
+    scene_options: dict[str, float | list[float]] = Field({}, description="import options of a scene file")
+    controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
+    policy_dir: str = Field("", description="folder of a locomotion policy in rl_sar's layout")
+    lidar: Literal["xt16", "mid360", "l1"] = "xt16"
+    mount: Extrinsics | None = Field(None, description="LiDAR in base_link; None = the model's usual mount")
+    seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
+    interface: str = Field("", description="network interface of the robot (unitree)")
+    dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
+    origin: tuple[float, float, float] | None = Field(
+        None, description="x, y [m], yaw [rad] of the robot in `map` at start; None = the scene's start"
+    )
+    area: list[tuple[float, float]] | None = Field(
+        None, description="polygon x, y [m] in `map`: goals outside are refused, the robot stops at its edge"
+    )
+    without: tuple[str, ...] = Field((), description="processes not to start")
+    record: bool = True
+    log_dir: str = Field("logs", description="folder of this run's log and process output")
+    map_file: str = Field("", description="prior map (.npz, .pcd, .ply)")
+
+    gate: GateParams = GateParams()
+    odometry: OdometryParams = OdometryParams()
+    elevation: ElevationParams = ElevationParams()
+    elevation_stage: ElevationStageParams = ElevationStageParams()
+    graph: GraphParams = GraphParams()
+    body: BodyModel = BodyModel()
+    planner: PlannerParams = PlannerParams()
+    navigator: NavigatorParams = NavigatorParams()
+    tracker: TrackerParams = TrackerParams()
+    freshness: FreshnessParams = FreshnessParams()
+    recorder: RecorderParams = RecorderParams()
+
+    @property
+    def simulated(self) -> bool:
+        """Source clock is the simulator's."""
+        return self.backend == "sim"
+
+    @property
+    def endpoint(self) -> str:
+        """Where the router listens."""
+        return f"tcp/127.0.0.1:{self.port}"
+
+    def load_scene(self) -> Scene:
+        """The simulated terrain. Raises SceneError."""
+        return load_scene(self.scene, **self.scene_options)
+
+    def start_pose(self) -> tuple[float, float, float]:
+        """x, y [m], yaw [rad] of the robot in `map` at start."""
+        if self.origin is not None:
+            return self.origin
+        return self.load_scene().start if self.simulated else (0.0, 0.0, 0.0)
+
+    def allowed_area(self) -> tuple[tuple[float, float], ...] | None:
+        """Polygon in `map` that goals and robot must stay in."""
+        if self.area is not None:
+            return tuple(self.area)
+        return self.load_scene().allowed_area if self.simulated else None
+
+    def lidar_mount(self) -> Extrinsics:
+        """Pose of the LiDAR in base_link."""
+        return self.mount or LIDARS[self.lidar].mount
+
+    def imu_mount(self) -> Extrinsics:
+        """Pose of the IMU in base_link."""
+        return Extrinsics(IMU_POSITION)
+
+    def to_yaml(self) -> str:
+        """As `--config` reads it."""
+        text: str = yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False)
+        return text
+
+    def metadata(self) -> dict[str, str]:
+        """What a log says of the run that made it."""
+        packages = ("eclipse-zenoh", "numpy", "numba", "mujoco", "kiss-icp", "open3d", "mcap")
+        return {
+            "version": __version__,
+            "commit": commit(),
+            "robot": self.robot,
+            "backend": self.backend,
+            "scene": self.scene if self.simulated else "",
+            "controller": self.controller if self.simulated else "",
+            "lidar": self.lidar,
+            "seed": str(self.seed),
+            "clock": "simulated" if self.simulated else "wall",
+            "machine": f"{platform.machine()} {platform.system()} Python {platform.python_version()}",
+            **{f"package.{name}": version(name) for name in packages},
+        }
+
+
+def commit() -> str:
+    """Git commit of the source tree, or empty when installed from a wheel."""
+    here = Path(__file__).resolve().parent
+    found = subprocess.run(
+        ["git", "-C", str(here), "rev-parse", "--short=12", "HEAD"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return found.stdout.strip() if found.returncode == 0 else ""
+
+
+def load(file: Path | None = None, sets: Iterable[str] = (), **flags: Any) -> StackConfig:
+    """Merge the layers. `flags` that are None do not count. Raises ConfigError."""
+    values: dict[str, Any] = {}
+    if file is not None:
+        try:
+            loaded = yaml.safe_load(file.read_text())
+        except OSError as error:
+            raise ConfigError(f"cannot read {file}: {error.strerror}") from error
+        except (yaml.YAMLError, UnicodeDecodeError) as error:
+            line = str(error).replace("\n", " ")
+            raise ConfigError(f"{file} is not YAML: {line}") from error
+        if not isinstance(loaded, dict | None):
+            raise ConfigError(f"{file} must hold `key: value` lines")
+        values = loaded or {}
+    for item in sets:
+        key, sign, text = item.partition("=")
+        if not sign or not key:
+            raise ConfigError(f"--set wants a.b=c, got {item!r}")
+        try:
+            _assign(values, key.split("."), yaml.safe_load(text))
+        except yaml.YAMLError as error:
+            raise ConfigError(f"--set {key}: {text!r} is no value") from error
+    values |= {key: value for key, value in flags.items() if value is not None}
+    try:
+        return StackConfig.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(explain(error)) from error
+
+
+def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:
+    for key in path[:-1]:
+        values = values.setdefault(key, {})
+        if not isinstance(values, dict):
+            raise ConfigError(f"--set {'.'.join(path)}: {key} is no group of keys")
+    values[path[-1]] = value
+
+
+def explain(error: ValidationError) -> str:
+    """One line: which key, what is wrong."""
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if first["type"] == "extra_forbidden":
+        return f"there is no configuration key {key!r}; `rbtrg-robot config show` lists them{more}"
+    return f"configuration key {key!r}: {first['msg']}, got {first['input']!r}{more}"

@@ -1,0 +1,25 @@
+"""Errors an operator can mend. Their text says how; commands print it as one line and exit non-zero."""
+
+from __future__ import annotations
+
+from pydantic import ValidationError
+
+from hal.contract import BackendError
+from hal.scenes import SceneError
+from mapping.patch import MapError
+from rbtrg_robot.bus import BusError
+from rbtrg_robot.config import ConfigError
+from rbtrg_robot.logfile import LogError
+from rbtrg_robot.runfiles import AlreadyRunning, NotRunning
+
+OPERATOR_ERRORS: tuple[type[Exception], ...] = (
+    AlreadyRunning,
+    NotRunning,
+    BackendError,
+    BusError,
+    ConfigError,
+    LogError,
+    MapError,
+    SceneError,
+    ValidationError,
+)

@@ -1,0 +1,63 @@
+"""Parameters of the middleware's own parts. Those of the libraries stand beside their code."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class NavigatorParams(BaseModel):
+    """Patience of the navigator."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    replan_period: float = Field(2.0, gt=0, description="least time between two replans while driving [s]")
+    plan_retry: float = Field(2.0, gt=0, description="ask the planner again after [s]")
+    input_timeout: float = Field(1.0, gt=0, description="odometry or map older than this halts [s]")
+    patience: float = Field(12.0, gt=0, description="give up after inputs were missing for [s]")
+    no_route_retries: int = Field(3, ge=0, description="replans before `no route` is final")
+    max_recoveries: int = Field(3, ge=0, description="recoveries before the goal is given up as stuck")
+    back_out: float = Field(0.6, gt=0, description="how far to back out when stuck [m]")
+    avoid_ahead: float = Field(
+        0.5, gt=0, description="where the obstacle is thought to be: ahead of base_link [m]"
+    )
+    avoid_radius: float = Field(0.3, gt=0, description="radius kept free around it [m]")
+
+
+class FreshnessParams(BaseModel):
+    """How old the tracker's inputs may be while it drives."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    pose: float = Field(0.12, gt=0, description="control pose [s]")
+    scan: float = Field(0.8, gt=0, description="scan odometry behind the pose [s]")
+    map: float = Field(1.2, gt=0, description="map status [s]")
+    goal: float = Field(1.2, gt=0, description="goal status of the navigator [s]")
+
+
+class ElevationStageParams(BaseModel):
+    """Cadence of the elevation process, counted in scans so that a re-run makes the same map."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    publish_every: int = Field(5, ge=1, description="scans between two map updates")
+    clean_every: int = Field(3, ge=1, description="scans between two visibility clean-ups")
+
+
+class PlannerParams(BaseModel):
+    """How the planner process works; the graph and the body have their own parameters."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    variant: str = Field("full", description="cost variant of the search")
+    update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
+    seed: int = Field(0, description="seed of the graph's samples")
+
+
+class RecorderParams(BaseModel):
+    """When to flush and when to begin a new file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    flush_period: float = Field(1.0, gt=0, description="most that a killed recorder loses [s]")
+    rotate_seconds: float = Field(300.0, gt=0, description="begin a new file after [s]")
+    rotate_megabytes: int = Field(1000, gt=0, description="or after [MB]")

@@ -1,0 +1,82 @@
+"""Where a running stack leaves its traces: one lock and one state file per robot name."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+
+class AlreadyRunning(RuntimeError):
+    """A stack for this robot name is up."""
+
+    def __init__(self, robot: str, pid: int) -> None:
+        self.pid = pid
+        super().__init__(
+            f"a stack for robot {robot!r} is already running with pid {pid}; "
+            "stop it with `rbtrg-robot down` or choose another --robot"
+        )
+
+
+class NotRunning(RuntimeError):
+    """No stack for this robot name is up."""
+
+
+def run_dir() -> Path:
+    """Per-user folder for locks and state: XDG_RUNTIME_DIR, else the temporary folder."""
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    path = Path(base) / "rbtrg" if base else Path(tempfile.gettempdir()) / f"rbtrg-{os.getuid()}"
+    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return path
+
+
+class RunLock:
+    """Held by `up` while it lives; the system releases it however `up` ends."""
+
+    def __init__(self, robot: str) -> None:
+        """Raises AlreadyRunning."""
+        self._state = run_dir() / f"{robot}.json"
+        self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            self._file.seek(0)
+            pid = int(self._file.read() or 0)
+            self._file.close()
+            raise AlreadyRunning(robot, pid) from None
+        self._file.truncate(0)
+        self._file.write(str(os.getpid()))
+        self._file.flush()
+
+    def write_state(self, **state: Any) -> None:
+        """Replace the state file."""
+        fresh = self._state.with_suffix(".tmp")
+        fresh.write_text(json.dumps({"pid": os.getpid(), **state}))
+        fresh.replace(self._state)
+
+    def release(self) -> None:
+        """Remove the state file and give the lock away."""
+        self._state.unlink(missing_ok=True)
+        self._file.truncate(0)
+        self._file.close()
+
+
+def read_state(robot: str) -> dict[str, Any]:
+    """State of the running stack. Raises NotRunning."""
+    lock = run_dir() / f"{robot}.lock"
+    state = run_dir() / f"{robot}.json"
+    try:
+        with lock.open() as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        try:
+            content: dict[str, Any] = json.loads(state.read_text())
+            return content
+        except (OSError, json.JSONDecodeError) as error:
+            raise NotRunning(f"the stack for robot {robot!r} is just starting; try again") from error
+    except OSError:
+        pass
+    raise NotRunning(f"no stack for robot {robot!r} is running; start it with `rbtrg-robot up`")

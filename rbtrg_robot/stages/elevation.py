@@ -1,0 +1,154 @@
+"""Elevation mapping as a stage: registered scans and wheel contacts in, changed blocks of the map out."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.types import Extrinsics, JointSample
+from mapping.elevation import ElevationMap, ElevationParams
+from mapping.ground import wheel_contacts
+from mapping.map_io import MapError
+from rbtrg_robot import topics as t
+from rbtrg_robot.convert import LayoutError, cloud_points, joint_sample, patch_msg, xyz, xyzw
+from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.params import ElevationStageParams
+from rbtrg_robot.stage import Outputs
+from rbtrg_robot.topics import Topic
+
+WAIT_SCANS = 2
+"""A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
+
+
+class ElevationStage:
+    """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
+
+    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.MAP_REQUEST)
+    outputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS)
+
+    def __init__(
+        self,
+        elevation: ElevationMap,
+        params: ElevationStageParams,
+        mount: Extrinsics,
+    ) -> None:
+        self.map = elevation
+        self._params = params
+        self._sensor = np.asarray(mount.translation, np.float64)
+        self._poses: OrderedDict[int, Any] = OrderedDict()
+        self._clouds: OrderedDict[int, Any] = OrderedDict()
+        self._joints: list[JointSample] = []
+        self._scans = 0
+        self._detail = ""
+        self._status_due = 0
+        self._malformed = 0
+
+    def warm_up(self) -> None:
+        """Compile the kernels."""
+        self.map.warm_up()
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        try:
+            if topic is t.ODOM:
+                self._poses[stamp_of(message)] = message
+            elif topic is t.CLOUD:
+                self._clouds[stamp_of(message)] = cloud_points(message)
+            elif topic is t.JOINTS:
+                self._joints.append(joint_sample(message))
+                del self._joints[:-100]
+            elif topic is t.MAP_REQUEST:
+                return self._request(message)
+        except LayoutError:
+            self._malformed += 1
+            return []
+        return self._join()
+
+    def _join(self) -> Outputs:
+        outputs: Outputs = []
+        for stamp in sorted(self._poses.keys() & self._clouds.keys()):
+            joints = self._joints_at(stamp)
+            newer = sum(1 for other in self._clouds if other > stamp)
+            if joints is None and newer < WAIT_SCANS:
+                break
+            outputs += self._fuse(stamp, self._poses.pop(stamp), self._clouds.pop(stamp), joints)
+            for waiting in (self._poses, self._clouds):
+                for old in [s for s in waiting if s < stamp]:
+                    del waiting[old]
+        while len(self._poses) > 50:
+            self._poses.popitem(last=False)
+        while len(self._clouds) > 10:
+            self._clouds.popitem(last=False)
+        return outputs
+
+    def _joints_at(self, stamp: int) -> JointSample | None:
+        """The last sample at or before `stamp`, once a later one shows that it is the last."""
+        if not self._joints or self._joints[-1].stamp < stamp:
+            return None
+        before = [j for j in self._joints if j.stamp <= stamp]
+        return before[-1] if before else self._joints[0]
+
+    def _fuse(
+        self, stamp: int, odom: Any, points: np.ndarray[Any, Any], joints: JointSample | None
+    ) -> Outputs:
+        position = xyz(odom.pose.pose.position)
+        orientation = xyzw(odom.pose.pose.orientation)
+        self.map.fuse(points, position, orientation, stamp, self._sensor)
+        if joints is not None:
+            contacts = wheel_contacts(joints)
+            if len(contacts) >= 3:
+                self.map.fuse_ground(contacts, position, orientation, stamp)
+        self._scans += 1
+        if self._scans % self._params.clean_every == 0:
+            self.map.clean(stamp)
+        if self._scans % self._params.publish_every == 1:
+            return [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
+        return []
+
+    def _request(self, message: Any) -> Outputs:
+        if message.action == "full":
+            return [(t.MAP_FULL, patch_msg(self.map.full()))] if self._scans else []
+        if message.action == "save":
+            try:
+                self.map.save(Path(message.path))
+                self._detail = f"saved {message.path}"
+            except (OSError, MapError) as error:
+                self._detail = f"cannot save {message.path}: {error}"
+        else:
+            self._detail = f"unknown request {message.action!r}"
+        self._status_due = 0
+        return []
+
+    def tick(self, now: int) -> Outputs:
+        """Status twice a second."""
+        if now < self._status_due:
+            return []
+        self._status_due = now + 500_000_000
+        stats = self.map.stats()
+        status = make(
+            t.MAP_STATUS.type,
+            header=header(now, "map"),
+            epoch=self.map.epoch,
+            scans=self._scans,
+            tiles=stats.tiles,
+            known_cells=stats.known,
+            trusted_cells=stats.trusted,
+            resolution=self.map.params.resolution,
+            detail=self._detail,
+        )
+        return [(t.MAP_STATUS, status)]
+
+
+def build(config: Any) -> ElevationStage:
+    """From the stack's configuration. Raises MapError when the prior map cannot be read."""
+    params: ElevationParams = config.elevation
+    elevation = ElevationMap(params)
+    if config.map_file:
+        elevation.load_prior(Path(config.map_file))
+    return ElevationStage(elevation, config.elevation_stage, config.lidar_mount())

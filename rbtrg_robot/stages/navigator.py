@@ -1,0 +1,390 @@
+"""The navigator owns the goal: it asks for routes, hands paths to the tracker, and knows when to give up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hal.types import NS, Phase
+from rbtrg_robot import topics as t
+from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.frames import MapFrame
+from rbtrg_robot.goal import Goal, GoalState, inside
+from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
+from rbtrg_robot.reasons import Reason
+from rbtrg_robot.stage import Outputs
+from rbtrg_robot.topics import Topic
+
+REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
+"""Reasons that refuse a goal when its first plan meets them; later they abort it."""
+
+
+class NavigatorStage:
+    """See the module."""
+
+    inputs = (
+        t.GOAL_REQUEST,
+        t.GOAL_POSE,
+        t.PLAN,
+        t.ROUTE_STATUS,
+        t.TRACKER_STATE,
+        t.ODOM,
+        t.ODOM_HEALTH,
+        t.MAP_STATUS,
+        t.ROBOT_STATE,
+        t.TF_STATIC,
+    )
+    outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
+
+    def __init__(self, params: NavigatorParams, area: tuple[tuple[float, float], ...] | None = None) -> None:
+        self._params = params
+        self._area = area
+        self._frame = MapFrame()
+        self._now = 0
+        self._goal: Goal | None = None
+        self._pose: Pose2 | None = None
+        self._seen: dict[Topic, int] = {}
+        self._health = "good"
+        self._health_reason = ""
+        self._robot: Any = None
+        self._tracker: Any = None
+        self._sequence = 0
+        self._asked = 0
+        self._first_asked = 0
+        self._waiting = False
+        self._plan: Any = None
+        self._planned = 0
+        self._route_bad = ""
+        self._no_route = 0
+        self._avoid: list[float] = []
+        self._path: Any = None
+        self._path_sent = 0
+        self._progress = ProgressMonitor()
+        self._trail = Trail()
+        self._missing_since = 0
+        self._status_due = 0
+        self._out: Outputs = []
+
+    def warm_up(self) -> None:
+        """Nothing to compile."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    # --- inputs -----------------------------------------------------------------------------------------------
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        self._out = []
+        self._seen[topic] = self._now
+        if topic is t.ODOM:
+            pose = message.pose.pose
+            self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+            self._trail.add(self._pose)
+        elif topic is t.ODOM_HEALTH:
+            self._health, self._health_reason = message.health, message.reason
+        elif topic is t.TRACKER_STATE:
+            self._tracker = message
+        elif topic is t.ROBOT_STATE:
+            self._robot = message
+        elif topic is t.TF_STATIC:
+            self._frame.take(message)
+        elif topic is t.GOAL_REQUEST:
+            self._request(message)
+        elif topic is t.GOAL_POSE:
+            p, q = message.pose.position, message.pose.orientation
+            goal_id = f"rviz-{stamp_of(message)}"
+            self._accept(Goal(goal_id, p.x, p.y, yaw_of(q), self._now))
+        elif topic is t.PLAN:
+            self._take_plan(message)
+        elif topic is t.ROUTE_STATUS:
+            if self._waiting or message.sequence != self._sequence:
+                return self._out
+            self._route_bad = "" if message.valid else message.detail or "the map changed"
+        elif topic is t.GOAL_STATUS:
+            self._restore(message)
+        return self._out
+
+    def _request(self, message: Any) -> None:
+        if message.action == 1:
+            if self._goal and self._goal.state.active and message.id in ("", self._goal.id):
+                self._end(GoalState.CANCELLED, Reason.CANCELLED)
+            else:
+                self._status()
+        elif self._goal is None or self._goal.id != message.id:
+            self._accept(Goal.from_request(message, self._now))
+        else:
+            self._status()  # a repeat: the sender has not heard the answer yet
+
+    def _accept(self, goal: Goal) -> None:
+        if self._goal and self._goal.state.active:
+            self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
+        self._goal = goal
+        self._no_route = 0
+        self._avoid = []
+        self._plan = None
+        self._waiting = False
+        self._missing_since = 0
+        if not goal.finite:
+            self._end(GoalState.REJECTED, Reason.INVALID)
+        elif self._area and not inside(self._area, goal.x, goal.y):
+            self._end(GoalState.REJECTED, Reason.OUTSIDE)
+        elif self._robot is not None and self._robot.estop:
+            self._end(GoalState.REJECTED, Reason.ESTOP, "send `rbtrg-robot resume` first")
+        else:
+            self._status()
+            self._ask()
+
+    def _restore(self, message: Any) -> None:
+        # After a crash nobody knows how far the goal had come: say so instead of driving on.
+        if self._goal is None and message.state in [s.value for s in GoalState if s.active]:
+            yaw = message.yaw if message.has_yaw else None
+            self._goal = Goal(message.id, message.x, message.y, yaw, self._now)
+            self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the navigator restarted")
+
+    def _take_plan(self, message: Any) -> None:
+        goal = self._goal
+        if (
+            not goal
+            or not goal.state.active
+            or message.goal_id != goal.id
+            or message.sequence != self._sequence
+            or not self._waiting
+        ):
+            return
+        self._waiting = False
+        self._planned = self._now
+        self._route_bad = ""
+        if message.ok:
+            self._no_route = 0
+            self._plan = message
+            goal.frontier = not message.reaches_goal
+            goal.risk = float(message.transition_body.max(initial=0.0))
+            goal.state = GoalState.MOVING
+            goal.detail = ""
+            self._drive(message)
+            self._status()
+            return
+        reason = Reason(message.reason)
+        first = self._plan is None and goal.replans == 0
+        if reason in REJECTING and first:
+            self._end(GoalState.REJECTED, reason, message.detail)
+            return
+        self._no_route += 1
+        if self._no_route > self._params.no_route_retries:
+            self._end(GoalState.ABORTED, reason, message.detail)
+            return
+        # Noise can close a passage for a moment: stand and look again before giving up.
+        self._halt()
+        goal.state = GoalState.PLANNING
+        goal.detail = message.detail
+
+    # --- clock ------------------------------------------------------------------------------------------------
+
+    def tick(self, now: int) -> Outputs:
+        """Supervise the goal."""
+        if now < self._now:  # the clock was reset: stamps of before mean nothing
+            self._seen.clear()
+        self._now = now
+        self._out = []
+        goal = self._goal
+        if goal and goal.state.active:
+            self._supervise(goal)
+        if now >= self._status_due or now < self._status_due - NS:
+            self._status()
+        self._repeat_path()
+        return self._out
+
+    def _supervise(self, goal: Goal) -> None:
+        now, p = self._now, self._params
+        if goal.timeout > 0 and now - goal.accepted > goal.timeout * NS:
+            return self._end(GoalState.ABORTED, Reason.TIMEOUT, f"after {goal.timeout:.0f} s")
+        if self._robot is not None and self._robot.estop:
+            return self._end(GoalState.ABORTED, Reason.ESTOP, self._robot.estop_cause)
+        if self._robot is not None and self._robot.phase == Phase.FAULT:
+            return self._end(GoalState.ABORTED, Reason.ROBOT_FAULT, self._robot.cause)
+        missing = self._missing()
+        if missing is not None:
+            reason, detail = missing
+            if not self._missing_since:
+                self._missing_since = now
+                self._halt()
+                goal.detail = detail
+            if now - self._missing_since > p.patience * NS:
+                self._end(GoalState.ABORTED, reason, detail)
+            return None
+        if self._missing_since:
+            self._missing_since = 0
+            goal.detail = ""
+            self._plan = None
+            return self._ask()
+        if self._waiting:
+            if now - self._first_asked > p.patience * NS:
+                return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
+            if now - self._asked > p.plan_retry * NS:
+                self._ask(again=True)
+            return None
+        if goal.state is GoalState.PLANNING:
+            if now - self._planned > 1.0 * NS:
+                self._replan(goal)
+            return None
+        return self._follow(goal)
+
+    def _follow(self, goal: Goal) -> None:
+        now, p = self._now, self._params
+        tracker = self._tracker
+        on_path = self._path is not None and tracker is not None and tracker.path_id == self._path.id
+        if on_path and tracker.phase == "done":
+            if goal.state is GoalState.RECOVERING or goal.frontier:
+                goal.state = GoalState.MOVING
+                self._replan(goal)
+            else:
+                self._end(GoalState.REACHED, Reason.NONE)
+            return
+        if goal.state is GoalState.MOVING and self._route_bad:
+            goal.detail = self._route_bad
+            self._halt()
+            self._replan(goal)
+            return
+        if now - self._seen.get(t.ROUTE_STATUS, now) > p.plan_retry * NS:
+            self._halt()
+            goal.detail = "the planner is silent"
+            self._replan(goal)
+            return
+        if self._pose is not None and on_path and self._progress.stuck(now, self._pose):
+            self._recover(goal)
+            return
+        if goal.frontier and now - self._planned > p.replan_period * NS:
+            self._replan(goal)
+
+    def _missing(self) -> tuple[Reason, str] | None:
+        if self._health == "lost":
+            return Reason.LOST, self._health_reason
+        for topic in (t.ODOM, t.MAP_STATUS):
+            age = (self._now - self._seen.get(topic, 0)) / NS
+            if topic not in self._seen or age > self._params.input_timeout:
+                return Reason.PROCESS_LOST, f"no {topic.name} for {age:.1f} s"
+        return None
+
+    def _recover(self, goal: Goal) -> None:
+        """Replan around the place, then back out along the way it came, then give up."""
+        self._progress.reset()
+        goal.recoveries += 1
+        if goal.recoveries > self._params.max_recoveries or self._pose is None:
+            self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries - 1} recoveries")
+            return
+        x, y, yaw = self._pose
+        reach = self._params.avoid_ahead
+        self._avoid += [x + reach * np.cos(yaw), y + reach * np.sin(yaw), self._params.avoid_radius]
+        if goal.recoveries == 1:
+            self._replan(goal)
+            return
+        goal.state = GoalState.RECOVERING
+        goal.detail = "backing out"
+        self._plan = None
+        way = np.array(self._trail.back(self._pose, self._params.back_out))
+        speed = np.full(len(way), 0.3)
+        self._send(
+            id=f"{goal.id}/back{goal.recoveries}",
+            reverse=True,
+            x=way[:, 0],
+            y=way[:, 1],
+            z=np.zeros(len(way)),
+            yaw=way[:, 2],
+            speed=speed,
+        )
+        self._status()
+
+    # --- outputs ----------------------------------------------------------------------------------------------
+
+    def _replan(self, goal: Goal) -> None:
+        goal.replans += 1
+        self._ask()
+
+    def _ask(self, *, again: bool = False) -> None:
+        goal = self._goal
+        if goal is None or self._pose is None:
+            return
+        if not again:
+            self._sequence += 1
+            self._first_asked = self._now
+        if self._plan is None:
+            goal.state = GoalState.PLANNING
+        self._waiting = True
+        self._asked = self._now
+        request = make(
+            t.PLAN_REQUEST.type,
+            header=header(self._now, "map"),
+            goal_id=goal.id,
+            sequence=self._sequence,
+            start_x=self._pose[0],
+            start_y=self._pose[1],
+            start_yaw=self._pose[2],
+            goal_x=goal.x,
+            goal_y=goal.y,
+            goal_yaw=goal.yaw or 0.0,
+            has_goal_yaw=goal.yaw is not None,
+            avoid=np.array(self._avoid, np.float64),
+        )
+        self._out.append((t.PLAN_REQUEST, request))
+
+    def _drive(self, plan: Any) -> None:
+        self._progress.reset()
+        fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
+        final = plan.has_goal_yaw and plan.reaches_goal
+        path_id = f"{plan.goal_id}/{plan.sequence}"
+        self._send(id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
+
+    def _halt(self) -> None:
+        self._progress.reset()
+        self._plan = None
+        self._send(id="")
+
+    def _send(self, **fields: Any) -> None:
+        self._path = make(t.PATH_COMMAND.type, header=header(self._now, "map"), **fields)
+        self._path_sent = self._now
+        self._out.append((t.PATH_COMMAND, self._path))
+
+    def _repeat_path(self) -> None:
+        """A tracker that restarted has no path, and one that missed a halt still has one: send it again."""
+        if self._path is None or self._tracker is None:
+            return
+        if self._tracker.path_id != self._path.id and self._now - self._path_sent > 0.5 * NS:
+            self._path_sent = self._now
+            self._out.append((t.PATH_COMMAND, self._path))
+
+    def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
+        assert self._goal is not None
+        self._goal.end(state, reason, detail)
+        self._waiting = False
+        self._halt()
+        self._status()
+
+    def _status(self) -> None:
+        self._status_due = self._now + NS // 2
+        goal = self._goal
+        if goal is None:
+            status = make(t.GOAL_STATUS.type, header=header(self._now, "map"), state=GoalState.IDLE.value)
+        else:
+            left = self._tracker.distance_left if self._tracker and goal.state is GoalState.MOVING else 0.0
+            status = make(
+                t.GOAL_STATUS.type,
+                header=header(self._now, "map"),
+                id=goal.id,
+                state=goal.state.value,
+                reason=goal.reason.value,
+                detail=goal.detail,
+                x=goal.x,
+                y=goal.y,
+                yaw=goal.yaw or 0.0,
+                has_yaw=goal.yaw is not None,
+                distance_left=left,
+                replans=goal.replans,
+                recoveries=goal.recoveries,
+                risk=goal.risk,
+                frontier=goal.frontier,
+            )
+        self._out.append((t.GOAL_STATUS, status))

@@ -1,0 +1,146 @@
+"""Odometry as a stage: sensor messages in, poses and deskewed clouds out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hal.types import Extrinsics
+from mapping.odometry import FastPose, LidarInertialOdometry, ScanOdometry, WheelOdometry
+from rbtrg_robot import topics as t
+from rbtrg_robot.convert import (
+    BASE,
+    IMU,
+    LIDAR,
+    MAP,
+    ODOM,
+    LayoutError,
+    cloud_msg,
+    imu_sample,
+    joint_sample,
+    lidar_scan,
+    odometry_msg,
+    rpy_quaternion,
+    transform_msg,
+    xyz,
+    xyzw,
+)
+from rbtrg_robot.messages import array, header, make
+from rbtrg_robot.stage import Outputs
+from rbtrg_robot.topics import Topic
+
+TF_EVERY = 4
+"""tf at 50 Hz from the 200 Hz pose."""
+IDENTITY = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+class OdometryStage:
+    """See the module."""
+
+    inputs = (t.IMU, t.JOINTS, t.POINTS)
+    outputs = (t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, t.CLOUD, t.TF, t.TF_STATIC)
+
+    def __init__(self, odometry: LidarInertialOdometry, mount: Extrinsics, imu: Extrinsics) -> None:
+        self._odometry = odometry
+        self._mount = mount
+        self._imu = imu
+        self._announced = False
+        self._poses = 0
+        self._malformed = 0
+
+    def warm_up(self) -> None:
+        """Compile the kernels."""
+        self._odometry.warm_up()
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        outputs: Outputs = []
+        try:
+            if topic is t.IMU:
+                fast = self._odometry.add_imu(imu_sample(message))
+                if fast is not None:
+                    outputs += self._fast(fast)
+            elif topic is t.JOINTS:
+                wheel = self._odometry.add_joints(joint_sample(message))
+                if wheel is not None:
+                    outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
+            elif topic is t.POINTS:
+                self._odometry.add_scan(lidar_scan(message))
+            elif topic is t.ODOM:  # handed over after a restart: go on from where we were
+                pose = message.pose.pose
+                self._odometry.restore(xyz(pose.position), xyzw(pose.orientation))
+        except LayoutError:
+            self._malformed += 1
+        for scan in self._odometry.poll():
+            outputs += self._scan(scan)
+        return outputs
+
+    def tick(self, now: int) -> Outputs:
+        """The frames, once."""
+        if self._announced:
+            return []
+        self._announced = True
+        return [
+            (
+                t.TF_STATIC,
+                make(
+                    t.TF_STATIC.type,
+                    transforms=[
+                        transform_msg(now, MAP, ODOM, *IDENTITY),
+                        transform_msg(
+                            now, BASE, LIDAR, self._mount.translation, rpy_quaternion(self._mount.rpy)
+                        ),
+                        transform_msg(now, BASE, IMU, self._imu.translation, rpy_quaternion(self._imu.rpy)),
+                    ],
+                ),
+            )
+        ]
+
+    def _fast(self, fast: FastPose) -> Outputs:
+        self._poses += 1
+        pose = odometry_msg(
+            fast.stamp, fast.position, fast.orientation, fast.linear, fast.angular, fast.covariance
+        )
+        outputs: Outputs = [(t.POSE, pose)]
+        if self._poses % TF_EVERY == 0:
+            transform = transform_msg(fast.stamp, ODOM, BASE, fast.position, fast.orientation)
+            outputs.append((t.TF, make(t.TF.type, transforms=[transform])))
+        return outputs
+
+    @staticmethod
+    def _wheel(wheel: WheelOdometry) -> Any:
+        return odometry_msg(wheel.stamp, wheel.position, wheel.orientation, wheel.linear, wheel.angular)
+
+    def _scan(self, scan: ScanOdometry) -> Outputs:
+        odom = odometry_msg(
+            scan.stamp, scan.position, scan.orientation, scan.linear, scan.angular, scan.covariance
+        )
+        counters = {**self._odometry.counters, "malformed": self._malformed}
+        health = make(
+            t.ODOM_HEALTH.type,
+            header=header(scan.stamp, ODOM),
+            health=str(scan.health),
+            reason=scan.reason,
+            overlap=float(scan.overlap),
+            residual=float(scan.residual),
+            disagreement=float(scan.disagreement),
+            degeneracy=np.asarray(scan.degeneracy, np.float64),
+            counter=list(counters),
+            count=array(list(counters.values()), "uint32"),
+        )
+        outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
+        if scan.health != "lost":  # a scan that fits nowhere must not reach the map
+            outputs.append((t.CLOUD, cloud_msg(scan.stamp, BASE, scan.cloud)))
+        return outputs
+
+
+def build(config: Any) -> OdometryStage:
+    """From the stack's configuration."""
+    mount = config.lidar_mount()
+    return OdometryStage(
+        LidarInertialOdometry(config.odometry, mount, config.lidar), mount, config.imu_mount()
+    )

@@ -1,0 +1,136 @@
+"""The tracker drives the navigator's path at 50 Hz, and stands whenever what it relies on is old."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hal.types import NS
+from planning.tracking import PathError, PathTracker, TrackerParams, TrackOutput
+from rbtrg_robot import topics as t
+from rbtrg_robot.convert import BASE, up_tilt, yaw_of
+from rbtrg_robot.frames import MapFrame
+from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.params import FreshnessParams
+from rbtrg_robot.stage import Outputs
+from rbtrg_robot.topics import Topic
+
+
+class TrackerStage:
+    """See the module."""
+
+    inputs = (t.PATH_COMMAND, t.POSE, t.ODOM, t.ODOM_HEALTH, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC)
+    outputs = (t.CMD_VEL, t.TRACKER_STATE)
+
+    def __init__(self, params: TrackerParams, freshness: FreshnessParams) -> None:
+        self._tracker = PathTracker(params)
+        self._frame = MapFrame()
+        self._limits = {
+            t.POSE: freshness.pose,
+            t.ODOM: freshness.scan,
+            t.MAP_STATUS: freshness.map,
+            t.GOAL_STATUS: freshness.goal,
+        }
+        self._seen: dict[Topic, int] = {}
+        self._lost = ""
+        self._path_id = ""
+        self._path_fault = ""
+        self._pose: Any = None
+        self._now = 0
+        self._ticks = 0
+
+    def warm_up(self) -> None:
+        """Drive a made-up path once."""
+        scratch = PathTracker(self._tracker.params)
+        line = np.column_stack([np.linspace(0, 1, 51), np.zeros(51), np.zeros(51)])
+        scratch.set_path(line, np.zeros(51), np.full(51, 0.5), 0.0)
+        for step in range(5):
+            scratch.step(step * 20_000_000, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        self._seen[topic] = self._now
+        if topic is t.POSE:
+            self._pose = message
+        elif topic is t.PATH_COMMAND:
+            self._take_path(message)
+        elif topic is t.ODOM_HEALTH:
+            self._lost = message.reason or "lost" if message.health == "lost" else ""
+        elif topic is t.TF_STATIC:
+            self._frame.take(message)
+        return []
+
+    def _take_path(self, message: Any) -> None:
+        if message.id == self._path_id and message.id:
+            return
+        self._path_id = message.id
+        self._path_fault = ""
+        if len(message.x) == 0:
+            self._tracker.clear()
+            return
+        points = np.column_stack([message.x, message.y, message.z])
+        goal_yaw = message.goal_yaw if message.has_goal_yaw else None
+        try:
+            self._tracker.set_path(
+                points, message.yaw, message.speed, goal_yaw, reverse=bool(message.reverse)
+            )
+        except PathError as error:
+            self._tracker.clear()
+            self._path_fault = f"path refused: {error}"
+
+    def tick(self, now: int) -> Outputs:
+        """One control step."""
+        if now < self._now:
+            self._seen.clear()
+        self._now = now
+        self._ticks += 1
+        hold = self._hold() if self._path_id else ""
+        if self._pose is None or hold:
+            step = TrackOutput()
+            self._tracker.pause()
+        else:
+            pose, twist = self._pose.pose.pose, self._pose.twist.twist
+            x, y, yaw = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+            step = self._tracker.step(
+                now, x, y, yaw, twist.linear.x, twist.angular.z, up_tilt(pose.orientation)
+            )
+        command = make(t.CMD_VEL.type, header=header(now, BASE))
+        command.twist.linear.x = float(step.vx)
+        command.twist.angular.z = float(step.wz)
+        outputs: Outputs = [(t.CMD_VEL, command)]
+        if self._ticks % 5 == 0:
+            outputs.append((t.TRACKER_STATE, self._state(now, step, hold)))
+        return outputs
+
+    def _hold(self) -> str:
+        """Why the robot must stand although it has a path."""
+        if self._path_fault:
+            return self._path_fault
+        if self._lost:
+            return f"localization lost: {self._lost}"
+        for topic, limit in self._limits.items():
+            if topic not in self._seen:
+                return f"no {topic.name} yet"
+            age = (self._now - self._seen[topic]) / NS
+            if age > limit:
+                return f"{topic.name} is {age:.2f} s old"
+        behind = (self._now - stamp_of(self._pose)) / NS
+        if behind > self._limits[t.POSE] + 0.2:
+            return f"{t.POSE.name} is stamped {behind:.2f} s ago"
+        return ""
+
+    def _state(self, now: int, step: TrackOutput, hold: str) -> Any:
+        return make(
+            t.TRACKER_STATE.type,
+            header=header(now, "map"),
+            path_id=self._path_id,
+            phase="stopped" if hold else step.phase.value,
+            hold=hold or step.fault,
+            distance_left=float(step.distance_left),
+            cross_track=float(step.cross_track),
+            heading_error=float(step.heading_error),
+        )

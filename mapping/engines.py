@@ -1,0 +1,198 @@
+"""Registration engines behind one small interface: KISS-ICP and small_gicp's VGICP, both scan to local map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.types import Array
+from mapping.voxel_planes import VoxelPlanes
+
+EngineName = Literal["kiss_icp", "small_gicp"]
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """What registration says about one scan."""
+
+    pose: Array
+    """(4, 4) `odom` <- base_link."""
+    points: int
+    """Points registered."""
+    overlap: float
+    """Share of them that fall into seen parts of the local map [0..1]."""
+    inliers: float
+    """Share of those on a surface of the map that lie on it (within the gate) [0..1]."""
+    residual: float
+    """RMS distance of the inliers from the map's surfaces [m]."""
+    information: Array
+    """(6, 6) mean of J^T J over inliers: position in `odom` [-], rotation about base_link in `odom` axes [m^2]. Singular where the
+    scene does not constrain."""
+
+
+class Engine(Protocol):
+    """Scan-to-map registration with a local map of its own. One thread, deterministic."""
+
+    name: EngineName
+    empty: bool
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """Register a deskewed cloud (n, 3) in base_link near `guess` (4, 4); correspondences up to 3 x `threshold` [m]."""
+
+    def insert(self, pose: Array) -> None:
+        """Add the cloud of the last `align` to the local map at `pose` (4, 4)."""
+
+    def reset(self) -> None:
+        """Forget the local map."""
+
+
+class KissParams(BaseModel):
+    """KISS-ICP, driven frame by frame."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voxel_size: float = Field(default=0.3, gt=0.05, le=2.0, description="of the local map [m]")
+    map_voxel: float = Field(
+        default=0.15, gt=0.02, le=2.0, description="one point per voxel goes into the map [m]"
+    )
+    source_voxel: float = Field(
+        default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
+    )
+    max_iterations: int = Field(default=30, ge=1)
+    convergence: float = Field(default=2e-4, gt=0)
+
+
+class GicpParams(BaseModel):
+    """small_gicp VGICP."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voxel_size: float = Field(default=0.4, gt=0.05, le=2.0, description="Gaussian voxels of the map [m]")
+    source_voxel: float = Field(
+        default=0.15, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
+    )
+    neighbours: int = Field(default=10, ge=5, description="points behind each covariance")
+    max_iterations: int = Field(default=20, ge=1)
+    horizon: int = Field(
+        default=600, ge=10, description="scans after which an unseen voxel of the map is forgotten"
+    )
+
+
+class KissEngine:
+    """KISS-ICP's native registration and map, our planes beside them for the quality it does not report."""
+
+    name: EngineName = "kiss_icp"
+
+    def __init__(self, params: KissParams, max_range: float) -> None:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.mapping import get_voxel_hash_map
+        from kiss_icp.registration import get_registration
+
+        config = KISSConfig()
+        config.data.max_range = max_range
+        config.mapping.voxel_size = params.voxel_size
+        config.registration.max_num_threads = 1  # process-wide: the first instance decides
+        config.registration.max_num_iterations = params.max_iterations
+        config.registration.convergence_criterion = params.convergence
+        self._params = params
+        self._map = get_voxel_hash_map(config)
+        self._registration = get_registration(config)
+        self._planes = VoxelPlanes(0.4, max_range)
+        self._frame = np.empty((0, 3))
+        self.empty = True
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """See Engine."""
+        from kiss_icp.voxelization import voxel_down_sample
+
+        self._frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
+        source = voxel_down_sample(self._frame, self._params.source_voxel)
+        pose = guess
+        if not self.empty:
+            pose = self._registration.align_points_to_map(
+                points=source,
+                voxel_map=self._map,
+                initial_guess=guess,
+                max_correspondance_distance=3.0 * threshold,
+                kernel=threshold,
+            )
+        return _quality(self._planes, source, np.ascontiguousarray(pose))
+
+    def insert(self, pose: Array) -> None:
+        """See Engine."""
+        self._map.update(self._frame, pose)
+        self._planes.insert(self._frame, np.ascontiguousarray(pose))
+        self.empty = False
+
+    def reset(self) -> None:
+        """See Engine."""
+        self._map.clear()
+        self._planes.clear()
+        self.empty = True
+
+
+class GicpEngine:
+    """small_gicp: distribution to distribution, plane-aware by construction."""
+
+    name: EngineName = "small_gicp"
+
+    def __init__(self, params: GicpParams, max_range: float) -> None:
+        self._params = params
+        self._max_range = max_range
+        self._planes = VoxelPlanes(0.4, max_range)
+        self.reset()
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """See Engine."""
+        import small_gicp
+
+        p = self._params
+        self._cloud, _ = small_gicp.preprocess_points(
+            cloud.astype(np.float64), p.source_voxel, num_neighbors=p.neighbours, num_threads=1
+        )
+        self._points = np.ascontiguousarray(self._cloud.points()[:, :3])
+        pose = guess
+        if not self.empty:
+            result = small_gicp.align(
+                self._map,
+                self._cloud,
+                guess,
+                max_correspondence_distance=3.0 * threshold,
+                num_threads=1,
+                max_iterations=p.max_iterations,
+            )
+            pose = np.ascontiguousarray(result.T_target_source)
+        return _quality(self._planes, self._points, pose)
+
+    def insert(self, pose: Array) -> None:
+        """See Engine."""
+        self._map.insert(self._cloud, pose)
+        self._planes.insert(self._points, np.ascontiguousarray(pose))
+        self.empty = False
+
+    def reset(self) -> None:
+        """See Engine."""
+        import small_gicp
+
+        self._map = small_gicp.GaussianVoxelMap(self._params.voxel_size)
+        self._map.set_lru(horizon=self._params.horizon, clear_cycle=10)
+        self._planes.clear()
+        self._points = np.empty((0, 3))
+        self.empty = True
+
+
+def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
+    """Fit of `points` (n, 3), body frame, at `pose` to the planes of the map."""
+    h, _, seen, planar, inliers, total = planes.fit(points, pose, gate=0.15, scale=0.05)
+    return Match(
+        pose=pose,
+        points=len(points),
+        overlap=seen / max(len(points), 1),
+        inliers=inliers / max(planar, 1),
+        residual=float(np.sqrt(total / max(inliers, 1))),
+        information=h / max(inliers, 1),
+    )

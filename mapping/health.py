@@ -1,0 +1,172 @@
+"""How far a registration can be believed: its covariance, and good | degraded | lost with a reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.types import Array
+from mapping.engines import Match
+
+
+class Health(StrEnum):
+    """State of localisation. `lost` must stop motion; `degraded` warns: the pose holds, its margin is thin."""
+
+    GOOD = "good"
+    DEGRADED = "degraded"
+    LOST = "lost"
+
+
+class HealthParams(BaseModel):
+    """Limits of the verdict."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    surface_sigma: float = Field(
+        default=0.008, gt=0, description="systematic error of a registered surface [m]"
+    )
+    min_points: int = Field(
+        default=60, ge=10, description="registered points below which a scan says nothing"
+    )
+    overlap_low: float = Field(default=0.5, description="share of points in seen map: degraded below")
+    overlap_lost: float = Field(default=0.2, description="registration is not used below")
+    inliers_low: float = Field(
+        default=0.75, description="share of points on the map's surfaces: degraded below"
+    )
+    inliers_lost: float = Field(default=0.45, description="registration is not used below")
+    residual_high: float = Field(
+        default=0.06, description="RMS distance from the map's surfaces: degraded above [m]"
+    )
+    information_low: float = Field(
+        default=0.02, description="least share of surface facing any direction: degraded below"
+    )
+    disagreement: float = Field(
+        default=6.0, description="registration against prediction: degraded above [standard deviations]"
+    )
+    jump: float = Field(
+        default=1.0, description="registration is not used when it moves the prediction further [m]"
+    )
+    gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
+    gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
+    sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
+    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end `lost`")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do with one scan."""
+
+    health: Health
+    reason: str
+    """Plain words; empty when good."""
+    use: bool
+    """The pose may correct the filter and the scan may enter the local map."""
+    covariance: Array
+    """(6, 6) of the registered pose: position in `odom` [m], rotation about base_link in `odom` axes [rad]."""
+    degenerate: Array
+    """(3,) direction in `odom` in which the scene constrains least (unit)."""
+    degeneracy: float
+    """Share of the surface that faces this direction [0..1/3]; 0 means sliding freely."""
+
+
+class HealthMonitor:
+    """Remembers when scans last fitted."""
+
+    def __init__(self, params: HealthParams) -> None:
+        self.params = params
+        self.lost = False
+        self._last_fit = 0
+        self._fits = 0
+
+    def start(self, stamp: int) -> None:
+        """Localisation begins at `stamp` [ns]."""
+        self.lost, self._last_fit, self._fits = False, stamp, 0
+
+    def gap(self, stamp: int) -> float:
+        """Time without a usable scan [s]."""
+        return max(stamp - self._last_fit, 0) * 1e-9
+
+    def without_match(self, stamp: int, sigma: float, reason: str) -> tuple[Health, str]:
+        """No registration at `stamp` [ns]; `sigma`: position uncertainty [m] of the dead reckoning."""
+        gap = self.gap(stamp)
+        if gap > self.params.gap_lost or sigma > self.params.sigma_lost:
+            self.lost, self._fits = True, 0
+        if self.lost:
+            return Health.LOST, f"{reason}; dead reckoning for {gap:.1f} s"
+        if gap > self.params.gap_degraded or reason:
+            return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
+        return Health.GOOD, ""
+
+    def judge(self, stamp: int, match: Match, predicted: Array, prior: Array, first: bool) -> Verdict:
+        """Weigh a registration.
+
+        `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
+        `first`: the local map was empty, there was nothing to fit.
+        """
+        s = self.params
+        covariance, direction, share = pose_covariance(match, s.surface_sigma)
+        difference = np.concatenate(
+            [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
+        )
+        off = math.sqrt(float(difference @ np.linalg.solve(covariance + prior, difference)))
+        moved = float(np.linalg.norm(difference[:3]))
+        bad, weak = "", ""
+        if match.points < s.min_points:
+            bad = f"only {match.points} points in the scan"
+        elif not first:
+            if match.overlap < s.overlap_lost:
+                bad = f"scan overlaps the map by {match.overlap:.0%}"
+            elif match.inliers < s.inliers_lost:
+                bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
+            elif moved > s.jump:
+                bad = f"registration jumped by {moved:.2f} m"
+            elif match.overlap < s.overlap_low:
+                weak = f"scan overlaps the map by {match.overlap:.0%}"
+            elif match.inliers < s.inliers_low:
+                weak = f"{match.inliers:.0%} of the scan lies on the map's surfaces"
+            elif match.residual > s.residual_high:
+                weak = f"scan is {1e3 * match.residual:.0f} mm off the map"
+            elif share < s.information_low:
+                weak = "nothing constrains the direction ({:+.1f}, {:+.1f}, {:+.1f})".format(*direction)
+            elif off > s.disagreement:
+                weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
+        if bad:
+            health, reason = self.without_match(stamp, _sigma(prior), bad)
+            return Verdict(health, reason, False, covariance, direction, share)
+        self._last_fit = stamp
+        self._fits += 1
+        if self.lost and self._fits < s.recover:
+            return Verdict(Health.LOST, "scans fit again, confirming", True, covariance, direction, share)
+        self.lost = False
+        health = Health.DEGRADED if weak else Health.GOOD
+        return Verdict(health, weak, True, covariance, direction, share)
+
+
+def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
+    """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
+
+    Registration errors are systematic (map, discretisation), they do not average over points: the mean information counts, not its sum.
+    """
+    h = match.information
+    spread = np.diag([1e-4] * 3 + [1e-3] * 3)
+    scale = math.hypot(sigma, 0.2 * match.residual)
+    covariance = scale * scale * np.linalg.inv(h + spread)
+    position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + spread[3:, 3:], h[3:, :3])
+    values, vectors = np.linalg.eigh(0.5 * (position + position.T))
+    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(max(values[0], 0.0))
+
+
+def _sigma(covariance: Array) -> float:
+    """Largest standard deviation of the position [m]."""
+    return math.sqrt(float(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
+
+
+def _log(matrix: Array) -> Array:
+    """Small rotation vector of a rotation matrix (first order is enough for a test statistic)."""
+    return 0.5 * np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )

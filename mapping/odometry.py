@@ -1,0 +1,392 @@
+"""LiDAR-inertial odometry around KISS-ICP, for a robot on wheels and legs.
+
+    imu, joints ──> predict ──> deskew ──> register ──> judge ──> correct ──> local map
+                 (filter)     (to scan end)  (engine)   (health)   (filter)
+
+Results are a function of the samples, not of the order in which topics arrive: a scan waits until IMU and joints have
+passed its end, or until another topic is `patience` ahead. `FastPose` and `WheelOdometry` are the exception: they
+answer at once with what has arrived.
+
+Frame `odom`: below the robot's start, z up along gravity, x along the initial heading; z = 0 is the ground under the wheels
+when joints are known at the start, else base_link itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
+from mapping.deskew import deskew, mount_matrix
+from mapping.engines import Engine, GicpEngine, KissEngine, Match
+from mapping.health import Health, HealthMonitor
+from mapping.inertial import InertialFilter
+from mapping.intake import SampleBuffer, Sweep, TopicClock, clean_scan
+from mapping.odometry_types import FastPose, OdometryParams, ScanOdometry
+from mapping.rotation import quaternion, rotation, turn
+from mapping.wheel_odometry import WheelOdometry, leg_velocity, velocities
+
+XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
+
+
+class LidarInertialOdometry:
+    """Feed samples in, `poll` for finished scans. One thread."""
+
+    def __init__(
+        self, params: OdometryParams = OdometryParams(), mount: Extrinsics = XT16_MOUNT, lidar: str = "xt16"
+    ) -> None:
+        self.params = params
+        self.lidar = lidar
+        self.counters: Counter[str] = Counter()
+        self.initialised = False
+        self._engine = make_engine(params)
+        self._filter = InertialFilter(params.inertial)
+        self._fast = InertialFilter(params.inertial)
+        self._dead = InertialFilter(params.inertial)
+        self._monitor = HealthMonitor(params.health)
+        self._mount = mount_matrix(mount)
+        self._lever = np.array(params.inertial.imu_position)
+        self._wheel_noise = np.array(params.inertial.wheel_noise)
+        self._clocks = {
+            "imu": TopicClock("imu", 20, self.counters),
+            "joints": TopicClock("joints", 20, self.counters),
+            "scan": TopicClock("scan", 2, self.counters),
+        }
+        self._imu = SampleBuffer(6, 20_000)
+        self._joints = SampleBuffer(48, 4_000)
+        self._joint_stamp = -NS
+        self._sweeps: deque[Sweep] = deque()
+        self._offset = np.zeros(6)
+        self._offset_stamp = 0
+        self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
+
+    # --- samples in ---------------------------------------------------------------------------------------------
+    def add_imu(self, sample: ImuSample) -> FastPose | None:
+        """Take an inertial sample; the pose at its stamp once initialised."""
+        row = _row((sample.gyro, 3), (sample.accel, 3))
+        if row is None or np.abs(row).max() > 1e3:
+            self.counters["imu_not_finite"] += 1
+            return None
+        if not self._admit("imu", sample.stamp):
+            return None
+        self._imu.append(int(sample.stamp), row)
+        if not self.initialised or sample.stamp - self._filter.stamp > 60 * NS:
+            return None
+        if not self._catch_up(self._fast, int(sample.stamp)):
+            return None
+        self._catch_up(self._dead, int(sample.stamp))
+        return self._fast_pose()
+
+    def add_joints(self, sample: JointSample) -> WheelOdometry | None:
+        """Take a joint sample (thinned to 50 Hz); wheel-leg odometry at its stamp once initialised."""
+        row = _row((sample.position, 16), (sample.velocity, 16), (sample.effort, 16))
+        if row is None or np.abs(row[16:32]).max() > 1e3:
+            self.counters["joints_not_finite"] += 1
+            return None
+        if not self._admit("joints", sample.stamp):
+            return None
+        stamp = int(sample.stamp)
+        if stamp - self._joint_stamp < 18_000_000 and stamp > self._joint_stamp:
+            return None
+        self._joint_stamp = stamp
+        self._joints.append(stamp, row)
+        return self._wheel_odometry(stamp, row) if self.initialised else None
+
+    def add_scan(self, scan: LidarScan) -> None:
+        """Take a scan; `poll` processes it."""
+        if not self._admit("scan", scan.stamp):
+            return
+        p = self.params
+        sweep = clean_scan(scan, p.min_range, p.max_range, p.max_points, 0.5, self.counters)
+        if sweep is not None:
+            self._sweeps.append(sweep)
+
+    def poll(self) -> list[ScanOdometry]:
+        """Scans whose IMU and joint data have arrived, processed in order; a second without any scan also reports."""
+        out: list[ScanOdometry] = []
+        while True:
+            if self._sweeps and self._ready(self._sweeps[0].end):
+                result = self._process(self._sweeps.popleft())
+            elif self.initialised and not self._sweeps and self._now() > self._filter.stamp + 2 * NS:
+                result = self._coast(self._filter.stamp + NS)
+            else:
+                return out
+            if result is not None:
+                out.append(result)
+
+    # --- one scan -----------------------------------------------------------------------------------------------
+    def _process(self, sweep: Sweep) -> ScanOdometry | None:
+        if not self.initialised:
+            self._initialise(sweep)
+            return None
+        if sweep.end <= self._filter.stamp:
+            self.counters["scan_backward"] += 1
+            return None
+        stamps, track = self._predict(sweep.end)
+        if sweep.problem:
+            return self._dead_reckoned(sweep.problem)
+        xyz = sweep.xyz @ self._mount[:3, :3].T.astype(np.float32) + self._mount[:3, 3].astype(np.float32)
+        cloud = deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
+
+        predicted = self._filter.pose()
+        prior = self._filter.covariance()
+        wide = self._monitor.lost or self._monitor.gap(sweep.end) > 0.5
+        first = self._engine.empty
+        match = self._engine.align(
+            cloud, predicted, self.params.threshold_lost if wide else self.params.threshold
+        )
+        verdict = self._monitor.judge(sweep.end, match, predicted, prior, first)
+        if verdict.use:
+            if not first:
+                self._filter.update_pose(match.pose, _rotation_to_body(verdict.covariance, match.pose))
+            self._engine.insert(self._filter.pose())
+        self._health, self._reason = verdict.health, verdict.reason
+        self._rejoin()
+        return self._result(cloud, match, predicted, verdict.degenerate, verdict.degeneracy)
+
+    def _initialise(self, sweep: Sweep) -> None:
+        """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
+        window = NS
+        imu_stamp, imu = self._imu.between(sweep.end - window, sweep.end)
+        joint_stamp, joints = self._joints.between(sweep.end - window // 10, sweep.end)
+        if len(imu) < 5:
+            self.counters["scan_before_imu"] += 1
+            if self.counters["scan_before_imu"] < 10:
+                return
+        level = len(imu) >= 20 and _at_rest(imu)
+        velocity, height = None, 0.0
+        if self.params.use_joints and len(joints):
+            v, _, h = velocities(
+                joint_stamp[-1:], joints[-1:], imu_stamp, imu, np.zeros(3), self._lever, self._wheel_noise
+            )
+            if math.isfinite(h[0]):
+                velocity, height = v[0], float(h[0])
+        self._filter.start(sweep.end, _unrotated(imu_stamp, imu, sweep.end, level), level, velocity, height)
+        self._fast.copy_from(self._filter)
+        self._dead.copy_from(self._filter)
+        self._monitor.start(sweep.end)
+        self.initialised = True
+        self._rejoin()
+
+    def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
+        """Advance the filter to `end`; the track it took."""
+        gap = self._clocks["imu"].newest is None or self._clocks["imu"].newest < end
+        if gap:
+            self.counters["scan_without_imu"] += 1
+        return self._advance(self._filter, end)
+
+    def _advance(self, state: InertialFilter, end: int) -> tuple[NDArray[np.int64], Array]:
+        imu_stamp, imu = self._imu.between(state.stamp, end, beyond=1)
+        joint_stamp, joints = self._joints.between(state.stamp, end)
+        wheel, sigma, _ = velocities(
+            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, self._wheel_noise
+        )
+        return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+
+    def _coast(self, until: int) -> ScanOdometry:
+        """No scan came: move the filter on so that a later one finds it near."""
+        self._advance(self._filter, until)
+        return self._dead_reckoned("no scan")
+
+    def _dead_reckoned(self, reason: str) -> ScanOdometry:
+        sigma = math.sqrt(float(np.linalg.eigvalsh(self._filter.covariance()[:3, :3])[-1]))
+        self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
+        self._rejoin()
+        nothing = Match(self._filter.pose(), 0, 0.0, 0.0, 0.0, np.zeros((6, 6)))
+        return self._result(
+            np.empty((0, 3), np.float32), nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0
+        )
+
+    def _result(
+        self, cloud: NDArray[np.float32], match: Match, predicted: Array, direction: Array, share: float
+    ) -> ScanOdometry:
+        pose = self._filter.pose()
+        linear, angular = self._filter.twist()
+        return ScanOdometry(
+            stamp=self._filter.stamp,
+            position=pose[:3, 3].copy(),
+            orientation=quaternion(pose[:3, :3]),
+            linear=linear,
+            angular=angular,
+            covariance=self._filter.covariance(),
+            health=self._health,
+            reason=self._reason,
+            overlap=match.overlap,
+            inliers=match.inliers,
+            residual=match.residual,
+            degenerate=direction,
+            degeneracy=share,
+            correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
+            cloud=cloud,
+        )
+
+    # --- between scans ------------------------------------------------------------------------------------------
+    def _catch_up(self, state: InertialFilter, stamp: int) -> bool:
+        if stamp <= state.stamp:
+            return False
+        self._advance(state, stamp)
+        return True
+
+    def _rejoin(self) -> None:
+        """Continue the fast pose from the corrected filter; the step is kept as an offset that fades."""
+        before, stamp = self._fast_output(), self._fast.stamp
+        self._fast.copy_from(self._filter)
+        if stamp > self._filter.stamp:
+            self._advance(self._fast, stamp)
+        after = self._fast.pose()
+        self._offset[:3] = before[:3, 3] - after[:3, 3]
+        q = quaternion(after[:3, :3].T @ before[:3, :3])
+        self._offset[3:] = 2.0 * q[:3]
+        self._offset_stamp = self._fast.stamp
+        if not np.abs(self._offset).max() < 1.0:  # a new clock or a first pose: nothing to continue
+            self._offset[:] = 0.0
+        keep = min(self._filter.stamp, self._dead.stamp)
+        self._imu.forget(keep)
+        self._joints.forget(keep)
+
+    def _fast_output(self) -> Array:
+        pose = self._fast.pose()
+        fade = math.exp(-(self._fast.stamp - self._offset_stamp) * 1e-9 / self.params.smoothing)
+        q = quaternion(pose[:3, :3])
+        turn(q, *(fade * self._offset[3:]))
+        pose[:3, :3] = rotation(q)
+        pose[:3, 3] += fade * self._offset[:3]
+        return pose
+
+    def _fast_pose(self) -> FastPose:
+        pose = self._fast_output()
+        linear, angular = self._fast.twist()
+        health, reason = self._health, self._reason
+        gap = self._monitor.gap(self._fast.stamp)
+        if gap > self.params.health.gap_lost:
+            health, reason = Health.LOST, f"no usable scan for {gap:.1f} s"
+        elif gap > 2 * self.params.health.gap_degraded and health is Health.GOOD:
+            health, reason = Health.DEGRADED, f"no usable scan for {gap:.1f} s"
+        return FastPose(
+            stamp=self._fast.stamp,
+            position=pose[:3, 3].copy(),
+            orientation=quaternion(pose[:3, :3]),
+            linear=linear,
+            angular=angular,
+            covariance=self._fast.covariance(),
+            health=health,
+            reason=reason,
+        )
+
+    def _wheel_odometry(self, stamp: int, row: Array) -> WheelOdometry:
+        linear, sigma, contact = np.empty(3), np.empty(3), np.empty(4, np.bool_)
+        angular = self._dead.u[:3] - self._dead.x[10:13]
+        leg_velocity(row[:16], row[16:32], row[32:], angular, self._wheel_noise, linear, sigma, contact)
+        pose = self._dead.pose()
+        return WheelOdometry(
+            stamp=stamp,
+            position=pose[:3, 3].copy(),
+            orientation=quaternion(pose[:3, :3]),
+            linear=linear,
+            angular=angular,
+            covariance=self._dead.covariance(),
+            contact=(bool(contact[0]), bool(contact[1]), bool(contact[2]), bool(contact[3])),
+        )
+
+    # --- the door -----------------------------------------------------------------------------------------------
+    def _admit(self, topic: str, stamp: int) -> bool:
+        verdict = self._clocks[topic].admit(stamp)
+        if verdict == "jump":
+            self._follow_clock(topic, int(stamp))
+        return verdict != "drop"
+
+    def _follow_clock(self, topic: str, stamp: int) -> None:
+        """The source clock was set. Scans lead: with them the filter moves to the new time, pose and map stay."""
+        if topic == "imu":
+            self._imu.clear()
+        elif topic == "joints":
+            self._joints.clear()
+            self._joint_stamp = -NS
+        else:
+            self._sweeps.clear()
+            for state in (self._filter, self._fast, self._dead):
+                state.stamp = stamp
+                state.x[3:6] = 0.0
+                state.p[:6, :6] += np.diag([0.04] * 3 + [0.25] * 3)
+            self._offset_stamp = stamp
+            self._monitor.start(stamp)
+
+    def _now(self) -> int:
+        return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)
+
+    def _ready(self, end: int) -> bool:
+        topics = ["imu", "joints"] if self.params.use_joints else ["imu"]
+        stamps = [self._clocks[t].newest for t in topics]
+        if all(s is not None and s >= end for s in stamps):
+            return True
+        return self._now() > end + self.params.patience * NS
+
+    def warm_up(self) -> None:
+        """Compile every kernel."""
+        imu = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], (3, 1))
+        other = LidarInertialOdometry(self.params.model_copy(update={"use_joints": True}))
+        grid = np.stack(np.meshgrid(np.linspace(-3, 3, 60), np.linspace(-3, 3, 60), [-0.4]), -1).reshape(
+            -1, 3
+        )
+        for k in range(3):
+            points = np.zeros(len(grid), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
+            points["x"], points["y"], points["z"] = grid.T
+            points["time"] = np.linspace(0.0, 0.09, len(points))
+            start = NS + k * NS // 10
+            other.add_scan(LidarScan(start, points))
+            for i in range(20):
+                stamp = start + 1 + i * 5_000_000
+                other.add_imu(ImuSample(stamp, imu[0, :3], imu[0, 3:]))
+                other.add_joints(JointSample(stamp, np.zeros(16), np.zeros(16), np.zeros(16)))
+            other.poll()
+
+
+def make_engine(params: OdometryParams) -> Engine:
+    """The engine that `params.engine` names."""
+    if params.engine == "kiss_icp":
+        return KissEngine(params.kiss_icp, params.max_range)
+    return GicpEngine(params.small_gicp, params.max_range)
+
+
+def _row(*parts: tuple[object, int]) -> Array | None:
+    """The parts as one float row; None when a part has the wrong size or is not finite."""
+    try:
+        arrays = [np.asarray(values, np.float64).reshape(-1) for values, _ in parts]
+    except (TypeError, ValueError):
+        return None
+    if any(len(a) != n for a, (_, n) in zip(arrays, parts, strict=True)):
+        return None
+    row = np.concatenate(arrays)
+    return row if np.isfinite(row).all() else None
+
+
+def _at_rest(imu: Array) -> bool:
+    """True when samples (n, 6) show neither rotation nor vibration: gyro bias and gravity only."""
+    quiet = imu[:, :3].std(axis=0).max() < 0.03 and imu[:, 3:].std(axis=0).max() < 0.4
+    return bool(quiet and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
+
+
+def _unrotated(stamps: NDArray[np.int64], imu: Array, end: int, level: bool) -> Array:
+    """Inertial samples (n, 6) turned by the gyro into the axes of base_link at `end`, so that their mean shows gravity there."""
+    if level or not len(imu):
+        return imu
+    out = imu.copy()
+    q = np.array([0.0, 0.0, 0.0, 1.0])
+    later = end
+    for i in range(len(imu) - 1, -1, -1):
+        dt = (later - int(stamps[i])) * 1e-9
+        turn(q, *(-dt * imu[i, :3]))
+        out[i, 3:] = rotation(q) @ imu[i, 3:]
+        later = int(stamps[i])
+    out[-1, :3] = imu[-1, :3]
+    return out
+
+
+def _rotation_to_body(covariance: Array, pose: Array) -> Array:
+    """Rotation part of a (6, 6) covariance from `odom` to base_link axes."""
+    t = np.eye(6)
+    t[3:, 3:] = pose[:3, :3].T
+    return t @ covariance @ t.T

@@ -1,0 +1,255 @@
+"""A voxel map of planes: how well a scan fits the local map, and in which directions it fits at all.
+
+Every voxel keeps the count, mean and covariance of the points seen in it, and the plane through them. KISS-ICP returns nothing but
+a pose; the plane residuals at that pose give overlap, residual and the information matrix that registration lacks.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.types import Array
+
+CAPACITY = 1 << 16
+"""Slots of the hash table; the map is trimmed when half full."""
+POINTS = 60
+"""A voxel with this many points is settled and takes no more."""
+SEEN = 5
+"""Points that make a plane."""
+
+
+@njit(cache=True)
+def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
+    """Index of the voxel or of the free slot for it. Free slots hold -1."""
+    key = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
+    mask = len(keys) - 1
+    i = (kx * 73856093 ^ ky * 19349669 ^ kz * 83492791) & mask
+    while keys[i] != -1 and keys[i] != key:
+        i = (i + 1) & mask
+    if keys[i] == -1:
+        return -i - 1
+    return i
+
+
+@njit(cache=True)
+def _plane(stats: Array, plane: Array) -> None:
+    """Plane of one voxel from its sums: unit normal (3,), thickness [m]; thickness inf where there is no plane.
+
+    `stats` (10,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point).
+    """
+    n = stats[0]
+    mx, my, mz = stats[1] / n, stats[2] / n, stats[3] / n
+    a, b, c = stats[4] / n - mx * mx, stats[5] / n - mx * my, stats[6] / n - mx * mz
+    d, e, f = stats[7] / n - my * my, stats[8] / n - my * mz, stats[9] / n - mz * mz
+    # Eigenvalues of a symmetric 3 x 3 matrix in closed form (Smith 1961).
+    third = (a + d + f) / 3.0
+    a0, d0, f0 = a - third, d - third, f - third
+    spread = math.sqrt(max((a0 * a0 + d0 * d0 + f0 * f0 + 2.0 * (b * b + c * c + e * e)) / 6.0, 1e-30))
+    det = a0 * (d0 * f0 - e * e) - b * (b * f0 - e * c) + c * (b * e - d0 * c)
+    phi = math.acos(min(max(det / (2.0 * spread**3), -1.0), 1.0)) / 3.0
+    large = third + 2.0 * spread * math.cos(phi)
+    small = third + 2.0 * spread * math.cos(phi + 2.0 * math.pi / 3.0)
+    middle = 3.0 * third - large - small
+    plane[3] = np.inf
+    if middle < 9.0 * max(small, 0.0) or middle < 1e-4:  # a line or a clump
+        return
+    # Eigenvector: the longest cross product of two rows of (matrix - small I).
+    best = 0.0
+    a, d, f = a - small, d - small, f - small
+    for k in range(3):
+        if k == 0:
+            x, y, z = b * e - c * d, c * b - a * e, a * d - b * b
+        elif k == 1:
+            x, y, z = b * f - c * e, c * c - a * f, a * e - b * c
+        else:
+            x, y, z = d * f - e * e, e * c - b * f, b * e - d * c
+        length = math.sqrt(x * x + y * y + z * z)
+        if length > best:
+            best = length
+            plane[0], plane[1], plane[2] = x / length, y / length, z / length
+    if best > 0.0:
+        plane[3] = math.sqrt(max(small, 0.0))
+
+
+@njit(cache=True)
+def _insert(
+    keys: NDArray[np.int64],
+    anchor: Array,
+    stats: Array,
+    plane: Array,
+    points: Array,
+    pose: Array,
+    size: float,
+) -> int:
+    """Add points (n, 3) in the body frame at `pose`; returns how many voxels are new."""
+    new = 0
+    for i in range(len(points)):
+        x = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2] + pose[0, 3]
+        y = pose[1, 0] * points[i, 0] + pose[1, 1] * points[i, 1] + pose[1, 2] * points[i, 2] + pose[1, 3]
+        z = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2] + pose[2, 3]
+        kx, ky, kz = math.floor(x / size), math.floor(y / size), math.floor(z / size)
+        s = _slot(keys, kx, ky, kz)
+        if s < 0:
+            s = -s - 1
+            keys[s] = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
+            anchor[s, 0], anchor[s, 1], anchor[s, 2] = x, y, z
+            stats[s] = 0.0
+            plane[s, 3] = np.inf
+            new += 1
+        if stats[s, 0] >= POINTS:
+            continue
+        x, y, z = x - anchor[s, 0], y - anchor[s, 1], z - anchor[s, 2]
+        stats[s, 0] += 1.0
+        stats[s, 1] += x
+        stats[s, 2] += y
+        stats[s, 3] += z
+        stats[s, 4] += x * x
+        stats[s, 5] += x * y
+        stats[s, 6] += x * z
+        stats[s, 7] += y * y
+        stats[s, 8] += y * z
+        stats[s, 9] += z * z
+        plane[s, 4] = 1.0  # stale
+    return new
+
+
+@njit(cache=True)
+def _fit(
+    keys: NDArray[np.int64],
+    anchor: Array,
+    stats: Array,
+    plane: Array,
+    points: Array,
+    pose: Array,
+    size: float,
+    gate: float,
+    scale: float,
+    h: Array,
+    b: Array,
+) -> tuple[int, int, int, float]:
+    """Plane residuals of points (n, 3) at `pose`: sums of w J^T J into h (6, 6) and of w J^T r into b (6,).
+
+    J: position in the world, rotation about the body origin in world axes. Geman-McClure weight of width `scale` [m].
+    Returns points in seen voxels, points on planes, inliers (|r| < gate) and the sum of squared inlier residuals.
+    """
+    h[:] = 0.0
+    b[:] = 0.0
+    seen = 0
+    planar = 0
+    inliers = 0
+    total = 0.0
+    j = np.empty(6)
+    for i in range(len(points)):
+        rx = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2]
+        ry = pose[1, 0] * points[i, 0] + pose[1, 1] * points[i, 1] + pose[1, 2] * points[i, 2]
+        rz = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2]
+        x, y, z = rx + pose[0, 3], ry + pose[1, 3], rz + pose[2, 3]
+        s = _slot(keys, math.floor(x / size), math.floor(y / size), math.floor(z / size))
+        if s < 0 or stats[s, 0] < SEEN:
+            continue
+        seen += 1
+        if plane[s, 4] > 0.0:
+            _plane(stats[s], plane[s])
+            plane[s, 4] = 0.0
+        if plane[s, 3] == np.inf:
+            continue
+        planar += 1
+        n = stats[s, 0]
+        nx, ny, nz = plane[s, 0], plane[s, 1], plane[s, 2]
+        r = (
+            nx * (x - anchor[s, 0] - stats[s, 1] / n)
+            + ny * (y - anchor[s, 1] - stats[s, 2] / n)
+            + nz * (z - anchor[s, 2] - stats[s, 3] / n)
+        )
+        if abs(r) > gate:
+            continue
+        inliers += 1
+        total += r * r
+        w = scale * scale / (scale * scale + r * r)
+        w *= w
+        j[0], j[1], j[2] = nx, ny, nz
+        j[3], j[4], j[5] = ry * nz - rz * ny, rz * nx - rx * nz, rx * ny - ry * nx
+        for k in range(6):
+            b[k] += w * j[k] * r
+            for m in range(k + 1):
+                h[k, m] += w * j[k] * j[m]
+    for k in range(6):
+        for m in range(k):
+            h[m, k] = h[k, m]
+    return seen, planar, inliers, total
+
+
+@njit(cache=True)
+def _trim(
+    keys: NDArray[np.int64],
+    anchor: Array,
+    stats: Array,
+    plane: Array,
+    size: float,
+    centre: Array,
+    radius: float,
+) -> int:
+    """Rebuild the table with the voxels within `radius` [m] of `centre` (3,); returns how many stay."""
+    old_keys, old_anchor, old_stats, old_plane = keys.copy(), anchor.copy(), stats.copy(), plane.copy()
+    keys[:] = -1
+    kept = 0
+    for i in range(len(old_keys)):
+        if old_keys[i] == -1:
+            continue
+        d = 0.0
+        for k in range(3):
+            d += (old_anchor[i, k] - centre[k]) ** 2
+        if d > radius * radius:
+            continue
+        kx = (old_keys[i] >> 42) - 1048576
+        ky = ((old_keys[i] >> 21) & 2097151) - 1048576
+        kz = (old_keys[i] & 2097151) - 1048576
+        s = -_slot(keys, kx, ky, kz) - 1
+        keys[s], anchor[s], stats[s], plane[s] = old_keys[i], old_anchor[i], old_stats[i], old_plane[i]
+        kept += 1
+    return kept
+
+
+class VoxelPlanes:
+    """Planes of the local map around the robot, in `odom`."""
+
+    def __init__(self, size: float, radius: float) -> None:
+        """`size`: voxel edge [m]; voxels further than `radius` [m] are forgotten when space runs short."""
+        self.size, self.radius = size, radius
+        self._keys = np.full(CAPACITY, -1, np.int64)
+        self._anchor = np.zeros((CAPACITY, 3))
+        self._stats = np.zeros((CAPACITY, 10))
+        self._plane = np.zeros((CAPACITY, 5))
+        self._used = 0
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._keys[:] = -1
+        self._used = 0
+
+    def insert(self, points: Array, pose: Array) -> None:
+        """Add points (n, 3) [m], body frame, at `pose` (4, 4)."""
+        radius = self.radius
+        while self._used + len(points) > CAPACITY // 2 and radius > 1.0:
+            self._used = _trim(
+                self._keys, self._anchor, self._stats, self._plane, self.size, pose[:3, 3].copy(), radius
+            )
+            radius *= 0.7
+        room = max(CAPACITY * 3 // 4 - self._used, 0)
+        self._used += _insert(
+            self._keys, self._anchor, self._stats, self._plane, points[:room], pose, self.size
+        )
+
+    def fit(
+        self, points: Array, pose: Array, gate: float, scale: float
+    ) -> tuple[Array, Array, int, int, int, float]:
+        """Information h (6, 6), gradient b (6,), and counts seen, planar, inliers, sum of squared residuals; see `_fit`."""
+        h, b = np.empty((6, 6)), np.empty(6)
+        counts = _fit(
+            self._keys, self._anchor, self._stats, self._plane, points, pose, self.size, gate, scale, h, b
+        )
+        return h, b, *counts

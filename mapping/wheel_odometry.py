@@ -1,0 +1,180 @@
+"""Body velocity from what the legs do: wheel speed, leg kinematics and contact.
+
+A wheel that carries load does not slip, so the point of it that touches the ground stands still in the world. That gives one
+velocity of the trunk per wheel; their mean is the measurement, their spread says how much they slip. A skid-steered turn
+makes the wheels slip sideways against each other, which the mean cancels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.go2w import WHEEL_RADIUS, wheel_centres, wheel_jacobians
+from hal.types import Array
+
+CONTACT_FORCE = 12.0
+"""A wheel pressed to the ground with less [N] does not count (a leg weighs about as much)."""
+
+
+@dataclass(frozen=True, slots=True)
+class WheelOdometry:
+    """Wheel-leg-inertial dead reckoning, no LiDAR: drifts, never jumps."""
+
+    stamp: int
+    """[ns]"""
+    position: Array
+    """(3,) base_link in the dead-reckoning frame [m]: the robot's start, gravity-aligned."""
+    orientation: Array
+    """(4,) x, y, z, w."""
+    linear: Array
+    """(3,) [m/s], base_link: what the wheels say at this stamp, unfiltered."""
+    angular: Array
+    """(3,) [rad/s], base_link."""
+    covariance: Array
+    """(6, 6) of the pose: position [m], rotation [rad], axes of the dead-reckoning frame."""
+    contact: tuple[bool, bool, bool, bool]
+    """Wheel on ground: FR, FL, RR, RL."""
+
+
+@njit(cache=True)
+def leg_velocity(
+    q: Array,
+    dq: Array,
+    tau: Array,
+    gyro: Array,
+    noise: Array,
+    out: Array,
+    sigma: Array,
+    contact: NDArray[np.bool_],
+) -> float:
+    """Velocity of base_link [m/s], base_link axes, into `out` (3,), its standard deviation into `sigma` (3,), contact into (4,).
+
+    `q`, `dq`, `tau`: (16,) SDK order; `gyro` (3,) without bias; `noise` (3,): standard deviation without slip. All efforts exactly zero
+    means that they are not reported: every wheel counts. Returns base_link's height above the plane under the wheels [m];
+    NaN (and infinite sigma) when no wheel touches.
+    """
+    centre = wheel_centres(q)
+    jacobian = wheel_jacobians(q)
+    # Normal of the plane through the wheel centres, from its diagonals FL-RR and FR-RL.
+    ax, ay, az = centre[1, 0] - centre[2, 0], centre[1, 1] - centre[2, 1], centre[1, 2] - centre[2, 2]
+    bx, by, bz = centre[0, 0] - centre[3, 0], centre[0, 1] - centre[3, 1], centre[0, 2] - centre[3, 2]
+    nx, ny, nz = by * az - bz * ay, bz * ax - bx * az, bx * ay - by * ax
+    length = math.sqrt(nx * nx + ny * ny + nz * nz)
+    if length < 1e-6:
+        nx, ny, nz, length = 0.0, 0.0, 1.0, 1.0
+    if nz < 0.0:
+        length = -length
+    nx, ny, nz = nx / length, ny / length, nz / length
+    reported = False
+    for k in range(16):
+        reported = reported or tau[k] != 0.0
+    velocity = np.empty((4, 3))
+    count = 0
+    height = 0.0
+    for leg in range(4):
+        j = jacobian[leg]
+        contact[leg] = True
+        if reported:
+            t0, t1, t2 = tau[3 * leg], tau[3 * leg + 1], tau[3 * leg + 2]
+            det = (
+                j[0, 0] * (j[1, 1] * j[2, 2] - j[2, 1] * j[1, 2])
+                - j[1, 0] * (j[0, 1] * j[2, 2] - j[2, 1] * j[0, 2])
+                + j[2, 0] * (j[0, 1] * j[1, 2] - j[1, 1] * j[0, 2])
+            )
+            if abs(det) > 1e-6:  # ground force f from J^T f = -tau, along the normal
+                c0 = nx * (j[1, 1] * j[2, 2] - j[2, 1] * j[1, 2])
+                c0 += ny * (j[2, 1] * j[0, 2] - j[0, 1] * j[2, 2])
+                c0 += nz * (j[0, 1] * j[1, 2] - j[1, 1] * j[0, 2])
+                c1 = nx * (j[2, 0] * j[1, 2] - j[1, 0] * j[2, 2])
+                c1 += ny * (j[0, 0] * j[2, 2] - j[2, 0] * j[0, 2])
+                c1 += nz * (j[1, 0] * j[0, 2] - j[0, 0] * j[1, 2])
+                c2 = nx * (j[1, 0] * j[2, 1] - j[2, 0] * j[1, 1])
+                c2 += ny * (j[2, 0] * j[0, 1] - j[0, 0] * j[2, 1])
+                c2 += nz * (j[0, 0] * j[1, 1] - j[1, 0] * j[0, 1])
+                contact[leg] = -(c0 * t0 + c1 * t1 + c2 * t2) / det > CONTACT_FORCE
+        if not contact[leg]:
+            continue
+        hip = q[3 * leg]
+        uy, uz = math.cos(hip), math.sin(hip)  # axle
+        along = ny * uy + nz * uz
+        gx, gy, gz = nx, ny - along * uy, nz - along * uz
+        scale = -WHEEL_RADIUS / math.sqrt(gx * gx + gy * gy + gz * gz)
+        gx, gy, gz = gx * scale, gy * scale, gz * scale  # wheel centre to contact
+        spin = dq[3 * leg + 1] + dq[3 * leg + 2] + dq[12 + leg]
+        wx, wy, wz = dq[3 * leg] + gyro[0], spin * uy + gyro[1], spin * uz + gyro[2]
+        px, py, pz = centre[leg, 0], centre[leg, 1], centre[leg, 2]
+        d0, d1, d2 = dq[3 * leg], dq[3 * leg + 1], dq[3 * leg + 2]
+        velocity[count, 0] = -(
+            gyro[1] * pz - gyro[2] * py + j[0, 0] * d0 + j[0, 1] * d1 + j[0, 2] * d2 + wy * gz - wz * gy
+        )
+        velocity[count, 1] = -(
+            gyro[2] * px - gyro[0] * pz + j[1, 0] * d0 + j[1, 1] * d1 + j[1, 2] * d2 + wz * gx - wx * gz
+        )
+        velocity[count, 2] = -(
+            gyro[0] * py - gyro[1] * px + j[2, 0] * d0 + j[2, 1] * d1 + j[2, 2] * d2 + wx * gy - wy * gx
+        )
+        height -= nx * (px + gx) + ny * (py + gy) + nz * (pz + gz)
+        count += 1
+    if count == 0:
+        out[:] = 0.0
+        sigma[:] = np.inf
+        return np.nan
+    for k in range(3):
+        mean = 0.0
+        for i in range(count):
+            mean += velocity[i, k]
+        mean /= count
+        spread = 0.0
+        for i in range(count):
+            spread += (velocity[i, k] - mean) ** 2
+        out[k] = mean
+        # Fewer wheels: less to average and more likely to slip.
+        sigma[k] = math.sqrt(noise[k] * noise[k] * 4.0 / count + 0.25 * spread / count)
+    return height / count
+
+
+@njit(cache=True)
+def velocities(
+    joint_stamp: NDArray[np.int64],
+    joints: Array,
+    imu_stamp: NDArray[np.int64],
+    imu: Array,
+    bias: Array,
+    lever: Array,
+    noise: Array,
+) -> tuple[Array, Array, Array]:
+    """`leg_velocity` for a batch, moved to the IMU.
+
+    `joints` (m, 48): q, dq, tau; `imu` (n, 6) with stamps ascending (the gyro is interpolated); `bias` (3,) of the gyro;
+    `lever` (3,) IMU in base_link [m]. Returns velocity (m, 3) [m/s], sigma (m, 3), height (m,) [m].
+    """
+    m, n = len(joint_stamp), len(imu_stamp)
+    out, sigma, height = np.zeros((m, 3)), np.empty((m, 3)), np.empty(m)
+    contact = np.empty(4, np.bool_)
+    gyro = np.zeros(3)
+    i = 0
+    for row in range(m):
+        t = joint_stamp[row]
+        while i < n and imu_stamp[i] < t:
+            i += 1
+        for k in range(3):
+            if n == 0:
+                gyro[k] = 0.0
+            elif i == 0:
+                gyro[k] = imu[0, k] - bias[k]
+            elif i == n:
+                gyro[k] = imu[n - 1, k] - bias[k]
+            else:
+                share = (t - imu_stamp[i - 1]) / (imu_stamp[i] - imu_stamp[i - 1])
+                gyro[k] = imu[i - 1, k] + share * (imu[i, k] - imu[i - 1, k]) - bias[k]
+        j = joints[row]
+        height[row] = leg_velocity(j[:16], j[16:32], j[32:], gyro, noise, out[row], sigma[row], contact)
+        out[row, 0] += gyro[1] * lever[2] - gyro[2] * lever[1]
+        out[row, 1] += gyro[2] * lever[0] - gyro[0] * lever[2]
+        out[row, 2] += gyro[0] * lever[1] - gyro[1] * lever[0]
+    return out, sigma, height

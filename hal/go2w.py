@@ -169,6 +169,29 @@ def wheel_jacobians(q: Array) -> Array:
     return out
 
 
+def leg_angles(centres: Array) -> Array:
+    """Inverse of `wheel_centres`: joint angles that put the tread centres there, knees backward.
+
+    `centres`: (4, 3) [m] in base_link. Returns (16,) [rad], wheels 0. Out of reach or past a joint limit: the nearest angles
+    inside the limits.
+    """
+    out = np.zeros(16)
+    side = THIGH_Y + TREAD_Y
+    for leg in range(4):
+        x = centres[leg, 0] - HIP_X * SX[leg]
+        y = centres[leg, 1] - HIP_Y * SY[leg]
+        z = centres[leg, 2]
+        down = math.sqrt(max(y * y + z * z - side * side, 1e-6))
+        hip = math.atan2(z, y) - math.atan2(-down, side * SY[leg])
+        hip = math.remainder(hip, 2.0 * math.pi)
+        cosine = (x * x + down * down - THIGH**2 - CALF**2) / (2.0 * THIGH * CALF)
+        calf = -math.acos(min(max(cosine, -1.0), 1.0))
+        calf = min(max(calf, JOINT_RANGE[3 * leg + 2, 0]), JOINT_RANGE[3 * leg + 2, 1])
+        thigh = math.atan2(-x, down) - math.atan2(CALF * math.sin(calf), THIGH + CALF * math.cos(calf))
+        out[3 * leg : 3 * leg + 3] = hip, thigh, calf
+    return np.clip(out, JOINT_RANGE[:, 0], JOINT_RANGE[:, 1])
+
+
 def stand_height(q: Array) -> float:
     """Height [m] of base_link above level ground with the joints at `q` (16,) and the trunk level: mean of the four legs."""
     return float(WHEEL_RADIUS - wheel_centres(q)[:, 2].mean())

@@ -85,3 +85,20 @@ def test_named_poses_are_inside_the_limits() -> None:
     for q in (go2w.STAND, go2w.SDK_STAND, go2w.FOLDED):
         assert (q >= go2w.JOINT_RANGE[:, 0]).all()
         assert (q <= go2w.JOINT_RANGE[:, 1]).all()
+
+
+def test_inverse_kinematics_return_to_the_same_wheel_centres() -> None:
+    for q in random_poses(200):
+        q[0:12:3] *= 0.5  # beyond that the leg may fold through its own hip: two solutions
+        centres = go2w.wheel_centres(q)
+        if (centres[:, 2] > -0.1).any():
+            continue
+        np.testing.assert_allclose(go2w.wheel_centres(go2w.leg_angles(centres)), centres, atol=1e-9)
+
+
+def test_inverse_kinematics_stay_inside_the_limits_when_out_of_reach() -> None:
+    far = go2w.wheel_centres(go2w.STAND) + np.array([0.0, 0.0, -0.4])
+    q = go2w.leg_angles(far)
+    assert (q[:12] >= go2w.JOINT_RANGE[:12, 0]).all()
+    assert (q[:12] <= go2w.JOINT_RANGE[:12, 1]).all()
+    assert go2w.wheel_centres(q)[:, 2].max() < -0.38

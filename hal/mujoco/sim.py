@@ -1,0 +1,254 @@
+"""The bare robot in MuJoCo behind the joint-level interface: no sensors' errors, no modes, no clock of its own."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from hal import go2w
+from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.model import build
+from hal.types import Array
+
+STAND_KP = 70.0
+STAND_KD = 5.0
+"""Gains of the vendor's stand-up example [Nm/rad, Nms/rad]."""
+SETTLE_KP = 300.0
+"""Stiff, so that the robot stands where it is put."""
+LONGEST_LEG, SHORTEST_LEG = 0.38, 0.12
+"""Reach of the wheel centre below base_link [m] that leaves room to move."""
+
+
+def stand_command(q: Array | None = None, kp: float = STAND_KP) -> LowCommand:
+    """Hold the leg pose `q` (16,) [rad] (default `go2w.STAND`) with braked wheels and stiffness `kp` [Nm/rad]."""
+    stiffness = np.full(16, kp)
+    stiffness[go2w.WHEELS] = 0.0
+    return LowCommand(
+        q=np.array(go2w.STAND if q is None else q),
+        dq=np.zeros(16),
+        tau=np.zeros(16),
+        kp=stiffness,
+        kd=np.full(16, STAND_KD),
+    )
+
+
+class Simulation:
+    """Go2-W on a heightfield.
+
+    Motors follow hal.lowlevel's torque law with the damping integrated implicitly; torque is cut at the speed limit.
+    `command_delay` [s] holds every LowCommand back before it reaches the motors (a multiple of `timestep`).
+    """
+
+    def __init__(
+        self,
+        height: NDArray[np.float32],
+        resolution: float,
+        origin: tuple[float, float],
+        friction: float = 0.8,
+        timestep: float = 0.005,
+        payload: float = 0.0,
+        command_delay: float = 0.0,
+        boxes: int = 0,
+    ) -> None:
+        self.height = np.ascontiguousarray(height, np.float32)
+        self.resolution = float(resolution)
+        self.origin = (float(origin[0]), float(origin[1]))
+        self.timestep = float(timestep)
+        self.model = build(
+            self.height,
+            self.resolution,
+            self.origin,
+            friction=friction,
+            timestep=timestep,
+            payload=payload,
+            boxes=boxes,
+        )
+        self.data = mujoco.MjData(self.model)
+        self._delay = round(command_delay / timestep)
+        self._pending: deque[tuple[int, LowCommand]] = deque()
+        self._steps = 0
+        joint = [self.model.joint(name) for name in go2w.MOTORS]
+        self._qadr = np.array([j.qposadr[0] for j in joint])
+        self._vadr = np.array([j.dofadr[0] for j in joint])
+        self._base = self.model.body("base_link").id
+        self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in go2w.LEGS])
+        # Views into MuJoCo's own memory: fetching them through the bindings costs more than using them.
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._ctrl, self._bias = self.data.ctrl, self.model.actuator_biasprm
+        self._force = self.data.actuator_force
+        self._range = self.model.actuator_forcerange
+        self._accel = self.data.sensordata[:3]
+        self._limited = False
+        self._push_until = -1
+        mujoco.mj_forward(self.model, self.data)
+
+    # --- state -----------------------------------------------------------------------------------------------------
+    @property
+    def time(self) -> float:
+        """[s] since the last reset."""
+        return float(self.data.time)
+
+    @property
+    def position(self) -> Array:
+        """(3,) base_link in the world [m]; a copy."""
+        return np.array(self._qpos[:3])
+
+    @property
+    def quaternion(self) -> Array:
+        """(4,) w, x, y, z, world <- base_link; a copy."""
+        return np.array(self._qpos[3:7])
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3) world <- base_link."""
+        out = np.empty(9)
+        mujoco.mju_quat2Mat(out, self._qpos[3:7])
+        return out.reshape(3, 3)
+
+    @property
+    def linear_velocity(self) -> Array:
+        """(3,) of base_link, expressed in base_link [m/s]."""
+        return self.rotation.T @ self._qvel[:3]
+
+    @property
+    def angular_velocity(self) -> Array:
+        """(3,) expressed in base_link [rad/s]."""
+        return np.array(self._qvel[3:6])
+
+    @property
+    def yaw(self) -> float:
+        """[rad]."""
+        w, x, y, z = self._qpos[3:7]
+        return float(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+    def low_state(self) -> LowState:
+        """Exact state; `accel` and `tau` are those of the last physics step."""
+        return LowState(
+            time=float(self.data.time),
+            q=self._qpos[self._qadr],
+            dq=self._qvel[self._vadr],
+            tau=self._force.copy(),
+            quaternion=self._qpos[3:7].copy(),
+            gyro=self._qvel[3:6].copy(),
+            accel=self._accel.copy(),
+        )
+
+    def wheel_contact(self) -> tuple[bool, bool, bool, bool]:
+        """Wheel touches something: FR, FL, RR, RL."""
+        pairs = self.data.contact.geom
+        a, b, c, d = (bool((pairs == geom).any()) for geom in self._wheel_geoms)
+        return a, b, c, d
+
+    def body_contact(self) -> bool:
+        """Anything but a wheel touches something."""
+        pairs = self.data.contact.geom
+        if len(pairs) == 0:
+            return False
+        return bool((~np.isin(pairs, self._wheel_geoms).any(axis=1)).any())
+
+    def ground(self, x: float, y: float) -> float:
+        """Terrain height [m] at x, y [m], bilinear; the edge value outside."""
+        rows, cols = self.height.shape
+        c = min(max((x - self.origin[0]) / self.resolution, 0.0), cols - 1.001)
+        r = min(max((y - self.origin[1]) / self.resolution, 0.0), rows - 1.001)
+        i, j = int(r), int(c)
+        v, u = r - i, c - j
+        h = self.height[i : i + 2, j : j + 2]
+        return float((1 - v) * ((1 - u) * h[0, 0] + u * h[0, 1]) + v * ((1 - u) * h[1, 0] + u * h[1, 1]))
+
+    # --- doing -----------------------------------------------------------------------------------------------------
+    def reset(
+        self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, q: Array | None = None, settle: float = 0.6
+    ) -> None:
+        """Put the robot on its wheels at x, y [m], yaw [rad].
+
+        Default pose: level trunk, each leg as long as the ground below it asks. With `q` (16,) [rad] those angles, the
+        trunk parallel to the ground. Then `settle` [s] of joint hold let the contacts come to rest; the clock starts at
+        zero afterwards.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self._pending.clear()
+        self._steps = 0
+        self._push_until = -1
+        feet = go2w.wheel_centres(go2w.STAND if q is None else np.asarray(q, np.float64))
+        c, s = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        # Height of each tread centre when its wheel just touches the ground below.
+        spots = feet @ turn.T + np.array([x, y, 0.0])
+        axle = np.array([self._touching(px, py, c, s) for px, py, _ in spots])
+        quat = np.array([np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)])
+        if q is None:
+            # The mean leg stays as long as in the default stand, unless one would have to be longer than it can.
+            trunk = min(axle.mean() - feet[:, 2].mean(), axle.min() + LONGEST_LEG)
+            pose = go2w.leg_angles(np.column_stack([feet[:, :2], np.minimum(axle - trunk, -SHORTEST_LEG)]))
+        else:
+            pose = np.array(q, np.float64)
+            slope = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(4)]), axle, rcond=None)[0]
+            tilt = np.array([0.0, -np.arctan(slope[0]), np.arctan(slope[1] / np.hypot(1.0, slope[0]))])
+            mujoco.mju_euler2Quat(quat, tilt + [yaw, 0.0, 0.0], "zyx")
+            trunk = 0.0
+        self._qpos[:3] = x, y, trunk
+        self._qpos[3:7] = quat
+        self._qpos[self._qadr] = pose
+        centres = go2w.wheel_centres(pose) @ self.rotation.T + np.array([x, y, trunk])
+        self._qpos[2] += max(self._touching(px, py, c, s) - pz for px, py, pz in centres) + 0.003
+        self._set_now(stand_command(pose, kp=SETTLE_KP))
+        mujoco.mj_forward(self.model, self.data)
+        self.step(round(settle / self.timestep))
+        self.data.time = 0.0
+        self._steps = 0
+
+    def _touching(self, x: float, y: float, c: float, s: float) -> float:
+        """Height [m] of the centre of a wheel at x, y with heading (c, s) that rests on the ground."""
+        along = np.linspace(-go2w.WHEEL_RADIUS, go2w.WHEEL_RADIUS, 9)
+        arc = np.sqrt(go2w.WHEEL_RADIUS**2 - along**2)
+        return max(
+            self.ground(x + c * d, y + s * d) + r for d, r in zip(along.tolist(), arc.tolist(), strict=True)
+        )
+
+    def apply(self, command: LowCommand) -> None:
+        """Take effect `command_delay` after this call and hold until the next command takes effect."""
+        if self._delay == 0:
+            self._set_now(command)
+        else:
+            copy = LowCommand(*(np.array(getattr(command, name)) for name in ("q", "dq", "tau", "kp", "kd")))
+            self._pending.append((self._steps + self._delay, copy))
+
+    def push(self, force: tuple[float, float, float], duration: float) -> None:
+        """Push the trunk with `force` [N], world axes, for `duration` [s] from now."""
+        self.data.xfrc_applied[self._base, :3] = force
+        self._push_until = self._steps + round(duration / self.timestep)
+
+    def step(self, steps: int = 1) -> None:
+        """Advance `steps` physics steps."""
+        for _ in range(steps):
+            if self._pending and self._pending[0][0] <= self._steps:
+                self._set_now(self._pending.popleft()[1])
+            self._cut_at_speed_limit()
+            if self._push_until >= 0 and self._steps >= self._push_until:
+                self.data.xfrc_applied[self._base, :3] = 0.0
+                self._push_until = -1
+            mujoco.mj_step(self.model, self.data)
+            self._steps += 1
+
+    def _set_now(self, command: LowCommand) -> None:
+        self._ctrl[:] = command.tau + command.kp * command.q + command.kd * command.dq
+        self._bias[:, 1] = -command.kp
+        self._bias[:, 2] = -command.kd
+
+    def _cut_at_speed_limit(self) -> None:
+        """A motor at its top speed can still brake, but not push further."""
+        dq = self._qvel[self._vadr]
+        fast = np.abs(dq) >= go2w.SPEED_LIMIT
+        if fast.any():
+            limit = go2w.TORQUE_LIMIT
+            self._range[:, 0] = np.where(fast & (dq < 0), 0.0, -limit)
+            self._range[:, 1] = np.where(fast & (dq > 0), 0.0, limit)
+            self._limited = True
+        elif self._limited:
+            self._range[:, 0] = -go2w.TORQUE_LIMIT
+            self._range[:, 1] = go2w.TORQUE_LIMIT
+            self._limited = False

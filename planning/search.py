@@ -1,0 +1,246 @@
+"""Planning a route: request in, explained plan out (paper eq. 5 and Algorithm 1's query part)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.body_risk import FEATURES, BodyModel
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph import SNAP_DISTANCE, TraversalGraph
+from planning.risk_table import RiskTable, weights_of
+from planning.search_kernels import route_moments, search_nodes, search_pairs, weigh
+
+Variant = Literal["native", "edge-only", "mean-only", "full"]
+VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full")
+SETS = ("edge", "sweep", "terminal sweep")
+Place = tuple[float, float] | int
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """Where from, where to. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
+
+    start: Place
+    goal: Place
+    start_yaw: float | None = None
+    goal_yaw: float | None = None
+    variant: Variant = "full"
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One edge of the route with the turn before it (and after it, at the goal), and why it costs what it does."""
+
+    nodes: tuple[int, int]
+    length: float
+    """Planar [m]."""
+    risk: float
+    """Native risk r of the edge [-]."""
+    body: float
+    """B [-]."""
+    unknown: float
+    """U [-]."""
+    cost: float
+    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant."""
+    body_from: str
+    """Pose set that decided B: one of `SETS`."""
+    unknown_from: str
+    """Pose set that decided U."""
+    mean: dict[str, dict[str, float]]
+    """Per pose set and feature (`FEATURES`): mean of the scaled values."""
+    tail: dict[str, dict[str, float]]
+    """Per pose set and feature: mean of the largest tenth."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A route over the graph and its explanation."""
+
+    nodes: tuple[int, ...]
+    """Node indices, start to goal."""
+    cost: float
+    """[m], under the searched variant."""
+    native_cost: float
+    """[m], sum of l (1 + sigma r) of the same route."""
+    length: float
+    """Planar length of the route [m]."""
+    transitions: tuple[Transition, ...]
+    points: NDArray[np.float64] = field(repr=False)
+    """(n, 3) x, y, z of the nodes [m], `map`."""
+    request: PlanRequest
+    reaches_goal: bool = True
+    expanded: int = 0
+    """States the search expanded."""
+
+
+def plan(
+    graph: TraversalGraph,
+    grid: ElevationGrid,
+    request: PlanRequest,
+    body: BodyModel | None = None,
+    table: RiskTable | None = None,
+) -> Plan:
+    """The cheapest route for `request`.
+
+    `table` carries evaluations from earlier queries on the same graph, map and body; the result does not depend
+    on it. Raises NoRoute with a reason when there is none, PlanningError when an argument makes no sense.
+    """
+    body = body or BodyModel()
+    table = _table(graph, grid, body, table)
+    start_yaw, goal_yaw = _check(grid, request)
+    start = _snap(graph, grid, request.start, "start")
+    goal = _snap(graph, grid, request.goal, "goal")
+    return _search(table, request, start, goal, start_yaw, goal_yaw)
+
+
+def plan_many(
+    graph: TraversalGraph,
+    grid: ElevationGrid,
+    requests: Sequence[PlanRequest],
+    body: BodyModel | None = None,
+    table: RiskTable | None = None,
+) -> list[Plan | NoRoute]:
+    """One plan, or the reason why there is none, per request; the requests share their evaluations."""
+    body = body or BodyModel()
+    table = _table(graph, grid, body, table)
+    out: list[Plan | NoRoute] = []
+    for request in requests:
+        try:
+            out.append(plan(graph, grid, request, body, table))
+        except NoRoute as none:
+            out.append(none)
+    return out
+
+
+def _table(graph: TraversalGraph, grid: ElevationGrid, body: BodyModel, table: RiskTable | None) -> RiskTable:
+    if table is None:
+        return RiskTable(graph, grid, body)
+    if not table.fits(graph, grid, body):
+        raise PlanningError("the risk table belongs to another graph, map or body: make a new one")
+    return table
+
+
+def _check(grid: ElevationGrid, request: PlanRequest) -> tuple[float, float]:
+    """Both yaws as floats (NaN = any) of a request whose fields make sense."""
+    if not grid.trusted.any():
+        raise NoRoute(NoRouteReason.NO_TERRAIN, "the map holds no trusted cell yet: wait for the first scans")
+    if request.variant not in VARIANTS:
+        raise PlanningError(f"variant must be one of {', '.join(VARIANTS)}; got {request.variant!r}")
+    yaws = []
+    for name, yaw in (("start_yaw", request.start_yaw), ("goal_yaw", request.goal_yaw)):
+        if yaw is not None and not np.isfinite(yaw):
+            raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} is {yaw}: give radians, or None for any heading")
+        yaws.append(np.nan if yaw is None else float(yaw))
+    return yaws[0], yaws[1]
+
+
+def _snap(graph: TraversalGraph, grid: ElevationGrid, place: Place, name: str) -> int:
+    """Node index of a place; NoRoute when it is not on the graph."""
+    if isinstance(place, (int, np.integer)) and not isinstance(place, bool):
+        if not 0 <= place < len(graph.nodes):
+            raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} node {place} is not in 0..{len(graph.nodes) - 1}")
+        return int(place)
+    try:
+        x, y = (float(v) for v in place)  # type: ignore[union-attr]
+    except (TypeError, ValueError):
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} must be x, y in metres; got {place!r}") from None
+    if not (np.isfinite(x) and np.isfinite(y)):
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} ({x}, {y}) is not finite")
+    x0, y0, x1, y1 = grid.extent
+    half = grid.resolution / 2
+    if not (x0 - half <= x <= x1 + half and y0 - half <= y <= y1 + half):
+        raise NoRoute(
+            NoRouteReason.OUTSIDE_MAP,
+            f"{name} ({x:.2f}, {y:.2f}) is outside the map, x {x0:.2f}..{x1:.2f}, y {y0:.2f}..{y1:.2f} m",
+        )
+    node = graph.nearest_node((x, y), SNAP_DISTANCE)
+    if node is None:
+        reason = NoRouteReason.START_NOT_ON_GRAPH if name == "start" else NoRouteReason.GOAL_IN_OBSTACLE
+        raise NoRoute(
+            reason,
+            f"no drivable node within {SNAP_DISTANCE:.2f} m of the {name} ({x:.2f}, {y:.2f}): move it to free ground",
+        )
+    return node
+
+
+def _search(
+    table: RiskTable, request: PlanRequest, start: int, goal: int, start_yaw: float, goal_yaw: float
+) -> Plan:
+    """Run the variant's search between two nodes."""
+    body = table.body
+    if request.variant == "mean-only":
+        body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
+    w = weights_of(body)
+    if start == goal:
+        route, cost, expanded = np.empty(0, np.int64), 0.0, 0
+    elif request.variant == "native":
+        cost, route, expanded = search_nodes(w, table.roads, start, goal)
+    else:
+        sweeps = request.variant != "edge-only"
+        cost, route, expanded = search_pairs(
+            table.laid, w, table.roads, table.tables(body), start, goal, start_yaw, goal_yaw, sweeps
+        )
+    if not np.isfinite(cost):
+        raise NoRoute(NoRouteReason.NO_ROUTE, "start and goal are on the graph but not connected")
+    return describe(table, request, body, start, route, cost, expanded, start_yaw, goal_yaw)
+
+
+def describe(
+    table: RiskTable,
+    request: PlanRequest,
+    body: BodyModel,
+    start: int,
+    route: NDArray[np.int64],
+    cost: float,
+    expanded: int,
+    start_yaw: float,
+    goal_yaw: float,
+) -> Plan:
+    """The plan of a route given as CSR slots."""
+    roads, w = table.roads, weights_of(body)
+    moments = route_moments(table.laid, w, roads, route, start_yaw, goal_yaw)
+    transitions = []
+    for slot, sets in zip(route.tolist(), moments, strict=True):
+        length, risk = float(roads.length[slot]), float(roads.risk[slot])
+        present = [k for k in range(3) if not np.isnan(sets[k, 0, 0])]
+        terms = {k: weigh(w, sets[k]) for k in present}
+        if request.variant == "edge-only":
+            terms = {0: terms[0]}
+        by_body = max(terms, key=lambda k: (terms[k][0], -k))
+        by_unknown = max(terms, key=lambda k: (terms[k][1], -k))
+        b, u = terms[by_body][0], terms[by_unknown][1]
+        factor = 1.0 + w.native * risk
+        if request.variant != "native":
+            factor += w.body * b + w.unknown * u
+        transitions.append(
+            Transition(
+                (int(roads.source[slot]), int(roads.target[slot])),
+                length,
+                risk,
+                b,
+                u,
+                length * factor,
+                SETS[by_body],
+                SETS[by_unknown],
+                {SETS[k]: dict(zip(FEATURES, sets[k, 0].tolist(), strict=True)) for k in present},
+                {SETS[k]: dict(zip(FEATURES, sets[k, 1].tolist(), strict=True)) for k in present},
+            )
+        )
+    nodes = (start, *(t.nodes[1] for t in transitions))
+    native = float(np.sum(roads.length[route] * (1.0 + w.native * roads.risk[route])))
+    return Plan(
+        nodes,
+        float(cost),
+        native,
+        float(roads.length[route].sum()),
+        tuple(transitions),
+        table.graph.nodes[list(nodes)],
+        replace(request),
+        expanded=expanded,
+    )

@@ -1,0 +1,372 @@
+"""A* kernels: plain over nodes for the native cost, over ordered pairs of nodes for the body-aware cost.
+
+A state of the pair search is a directed edge (i, j), named by its CSR slot. Pose sets are evaluated when the search
+first needs them and kept in tables, NaN = not evaluated yet. Paper: eq. 3-5.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planning.footprint import Laid, pose_feature
+
+
+class Weights(NamedTuple):
+    """`BodyModel` as plain numbers for the kernels."""
+
+    scale: NDArray[np.float64]
+    """(4,) divisors of the features."""
+    clip: float
+    mean: float
+    tail: float
+    native: float
+    body: float
+    unknown: float
+    edge_step: float
+    sweep_step: float
+    """[rad]"""
+
+
+class Roads(NamedTuple):
+    """The graph as the kernels take it; one slot per directed edge."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    indptr: NDArray[np.int64]
+    source: NDArray[np.int32]
+    target: NDArray[np.int32]
+    reverse: NDArray[np.int64]
+    """Slot of the opposite direction."""
+    length: NDArray[np.float64]
+    heading: NDArray[np.float64]
+    """Heading source -> target [rad]."""
+    risk: NDArray[np.float32]
+    sweep_ptr: NDArray[np.int64]
+    """Row of each slot in the sweep table: one column per edge that leaves its target."""
+
+
+class Tables(NamedTuple):
+    """Evaluated pose sets: body term B and unknown term U; NaN = not yet."""
+
+    edge: NDArray[np.float64]
+    """(slots, 2)"""
+    sweep: NDArray[np.float64]
+    """(sum of degrees over slots, 2)"""
+
+
+@njit(cache=True)
+def push(heap_f: np.ndarray, heap_s: np.ndarray, n: int, f: float, s: int) -> int:
+    """Add (f, s) to a binary heap ordered by f, then s; returns the new size."""
+    i = n
+    while i > 0:
+        p = (i - 1) >> 1
+        if heap_f[p] < f or (heap_f[p] == f and heap_s[p] <= s):
+            break
+        heap_f[i] = heap_f[p]
+        heap_s[i] = heap_s[p]
+        i = p
+    heap_f[i] = f
+    heap_s[i] = s
+    return n + 1
+
+
+@njit(cache=True)
+def pop(heap_f: np.ndarray, heap_s: np.ndarray, n: int) -> int:
+    """Remove the root (the caller has read it); returns the new size."""
+    n -= 1
+    f = heap_f[n]
+    s = heap_s[n]
+    i = 0
+    while True:
+        c = 2 * i + 1
+        if c >= n:
+            break
+        r = c + 1
+        if r < n and (heap_f[r] < heap_f[c] or (heap_f[r] == heap_f[c] and heap_s[r] < heap_s[c])):
+            c = r
+        if f < heap_f[c] or (f == heap_f[c] and s <= heap_s[c]):
+            break
+        heap_f[i] = heap_f[c]
+        heap_s[i] = heap_s[c]
+        i = c
+    heap_f[i] = f
+    heap_s[i] = s
+    return n
+
+
+@njit(cache=True)
+def turn(yaw_in: float, yaw_out: float) -> float:
+    """Shortest signed rotation [rad]; a half turn goes by +pi."""
+    d = (yaw_out - yaw_in + np.pi) % (2.0 * np.pi) - np.pi
+    return d + 2.0 * np.pi if d < -np.pi + 1e-9 else d
+
+
+@njit(cache=True)
+def set_moments(
+    laid: Laid,
+    w: Weights,
+    x: float,
+    y: float,
+    yaw: float,
+    dx: float,
+    dy: float,
+    dyaw: float,
+    n: int,
+    out: np.ndarray,
+) -> None:
+    """Mean `out[0]` and tail mean `out[1]` (4,) of the scaled features of `n` poses, both ends in (eq. 3).
+
+    The poses go from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw). The tail is the ceil(n / 10) largest values.
+    """
+    k = max(1, (n + 9) // 10)
+    values = np.empty((4, n))
+    for i in range(n):
+        t = i / (n - 1) if n > 1 else 0.0
+        f = pose_feature(laid, x + t * dx, y + t * dy, yaw + t * dyaw)
+        for m in range(4):
+            values[m, i] = f[m] / w.scale[m]
+            if m < 3:
+                values[m, i] = min(w.clip, values[m, i])
+    for m in range(4):
+        total = 0.0
+        for i in range(n):
+            total += values[m, i]
+        tail = 0.0
+        for _ in range(k):
+            best = 0
+            for i in range(1, n):
+                if values[m, i] > values[m, best]:
+                    best = i
+            tail += values[m, best]
+            values[m, best] = -1.0
+        out[0, m] = total / n
+        out[1, m] = tail / k
+
+
+@njit(cache=True)
+def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
+    """B and U of one pose set from its means and tails (2, 4)."""
+    body = 0.0
+    for m in range(3):
+        body += w.mean * moments[0, m] + w.tail * moments[1, m]
+    return body, w.mean * moments[0, 3] + w.tail * moments[1, 3]
+
+
+@njit(cache=True)
+def edge_moments(laid: Laid, w: Weights, roads: Roads, slot: int, out: np.ndarray) -> None:
+    """Moments of the poses along a directed edge; the opposite direction covers the same ground."""
+    slot = min(slot, roads.reverse[slot])
+    i, j = roads.source[slot], roads.target[slot]
+    n = max(2, int(np.ceil(roads.length[slot] / w.edge_step - 1e-9)) + 1)
+    dx, dy = roads.x[j] - roads.x[i], roads.y[j] - roads.y[i]
+    set_moments(laid, w, roads.x[i], roads.y[i], roads.heading[slot], dx, dy, 0.0, n, out)
+
+
+@njit(cache=True)
+def turn_moments(
+    laid: Laid, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float, out: np.ndarray
+) -> None:
+    """Moments of a turn in place."""
+    d = turn(yaw_in, yaw_out)
+    n = int(np.ceil(abs(d) / w.sweep_step - 1e-9)) + 1
+    set_moments(laid, w, x, y, yaw_in, 0.0, 0.0, d, n, out)
+
+
+@njit(cache=True)
+def edge_risk(laid: Laid, w: Weights, roads: Roads, tables: Tables, slot: int) -> tuple[float, float]:
+    """B and U of a directed edge, from the table or evaluated now."""
+    if np.isnan(tables.edge[slot, 0]):
+        moments = np.empty((2, 4))
+        edge_moments(laid, w, roads, slot, moments)
+        tables.edge[slot, 0], tables.edge[slot, 1] = weigh(w, moments)
+        tables.edge[roads.reverse[slot]] = tables.edge[slot]
+    return tables.edge[slot, 0], tables.edge[slot, 1]
+
+
+@njit(cache=True)
+def turn_risk(
+    laid: Laid, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float
+) -> tuple[float, float]:
+    """B and U of a turn in place."""
+    moments = np.empty((2, 4))
+    turn_moments(laid, w, x, y, yaw_in, yaw_out, moments)
+    return weigh(w, moments)
+
+
+@njit(cache=True)
+def sweep_risk(
+    laid: Laid, w: Weights, roads: Roads, tables: Tables, slot: int, out: int
+) -> tuple[float, float]:
+    """B and U of the turn from directed edge `slot` into `out`, which leaves the target of `slot`."""
+    j = roads.target[slot]
+    at = roads.sweep_ptr[slot] + out - roads.indptr[j]
+    if np.isnan(tables.sweep[at, 0]):
+        tables.sweep[at, 0], tables.sweep[at, 1] = turn_risk(
+            laid, w, roads.x[j], roads.y[j], roads.heading[slot], roads.heading[out]
+        )
+    return tables.sweep[at, 0], tables.sweep[at, 1]
+
+
+@njit(cache=True)
+def route_moments(
+    laid: Laid, w: Weights, roads: Roads, route: np.ndarray, start_yaw: float, goal_yaw: float
+) -> np.ndarray:
+    """Moments of every pose set of a route of slots: (transitions, 3, 2, 4), sets edge, sweep, terminal sweep.
+
+    A set that does not exist is NaN.
+    """
+    out = np.full((route.size, 3, 2, 4), np.nan)
+    for t in range(route.size):
+        slot = route[t]
+        i, j = roads.source[slot], roads.target[slot]
+        edge_moments(laid, w, roads, slot, out[t, 0])
+        yaw_in = start_yaw if t == 0 else roads.heading[route[t - 1]]
+        if not np.isnan(yaw_in):
+            turn_moments(laid, w, roads.x[i], roads.y[i], yaw_in, roads.heading[slot], out[t, 1])
+        if t == route.size - 1 and not np.isnan(goal_yaw):
+            turn_moments(laid, w, roads.x[j], roads.y[j], roads.heading[slot], goal_yaw, out[t, 2])
+    return out
+
+
+@njit(cache=True)
+def reverse_slots(indptr: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Slot of the opposite direction of every slot, -1 where it is missing."""
+    out = np.full(target.size, -1, np.int64)
+    for s in range(target.size):
+        j = target[s]
+        for o in range(indptr[j], indptr[j + 1]):
+            if target[o] == source[s]:
+                out[s] = o
+                break
+    return out
+
+
+@njit(cache=True)
+def search_pairs(
+    laid: Laid,
+    w: Weights,
+    roads: Roads,
+    tables: Tables,
+    start: int,
+    goal: int,
+    start_yaw: float,
+    goal_yaw: float,
+    sweeps: bool,
+) -> tuple[float, np.ndarray, int]:
+    """Cheapest route over ordered pairs. A yaw of NaN was not requested.
+
+    Returns the cost (inf: none), the slots of the route's edges and the number of expanded states.
+    """
+    slots = roads.target.size
+    g = np.full(slots, np.inf)
+    parent = np.full(slots, -1, np.int64)
+    closed = np.zeros(slots, np.bool_)
+    heap_f = np.empty(64)
+    heap_s = np.empty(64, np.int64)
+    n = 0
+    expanded = 0
+    gx, gy = roads.x[goal], roads.y[goal]
+    last = -1
+    slot = -1
+    while True:
+        at = start if slot < 0 else roads.target[slot]
+        base = 0.0 if slot < 0 else g[slot]
+        expanded += 1
+        for out in range(roads.indptr[at], roads.indptr[at + 1]):
+            if closed[out]:
+                continue
+            k = roads.target[out]
+            b, u = edge_risk(laid, w, roads, tables, out)
+            if sweeps:
+                b2, u2 = 0.0, 0.0
+                if slot >= 0:
+                    b2, u2 = sweep_risk(laid, w, roads, tables, slot, out)
+                elif not np.isnan(start_yaw):
+                    b2, u2 = turn_risk(laid, w, roads.x[at], roads.y[at], start_yaw, roads.heading[out])
+                b, u = max(b, b2), max(u, u2)
+                if k == goal and not np.isnan(goal_yaw):
+                    b2, u2 = turn_risk(laid, w, gx, gy, roads.heading[out], goal_yaw)
+                    b, u = max(b, b2), max(u, u2)
+            cost = base + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
+            if cost < g[out]:
+                g[out] = cost
+                parent[out] = slot
+                if n == heap_f.size:
+                    heap_f = np.concatenate((heap_f, np.empty(n)))
+                    heap_s = np.concatenate((heap_s, np.empty(n, np.int64)))
+                n = push(heap_f, heap_s, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), out)
+        slot = -1
+        while n > 0:
+            s = heap_s[0]
+            n = pop(heap_f, heap_s, n)
+            if not closed[s]:
+                slot = s
+                break
+        if slot < 0:
+            return np.inf, np.empty(0, np.int64), expanded
+        closed[slot] = True
+        if roads.target[slot] == goal:
+            last = slot
+            break
+    count = 0
+    s = last
+    while s >= 0:
+        count += 1
+        s = parent[s]
+    route = np.empty(count, np.int64)
+    s = last
+    for i in range(count - 1, -1, -1):
+        route[i] = s
+        s = parent[s]
+    return g[last], route, expanded
+
+
+@njit(cache=True)
+def search_nodes(w: Weights, roads: Roads, start: int, goal: int) -> tuple[float, np.ndarray, int]:
+    """Cheapest route by the native cost l (1 + sigma r), A* over nodes; returns as `search_pairs`."""
+    count = roads.x.size
+    g = np.full(count, np.inf)
+    parent = np.full(count, -1, np.int64)
+    closed = np.zeros(count, np.bool_)
+    heap_f = np.empty(64)
+    heap_s = np.empty(64, np.int64)
+    gx, gy = roads.x[goal], roads.y[goal]
+    g[start] = 0.0
+    n = push(heap_f, heap_s, 0, 0.0, start)
+    expanded = 0
+    while n > 0:
+        i = heap_s[0]
+        n = pop(heap_f, heap_s, n)
+        if closed[i]:
+            continue
+        closed[i] = True
+        expanded += 1
+        if i == goal:
+            break
+        for out in range(roads.indptr[i], roads.indptr[i + 1]):
+            k = roads.target[out]
+            cost = g[i] + roads.length[out] * (1.0 + w.native * roads.risk[out])
+            if not closed[k] and cost < g[k]:
+                g[k] = cost
+                parent[k] = out
+                if n == heap_f.size:
+                    heap_f = np.concatenate((heap_f, np.empty(n)))
+                    heap_s = np.concatenate((heap_s, np.empty(n, np.int64)))
+                n = push(heap_f, heap_s, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), k)
+    if not closed[goal]:
+        return np.inf, np.empty(0, np.int64), expanded
+    steps = 0
+    i = goal
+    while i != start:
+        steps += 1
+        i = roads.source[parent[i]]
+    route = np.empty(steps, np.int64)
+    i = goal
+    for s in range(steps - 1, -1, -1):
+        route[s] = parent[i]
+        i = roads.source[parent[i]]
+    return g[goal], route, expanded

@@ -1,0 +1,171 @@
+"""Search: optimum, variants, explanation, determinism and refusals."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import body_oracle as oracle
+import numpy as np
+import pytest
+from plan_worlds import GOLDEN, flat, golden_world, lattice, rough
+
+from mapping.grid import ElevationGrid
+from planning.body_risk import BodyModel
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph import TraversalGraph
+from planning.risk_table import RiskTable
+from planning.search import Plan, PlanRequest, plan, plan_many
+
+BODY = BodyModel()
+
+
+@pytest.fixture(scope="module")
+def world():
+    grid = rough(5, size=3.0, resolution=0.1)
+    return grid, lattice(grid, 0.55, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("variant", "start_yaw", "goal_yaw"),
+    [("full", None, None), ("full", 1.0, -2.0), ("mean-only", None, 0.5), ("edge-only", 0.3, None)],
+)
+def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, goal_yaw):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    for start, goal in ((0, last), (last, 3)):
+        got = plan(graph, grid, PlanRequest(start, goal, start_yaw, goal_yaw, variant), BODY)
+        cost, nodes = oracle.dijkstra(grid, graph, start, goal, start_yaw, goal_yaw, variant)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == nodes
+
+
+def test_native_search_is_plain_dijkstra_on_the_native_cost(world):
+    grid, graph = world
+    n = len(graph.nodes)
+    dist = np.full((n, n), np.inf)
+    src = np.repeat(np.arange(n), np.diff(graph.indptr))
+    length = np.hypot(*(graph.nodes[src] - graph.nodes[graph.indices])[:, :2].T)
+    dist[src, graph.indices] = length * (1 + 3 * graph.risk)
+    for k in range(n):
+        dist = np.minimum(dist, dist[:, k : k + 1] + dist[k])
+    for goal in range(1, n, 5):
+        got = plan(graph, grid, PlanRequest(0, goal, variant="native"), BODY)
+        assert got.cost == pytest.approx(dist[0, goal], rel=1e-6)
+        assert got.cost == pytest.approx(got.native_cost)
+
+
+def test_the_plan_adds_up_and_names_the_deciding_pose_set(world):
+    grid, graph = world
+    got = plan(graph, grid, PlanRequest(0, len(graph.nodes) - 1, 2.0, 0.0), BODY)
+    assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+    assert got.length == pytest.approx(sum(t.length for t in got.transitions))
+    assert [t.nodes for t in got.transitions] == list(pairwise(got.nodes))
+    assert got.reaches_goal
+    for t in got.transitions:
+        assert t.cost == pytest.approx(t.length * (1 + 3 * t.risk + t.body + t.unknown))
+        per_set = {
+            name: sum(0.5 * t.mean[name][f] + 0.5 * t.tail[name][f] for f in ("d_fb", "a_lr", "p_int"))
+            for name in t.mean
+        }
+        assert t.body == pytest.approx(max(per_set.values()))
+        assert per_set[t.body_from] == pytest.approx(t.body)
+    assert set(got.transitions[0].mean) == {"edge", "sweep"}
+    assert set(got.transitions[-1].mean) == {"edge", "sweep", "terminal sweep"}
+
+
+def test_start_equal_to_goal_is_one_node_at_no_cost(world):
+    grid, graph = world
+    got = plan(graph, grid, PlanRequest(4, 4, 1.0, 2.0), BODY)
+    assert got.nodes == (4,)
+    assert got.cost == got.length == 0.0
+    assert got.transitions == ()
+
+
+def test_a_shared_table_changes_no_result_and_evaluates_nothing_twice(world):
+    grid, graph = world
+    table = RiskTable(graph, grid, BODY)
+    requests = [PlanRequest(0, g, None, 0.3) for g in range(0, len(graph.nodes), 3)]
+    shared = plan_many(graph, grid, requests, BODY, table)
+    before = table.evaluated()
+    again = plan_many(graph, grid, requests, BODY, table)
+    assert [p.nodes for p in again if isinstance(p, Plan)] == [p.nodes for p in shared if isinstance(p, Plan)]
+    assert table.evaluated() == before
+    for request, one in zip(requests, shared, strict=True):
+        alone = plan(graph, grid, request, BODY)
+        assert isinstance(one, Plan)
+        assert (alone.nodes, alone.cost) == (one.nodes, one.cost)
+
+
+def test_equal_routes_are_decided_the_same_way_every_time():
+    grid = flat(3, 3)
+    nodes = [[0.5, 1.5, 0], [1.5, 1.0, 0], [1.5, 2.0, 0], [2.5, 1.5, 0]]
+    graph = TraversalGraph.from_edges(
+        np.array(nodes), np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), np.zeros(4)
+    )
+    for variant in ("native", "edge-only", "mean-only", "full"):
+        assert plan(graph, grid, PlanRequest(0, 3, variant=variant), BODY).nodes == (0, 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "reason"),
+    [
+        ((float("nan"), 1.0), 3, NoRouteReason.BAD_INPUT),
+        (0, (1.0, float("inf")), NoRouteReason.BAD_INPUT),
+        (0, 99, NoRouteReason.BAD_INPUT),
+        (-1, 3, NoRouteReason.BAD_INPUT),
+        ("here", 3, NoRouteReason.BAD_INPUT),
+        ((1.0,), 3, NoRouteReason.BAD_INPUT),
+        ((-9.0, 1.0), 3, NoRouteReason.OUTSIDE_MAP),
+        ((3.9, 3.9), 0, NoRouteReason.START_NOT_ON_GRAPH),
+        (0, (3.9, 3.9), NoRouteReason.GOAL_IN_OBSTACLE),
+        (0, 4, NoRouteReason.NO_ROUTE),
+    ],
+)
+def test_a_request_that_cannot_be_planned_says_why(start, goal, reason):
+    grid = flat(4, 4)
+    nodes = np.array([[0.5, 1.5, 0], [1.5, 1.0, 0], [1.5, 2.0, 0], [2.5, 1.5, 0], [3.5, 0.5, 0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), np.zeros(4))
+    for variant in ("native", "full"):
+        with pytest.raises(NoRoute) as error:
+            plan(graph, grid, PlanRequest(start, goal, variant=variant), BODY)
+        assert error.value.reason is reason
+        assert len(str(error.value)) > 20
+
+
+def test_bad_yaw_variant_and_foreign_table_are_refused(world):
+    grid, graph = world
+    with pytest.raises(NoRoute, match="goal_yaw"):
+        plan(graph, grid, PlanRequest(0, 3, goal_yaw=float("nan")), BODY)
+    with pytest.raises(PlanningError, match="variant"):
+        plan(graph, grid, PlanRequest(0, 3, variant="best"), BODY)  # type: ignore[arg-type]
+    with pytest.raises(PlanningError, match="risk table"):
+        plan(graph, grid, PlanRequest(0, 3), BODY, RiskTable(graph, flat(3, 3), BODY))
+
+
+def test_a_map_without_a_trusted_cell_is_no_terrain(world):
+    _, graph = world
+    blind = ElevationGrid(np.full((9, 9), np.nan, np.float32), np.zeros((9, 9), bool), (0.0, 0.0), 0.5)
+    with pytest.raises(NoRoute) as error:
+        plan(graph, blind, PlanRequest(0, 3), BODY)
+    assert error.value.reason is NoRouteReason.NO_TERRAIN
+
+
+@pytest.mark.skipif(not GOLDEN.exists(), reason="reference results not beside the project")
+def test_routes_and_costs_equal_the_reference():
+    grid, graph, want = golden_world()
+    table = RiskTable(graph, grid, BODY)
+    for row, cost, path in zip(want["queries"], want["query_cost"], want["query_path"], strict=True):
+        start_yaw, goal_yaw = (None if np.isnan(v) else float(v) for v in row[2:])
+        got = plan(graph, grid, PlanRequest(int(row[0]), int(row[1]), start_yaw, goal_yaw), BODY, table)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == tuple(path[path >= 0])
+    for (i, j, k), cost in zip(want["transitions"], want["transition_cost"], strict=True):
+        sub = TraversalGraph.from_edges(
+            graph.nodes[[i, j, k]], np.array([[0, 1], [1, 2]]), np.array([0.0, _risk(graph, j, k)])
+        )
+        assert plan(sub, grid, PlanRequest(0, 2), BODY).transitions[1].cost == pytest.approx(cost, abs=1e-4)
+
+
+def _risk(graph, j, k):
+    row = slice(graph.indptr[j], graph.indptr[j + 1])
+    return float(graph.risk[row][graph.indices[row] == k][0])

@@ -192,6 +192,12 @@ class Bus:
         )
         self._held.append(subscriber)
 
+    def processes(self, timeout: float = 1.0) -> set[str]:
+        """Names of the processes on the bus now."""
+        pattern = wire.node_token(self.domain, "*", "*")
+        replies = self.session.liveliness().get(pattern, timeout=timeout)
+        return {wire.process_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
+
     def serve(self, name: str, answer: Callable[[bytes], bytes]) -> None:
         """Answer queries on a name of the supervisor's own; `answer` runs in Zenoh's thread and must be quick."""
         full = f"{self.domain}/rbtrg/{name}"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import MOTORS
 from hal.types import POINT_DTYPE, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
-from mapping.elevation import MapPatch
+from mapping.patch import PATCH_LAYERS, MapPatch
 from rbtrg_robot.messages import STORE, header, make, stamp_of
 
 MAP = "map"
@@ -260,8 +260,8 @@ def _layer_msg(layer: NDArray[np.float32]) -> Any:
     )
 
 
-def map_patch(message: Any) -> MapPatch:
-    """The patch in a GridMap made by `patch_msg`. Raises LayoutError."""
+def map_patch(message: Any, epoch: int) -> MapPatch:
+    """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
     layers = {}
@@ -273,4 +273,7 @@ def map_patch(message: Any) -> MapPatch:
         info.pose.position.x - (cols - 1) * info.resolution / 2,
         info.pose.position.y - (rows - 1) * info.resolution / 2,
     )
-    return MapPatch(origin=origin, resolution=info.resolution, stamp=stamp_of(message), layers=layers)
+    for name in PATCH_LAYERS:
+        if name not in layers:
+            raise LayoutError(f"layer {name} is missing")
+    return MapPatch(origin, info.resolution, stamp_of(message), epoch, layers)

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from hal.types import Extrinsics, JointSample
+from mapping.contacts import wheel_contacts
 from mapping.elevation import ElevationMap, ElevationParams
-from mapping.ground import wheel_contacts
-from mapping.map_io import MapError
+from mapping.patch import MapError
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import LayoutError, cloud_points, joint_sample, patch_msg, xyz, xyzw
+from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import ElevationStageParams
 from rbtrg_robot.stage import Outputs
@@ -26,7 +27,7 @@ WAIT_SCANS = 2
 class ElevationStage:
     """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
 
-    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.MAP_REQUEST)
+    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST)
     outputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS)
 
     def __init__(
@@ -41,6 +42,7 @@ class ElevationStage:
         self._poses: OrderedDict[int, Any] = OrderedDict()
         self._clouds: OrderedDict[int, Any] = OrderedDict()
         self._joints: list[JointSample] = []
+        self._frame = MapFrame()
         self._scans = 0
         self._detail = ""
         self._status_due = 0
@@ -63,6 +65,8 @@ class ElevationStage:
             elif topic is t.JOINTS:
                 self._joints.append(joint_sample(message))
                 del self._joints[:-100]
+            elif topic is t.TF_STATIC:
+                self._frame.take(message)
             elif topic is t.MAP_REQUEST:
                 return self._request(message)
         except LayoutError:
@@ -72,6 +76,8 @@ class ElevationStage:
 
     def _join(self) -> Outputs:
         outputs: Outputs = []
+        if not self._frame.known:  # where the robot started must be known before anything is mapped
+            return outputs
         for stamp in sorted(self._poses.keys() & self._clouds.keys()):
             joints = self._joints_at(stamp)
             newer = sum(1 for other in self._clouds if other > stamp)
@@ -97,8 +103,9 @@ class ElevationStage:
     def _fuse(
         self, stamp: int, odom: Any, points: np.ndarray[Any, Any], joints: JointSample | None
     ) -> Outputs:
-        position = xyz(odom.pose.pose.position)
-        orientation = xyzw(odom.pose.pose.orientation)
+        position, orientation = self._frame.pose3(
+            xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
+        )
         self.map.fuse(points, position, orientation, stamp, self._sensor)
         if joints is not None:
             contacts = wheel_contacts(joints)
@@ -106,7 +113,7 @@ class ElevationStage:
                 self.map.fuse_ground(contacts, position, orientation, stamp)
         self._scans += 1
         if self._scans % self._params.clean_every == 0:
-            self.map.clean(stamp)
+            self.map.clean()
         if self._scans % self._params.publish_every == 1:
             return [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
         return []

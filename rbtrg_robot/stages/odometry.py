@@ -32,7 +32,6 @@ from rbtrg_robot.topics import Topic
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
-IDENTITY = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 class OdometryStage:
@@ -41,8 +40,16 @@ class OdometryStage:
     inputs = (t.IMU, t.JOINTS, t.POINTS)
     outputs = (t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, t.CLOUD, t.TF, t.TF_STATIC)
 
-    def __init__(self, odometry: LidarInertialOdometry, mount: Extrinsics, imu: Extrinsics) -> None:
+    def __init__(
+        self,
+        odometry: LidarInertialOdometry,
+        mount: Extrinsics,
+        imu: Extrinsics,
+        start: tuple[float, float, float],
+    ) -> None:
+        """`start`: x, y [m], yaw [rad] of the robot in `map`."""
         self._odometry = odometry
+        self._start = start
         self._mount = mount
         self._imu = imu
         self._announced = False
@@ -84,13 +91,14 @@ class OdometryStage:
         if self._announced:
             return []
         self._announced = True
+        x, y, yaw = self._start
         return [
             (
                 t.TF_STATIC,
                 make(
                     t.TF_STATIC.type,
                     transforms=[
-                        transform_msg(now, MAP, ODOM, *IDENTITY),
+                        transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
                         transform_msg(
                             now, BASE, LIDAR, self._mount.translation, rpy_quaternion(self._mount.rpy)
                         ),
@@ -141,6 +149,5 @@ class OdometryStage:
 def build(config: Any) -> OdometryStage:
     """From the stack's configuration."""
     mount = config.lidar_mount()
-    return OdometryStage(
-        LidarInertialOdometry(config.odometry, mount, config.lidar), mount, config.imu_mount()
-    )
+    odometry = LidarInertialOdometry(config.odometry, mount, config.lidar)
+    return OdometryStage(odometry, mount, config.imu_mount(), config.start_pose())

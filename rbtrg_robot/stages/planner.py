@@ -1,47 +1,258 @@
-"""The planner as a stage: map blocks in, routes out. Keeps one graph and rebuilds what changed."""
+"""The planner as a stage: map blocks in, routes out. Keeps one graph and rebuilds only what changed."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from mapping.elevation import MapMirror
+import numpy as np
+
+from hal.types import NS
+from mapping.grid import ElevationGrid
+from mapping.patch import MapError, MapMirror
 from planning.body_risk import BodyModel
+from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph import GraphParams, TraversalGraph
-from planning.path import Path, PathLimits
+from planning.path import Path, PathLimits, make_path, still_safe
+from planning.search import Plan, PlanRequest, plan
 from rbtrg_robot import topics as t
+from rbtrg_robot.convert import MAP, LayoutError, map_patch, point, yaw_quaternion
+from rbtrg_robot.messages import STORE, array, header, make
 from rbtrg_robot.params import PlannerParams
 from rbtrg_robot.reasons import Reason
+from rbtrg_robot.stage import Outputs
+from rbtrg_robot.topics import Topic
 
-REASONS: dict[str, Reason] = {r.value: r for r in Reason}
-"""Planning's reasons carry the same values."""
+REASONS = {
+    NoRouteReason.BAD_INPUT: Reason.INVALID,
+    NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
+    NoRouteReason.OUTSIDE_MAP: Reason.NO_ROUTE,
+    NoRouteReason.START_NOT_ON_GRAPH: Reason.START_OFF_GRAPH,
+    NoRouteReason.GOAL_IN_OBSTACLE: Reason.IN_OBSTACLE,
+    NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
+    NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
+}
 
 
 class PlannerStage:
     """See the module."""
 
-    inputs = (t.MAP_UPDATE, t.MAP_FULL, t.PLAN_REQUEST)
+    inputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST)
 
     def __init__(
-        self,
-        params: PlannerParams,
-        graph_params: GraphParams,
-        body: BodyModel,
-        limits: PathLimits,
-        resolution: float,
+        self, params: PlannerParams, graph_params: GraphParams, body: BodyModel, limits: PathLimits
     ) -> None:
         self._params = params
         self._graph_params = graph_params
         self._body = body
         self._limits = limits
-        self._mirror = MapMirror(resolution)
+        self._mirror = MapMirror()
+        self._epoch = 0
         self._graph: TraversalGraph | None = None
+        self._grid: ElevationGrid | None = None
         self._changed: list[tuple[int, int, int, int]] = []
         self._updated = 0
+        self._start: tuple[float, float] | None = None
         self._now = 0
-        self._started = False
         self._status_due = 0
-        self._request: Any = None
+        self._answered: tuple[str, int] = ("", 0)
         self._path: Path | None = None
         self._frontier: tuple[float, float] | None = None
+        self._frontier_goal = ""
         self._malformed = 0
+        self._verdict = (True, "")
+        self._checked_version = -1
+
+    def warm_up(self) -> None:
+        """Plan once on made-up ground."""
+        stage = PlannerStage(self._params, self._graph_params, self._body, self._limits)
+        x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
+        height = x[:, None] * x[None, :]
+        stage._grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
+        for seed_row in ((40, 40, 50, 50), (45, 45, 50, 50)):
+            stage._refresh((2.0, 2.0), stage._grid, [seed_row])
+        request = make(t.PLAN_REQUEST.type, start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0)
+        stage._answer(request)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        if topic in (t.MAP_UPDATE, t.MAP_FULL):
+            self._take_patch(message)
+        elif topic is t.MAP_STATUS:
+            self._epoch = int(message.epoch)
+        elif topic is t.PLAN_REQUEST:
+            return self._answer(message)
+        return []
+
+    def _take_patch(self, message: Any) -> None:
+        try:
+            window = self._mirror.apply(map_patch(message, max(self._epoch, self._mirror.epoch)))
+        except (LayoutError, MapError):
+            self._malformed += 1
+            return
+        if window.rows and window.cols:
+            self._changed.append((window.row, window.col, window.row + window.rows, window.col + window.cols))
+
+    # --- graph ------------------------------------------------------------------------------------------------
+
+    def tick(self, now: int) -> Outputs:
+        """Keep the graph up to date; report twice a second."""
+        self._now = now
+        due = now - self._updated >= self._params.update_period * NS or now < self._updated
+        if self._changed and self._start is not None and due:
+            self._updated = now
+            self._sync()
+        if now < self._status_due and now > self._status_due - NS:
+            return []
+        self._status_due = now + NS // 2
+        outputs: Outputs = [(t.ROUTE_STATUS, self._status(now))]
+        if not self._mirror.layers:  # just started: what was published before must be asked for
+            outputs.append((t.MAP_REQUEST, make(t.MAP_REQUEST.type, header=header(now, MAP), action="full")))
+        return outputs
+
+    def _sync(self) -> None:
+        """Bring grid and graph to the newest map."""
+        if not self._mirror.layers:
+            return
+        grid = self._mirror.grid()
+        windows = [
+            (r0 - self._mirror.row, c0 - self._mirror.col, r1 - self._mirror.row, c1 - self._mirror.col)
+            for r0, c0, r1, c1 in self._changed
+        ]
+        self._changed = []
+        if self._start is not None:
+            self._refresh(self._start, grid, windows)
+
+    def _refresh(
+        self, start: tuple[float, float], grid: ElevationGrid, windows: list[tuple[int, int, int, int]]
+    ) -> None:
+        self._grid = grid
+        if self._graph is None:
+            try:
+                self._graph = TraversalGraph.build(grid, start, self._graph_params, self._params.seed)
+            except NoRoute:
+                return  # no ground under the robot yet: the next request tries again
+        else:
+            self._graph.update(grid, windows, start)
+
+    def _status(self, now: int) -> Any:
+        graph = self._graph
+        if graph is not None and self._path is not None and graph.version != self._checked_version:
+            self._checked_version = graph.version
+            assert self._grid is not None
+            self._verdict = still_safe(self._path, graph, self._grid, self._body)
+        valid, detail = self._verdict
+        return make(
+            t.ROUTE_STATUS.type,
+            header=header(now, MAP),
+            goal_id=self._answered[0],
+            sequence=self._answered[1],
+            valid=valid,
+            detail=detail,
+            nodes=0 if graph is None else len(graph.nodes),
+            edges=0 if graph is None else len(graph.indices) // 2,
+            map_version=0 if graph is None else graph.version,
+        )
+
+    # --- requests ---------------------------------------------------------------------------------------------
+
+    def _answer(self, message: Any) -> Outputs:
+        self._start = (message.start_x, message.start_y)
+        self._answered = (message.goal_id, int(message.sequence))
+        self._path, self._verdict = None, (True, "")
+        if message.goal_id != self._frontier_goal:
+            self._frontier, self._frontier_goal = None, message.goal_id
+        if self._changed or self._graph is None:
+            self._sync()
+        base = {
+            "header": header(self._now, MAP),
+            "goal_id": message.goal_id,
+            "sequence": message.sequence,
+        }
+        try:
+            found, path = self._plan(message)
+        except NoRoute as none:
+            reason = REASONS[none.reason]
+            return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(none)))]
+        except PlanningError as error:
+            reason = Reason.INVALID
+            return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(error)))]
+        self._path = path
+        self._checked_version = -1
+        self._frontier = None if found.reaches_goal else (path.points[-1, 0], path.points[-1, 1])
+        answer = make(t.PLAN.type, **base, **_plan_fields(found, path, message))
+        return [(t.PLAN, answer), (t.ROUTE, _path_msg(path, self._now))]
+
+    def _plan(self, message: Any) -> tuple[Plan, Path]:
+        if self._graph is None or self._grid is None:
+            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
+        request = PlanRequest(
+            start=(message.start_x, message.start_y),
+            goal=(message.goal_x, message.goal_y),
+            start_yaw=message.start_yaw,
+            goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
+            variant=self._params.variant,
+            allow_frontier=True,
+            previous_frontier=self._frontier,
+        )
+        graph = keep_out(self._graph, message.avoid.reshape(-1, 3))
+        found = plan(graph, self._grid, request, self._body)
+        return found, make_path(found, self._grid, self._body, self._limits)
+
+
+def keep_out(graph: TraversalGraph, discs: np.ndarray[Any, Any]) -> TraversalGraph:
+    """The graph without what touches the discs, x, y, radius [m] each, (k, 3)."""
+    if not len(discs):
+        return graph
+    edges = graph.edges
+    a, b = graph.nodes[edges[:, 0], :2], graph.nodes[edges[:, 1], :2]
+    keep = np.ones(len(edges), bool)
+    for x, y, radius in discs:
+        ab, ac = b - a, np.array([x, y]) - a
+        along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
+        keep &= np.hypot(*(ac - along[:, None] * ab).T) > radius
+    risk = graph.risk[np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr)) < graph.indices]
+    return TraversalGraph.from_edges(graph.nodes, edges[keep], risk[keep], graph.frontier)
+
+
+def _plan_fields(found: Plan, path: Path, message: Any) -> dict[str, Any]:
+    f64 = "float64"
+    return {
+        "ok": True,
+        "reaches_goal": found.reaches_goal,
+        "cost": found.cost,
+        "length": found.length,
+        "x": array(path.points[:, 0], f64),
+        "y": array(path.points[:, 1], f64),
+        "z": array(path.points[:, 2], f64),
+        "yaw": array(path.yaw, f64),
+        "speed": array(path.speed, f64),
+        "has_goal_yaw": message.has_goal_yaw,
+        "goal_yaw": message.goal_yaw,
+        "node_x": array(found.points[:, 0], f64),
+        "node_y": array(found.points[:, 1], f64),
+        "transition_length": array([x.length for x in found.transitions], f64),
+        "transition_risk": array([x.risk for x in found.transitions], f64),
+        "transition_body": array([x.body for x in found.transitions], f64),
+        "transition_unknown": array([x.unknown for x in found.transitions], f64),
+    }
+
+
+def _path_msg(path: Path, now: int) -> Any:
+    stamped, pose = STORE.types["geometry_msgs/msg/PoseStamped"], STORE.types["geometry_msgs/msg/Pose"]
+    stamp = header(now, MAP)
+    poses = [
+        stamped(header=stamp, pose=pose(position=point(p), orientation=yaw_quaternion(yaw)))
+        for p, yaw in zip(path.points[::10], path.yaw[::10], strict=True)
+    ]
+    return make(t.ROUTE.type, header=stamp, poses=poses)
+
+
+def build(config: Any) -> PlannerStage:
+    """From the stack's configuration."""
+    limits = PathLimits(max_speed=config.tracker.max_speed)
+    params = config.planner.model_copy(update={"seed": config.seed})
+    return PlannerStage(params, config.graph, config.body, limits)

@@ -38,6 +38,8 @@ STEP = 5_000_000
 """Gate and simulator period [ns]."""
 CLOCK_EVERY = 2
 STATE_PERIOD = NS // 10
+START_LIMIT = 150.0
+"""Longest wait [s] for the other processes before simulated time starts without them."""
 POSE_LIMIT = 0.3
 """Odometry older than this [s] says nothing about motion."""
 
@@ -256,6 +258,8 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
         bus.subscribe(stage.inputs)
         for topic, payload in restored.items():
             stage.on(topic, messages.decode(payload, topic.type))
+        if config.simulated and not restored:
+            _wait_for_all(bus, heart, config, stopping)
         pace = Pace(now)
         while not stopping():
             heart.beat()
@@ -281,6 +285,22 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
                     break
     finally:
         stage.close()
+
+
+def _wait_for_all(bus: Bus, heart: Heart, config: Any, stopping: Callable[[], bool]) -> None:
+    """Simulated time starts when every process listens: nobody misses the first messages, so a re-run sees the same."""
+    missing = {p.name for p in PROCESSES if p.name not in ("robot", *config.without)}
+    if not config.record:
+        missing.discard("recorder")
+    bus.subscribe([t.HEARTBEAT])
+    deadline = time.monotonic() + START_LIMIT
+    while missing and not stopping() and time.monotonic() < deadline:
+        heart.beat("starting", f"waiting for {', '.join(sorted(missing))}")
+        for received in bus.take(0.1):
+            if received.topic is t.HEARTBEAT:
+                beat = received.decode()
+                if beat.state == "ready":
+                    missing.discard(beat.process)
 
 
 def publish(bus: Bus, outputs: Outputs, now: int) -> None:

@@ -1,0 +1,212 @@
+"""`goal`, `cancel`, `stop`, `resume`."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+import uuid
+from typing import Annotated, Any
+
+import typer
+
+Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+REACHED, REJECTED, ABORTED, CANCELLED, TIMED_OUT = 0, 2, 3, 4, 5
+EXIT = {
+    "reached": REACHED,
+    "rejected": REJECTED,
+    "aborted": ABORTED,
+    "cancelled": CANCELLED,
+    "preempted": CANCELLED,
+}
+RESEND = 0.5
+ANSWER_LIMIT = 3.0
+"""Seconds without any answer from the navigator."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command(context_settings={"ignore_unknown_options": True})(goal)
+    app.command()(cancel)
+    app.command()(stop)
+    app.command()(resume)
+
+
+def goal(
+    target: Annotated[
+        list[str], typer.Argument(help="X Y in metres, frame map; or the NAME of one of the scene's goals.")
+    ],
+    yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
+    wait: Annotated[bool, typer.Option("--wait", help="Wait for the end.")] = False,
+    timeout: Annotated[float, typer.Option(help="Give up after this many seconds; 0 = never.")] = 0.0,
+    robot: Robot = "go2w",
+) -> None:
+    """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.messages import header, make
+    from rbtrg_robot.runfiles import read_state
+
+    x, y, goal_yaw, name = _target(target, read_state(robot))
+    if yaw is not None:
+        goal_yaw = math.radians(yaw)
+    if not all(math.isfinite(v) for v in (x, y, goal_yaw or 0.0, timeout)):
+        print("rbtrg-robot: goal rejected: coordinates must be finite numbers", file=sys.stderr)
+        raise typer.Exit(REJECTED)
+    goal_id = uuid.uuid4().hex[:12]
+    with connect(robot) as bus:
+        bus.subscribe([t.GOAL_STATUS])
+        request = make(
+            t.GOAL_REQUEST.type,
+            header=header(time.time_ns(), "map"),
+            id=goal_id,
+            x=x,
+            y=y,
+            yaw=goal_yaw or 0.0,
+            has_yaw=goal_yaw is not None,
+            name=name,
+            timeout=timeout,
+        )
+        raise typer.Exit(_follow(bus, goal_id, request, wait=wait, timeout=timeout))
+
+
+def _target(words: list[str], state: dict[str, Any]) -> tuple[float, float, float | None, str]:
+    from rbtrg_robot.config import ConfigError
+
+    if len(words) == 2:
+        try:
+            return float(words[0]), float(words[1]), None, ""
+        except ValueError as error:
+            raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}") from error
+    if len(words) != 1:
+        raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}")
+    if state["backend"] != "sim":
+        raise ConfigError("named goals exist in scenes only; give X Y")
+    from hal.scenes import load_scene
+
+    goals = load_scene(state["scene"]).goals
+    if words[0] not in goals:
+        raise ConfigError(f"scene {state['scene']} has no goal {words[0]!r}; it has {', '.join(goals)}")
+    x, y, yaw = goals[words[0]]
+    return x, y, yaw, words[0]
+
+
+def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float) -> int:
+    """Send until answered, then watch. Returns the exit status."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.reasons import words
+
+    console = Console(stderr=True)
+    began = time.monotonic()
+    sent = heard = -math.inf
+    farthest = 0.0
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[left]}"),
+        TimeElapsedColumn(),
+    )
+    with Progress(
+        *columns, console=console, transient=True, disable=not (wait and console.is_terminal)
+    ) as bar:
+        task = bar.add_task("goal", total=1.0, left="")
+        while True:
+            now = time.monotonic()
+            if heard < began and now - sent > RESEND:
+                sent = now
+                bus.publish(t.GOAL_REQUEST, request, time.time_ns())
+            if now - max(heard, began) > ANSWER_LIMIT + (10.0 if heard >= began else 0.0):
+                print("rbtrg-robot: the navigator does not answer; see `rbtrg-robot status`", file=sys.stderr)
+                return ABORTED
+            if timeout and now - began > timeout + 10.0:
+                print("rbtrg-robot: goal timed out", file=sys.stderr)
+                return TIMED_OUT
+            for received in bus.take(0.1):
+                status = received.decode()
+                if status.id != goal_id:
+                    continue
+                heard = time.monotonic()
+                farthest = max(farthest, status.distance_left)
+                done = 1.0 - status.distance_left / farthest if farthest else 0.0
+                bar.update(
+                    task, description=status.state, completed=done, left=f"{status.distance_left:.1f} m"
+                )
+                if status.state in EXIT:
+                    why = words(status.reason, status.detail)
+                    code = TIMED_OUT if status.reason == "timeout" else EXIT[status.state]
+                    bar.stop()
+                    print(
+                        f"goal {status.state}" + (f": {why}" if why else ""),
+                        file=sys.stderr if code else sys.stdout,
+                    )
+                    return code
+                if not wait and status.state not in ("accepted", "planning"):
+                    print(f"goal {status.state}")
+                    return 0
+
+
+def cancel(robot: Robot = "go2w") -> None:
+    """Cancel the present goal; the robot stops."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.messages import header, make
+
+    with connect(robot) as bus:
+        bus.subscribe([t.GOAL_STATUS])
+        deadline = time.monotonic() + ANSWER_LIMIT
+        sent = -math.inf
+        while time.monotonic() < deadline:
+            if time.monotonic() - sent > RESEND:
+                sent = time.monotonic()
+                request = make(t.GOAL_REQUEST.type, header=header(time.time_ns(), "map"), action=1)
+                bus.publish(t.GOAL_REQUEST, request, time.time_ns())
+            for received in bus.take(0.1):
+                state = received.decode().state
+                if state == "idle":
+                    print("no goal to cancel")
+                    return
+                if state in EXIT:
+                    print(f"goal {state}")
+                    return
+    print("rbtrg-robot: the navigator does not answer; see `rbtrg-robot status`", file=sys.stderr)
+    raise typer.Exit(1)
+
+
+def stop(robot: Robot = "go2w") -> None:
+    """Emergency stop: zero velocity at once, latched until `resume`."""
+    _order(robot, "stop", True)
+
+
+def resume(robot: Robot = "go2w") -> None:
+    """Release the emergency stop."""
+    _order(robot, "resume", False)
+
+
+def _order(robot: str, mode: str, latched: bool) -> None:
+    """Repeat the order until the robot confirms it."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.messages import header, make
+
+    with connect(robot) as bus:
+        bus.subscribe([t.ROBOT_STATE])
+        bus.advertise(t.ROBOT_COMMAND)
+        deadline = time.monotonic() + ANSWER_LIMIT
+        sent = -math.inf
+        while time.monotonic() < deadline:
+            if time.monotonic() - sent > 0.1:
+                sent = time.monotonic()
+                order = make(
+                    t.ROBOT_COMMAND.type, header=header(time.time_ns(), ""), mode=mode, cause="operator"
+                )
+                bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
+            for received in bus.take(0.05):
+                state = received.decode()
+                if bool(state.estop) == latched:
+                    print(f"stopped: {state.estop_cause}" if latched else "resumed")
+                    return
+    print(f"rbtrg-robot: the robot does not confirm `{mode}`; use the hardware stop", file=sys.stderr)
+    raise typer.Exit(1)

@@ -1,0 +1,134 @@
+"""`scene`, `config`, `map`, `doctor`."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+
+scene_app = typer.Typer(help="Built-in scenes and terrain files.", no_args_is_help=True)
+config_app = typer.Typer(help="Configuration of the stack.", no_args_is_help=True)
+map_app = typer.Typer(help="The elevation map of the running stack.", no_args_is_help=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.add_typer(scene_app, name="scene")
+    app.add_typer(config_app, name="config")
+    app.add_typer(map_app, name="map")
+    app.command()(doctor)
+
+
+@scene_app.command("list")
+def scene_list() -> None:
+    """Built-in scenes."""
+    from hal.scenes import load_scene, scene_names
+
+    for name in scene_names():
+        scene = load_scene(name)
+        x0, y0, x1, y1 = scene.extent
+        print(f"{name:18s} {x1 - x0:4.1f} x {y1 - y0:4.1f} m  {scene.description}")
+
+
+@scene_app.command("show")
+def scene_show(
+    name: Annotated[str, typer.Argument(help="Built-in scene or terrain file.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
+    png: Annotated[Path | None, typer.Option(help="Write a picture of the terrain.")] = None,
+    resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
+    height_range: Annotated[float | None, typer.Option(help="Height of white in a .png scene [m].")] = None,
+) -> None:
+    """Start pose, named goals, extent."""
+    from hal.scenes import load_scene
+
+    options = {"resolution": resolution, "height_range": height_range}
+    scene = load_scene(name, **{k: v for k, v in options.items() if v is not None})
+    if png is not None:
+        from hal.scenes import render_scene_png
+
+        render_scene_png(scene, png)
+    record = {
+        "name": scene.name,
+        "description": scene.description,
+        "extent": [round(v, 3) for v in scene.extent],
+        "resolution": scene.resolution,
+        "friction": scene.friction,
+        "start": list(scene.start),
+        "goals": {k: list(v) for k, v in scene.goals.items()},
+    }
+    if as_json:
+        print(json.dumps(record, indent=1))
+        return
+    x0, y0, x1, y1 = scene.extent
+    print(f"{scene.name}: {scene.description}")
+    print(f"  x {x0:.2f} to {x1:.2f} m, y {y0:.2f} to {y1:.2f} m, cells {scene.resolution} m")
+    print(f"  start  x {scene.start[0]:.2f} y {scene.start[1]:.2f} yaw {scene.start[2] * 57.29578:.0f} deg")
+    for goal, (x, y, yaw) in scene.goals.items():
+        print(
+            f"  goal {goal}: x {x:.2f} y {y:.2f}" + ("" if yaw is None else f" yaw {yaw * 57.29578:.0f} deg")
+        )
+    if png is not None:
+        print(f"picture in {png}")
+
+
+@config_app.command("show")
+def config_show(
+    config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
+) -> None:
+    """The whole configuration, defaults included."""
+    from rbtrg_robot.config import load
+
+    print(load(config, set_ or ()).to_yaml(), end="")
+
+
+@config_app.command("schema")
+def config_schema() -> None:
+    """JSON schema of the configuration, with units."""
+    from rbtrg_robot.config import StackConfig
+
+    print(json.dumps(StackConfig.model_json_schema(), indent=1))
+
+
+@map_app.command("save")
+def map_save(file: Path, robot: Robot = "go2w") -> None:
+    """Write the present map to FILE (.npz); `up --map FILE` loads it."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.messages import header, make
+
+    target = file.resolve()
+    with connect(robot) as bus:
+        bus.subscribe([t.MAP_STATUS])
+        asked = time.time_ns()
+        request = make(t.MAP_REQUEST.type, header=header(asked, ""), action="save", path=str(target))
+        bus.advertise(t.MAP_REQUEST)
+        bus.take(1.0)
+        bus.publish(t.MAP_REQUEST, request, asked)
+        deadline = time.monotonic() + 5.0
+        while time.monotonic() < deadline:
+            for received in bus.take(0.2):
+                detail = received.decode().detail
+                if str(target) in detail:
+                    print(detail)
+                    raise typer.Exit(0 if detail.startswith("saved") else 1)
+    print("rbtrg-robot: the elevation process does not answer; see `rbtrg-robot status`", file=sys.stderr)
+    raise typer.Exit(1)
+
+
+def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
+    """Check this machine: libraries, port, shared memory, clock, rendering. Exit status 1 on a fault."""
+    from rbtrg_robot.doctor import Level, examine
+
+    worst = 0
+    for finding in examine(port):
+        mark = {Level.OK: "ok  ", Level.NOTE: "note", Level.FAULT: "BAD "}[finding.level]
+        print(f"{mark} {finding.what}: {finding.words}")
+        worst = max(worst, finding.level is Level.FAULT)
+    raise typer.Exit(worst)

@@ -1,0 +1,331 @@
+"""`topic`, `replay`, `log`."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+LogFile = Annotated[Path | None, typer.Option("--log", help="A log instead of the running stack.")]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
+
+topic_app = typer.Typer(help="Look at topics, live or in a log.", no_args_is_help=True)
+log_app = typer.Typer(help="Look at, check and repair logs.", no_args_is_help=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.add_typer(topic_app, name="topic")
+    app.add_typer(log_app, name="log")
+    app.command()(replay)
+
+
+def _topic(name: str) -> Any:
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.config import ConfigError
+
+    found = t.BY_NAME.get(name if name.startswith("/") else f"/{name}")
+    if found is None:
+        raise ConfigError(f"there is no topic {name!r}; `rbtrg-robot topic list` shows them")
+    return found
+
+
+@topic_app.command("list")
+def topic_list(log: LogFile = None) -> None:
+    """All topics: type, nominal rate, who publishes; or what a log holds."""
+    from rbtrg_robot import topics as t
+
+    if log is not None:
+        from rbtrg_robot.logstats import summarize
+
+        for name, s in sorted(summarize(log).topics.items()):
+            print(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
+        return
+    for x in t.TOPICS:
+        rate = f"{x.rate:g} Hz" if x.rate else "event"
+        print(f"{x.name:28s} {x.type:38s} {rate:>7s} {x.owner or '-':10s} {x.doc}")
+
+
+@topic_app.command("hz")
+def topic_hz(
+    name: str,
+    log: LogFile = None,
+    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 5.0,
+    robot: Robot = "go2w",
+) -> None:
+    """Rate of a topic."""
+    rate, _ = _measure(name, log, seconds, robot)
+    print(f"{rate:.2f} Hz")
+
+
+@topic_app.command("bw")
+def topic_bw(
+    name: str,
+    log: LogFile = None,
+    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 5.0,
+    robot: Robot = "go2w",
+) -> None:
+    """Bandwidth of a topic."""
+    _, bandwidth = _measure(name, log, seconds, robot)
+    print(f"{bandwidth / 1000:.1f} kB/s")
+
+
+def _measure(name: str, log: Path | None, seconds: float, robot: str) -> tuple[float, float]:
+    """(messages, bytes) per second."""
+    from dataclasses import replace
+
+    wanted = _topic(name)
+    if log is not None:
+        from rbtrg_robot.logstats import summarize
+
+        found = summarize(log).topics.get(wanted.name)
+        if found is None:
+            print(f"{wanted.name} is not in {log}", file=sys.stderr)
+            raise typer.Exit(1)
+        return found.rate, found.rate * found.bytes / found.count
+    from rbtrg_robot.cli.link import connect
+
+    count = size = 0
+    with connect(robot) as bus:
+        bus.subscribe([replace(wanted, depth=10_000)])
+        bus.take(2.0)  # the first one starts the clock
+        began = time.monotonic()
+        while time.monotonic() - began < seconds:
+            for received in bus.take(0.1):
+                count += 1
+                size += len(received.payload)
+        elapsed = time.monotonic() - began
+    if not count:
+        print(f"{wanted.name} is silent", file=sys.stderr)
+        raise typer.Exit(1)
+    return count / elapsed, size / elapsed
+
+
+@topic_app.command("echo")
+def topic_echo(
+    name: str,
+    log: LogFile = None,
+    count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many; 0 = never.")] = 0,
+    robot: Robot = "go2w",
+) -> None:
+    """Print messages of a topic."""
+    from rbtrg_robot.messages import decode
+    from rbtrg_robot.show import as_text
+
+    wanted = _topic(name)
+    shown = 0
+    if log is not None:
+        from rbtrg_robot.logfile import read_run
+
+        for entry in read_run(log):
+            if entry.topic == wanted.name:
+                print(as_text(decode(entry.data, entry.type)), "---", sep="\n")
+                shown += 1
+                if count and shown >= count:
+                    return
+        return
+    from rbtrg_robot.cli.link import connect
+
+    with connect(robot) as bus:
+        bus.subscribe([wanted])
+        while not count or shown < count:
+            for received in bus.take(0.2):
+                print(as_text(received.decode()), "---", sep="\n", flush=True)
+                shown += 1
+                if count and shown >= count:
+                    return
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(help="A log, or the folder of a run.")],
+    rate: Annotated[float, typer.Option(help="Speed.")] = 1.0,
+    start_offset: Annotated[float, typer.Option(help="Skip this much of the log [s].")] = 0.0,
+    duration: Annotated[float, typer.Option(help="Play this much [s]; default all.")] = math.inf,
+    loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
+    topics: Annotated[
+        list[str] | None, typer.Option(help="Only topics that fit this glob; may be repeated.")
+    ] = None,
+    paused: Annotated[bool, typer.Option("--paused", help="Wait for the space bar.")] = False,
+    rerun: Annotated[str | None, typer.Option(help="Instead: run these stages offline, a,b,c.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Where --rerun writes.")] = None,
+    robot: Robot = "go2w",
+    port: Annotated[int, typer.Option(help="TCP port of the router when no stack is up.")] = 7447,
+) -> None:
+    """Play a log on the bus (space: pause, right: next, up/down: rate, q: quit), or run stages on it again."""
+    from rbtrg_robot.config import ConfigError
+
+    if rerun is not None:
+        _rerun(file, [name for name in rerun.split(",") if name], out)
+        return
+    if not (rate > 0 and math.isfinite(rate)):
+        raise ConfigError(f"--rate must be positive, got {rate}")
+    from rbtrg_robot.logfile import log_files
+    from rbtrg_robot.replay import Controls, Report, keyboard, play
+
+    log_files(file)
+    stopped: list[int] = []
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, lambda number, _frame: stopped.append(number))
+    controls = Controls(rate=rate, paused=paused)
+    total = Report()
+    with _replay_bus(robot, port) as bus, keyboard() as key:
+        while True:
+            report = play(
+                bus,
+                file,
+                controls=controls,
+                start_offset=start_offset,
+                duration=duration,
+                patterns=topics or ["*"],
+                key=key,
+                progress=_progress,
+                stopping=lambda: bool(stopped),
+            )
+            total.messages += report.messages
+            total.late += report.late
+            total.worst = max(total.worst, report.worst)
+            total.seconds += report.seconds
+            if not loop or stopped or controls.quit:
+                break
+    for name, count in sorted(report.skipped.items()):
+        print(f"not replayed: {count} x {name}")
+    print(
+        f"replayed {total.messages} messages, {total.seconds - start_offset:.1f} s of log, "
+        f"{total.late} late, worst {1000 * total.worst:.0f} ms"
+    )
+
+
+def _progress(seconds: float, controls: Any) -> None:
+    if sys.stderr.isatty():
+        print(f"\r{seconds:8.1f} s  x{controls.rate:.2f} ", end="", file=sys.stderr, flush=True)
+
+
+def _replay_bus(robot: str, port: int) -> Any:
+    """The running stack's bus when it has no robot of its own, else a router of our own."""
+    from rbtrg_robot.bus import Bus
+    from rbtrg_robot.config import ConfigError
+    from rbtrg_robot.runfiles import NotRunning, read_state
+
+    try:
+        state = read_state(robot)
+    except NotRunning:
+        return Bus(f"tcp/127.0.0.1:{port}", "replay", router=True)
+    bus = Bus(state["endpoint"], "replay", int(state["domain"]))
+    if "robot" in bus.processes():
+        bus.close()
+        what = "real robot" if state["backend"] != "sim" else "simulated robot"
+        raise ConfigError(
+            f"a {what} is live on this bus (pid {state['pid']}); "
+            "replay beside it is refused: `rbtrg-robot down`, or bring the stack up with --without robot"
+        )
+    return bus
+
+
+def _rerun(file: Path, names: list[str], out: Path | None) -> None:
+    from rbtrg_robot.config import ConfigError
+
+    if out is None:
+        raise ConfigError("--rerun needs --out NEW.mcap")
+    if out.exists():
+        raise ConfigError(f"{out} exists; name another file with --out")
+    from rich.progress import Progress
+
+    from rbtrg_robot.logstats import summarize
+    from rbtrg_robot.rerun import rerun as run_again
+
+    clock = summarize(file).topics.get("/clock")
+    total = (clock.last - clock.first) / 1e9 if clock else None
+    began = time.monotonic()
+    done = 0.0
+    with Progress(disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("rerun", total=total)
+
+        def progress(seconds: float) -> None:
+            nonlocal done
+            done = seconds
+            bar.update(task, completed=seconds)
+
+        counts = run_again(file, names, out, progress)
+    wall = time.monotonic() - began
+    for name, count in sorted(counts.items()):
+        print(f"{name:28s} {count:8d}")
+    print(f"{done:.1f} s of log in {wall:.1f} s ({done / wall:.1f} x real time) -> {out}")
+
+
+@log_app.command("info")
+def log_info(file: Path, as_json: Json = False) -> None:
+    """Counts, rates, gaps, metadata."""
+    from rbtrg_robot.logstats import summarize
+
+    summary = summarize(file)
+    if as_json:
+        print(json.dumps(_summary(summary), indent=1))
+        return
+    print(", ".join(summary.files))
+    for key, value in summary.metadata.items():
+        print(f"  {key}: {value}")
+    print(f"{'topic':28s} {'type':38s} {'count':>8s} {'Hz':>8s} {'gap s':>7s} {'MB':>8s}")
+    for name, s in sorted(summary.topics.items()):
+        print(f"{name:28s} {s.type:38s} {s.count:8d} {s.rate:8.1f} {s.longest_gap:7.2f} {s.bytes / 1e6:8.2f}")
+    for line in summary.damage:
+        print(f"damage: {line}")
+
+
+@log_app.command("check")
+def log_check(file: Path, as_json: Json = False) -> None:
+    """Say what is wrong with a log; exit 1 if anything is."""
+    from rbtrg_robot.logstats import summarize
+
+    summary = summarize(file)
+    problems = summary.problems()
+    if as_json:
+        print(json.dumps(_summary(summary) | {"problems": problems}, indent=1))
+    else:
+        print("\n".join(problems) if problems else "no problems found")
+    if problems:
+        raise typer.Exit(1)
+
+
+@log_app.command("recover")
+def log_recover(
+    file: Path,
+    out: Annotated[Path | None, typer.Option(help="Default: FILE.recovered.mcap.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write an indexed file from one whose recorder was killed."""
+    from rbtrg_robot.logfile import recover
+
+    target = out or file.with_name(f"{file.stem}.recovered.mcap")
+    count, damage = recover(file, target)
+    if as_json:
+        print(json.dumps({"messages": count, "damage": damage, "out": str(target)}))
+        return
+    print(f"{count} messages -> {target}" + (f" (the file was damaged {damage})" if damage else ""))
+
+
+def _summary(summary: Any) -> dict[str, Any]:
+    return {
+        "files": summary.files,
+        "metadata": summary.metadata,
+        "wall_seconds": summary.wall_seconds,
+        "damage": summary.damage,
+        "topics": {
+            name: {
+                "type": s.type,
+                "count": s.count,
+                "rate": s.rate,
+                "longest_gap": s.longest_gap,
+                "bytes": s.bytes,
+                "missing": s.missing,
+                "backwards": s.backwards,
+            }
+            for name, s in sorted(summary.topics.items())
+        },
+    }

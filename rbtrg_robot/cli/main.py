@@ -1,0 +1,58 @@
+"""The command line. Only what `--help` needs is imported here; each command brings the rest itself."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from rbtrg_robot import __version__
+from rbtrg_robot.cli import drive, inspect, logs, stack
+
+app = typer.Typer(
+    name="rbtrg-robot",
+    help="Bring a wheeled-legged robot up, send it goals, watch it, and replay what it did.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(show: bool) -> None:
+    if show:
+        print(f"rbtrg-robot {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+stack.register(app)
+drive.register(app)
+logs.register(app)
+inspect.register(app)
+
+
+def main() -> None:
+    """Entry point: operator errors become one line and exit status 1."""
+    try:
+        app()
+    except (KeyboardInterrupt, BrokenPipeError):
+        sys.exit(130)
+    except Exception as error:
+        from rbtrg_robot.errors import OPERATOR_ERRORS
+        from rbtrg_robot.node import describe
+
+        if not isinstance(error, OPERATOR_ERRORS):
+            raise
+        print(f"rbtrg-robot: {describe(error)}", file=sys.stderr)
+        sys.exit(1)

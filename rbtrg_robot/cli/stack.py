@@ -1,0 +1,214 @@
+"""`up`, `down`, `status`."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+DETACH_LIMIT = 240.0
+DOWN_LIMIT = 8.0
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command()(up)
+    app.command()(down)
+    app.command()(status)
+
+
+def up(
+    backend: Annotated[str | None, typer.Option(help="sim or unitree.")] = None,
+    scene: Annotated[str | None, typer.Option(help="Built-in scene or terrain file.")] = None,
+    controller: Annotated[str | None, typer.Option(help="Locomotion in simulation: vmc or policy.")] = None,
+    policy: Annotated[Path | None, typer.Option(help="Folder of a locomotion policy.")] = None,
+    interface: Annotated[str | None, typer.Option(help="Network interface of the robot (unitree).")] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Log requests to the robot, send nothing.")
+    ] = False,
+    map_file: Annotated[Path | None, typer.Option("--map", help="Prior map: .npz, .pcd or .ply.")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Process not to start; may be repeated.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
+    log_dir: Annotated[Path, typer.Option(help="Where runs are logged.")] = Path("logs"),
+    no_record: Annotated[bool, typer.Option("--no-record", help="Write no MCAP log.")] = False,
+    detach: Annotated[bool, typer.Option("--detach", help="Return when ready, leave it running.")] = False,
+    config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
+    robot: Annotated[str | None, typer.Option(help="Name of the robot.")] = None,
+    port: Annotated[int | None, typer.Option(help="TCP port of the router, loopback.")] = None,
+    resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
+    height_range: Annotated[float | None, typer.Option(help="Height of white in a .png scene [m].")] = None,
+) -> None:
+    """Bring the whole stack up on this machine."""
+    if detach:
+        _detach()
+        return
+    from rbtrg_robot.config import ConfigError, load
+    from rbtrg_robot.processes import BY_NAME
+
+    for name in without or []:
+        if name not in BY_NAME:
+            raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
+    options: dict[str, float] = {}
+    if resolution is not None:
+        options["resolution"] = resolution
+    if height_range is not None:
+        options["height_range"] = height_range
+    if controller is None and policy is not None:
+        controller = "policy"
+    loaded = load(
+        config,
+        set_ or (),
+        backend=backend,
+        scene=scene,
+        controller=controller,
+        policy_dir=str(policy) if policy else None,
+        interface=interface,
+        dry_run=dry_run or None,
+        map_file=str(map_file.resolve()) if map_file else None,
+        without=tuple(without) if without else None,
+        seed=seed,
+        record=False if no_record else None,
+        robot=robot,
+        port=port,
+        scene_options=options or None,
+    )
+    _check(loaded)
+    folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
+    loaded = loaded.model_copy(update={"log_dir": str(folder)})
+    (folder / "config.yaml").write_text(loaded.to_yaml())
+    raise typer.Exit(_supervise(loaded))
+
+
+def _check(config: Any) -> None:
+    """Fail now, in one line, on what would fail in a child."""
+    if config.simulated:
+        config.load_scene()
+        if config.controller == "policy":
+            from hal.mujoco.policy import PolicyController
+
+            PolicyController(config.policy_dir)
+    if config.map_file:
+        from mapping.elevation import ElevationMap
+
+        ElevationMap(config.elevation).load_prior(Path(config.map_file))
+
+
+def _run_folder(base: Path, label: str) -> Path:
+    from rbtrg_robot.logfile import LogError
+
+    name = f"{time.strftime('%Y%m%d-%H%M%S')}_{Path(label).stem}_{os.getpid()}"
+    folder = (base / name).resolve()
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise LogError(f"cannot write {folder}: {error.strerror}; choose another --log-dir") from error
+    return folder
+
+
+def _supervise(config: Any) -> int:
+    from rbtrg_robot.cli.table import Screen
+    from rbtrg_robot.supervisor import StartFailed, Supervisor
+
+    stopped: list[int] = []
+    for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(sign, lambda number, _frame: stopped.append(number))
+    screen = Screen()
+    screen.say(f"robot {config.robot!r}, backend {config.backend}, log in {config.log_dir}")
+    try:
+        with screen:
+            Supervisor(config, screen.say).run(lambda: bool(stopped), screen.show)
+    except StartFailed as error:
+        print(f"rbtrg-robot: {error}", file=sys.stderr)
+        return 1
+    print("down")
+    return 0
+
+
+def _detach() -> None:
+    """The same command line without --detach, in a session of its own."""
+    from rbtrg_robot.runfiles import NotRunning, read_state, run_dir
+
+    arguments = [a for a in sys.argv[1:] if a != "--detach"]
+    output = run_dir() / f"up-{os.getpid()}.log"
+    with output.open("wb") as file:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=file,
+            stderr=file,
+            start_new_session=True,
+        )
+    deadline = time.monotonic() + DETACH_LIMIT
+    names = [arguments[i + 1] for i, a in enumerate(arguments) if a == "--robot" and i + 1 < len(arguments)]
+    robot = names[-1] if names else "go2w"
+    while time.monotonic() < deadline:
+        code = child.poll()
+        if code is not None:
+            print(output.read_text().strip().splitlines()[-1], file=sys.stderr)
+            output.unlink()
+            raise typer.Exit(code or 1)
+        try:
+            state = read_state(robot)
+            if state["pid"] == child.pid and state["ready"]:
+                print(output.read_text().strip())
+                print(f"running with pid {child.pid}; stop it with `rbtrg-robot down`")
+                output.unlink()
+                return
+        except NotRunning:
+            pass
+        try:
+            child.wait(0.1)
+        except subprocess.TimeoutExpired:
+            continue
+    child.terminate()
+    print(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", file=sys.stderr)
+    raise typer.Exit(1)
+
+
+def down(robot: Robot = "go2w") -> None:
+    """Stop the stack of a robot."""
+    from rbtrg_robot.runfiles import NotRunning, read_state
+
+    pid = int(read_state(robot)["pid"])
+    os.kill(pid, signal.SIGTERM)
+    deadline = time.monotonic() + DOWN_LIMIT
+    while time.monotonic() < deadline:
+        try:
+            read_state(robot)
+        except NotRunning:
+            print("down")
+            return
+        time.sleep(0.05)
+    print(f"rbtrg-robot: pid {pid} does not end; kill it with `kill -9 {pid}`", file=sys.stderr)
+    raise typer.Exit(1)
+
+
+def status(
+    robot: Robot = "go2w",
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
+) -> None:
+    """How the running stack is."""
+    from rbtrg_robot.cli.link import connect
+
+    with connect(robot) as bus:
+        answer = bus.ask("status")
+    if answer is None:
+        print("rbtrg-robot: the supervisor does not answer", file=sys.stderr)
+        raise typer.Exit(1)
+    if as_json:
+        print(json.dumps(json.loads(answer), indent=1))
+        return
+    from rich.console import Console
+
+    from rbtrg_robot.cli.table import render
+
+    Console().print(render(json.loads(answer), topics=True))

@@ -1,0 +1,116 @@
+"""The status table, and the screen of `up`: one table in a terminal, plain lines otherwise."""
+
+from __future__ import annotations
+
+import time
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+REFRESH = 0.5
+
+
+def render(status: dict[str, Any], *, topics: bool = False) -> Group:
+    """Processes, robot and what is wrong (or all topics)."""
+    processes = Table(box=None, pad_edge=False)
+    for title in ("process", "pid", "state", "restarts", "CPU %", "MB", "beat"):
+        processes.add_column(title, justify="left" if title in ("process", "state") else "right")
+    for row in status["processes"]:
+        good = row["state"] == "ready"
+        age = row["heartbeat_age"]
+        processes.add_row(
+            row["process"],
+            str(row["pid"] or "-"),
+            Text(row["state"], style="green" if good else "yellow"),
+            str(row["restarts"]),
+            f"{row['cpu']:.0f}",
+            f"{row['memory_mb']:.0f}",
+            "-" if age is None else f"{age:.1f} s",
+        )
+    parts: list[Any] = [processes, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    shown = [row for row in status["topics"] if row["nominal"] and (topics or not row["ok"])]
+    if shown:
+        table = Table(box=None, pad_edge=False)
+        for title in ("topic", "rate", "nominal", "age", ""):
+            table.add_column(title, justify="left" if title == "topic" else "right")
+        for row in shown:
+            age = row["age"]
+            table.add_row(
+                row["topic"],
+                f"{row['rate']:.1f}",
+                f"{row['nominal']:g}",
+                "-" if age is None else f"{age:.2f} s",
+                Text("ok", style="green") if row["ok"] else Text("bad", style="red"),
+            )
+        parts.append(table)
+    return Group(*parts)
+
+
+def robot_line(robot: dict[str, Any]) -> str:
+    """The robot in one line."""
+    if "mode" not in robot:
+        return "robot: not heard yet"
+    words = [f"robot: {robot['mode']}"]
+    if robot["estop"]:
+        words.append(f"E-STOP ({robot['estop_cause']})")
+    elif robot["hold"] and robot["hold"] != "no command":
+        words.append(f"held ({robot['hold']})")
+    if "x" in robot:
+        words.append(f"at {robot['x']:.2f} {robot['y']:.2f} yaw {robot['yaw'] * 57.29578:.0f} deg")
+        words.append(f"{robot['speed']:.2f} m/s")
+    if robot.get("localization", "good") != "good":
+        words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
+    words.append(f"real-time factor {robot['realtime_factor']:.2f}")
+    return ", ".join(words)
+
+
+def goal_line(robot: dict[str, Any]) -> str:
+    """The goal in one line."""
+    goal = robot.get("goal")
+    if not goal or not goal["id"]:
+        return "goal: none"
+    from rbtrg_robot.reasons import words
+
+    text = f"goal: {goal['state']} ({goal['x']:.2f}, {goal['y']:.2f})"
+    if goal["state"] == "moving":
+        text += f", {goal['distance_left']:.1f} m left, {goal['replans']} replans"
+    why = words(goal["reason"], goal["detail"])
+    return f"{text}: {why}" if why else text
+
+
+class Screen:
+    """What `up` shows."""
+
+    def __init__(self) -> None:
+        self._console = Console()
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._rich = self._console.is_terminal
+        self._due = 0.0
+
+    def say(self, line: str) -> None:
+        """An event."""
+        if self._rich:
+            self._console.print(f"[dim]{time.strftime('%H:%M:%S')}[/dim] {line}", highlight=False)
+        else:
+            print(line, flush=True)
+
+    def show(self, status: dict[str, Any]) -> None:
+        """The table, twice a second."""
+        now = time.monotonic()
+        if self._rich and now >= self._due:
+            self._due = now + REFRESH
+            self._live.update(render(status), refresh=True)
+
+    def __enter__(self) -> Self:
+        if self._rich:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._live.stop()

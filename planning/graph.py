@@ -9,65 +9,23 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph_input import Changed, GraphParams, Window, changed_windows, checked_start
+from planning.graph_lattice import Lattice
 from planning.graph_native import build_native
+
+__all__ = ["GraphParams", "TraversalGraph"]
 
 FORMAT = 1
 """Version of the npz layout; `load` refuses others."""
 SNAP_DISTANCE = 0.50
 """Endpoints farther than this from every node [m] are not on the graph."""
-
-Changed = NDArray[np.bool_] | Sequence[tuple[int, int, int, int]]
-
-
-class GraphParams(BaseModel):
-    """Settings of the graph. The defaults are the dense setting of the published scenes plus the robot's limits."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    mode: Literal["corrected", "native"] = "corrected"
-    expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
-    robot_size: float = Field(
-        default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
-    )
-    sample_num: int = Field(
-        default=32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
-    )
-    height_threshold: float = Field(
-        default=0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
-    )
-    collision_threshold: float = Field(
-        default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
-    )
-    max_step: float = Field(
-        default=0.10, gt=0.0, description="corrected: highest vertical face driven over [m]"
-    )
-    max_slope: float = Field(
-        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
-    )
-    max_gap: float = Field(
-        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
-    )
-    min_coverage: float = Field(
-        default=0.70,
-        ge=0.0,
-        le=1.0,
-        description="corrected: least seen share of every cross-section of an edge's corridor",
-    )
-    blind_radius: float = Field(
-        default=2.0,
-        ge=0.0,
-        description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
-    )
-    length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
-    width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
 
 
 class TraversalGraph:
@@ -106,7 +64,7 @@ class TraversalGraph:
         self.seed = int(seed)
         self.start_xy = start_xy
         self.version = 0
-        self._state: Any = None
+        self._lattice: Lattice | None = None
         self._next_id = 0
 
     # -- making one ---------------------------------------------------------------------------------------------
@@ -126,10 +84,14 @@ class TraversalGraph:
             PlanningError: an argument has the wrong type or is not finite.
         """
         params = params or GraphParams()
-        start = _checked_start(grid, start_xy)
+        start = checked_start(grid, start_xy)
         graph = cls(params, seed, start)
         if params.mode == "native":
             graph._build_native(grid)
+        elif not graph._refresh(grid, ()):
+            raise NoRoute(
+                NoRouteReason.START_NOT_ON_GRAPH, f"no drivable ground within {SNAP_DISTANCE} m of {start}"
+            )
         return graph
 
     @classmethod
@@ -177,6 +139,18 @@ class TraversalGraph:
         self._publish(
             nodes, edges, risk, None, None, ids, np.full(len(nodes), version), np.full(len(edges), version)
         )
+
+    def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
+        """Recompute the lattice in `windows` and publish what is reachable; False if nothing was there to do."""
+        assert self.start_xy is not None
+        if self._lattice is None:
+            self._lattice = Lattice(self.params, self.seed, self.start_xy)
+        before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
+        if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
+            return False
+        built = self._lattice.reachable(grid, self.start_xy, SNAP_DISTANCE, before)
+        self._publish(*built)
+        return len(self.nodes) > 0
 
     def _publish(
         self,
@@ -243,7 +217,19 @@ class TraversalGraph:
         exclusive. Cells that the previous grid did not have count as changed by themselves. `start_xy` is where the
         robot is now [m]: the graph holds what is reachable from there (None: from where it was).
         """
-        raise NotImplementedError
+        if self.start_xy is None:
+            raise PlanningError("a graph made from edges has no map to update it from")
+        start = checked_start(grid, self.start_xy if start_xy is None else start_xy)
+        windows = changed_windows(grid, changed)
+        before = (self.node_ids, self.indices)
+        moved = start != self.start_xy
+        self.start_xy = start
+        if self.params.mode == "native":
+            if windows or moved:
+                self._build_native(grid)
+        elif not self._refresh(grid, windows) and moved and self.nearest_node(start) is None:
+            self._refresh(grid, (), force=True)
+        return not (np.array_equal(before[0], self.node_ids) and np.array_equal(before[1], self.indices))
 
     # -- files --------------------------------------------------------------------------------------------------
 
@@ -287,21 +273,3 @@ class TraversalGraph:
 _ARRAYS = (
     "nodes", "indptr", "indices", "risk", "frontier", "clearance", "node_ids", "node_revision", "edge_revision",
 )  # fmt: skip
-
-
-def _checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:
-    """The start as two floats, once grid and start make sense."""
-    if not isinstance(grid, ElevationGrid):
-        raise PlanningError(f"grid must be an ElevationGrid, got {type(grid).__name__}")
-    if not grid.trusted.any():
-        raise NoRoute(NoRouteReason.NO_TERRAIN, "the map holds no trusted cell: wait for the first scans")
-    start = np.asarray(start_xy, dtype=np.float64)
-    if start.shape != (2,) or not np.isfinite(start).all():
-        raise NoRoute(NoRouteReason.BAD_INPUT, f"the start must be two finite metres x, y, got {start_xy}")
-    x0, y0, x1, y1 = grid.extent
-    half = 0.5 * grid.resolution
-    if not (x0 - half <= start[0] <= x1 + half and y0 - half <= start[1] <= y1 + half):
-        raise NoRoute(
-            NoRouteReason.OUTSIDE_MAP, f"the start {start_xy} is outside the map ({x0}, {y0})..({x1}, {y1})"
-        )
-    return float(start[0]), float(start[1])

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.graph_risk import F32, disc_blocked, edge_risk, window_minmax
+from planning.graph_risk import F32, disc_blocked, edge_risk, height_near, window_minmax
 
 MAX_BLOCKED_DRAWS = 1000
 MAX_ROOT_TRIES = 101
@@ -38,30 +38,6 @@ def _draw(key, pos):
     y ^= (y << np.uint32(15)) & np.uint32(0xEFC60000)
     y ^= y >> np.uint32(18)
     return F32(F32(y) / F32(4294967296.0))
-
-
-@njit(cache=True)
-def _nearest_height(height, x0, y0, res, x, y):
-    """Height of the map point nearest to x, y; searched ring by ring, so gaps in the map do not matter."""
-    rows, cols = height.shape
-    r0 = min(max(math.floor((y - y0) / res + 0.5), 0), rows - 1)
-    c0 = min(max(math.floor((x - x0) / res + 0.5), 0), cols - 1)
-    z = height[r0, c0]
-    if z == z:
-        return z
-    best = np.inf
-    for ring in range(1, max(rows, cols)):
-        if best < ring * ring * res * res * 0.5:
-            break
-        for r in range(max(0, r0 - ring), min(rows, r0 + ring + 1)):
-            step = 1 if abs(r - r0) == ring else 2 * ring
-            for c in range(c0 - ring, c0 + ring + 1, step):
-                if 0 <= c < cols and height[r, c] == height[r, c]:
-                    d = (x0 + c * res - x) ** 2 + (y0 + r * res - y) ** 2
-                    if d < best:
-                        best = d
-                        z = height[r, c]
-    return z
 
 
 @njit(cache=True)
@@ -128,7 +104,7 @@ def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, l
 
     nodes[0, 0] = px
     nodes[0, 1] = py
-    nodes[0, 2] = _nearest_height(height, x0, y0, res, px, py)
+    nodes[0, 2] = height_near(height, x0, y0, res, px, py)
     i, j = _bucket(px, py, bx, by, size, nbx, nby)
     link[0] = -1
     head[j, i] = 0
@@ -195,7 +171,7 @@ def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, l
                 created = n
                 nodes[n, 0] = sx
                 nodes[n, 1] = sy
-                nodes[n, 2] = _nearest_height(height, x0, y0, res, sx, sy)
+                nodes[n, 2] = height_near(height, x0, y0, res, sx, sy)
                 link[n] = head[sj, si]
                 head[sj, si] = n
                 n += 1

@@ -249,3 +249,34 @@ def edge_risk(height, xs, ys, x0, y0, res, xa, ya, xb, yb, radius, native):
     if native:
         risk /= math.sqrt(3.0)
     return F32(0.0) if risk < 0.1 else F32(risk)
+
+
+@njit(cache=True)
+def height_near(height, x0, y0, res, x, y):
+    """Height of the map point nearest to x, y; searched ring by ring, so gaps in the map do not matter."""
+    rows, cols = height.shape
+    r0 = min(max(math.floor((y - y0) / res + 0.5), 0), rows - 1)
+    c0 = min(max(math.floor((x - x0) / res + 0.5), 0), cols - 1)
+    z = height[r0, c0]
+    if z == z:
+        return z
+    best = np.inf
+    for ring in range(1, max(rows, cols)):
+        if best < ring * ring * res * res * 0.5:
+            break
+        for r in range(max(0, r0 - ring), min(rows, r0 + ring + 1)):
+            step = 1 if abs(r - r0) == ring else 2 * ring
+            for c in range(c0 - ring, c0 + ring + 1, step):
+                if 0 <= c < cols and height[r, c] == height[r, c]:
+                    d = (x0 + c * res - x) ** 2 + (y0 + r * res - y) ** 2
+                    if d < best:
+                        best = d
+                        z = height[r, c]
+    return z
+
+
+@njit(cache=True)
+def nearest_height(height, x0, y0, res, nodes):
+    """Set z of `nodes` (n, 3) from their x, y."""
+    for v in range(len(nodes)):
+        nodes[v, 2] = height_near(height, x0, y0, res, nodes[v, 0], nodes[v, 1])

@@ -1,0 +1,170 @@
+"""The edge test of the corrected graph: the whole footprint, swept along the edge, must stay on drivable ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planning.graph_terrain import LETHAL, UNSEEN
+
+SECTION = 0.04
+"""Length of one cross-section of the corridor [m]."""
+SMOOTH = 0.30
+"""Ground is averaged over this length before its slope is taken [m]: one stair tread."""
+SLOPE_BASE = 0.42
+"""Slope is taken over this length, the wheelbase [m]."""
+SLOPE_TOLERANCE = 1.05
+"""Factor on the tangent of the slope limit, for map noise."""
+
+
+@njit(cache=True)
+def row_span(y, xa, ya, ux, uy, lo, hi, half):
+    """x interval of the points (x, y) with lo <= along <= hi and |across| <= half of the axis at a, heading u."""
+    low = -np.inf
+    high = np.inf
+    dy = y - ya
+    # along = (x - xa) ux + dy uy ; across = -(x - xa) uy + dy ux
+    for k in range(2):
+        slope = ux if k == 0 else -uy
+        rest = dy * uy if k == 0 else dy * ux
+        a = (lo if k == 0 else -half) - rest
+        b = (hi if k == 0 else half) - rest
+        if abs(slope) < 1e-12:
+            if a > 0.0 or b < 0.0:
+                return 1.0, 0.0
+            continue
+        p = a / slope
+        q = b / slope
+        low = max(low, min(p, q))
+        high = min(high, max(p, q))
+    return xa + low, xa + high
+
+
+@njit(cache=True)
+def corridor_free(
+    height,
+    flags,
+    x0,
+    y0,
+    res,
+    xa,
+    ya,
+    xb,
+    yb,
+    length,
+    width,
+    max_tan,
+    min_coverage,
+    start_x,
+    start_y,
+    blind,
+    sums,
+):
+    """True if the footprint (length x width) can be moved straight from a to b.
+
+    No lethal cell under it, every cross-section seen to at least `min_coverage` (unseen ground within `blind` of the
+    start counts as seen), and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground
+    outside the map is not seen. `sums` is scratch, (sections, 8) float64.
+    """
+    rows, cols = height.shape
+    dx = xb - xa
+    dy = yb - ya
+    d = math.sqrt(dx * dx + dy * dy)
+    ux = dx / d
+    uy = dy / d
+    front = 0.5 * length
+    half = 0.5 * width
+    span = d + length
+    n = math.ceil(span / SECTION)
+    sums[:n] = 0.0
+    reach_y = abs(uy) * front + abs(ux) * half
+    r_lo = math.ceil((min(ya, yb) - reach_y - y0) / res)
+    r_hi = math.floor((max(ya, yb) + reach_y - y0) / res)
+    reach_x = abs(ux) * front + abs(uy) * half
+    if (
+        r_lo < 0
+        or r_hi >= rows
+        or min(xa, xb) - reach_x < x0 - res
+        or max(xa, xb) + reach_x > x0 + cols * res
+    ):
+        return False
+    blind2 = blind * blind
+    strip = half / 3.0
+    for r in range(r_lo, r_hi + 1):
+        y = y0 + r * res
+        low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
+        c_lo = max(0, math.ceil((low - x0) / res))
+        c_hi = min(cols - 1, math.floor((high - x0) / res))
+        for c in range(c_lo, c_hi + 1):
+            flag = flags[r, c]
+            if flag & LETHAL:
+                return False
+            ex = x0 + c * res - xa
+            ey = y - ya
+            i = int((ex * ux + ey * uy + front) / SECTION)
+            i = min(max(i, 0), n - 1)
+            sums[i, 0] += 1.0
+            if flag & UNSEEN:
+                sx = ex + xa - start_x
+                sy = y - start_y
+                if sx * sx + sy * sy > blind2:
+                    sums[i, 1] += 1.0
+                continue
+            z = height[r, c]
+            if z != z:
+                continue
+            across = ey * ux - ex * uy
+            sums[i, 2] += 1.0
+            sums[i, 3] += z
+            if across > strip:
+                sums[i, 4] += z
+                sums[i, 5] += 1.0
+            elif across < -strip:
+                sums[i, 6] += z
+                sums[i, 7] += 1.0
+    for i in range(n):
+        if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
+            return False
+    return _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip)
+
+
+@njit(cache=True)
+def _not_steep(sums, n, limit, track):
+    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips."""
+    ahead = round(SLOPE_BASE / SECTION)
+    reach = round(0.5 * SMOOTH / SECTION)
+    for i in range(max(1, n - ahead)):
+        j = i + ahead
+        back = 0.0
+        back_n = 0.0
+        fore = 0.0
+        fore_n = 0.0
+        for k in range(max(0, i - reach), min(n, i + reach + 1)):
+            back += sums[k, 3]
+            back_n += sums[k, 2]
+        for k in range(max(0, j - reach), min(n, j + reach + 1)):
+            fore += sums[k, 3]
+            fore_n += sums[k, 2]
+        pitch = 0.0
+        if back_n > 0.0 and fore_n > 0.0 and j < n:
+            # where the averages are cut short at the ends, their centres are nearer than the wheelbase
+            centre_b = 0.5 * (max(0, i - reach) + min(n - 1, i + reach))
+            centre_f = 0.5 * (max(0, j - reach) + min(n - 1, j + reach))
+            pitch = (fore / fore_n - back / back_n) / ((centre_f - centre_b) * SECTION)
+        left = 0.0
+        right = 0.0
+        left_n = 0.0
+        right_n = 0.0
+        for k in range(i, min(n, j + 1)):
+            left += sums[k, 4]
+            left_n += sums[k, 5]
+            right += sums[k, 6]
+            right_n += sums[k, 7]
+        roll = 0.0
+        if left_n > 0.0 and right_n > 0.0:
+            roll = (left / left_n - right / right_n) / track
+        if pitch * pitch + roll * roll > limit * limit:
+            return False
+    return True

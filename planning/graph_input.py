@@ -1,0 +1,131 @@
+"""What comes into the graph: its settings, a start that makes sense, and the windows of the map that changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+
+Window = tuple[int, int, int, int]
+"""row0, col0, row1, col1 of a part of the grid, ends exclusive."""
+Changed = NDArray[np.bool_] | Sequence[Window]
+
+
+class GraphParams(BaseModel):
+    """Settings of the graph. The defaults are the dense setting of the published scenes plus the robot's limits."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    mode: Literal["corrected", "native"] = "corrected"
+    expand_dist: float = Field(default=0.42, gt=0.0, description="ring on which new nodes are drawn (D) [m]")
+    robot_size: float = Field(
+        default=0.30, gt=0.0, description="radius of the terrain test, least node spacing (R) [m]"
+    )
+    sample_num: int = Field(
+        default=32, ge=1, le=63, description="draws per expanded node, or candidates per lattice cell"
+    )
+    height_threshold: float = Field(
+        default=0.50, gt=0.0, description="a cell this far from the disc's median is an outlier [m]"
+    )
+    collision_threshold: float = Field(
+        default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
+    )
+    max_step: float = Field(
+        default=0.10, gt=0.0, description="corrected: highest vertical face driven over [m]"
+    )
+    max_slope: float = Field(
+        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
+    )
+    max_gap: float = Field(
+        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
+    )
+    min_coverage: float = Field(
+        default=0.70,
+        ge=0.0,
+        le=1.0,
+        description="corrected: least seen share of every cross-section of an edge's corridor",
+    )
+    blind_radius: float = Field(
+        default=2.0,
+        ge=0.0,
+        description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
+    )
+    length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
+    width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
+
+
+def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:
+    """The start as two floats, once grid and start make sense."""
+    if not isinstance(grid, ElevationGrid):
+        raise PlanningError(f"grid must be an ElevationGrid, got {type(grid).__name__}")
+    if not grid.trusted.any():
+        raise NoRoute(NoRouteReason.NO_TERRAIN, "the map holds no trusted cell: wait for the first scans")
+    start = np.asarray(start_xy, dtype=np.float64)
+    if start.shape != (2,) or not np.isfinite(start).all():
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"the start must be two finite metres x, y, got {start_xy}")
+    x0, y0, x1, y1 = grid.extent
+    half = 0.5 * grid.resolution
+    if not (x0 - half <= start[0] <= x1 + half and y0 - half <= start[1] <= y1 + half):
+        raise NoRoute(
+            NoRouteReason.OUTSIDE_MAP, f"the start {start_xy} is outside the map ({x0}, {y0})..({x1}, {y1})"
+        )
+    return float(start[0]), float(start[1])
+
+
+def changed_windows(grid: ElevationGrid, changed: Changed) -> list[Window]:
+    """`changed` as windows inside the grid."""
+    if isinstance(changed, np.ndarray) and changed.dtype == np.bool_:
+        if changed.shape != grid.shape:
+            raise PlanningError(f"the changed mask has shape {changed.shape}, the grid {grid.shape}")
+        return windows_of(changed)
+    rows, cols = grid.shape
+    out = []
+    for window in changed:
+        r0, c0, r1, c1 = (int(v) for v in window)
+        clipped = (max(0, r0), max(0, c0), min(rows, r1), min(cols, c1))
+        if clipped[0] < clipped[2] and clipped[1] < clipped[3]:
+            out.append(clipped)
+    return out
+
+
+def merge_windows(windows: Sequence[Window], pad: int) -> list[Window]:
+    """Join windows where one larger window is no more work than two, each padded by `pad` cells."""
+
+    def work(w: Window) -> int:
+        return (w[2] - w[0] + 2 * pad) * (w[3] - w[1] + 2 * pad)
+
+    out: list[Window] = []
+    for window in windows:
+        w = window
+        while True:
+            for k, o in enumerate(out):
+                both = (min(w[0], o[0]), min(w[1], o[1]), max(w[2], o[2]), max(w[3], o[3]))
+                if work(both) <= work(w) + work(o):
+                    w = both
+                    del out[k]
+                    break
+            else:
+                break
+        out.append(w)
+    return out
+
+
+def windows_of(mask: NDArray[np.bool_], tile: int = 32) -> list[Window]:
+    """Tight windows around the True cells of each tile of a (rows, cols) mask."""
+    _rows, _cols = mask.shape
+    touched = np.flatnonzero(mask.any(axis=1))
+    out: list[Window] = []
+    for r0 in np.unique(touched // tile) * tile:
+        columns = np.flatnonzero(mask[r0 : r0 + tile].any(axis=0))
+        for c0 in np.unique(columns // tile) * tile:
+            part = mask[r0 : r0 + tile, c0 : c0 + tile]
+            r = np.flatnonzero(part.any(axis=1))
+            c = np.flatnonzero(part.any(axis=0))
+            out.append((int(r0 + r[0]), int(c0 + c[0]), int(r0 + r[-1] + 1), int(c0 + c[-1] + 1)))
+    return out

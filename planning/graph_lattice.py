@@ -1,0 +1,298 @@
+"""The corrected graph as a function of the map: lattice nodes, corridor edges, and their local recomputation.
+
+Everything here is kept per lattice cell, so that the work and the memory of an update depend on what changed and on
+the size of the map, never on how many updates came before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.errors import PlanningError
+from planning.graph_corridor import SECTION, corridor_free
+from planning.graph_input import GraphParams, Window, merge_windows
+from planning.graph_place import CLEAR, UNKNOWN_RUN, line_of_sight, open_frontier, place_nodes
+from planning.graph_risk import F32, edge_risk, nearest_height, window_minmax
+from planning.graph_terrain import halo, update_flags
+
+OFFSETS = np.array([(0, 1), (0, 2)] + [(j, i) for j in (1, 2) for i in range(-2, 3)], dtype=np.int64)
+"""(12, 2) row and column steps to the lattice neighbours an edge may lead to, each pair once."""
+REACH = 1.75
+"""Longest edge, in lattice cells: every pair of neighbouring nodes is tried, and most diagonal ones."""
+
+
+class Built(NamedTuple):
+    """What the lattice publishes: the part of the graph that the robot can reach."""
+
+    nodes: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    risk: NDArray[np.float32]
+    frontier: NDArray[np.bool_]
+    clearance: NDArray[np.float32]
+    ids: NDArray[np.int64]
+    node_revision: NDArray[np.int64]
+    edge_revision: NDArray[np.int64]
+
+
+@njit(cache=True)
+def connect(
+    height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
+    length, width, max_tan, min_coverage, start_x, start_y, blind, radius, risk, revision, version,
+):  # fmt: skip
+    """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
+    ny, nx = chosen.shape
+    sums = np.empty((rank, 8))
+    for j in range(ny):
+        for i in range(nx):
+            for o in range(len(offsets)):
+                jj = j + offsets[o, 0]
+                ii = i + offsets[o, 1]
+                if jj >= ny or ii < 0 or ii >= nx:
+                    continue
+                if chosen[j, i] < 0 or chosen[jj, ii] < 0:
+                    risk[j, i, o] = -1.0
+                    continue
+                xa = where[j, i, 0]
+                ya = where[j, i, 1]
+                xb = where[jj, ii, 0]
+                yb = where[jj, ii, 1]
+                again = moved[j, i] or moved[jj, ii]
+                if not again:
+                    lo_x = min(xa, xb) - margin
+                    hi_x = max(xa, xb) + margin
+                    lo_y = min(ya, yb) - margin
+                    hi_y = max(ya, yb) + margin
+                    for k in range(len(boxes)):
+                        if (
+                            lo_x < boxes[k, 2]
+                            and hi_x > boxes[k, 0]
+                            and lo_y < boxes[k, 3]
+                            and hi_y > boxes[k, 1]
+                        ):
+                            again = True
+                            break
+                if not again:
+                    continue
+                risk[j, i, o] = -1.0
+                revision[j, i, o] = version
+                if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
+                    continue
+                if corridor_free(
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage,
+                    start_x, start_y, blind, sums,
+                ):  # fmt: skip
+                    risk[j, i, o] = edge_risk(
+                        height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
+                    )
+
+
+@njit(cache=True)
+def mark_frontiers(flags, x0, y0, res, chosen, where, todo, ring, start_x, start_y, blind, frontier):
+    """Set `frontier` (ny, nx) of the lattice cells in `todo` that have a node."""
+    for j in range(todo.shape[0]):
+        for i in range(todo.shape[1]):
+            if todo[j, i]:
+                frontier[j, i] = chosen[j, i] >= 0 and open_frontier(
+                    flags, x0, y0, res, where[j, i, 0], where[j, i, 1], ring, start_x, start_y, blind
+                )
+
+
+@njit(cache=True)
+def components(n, edges):
+    """(n,) int64: the lowest node index of each node's connected component."""
+    parent = np.arange(n)
+    for e in range(len(edges)):
+        a = edges[e, 0]
+        b = edges[e, 1]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        if a < b:
+            parent[b] = a
+        else:
+            parent[a] = b
+    for v in range(n):
+        a = v
+        while parent[a] != a:
+            a = parent[a]
+        parent[v] = a
+    return parent
+
+
+class Lattice:
+    """Nodes and edges of all terrain in the map, reachable or not."""
+
+    def __init__(self, params: GraphParams, seed: int, start_xy: tuple[float, float]) -> None:
+        self.params = params
+        self.seed = seed
+        self.start = start_xy
+        self.side = 0.5 * (params.expand_dist + params.robot_size)
+        self.origin = (0.0, 0.0)
+        self.res = 0.0
+        self.shape = (0, 0)
+        self.corner = (0, 0)
+        self._allocate((0, 0), (0, 0))
+
+    def _allocate(self, shape: tuple[int, int], cells: tuple[int, int]) -> None:
+        ny, nx = cells
+        self.flags = np.zeros(shape, dtype=np.uint8)
+        self.chosen = np.full((ny, nx), -1, dtype=np.int8)
+        self.where = np.zeros((ny, nx, 2))
+        self.clearance = np.zeros((ny, nx), dtype=np.float32)
+        self.frontier = np.zeros((ny, nx), dtype=np.bool_)
+        self.node_revision = np.zeros((ny, nx), dtype=np.int32)
+        self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
+        self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
+
+    def _fit(self, grid: ElevationGrid) -> list[Window]:
+        """Take the extent of `grid`, keep what overlaps; -> windows of `grid` that were not in the map before."""
+        if grid.shape == self.shape and grid.origin == self.origin and grid.resolution == self.res:
+            return []
+        rows, cols = grid.shape
+        x0, y0, x1, y1 = grid.extent
+        corner = (math.floor(x0 / self.side), math.floor(y0 / self.side))
+        cells = (math.floor(y1 / self.side) - corner[1] + 1, math.floor(x1 / self.side) - corner[0] + 1)
+        old = self.__dict__.copy()
+        self.origin, self.res, self.shape, self.corner = grid.origin, grid.resolution, grid.shape, corner
+        self._allocate(grid.shape, cells)
+        if old["res"] == 0.0:
+            return [(0, 0, rows, cols)]
+        shift_x = (old["origin"][0] - x0) / self.res
+        shift_y = (old["origin"][1] - y0) / self.res
+        dc, dr = round(shift_x), round(shift_y)
+        if abs(old["res"] - self.res) > 1e-9 or abs(shift_x - dc) > 0.01 or abs(shift_y - dr) > 0.01:
+            raise PlanningError(
+                "the map's cells moved: an updated grid must keep the resolution and align its cells"
+            )
+        ra, ca = max(0, dr), max(0, dc)
+        rb, cb = min(rows, dr + old["shape"][0]), min(cols, dc + old["shape"][1])
+        if ra >= rb or ca >= cb:
+            return [(0, 0, rows, cols)]
+        self.flags[ra:rb, ca:cb] = old["flags"][ra - dr : rb - dr, ca - dc : cb - dc]
+        di, dj = old["corner"][0] - corner[0], old["corner"][1] - corner[1]
+        ja, ia = max(0, dj), max(0, di)
+        jb, ib = min(cells[0], dj + old["chosen"].shape[0]), min(cells[1], di + old["chosen"].shape[1])
+        for name in ("chosen", "where", "clearance", "frontier", "node_revision", "risk", "edge_revision"):
+            getattr(self, name)[ja:jb, ia:ib] = old[name][ja - dj : jb - dj, ia - di : ib - di]
+        # The map's border counts like unseen ground, so a border that moved is a change even where nothing was added.
+        new = [(0, 0, ra, cols), (rb, 0, rows, cols), (ra, 0, rb, ca), (ra, cb, rb, cols)]
+        lost = [(0, 0, 1, cols)] * (dr < 0) + [(rows - 1, 0, rows, cols)] * (dr + old["shape"][0] > rows)
+        lost += [(0, 0, rows, 1)] * (dc < 0) + [(0, cols - 1, rows, cols)] * (dc + old["shape"][1] > cols)
+        return [w for w in new if w[0] < w[2] and w[1] < w[3]] + lost
+
+    def refresh(self, grid: ElevationGrid, changed: Sequence[Window], version: int) -> bool:
+        """Recompute what depends on the changed windows or on new extent; False if there was nothing to do."""
+        p = self.params
+        windows = merge_windows([*self._fit(grid), *changed], halo(grid.resolution, p.max_gap) + 8)
+        if not windows:
+            return False
+        res, (x0, y0) = self.res, self.origin
+        rows, cols = self.shape
+        pad = halo(res, p.max_gap)
+        xs = (x0 + np.arange(cols) * res).astype(np.float32)
+        ys = (y0 + np.arange(rows) * res).astype(np.float32)
+        k = math.floor(p.robot_size / res + 0.5) + 1
+        boxes = np.empty((len(windows), 4))
+        for n, (r0, c0, r1, c1) in enumerate(windows):
+            grown = (max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad))
+            update_flags(
+                self.flags, grid.height, grid.trusted, res, grown, p.max_step, p.max_slope, p.max_gap
+            )
+            boxes[n] = (x0 + grown[1] * res, y0 + grown[0] * res, x0 + grown[3] * res, y0 + grown[2] * res)
+        before = (self.chosen.copy(), self.where.copy())
+        todo = np.zeros(self.chosen.shape, dtype=np.bool_)
+        for box in boxes:
+            j0, i0, j1, i1 = self._cells(box, max(CLEAR, p.robot_size) + 2.0 * res)
+            todo[:] = False
+            todo[j0:j1, i0:i1] = True
+            ra = max(0, math.floor(((self.corner[1] + j0) * self.side - y0) / res) - 2 * k)
+            rb = min(rows, math.ceil(((self.corner[1] + j1) * self.side - y0) / res) + 2 * k)
+            ca = max(0, math.floor(((self.corner[0] + i0) * self.side - x0) / res) - 2 * k)
+            cb = min(cols, math.ceil(((self.corner[0] + i1) * self.side - x0) / res) + 2 * k)
+            low, high = window_minmax(grid.height[ra:rb, ca:cb], k)
+            place_nodes(
+                grid.height, self.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
+                *self.corner, self.side, self.seed, p.sample_num, todo, F32(p.robot_size), F32(p.height_threshold),
+                F32(p.collision_threshold), 0.5 * p.width, p.min_coverage, *self.start, p.blind_radius,
+                self.chosen, self.where, self.clearance,
+            )  # fmt: skip
+            self.clearance[self.chosen < 0] = 0.0
+        moved = (before[0] != self.chosen) | (before[1] != self.where).any(axis=2)
+        around = max(0.5 * math.hypot(p.length, p.width), p.robot_size) + res
+        rank = math.ceil((REACH * self.side + p.length) / SECTION) + 2
+        connect(
+            grid.height, self.flags, xs, ys, x0, y0, res, self.chosen, self.where, OFFSETS, REACH * self.side, moved,
+            boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.min_coverage, *self.start, p.blind_radius,
+            F32(p.robot_size), self.risk, self.edge_revision, version,
+        )  # fmt: skip
+        todo[:] = moved
+        for box in boxes:
+            j0, i0, j1, i1 = self._cells(box, p.expand_dist + UNKNOWN_RUN + 2.0 * res)
+            todo[j0:j1, i0:i1] = True
+            j0, i0, j1, i1 = self._cells(box, around)
+            self.node_revision[j0:j1, i0:i1] = version
+        self.node_revision[moved] = version
+        mark_frontiers(
+            self.flags, x0, y0, res, self.chosen, self.where, todo, p.expand_dist, *self.start, p.blind_radius,
+            self.frontier,
+        )  # fmt: skip
+        return True
+
+    def _cells(self, box: NDArray[np.float64], margin: float) -> Window:
+        """Lattice rows and columns that a box in metres touches when grown by `margin`."""
+        ny, nx = self.chosen.shape
+        i0 = math.floor((box[0] - margin) / self.side) - self.corner[0]
+        j0 = math.floor((box[1] - margin) / self.side) - self.corner[1]
+        i1 = math.floor((box[2] + margin) / self.side) - self.corner[0] + 1
+        j1 = math.floor((box[3] + margin) / self.side) - self.corner[1] + 1
+        return max(0, j0), max(0, i0), min(ny, max(j1, 0)), min(nx, max(i1, 0))
+
+    def reachable(
+        self, grid: ElevationGrid, start: tuple[float, float], snap: float, before: NDArray[np.int64]
+    ) -> Built:
+        """The component at `start`, or, where no node is in reach of it, the one with most of the ids in `before`."""
+        j, i = np.nonzero(self.chosen >= 0)
+        index = np.full(self.chosen.shape, -1, dtype=np.int64)
+        index[j, i] = np.arange(len(j))
+        ej, ei, eo = np.nonzero(self.risk >= 0.0)
+        edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
+        xy = self.where[j, i]
+        ids = (
+            ((j + self.corner[1] + (1 << 23)) << 30)
+            | ((i + self.corner[0] + (1 << 23)) << 6)
+            | self.chosen[j, i]
+        )
+        label = components(len(j), edges)
+        near = np.flatnonzero(np.hypot(xy[:, 0] - start[0], xy[:, 1] - start[1]) <= snap)
+        x0, y0 = self.origin
+        near = np.array(
+            [v for v in near if line_of_sight(self.flags, x0, y0, self.res, *start, *xy[v])], dtype=np.int64
+        )
+        roots = label[near] if len(near) else label[np.isin(ids, before)]
+        size = np.bincount(label, minlength=1) if len(near) else np.bincount(roots, minlength=1)
+        keep = label == (roots[np.argmax(size[roots])] if len(roots) else -1)
+        new = np.cumsum(keep) - 1
+        kept = keep[edges[:, 0]]
+        nodes = np.empty((int(keep.sum()), 3))
+        nodes[:, :2] = xy[keep]
+        nearest_height(grid.height, x0, y0, self.res, nodes)
+        return Built(
+            nodes,
+            new[edges[kept]],
+            self.risk[ej, ei, eo][kept],
+            self.frontier[j, i][keep],
+            self.clearance[j, i][keep],
+            ids[keep],
+            self.node_revision[j, i][keep].astype(np.int64),
+            self.edge_revision[ej, ei, eo][kept].astype(np.int64),
+        )

@@ -1,0 +1,205 @@
+"""Where the corrected graph puts its nodes: one per cell of a seeded lattice that is fixed to the ground.
+
+Candidates in a lattice cell come from a hash of (seed, cell, number), so a node is a function of the map around it and
+of nothing else: rebuilding a part of the map gives exactly the nodes that a full rebuild gives, with the same ids.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planning.graph_risk import F32, disc_blocked
+from planning.graph_terrain import LETHAL, UNSEEN
+
+CLEAR = 0.60
+"""Clearance is measured up to here [m]."""
+CLEAR_LEVELS = (0.45, 0.36, 0.30, 0.25)
+"""Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
+CORE = 0.5
+"""The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
+RAYS = 16
+UNKNOWN_RUN = 0.20
+"""Unseen ground this long on a ray, after at most one ring of free ground, is a frontier [m]."""
+
+
+@njit(cache=True)
+def _hash(a):
+    """splitmix64 finaliser."""
+    a = (a ^ (a >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    a = (a ^ (a >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return a ^ (a >> np.uint64(31))
+
+
+@njit(cache=True)
+def candidate(seed, ix, iy, k, samples, side):
+    """x, y [m] of candidate k of lattice cell (ix, iy)."""
+    h = _hash(np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(ix + (1 << 30)))
+    h = _hash(h + np.uint64(iy + (1 << 30)) * np.uint64(0x9E3779B97F4A7C15))
+    h = _hash(h + np.uint64(k))
+    u = float(h >> np.uint64(32)) / 4294967296.0
+    v = float(h & np.uint64(0xFFFFFFFF)) / 4294967296.0
+    if 2 * k < samples:
+        u = 0.5 + CORE * (u - 0.5)
+        v = 0.5 + CORE * (v - 0.5)
+    return (ix + u) * side, (iy + v) * side
+
+
+@njit(cache=True)
+def lethal_distance2(flags, x0, y0, res, x, y, radius):
+    """Squared distance to the nearest lethal cell's centre [m^2], radius^2 if none is nearer."""
+    rows, cols = flags.shape
+    best = radius * radius
+    r_mid = math.floor((y - y0) / res + 0.5)
+    k = math.ceil(radius / res)
+    for j in range(2 * k + 1):
+        # rows from the middle outwards, so that the search ends early beside an obstacle
+        r = r_mid + ((j + 1) // 2 if j % 2 else -(j // 2))
+        if r < 0 or r >= rows:
+            continue
+        dy = y0 + r * res - y
+        rest = best - dy * dy
+        if rest <= 0.0:
+            continue
+        w = math.sqrt(rest)
+        for c in range(
+            max(0, math.ceil((x - w - x0) / res)), min(cols - 1, math.floor((x + w - x0) / res)) + 1
+        ):
+            if flags[r, c] & LETHAL:
+                dx = x0 + c * res - x
+                d = dx * dx + dy * dy
+                if d < best:
+                    best = d
+    return best
+
+
+@njit(cache=True)
+def _seen(flags, x0, y0, res, x, y, radius, share, start_x, start_y, blind):
+    """True if at least `share` of the disc is seen; the ground around the start counts as seen."""
+    rows, cols = flags.shape
+    k = math.ceil(radius / res)
+    r_mid = math.floor((y - y0) / res + 0.5)
+    c_mid = math.floor((x - x0) / res + 0.5)
+    total = 0
+    seen = 0
+    for r in range(r_mid - k, r_mid + k + 1):
+        py = y0 + r * res
+        for c in range(c_mid - k, c_mid + k + 1):
+            px = x0 + c * res
+            if (px - x) ** 2 + (py - y) ** 2 > radius * radius:
+                continue
+            total += 1
+            near_start = (px - start_x) ** 2 + (py - start_y) ** 2 <= blind * blind
+            if 0 <= r < rows and 0 <= c < cols and (near_start or not flags[r, c] & UNSEEN):
+                seen += 1
+    return seen >= share * total
+
+
+@njit(cache=True)
+def place_nodes(
+    height, flags, xs, ys, x0, y0, res, low, high, k_disc, low_r, low_c,
+    ix0, iy0, side, seed, samples, todo, radius, limit, share, half_width, min_coverage, start_x, start_y, blind,
+    chosen, where, clearance,
+):  # fmt: skip
+    """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y), clearance.
+
+    low, high: `window_minmax` of a piece of the map that starts at row low_r, column low_c and covers the discs.
+    """
+    ny, nx = todo.shape
+    rows, cols = height.shape
+    buffer = np.empty((2 * k_disc + 3) ** 2, np.float32)
+    sub_r, sub_c = low.shape
+    piece = height[low_r : low_r + sub_r, low_c : low_c + sub_c]
+    piece_x = xs[low_c : low_c + sub_c]
+    piece_y = ys[low_r : low_r + sub_r]
+    levels = len(CLEAR_LEVELS)
+    for j in range(ny):
+        for i in range(nx):
+            if not todo[j, i]:
+                continue
+            best_level = levels + 1
+            best = -1
+            for k in range(samples):
+                x, y = candidate(seed, ix0 + i, iy0 + j, k, samples, side)
+                if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
+                    continue
+                if lethal_distance2(flags, x0, y0, res, x, y, half_width) < half_width * half_width:
+                    continue
+                d2 = lethal_distance2(flags, x0, y0, res, x, y, CLEAR)
+                level = 0
+                while level < levels and d2 < CLEAR_LEVELS[level] ** 2:
+                    level += 1
+                if level >= best_level:
+                    continue
+                if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
+                    continue
+                if disc_blocked(
+                    piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
+                    F32(x), F32(y), radius, limit, share, buffer,
+                ):  # fmt: skip
+                    continue
+                best_level = level
+                best = k
+                clearance[j, i] = math.sqrt(d2)
+                where[j, i, 0] = x
+                where[j, i, 1] = y
+                if level == 0:
+                    break
+            chosen[j, i] = best
+
+
+@njit(cache=True)
+def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
+    """True if free ground ends in unseen ground within `ring` of x, y, in two neighbouring directions of sixteen."""
+    rows, cols = flags.shape
+    n = math.ceil((ring + UNKNOWN_RUN) / res)
+    need = math.ceil(UNKNOWN_RUN / res)
+    last = False
+    first = False
+    for a in range(RAYS + 1):
+        if a == RAYS:
+            return last and first
+        dx = math.cos(2.0 * math.pi * a / RAYS) * res
+        dy = math.sin(2.0 * math.pi * a / RAYS) * res
+        run = 0
+        for s in range(1, n + 1):
+            px = x + s * dx
+            py = y + s * dy
+            c = math.floor((px - x0) / res + 0.5)
+            r = math.floor((py - y0) / res + 0.5)
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                run = need
+                break
+            if flags[r, c] & LETHAL:
+                break
+            if flags[r, c] & UNSEEN and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
+                run += 1
+                if run >= need:
+                    break
+            else:
+                run = 0
+        is_open = run >= need
+        if is_open and last:
+            return True
+        if a == 0:
+            first = is_open
+        last = is_open
+    return False
+
+
+@njit(cache=True)
+def line_of_sight(flags, x0, y0, res, xa, ya, xb, yb):
+    """True if no lethal cell lies on the straight line, three cells wide."""
+    rows, cols = flags.shape
+    d = math.hypot(xb - xa, yb - ya)
+    n = max(1, math.ceil(2.0 * d / res))
+    for s in range(n + 1):
+        c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
+        r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
+        for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
+            for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
+                if flags[r, c] & LETHAL:
+                    return False
+    return True

@@ -1,0 +1,201 @@
+"""Per-cell terrain flags of the corrected graph: faces too high to drive over, ground that was not seen.
+
+A ramp is a slope over the length of the robot, a step is a height difference over a hand's breadth. Steps are measured
+between cells `BASE` apart, in four directions, averaged along the edge of the step (so noise averages out and a wall one
+cell thick stays), less the slope that the ground has on BOTH sides of the step (so a ramp is no step, and a ledge at the
+foot of a ramp keeps its height).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+LETHAL = 1
+"""A step above the limit runs through this cell."""
+UNSEEN = 2
+"""Part of an unseen patch wider than the gap limit; narrower slits count as seen."""
+
+BASE = 0.12
+"""Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
+LATERAL = 0.10
+"""Length along the step over which it is averaged [m]."""
+STEP_TOLERANCE = 0.015
+"""A step this much above the limit is still within it [m]: three sigma of an averaged step on a 1 cm noise map, so that a
+kerb of exactly the limit is not blocked here and there."""
+OUTLIER = 0.06
+"""One cell alone may be this far off [m] (scan returns at edges are, by 3-5 cm)."""
+UNSEEN_STEP = 0.40
+"""Steps between two cells that are both not trusted count from here [m]: filled-in heights meet in false steps."""
+BLOCK = 256
+
+
+def halo(res: float, max_gap: float) -> int:
+    """Cells around a changed cell whose flags it may change."""
+    return 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * _gap_cells(res, max_gap) + 3
+
+
+def _gap_cells(res: float, max_gap: float) -> int:
+    """Side of the square that must not fit into what is to be bridged [cells]."""
+    return math.floor(max_gap / res + 0.5) + 1
+
+
+def update_flags(
+    flags: NDArray[np.uint8],
+    height: NDArray[np.float32],
+    trusted: NDArray[np.bool_],
+    res: float,
+    window: tuple[int, int, int, int],
+    max_step: float,
+    max_slope: float,
+    max_gap: float,
+) -> None:
+    """Recompute `flags` (rows, cols) inside `window` (row0, col0, row1, col1), block by block to stay in cache."""
+    rows, cols = height.shape
+    pad = halo(res, max_gap)
+    for r0 in range(window[0], window[2], BLOCK):
+        for c0 in range(window[1], window[3], BLOCK):
+            r1, c1 = min(r0 + BLOCK, window[2]), min(c0 + BLOCK, window[3])
+            ra, ca = max(0, r0 - pad), max(0, c0 - pad)
+            rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
+            block = cell_flags(
+                height[ra:rb, ca:cb],
+                trusted[ra:rb, ca:cb],
+                res,
+                max_step,
+                math.tan(max_slope),
+                _gap_cells(res, max_gap),
+            )
+            flags[r0:r1, c0:c1] = block[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
+
+
+@njit(cache=True)
+def _running(values, m, largest, forward):
+    """Running maximum or minimum over m cells per axis, starting (forward) or ending at each cell; NaN ignored."""
+    rows, cols = values.shape
+    out = values.copy()
+    for axis in range(2):
+        src = out.copy()
+        for s in range(1, m):
+            dr = s if axis == 0 else 0
+            dc = s if axis == 1 else 0
+            if forward:
+                for r in range(rows - dr):
+                    for c in range(cols - dc):
+                        z = src[r + dr, c + dc]
+                        o = out[r, c]
+                        out[r, c] = z if (z > o if largest else z < o) else o
+            else:
+                for r in range(dr, rows):
+                    for c in range(dc, cols):
+                        z = src[r - dr, c - dc]
+                        o = out[r, c]
+                        out[r, c] = z if (z > o if largest else z < o) else o
+    return out
+
+
+@njit(cache=True)
+def _unseen(trusted, m):
+    """1 where an m x m square of untrusted cells covers the cell."""
+    rows, cols = trusted.shape
+    hole = np.zeros((rows, cols), np.uint8)
+    for r in range(rows):
+        for c in range(cols):
+            hole[r, c] = 0 if trusted[r, c] else 1
+    eroded = _running(hole, m, False, True)
+    # a square that would reach over the border is not seen as one
+    eroded[max(0, rows - m + 1) :, :] = 0
+    eroded[:, max(0, cols - m + 1) :] = 0
+    return _running(eroded, m, True, False)
+
+
+@njit(cache=True)
+def cell_flags(height, trusted, res, max_step, max_tan, gap):
+    """Flags (rows, cols) uint8 of a map or a piece of one. Cells nearer than `halo` to a cut border are not reliable."""
+    rows, cols = height.shape
+    flags = np.zeros((rows, cols), np.uint8)
+    unseen = _unseen(trusted, gap)
+    for r in range(rows):
+        for c in range(cols):
+            if unseen[r, c]:
+                flags[r, c] = UNSEEN
+    # Closing: what is narrower than the gap limit is bridged.
+    z = _running(_running(height, gap, True, True), gap, False, False)
+    limit = max_step + STEP_TOLERANCE
+    diff = np.empty((rows, cols), np.float32)
+    mean = np.empty((rows, cols), np.float32)
+    for direction in range(4):
+        dr = 0 if direction == 0 else 1
+        dc = (1, 0, 1, -1)[direction]
+        scale = res if direction < 2 else res * math.sqrt(2.0)
+        n = max(1, round(BASE / scale))
+        side = round(0.5 * LATERAL / scale) if res < 0.075 else 0
+        lr = dc
+        lc = -dr
+        slope_cap = max_tan * n * scale
+        # diff at c: from c to c + n; the largest so far decides whether there is anything to do in this direction
+        largest = 0.0
+        for r in range(rows):
+            for c in range(cols):
+                rb = r + n * dr
+                cb = c + n * dc
+                d = np.float32(0.0)
+                if rb < rows and 0 <= cb < cols:
+                    d = z[rb, cb] - z[r, c]
+                    if d != d:
+                        d = np.float32(0.0)
+                diff[r, c] = d
+                if abs(d) > largest:
+                    largest = abs(d)
+        if largest <= limit:
+            continue
+        for r in range(rows):
+            for c in range(cols):
+                if abs(diff[r, c]) <= 0.5 * limit:
+                    # averaged only where the cell itself sees a good part of the step, or the face would be misplaced
+                    mean[r, c] = diff[r, c]
+                    continue
+                total = np.float32(0.0)
+                count = 0
+                for k in range(-side, side + 1):
+                    rr = r + k * lr
+                    cc = c + k * lc
+                    if 0 <= rr < rows and 0 <= cc < cols:
+                        total += diff[rr, cc]
+                        count += 1
+                mean[r, c] = total / np.float32(count)
+        for r in range(rows - n * dr):
+            for c in range(max(0, -n * dc), min(cols, cols - n * dc)):
+                step = abs(mean[r, c])
+                own = abs(diff[r, c])
+                if step <= limit and own <= limit + OUTLIER:
+                    continue
+                # slope common to both sides
+                slope = 0.0
+                ra = r - n * dr
+                ca = c - n * dc
+                rb = r + n * dr
+                cb = c + n * dc
+                if ra >= 0 and 0 <= ca < cols:
+                    before = mean[ra, ca]
+                    after = mean[rb, cb]
+                    common = min(before, after) if mean[r, c] > 0.0 else -max(before, after)
+                    slope = min(max(common, 0.0), slope_cap)
+                if step - slope <= limit and own - slope <= limit + OUTLIER:
+                    continue
+                if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
+                    continue
+                # the face is where the height changes most on the way
+                at = 0
+                most = np.float32(-1.0)
+                for k in range(n):
+                    jump = abs(z[r + (k + 1) * dr, c + (k + 1) * dc] - z[r + k * dr, c + k * dc])
+                    if jump > most:
+                        most = jump
+                        at = k
+                flags[r + at * dr, c + at * dc] |= LETHAL
+                flags[r + (at + 1) * dr, c + (at + 1) * dc] |= LETHAL
+    return flags

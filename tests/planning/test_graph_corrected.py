@@ -1,0 +1,168 @@
+"""The corrected graph: what the robot cannot drive over, no edge crosses; what it can, the graph reaches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning import NoRoute
+from planning.graph import GraphParams, TraversalGraph
+
+RES = 0.04
+PARAMS = GraphParams(blind_radius=0.0)
+
+
+def _flat(
+    width: float = 6.0, depth: float = 4.0, res: float = RES
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x, y of the cell centres and zero heights, (rows, cols)."""
+    cols, rows = round(width / res), round(depth / res)
+    y, x = np.mgrid[0:rows, 0:cols] * res
+    return x, y, np.zeros((rows, cols), np.float32)
+
+
+def _grid(z: np.ndarray, trusted: np.ndarray | None = None, res: float = RES) -> ElevationGrid:
+    trusted = np.ones(z.shape, bool) if trusted is None else trusted
+    return ElevationGrid(z.astype(np.float32), trusted, (0.0, 0.0), res)
+
+
+def _reaches(graph: TraversalGraph, xy: tuple[float, float]) -> bool:
+    return graph.nearest_node(xy) is not None
+
+
+@pytest.mark.parametrize("res", [0.02, 0.05])
+@pytest.mark.parametrize("thick", [0.05, 0.10, 0.15])
+@pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4])
+def test_no_edge_crosses_a_thin_wall(thick: float, angle: float, res: float) -> None:
+    x, y, z = _flat(res=res)
+    across = (x - 3.0) * np.cos(angle) + (y - 2.0) * np.sin(angle)
+    z[np.abs(across) <= 0.5 * thick + 1e-6] = 1.0
+    graph = TraversalGraph.build(_grid(z, res=res), (1.0, 1.0), PARAMS, seed=2)
+    side = (graph.nodes[:, 0] - 3.0) * np.cos(angle) + (graph.nodes[:, 1] - 2.0) * np.sin(angle)
+    assert len(side) > 20
+    assert side.max() < -0.2, "the far side and the wall itself are out of reach"
+
+
+@pytest.mark.parametrize("res", [0.02, 0.05])
+@pytest.mark.parametrize(
+    ("height", "crossed"), [(0.05, True), (0.10, True), (0.13, False), (0.40, False), (-0.13, False)]
+)
+def test_a_ledge_is_crossed_up_to_the_step_limit(height: float, crossed: bool, res: float) -> None:
+    x, _y, z = _flat(res=res)
+    z[x > 3.0] = height
+    z += 0.005 * np.random.default_rng(0).standard_normal(z.shape)
+    graph = TraversalGraph.build(_grid(z, res=res), (1.0, 2.0), PARAMS)
+    assert _reaches(graph, (5.0, 2.0)) == crossed
+
+
+@pytest.mark.parametrize(("degrees", "climbed"), [(15.0, True), (24.0, True), (30.0, False)])
+def test_a_ramp_is_climbed_up_to_the_slope_limit(degrees: float, climbed: bool) -> None:
+    x, _, z = _flat(8.0)
+    z += np.clip(x - 2.0, 0.0, 3.0) * np.tan(np.radians(degrees))
+    z += 0.01 * np.random.default_rng(0).standard_normal(z.shape)
+    graph = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS)
+    assert _reaches(graph, (7.0, 2.0)) == climbed
+
+
+@pytest.mark.parametrize(("rise", "climbed"), [(0.10, True), (0.17, False)])
+def test_stairs_are_climbed_up_to_the_step_limit(rise: float, climbed: bool) -> None:
+    x, _, z = _flat(6.0, res=0.02)
+    z += rise * np.clip(np.floor((x - 2.0) / 0.3) + 1, 0, 5)
+    graph = TraversalGraph.build(_grid(z, res=0.02), (1.0, 2.0), PARAMS)
+    assert _reaches(graph, (5.0, 2.0)) == climbed
+
+
+@pytest.mark.parametrize(("gap", "crossed"), [(0.08, True), (0.25, False)])
+def test_a_trench_is_crossed_up_to_the_gap_limit(gap: float, crossed: bool) -> None:
+    x, _, z = _flat()
+    z[np.abs(x - 3.0) <= 0.5 * gap] = -0.6
+    graph = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS)
+    assert _reaches(graph, (5.0, 2.0)) == crossed
+
+
+@pytest.mark.parametrize(("gap", "crossed"), [(0.08, True), (0.30, False)])
+def test_an_unseen_slit_is_crossed_up_to_the_gap_limit(gap: float, crossed: bool) -> None:
+    x, _, z = _flat()
+    graph = TraversalGraph.build(_grid(z, np.abs(x - 3.0) > 0.5 * gap), (1.0, 2.0), PARAMS)
+    assert _reaches(graph, (5.0, 2.0)) == crossed
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("angle", [0.0, 0.3, np.pi / 4])
+def test_a_doorway_of_090_is_passed(seed: int, angle: float) -> None:
+    x, y, z = _flat()
+    rng = np.random.default_rng(seed)
+    shift = rng.uniform(-0.4, 0.4, 2)
+    u = (x - 3.0 - shift[0]) * np.cos(angle) + (y - 2.0 - shift[1]) * np.sin(angle)
+    v = -(x - 3.0 - shift[0]) * np.sin(angle) + (y - 2.0 - shift[1]) * np.cos(angle)
+    z[(np.abs(u) < 0.08) & (np.abs(v) > 0.45)] = 1.0
+    z += 0.01 * rng.standard_normal(z.shape)
+    graph = TraversalGraph.build(_grid(z), (1.0, 1.5), PARAMS, seed=seed)
+    assert _reaches(graph, (5.0, 2.0))
+
+
+def test_noise_and_single_outliers_do_not_block() -> None:
+    rng = np.random.default_rng(1)
+    _, _, z = _flat(res=0.02)
+    z += 0.015 * rng.standard_normal(z.shape)
+    bad = rng.random(z.shape) < 0.01
+    z[bad] += rng.choice([-0.05, 0.05], bad.sum())
+    graph = TraversalGraph.build(_grid(z, res=0.02), (1.0, 2.0), PARAMS)
+    clean = TraversalGraph.build(_grid(np.zeros_like(z), res=0.02), (1.0, 2.0), PARAMS)
+    assert graph.node_ids.tolist() == clean.node_ids.tolist()
+    assert np.array_equal(graph.edges, clean.edges)
+
+
+def test_the_blind_ring_at_the_start_is_bridged_but_not_more() -> None:
+    x, y, z = _flat(8.0, 8.0)
+    d = np.hypot(x - 4.0, y - 4.0)
+    seen = (d < 0.4) | (d > 1.7)
+    graph = TraversalGraph.build(_grid(z, seen), (4.0, 4.0), GraphParams())
+    assert _reaches(graph, (1.0, 4.0))
+    assert _reaches(graph, (4.0, 7.0))
+    assert not graph.frontier[graph.nearest_node((4.0, 4.0))]
+    with pytest.raises(NoRoute) as caught:
+        TraversalGraph.build(_grid(z, (d > 1.7)), (4.0, 4.0), PARAMS)
+    assert caught.value.reason == "start_not_on_graph"
+
+
+def test_frontiers_are_where_the_unseen_begins() -> None:
+    x, _, z = _flat()
+    z[:4] = z[-4:] = 1.0
+    z[:, :4] = 1.0
+    trusted = x < 4.0
+    graph = TraversalGraph.build(_grid(z, trusted), (1.0, 2.0), PARAMS)
+    assert graph.frontier.any()
+    assert graph.nodes[graph.frontier, 0].min() > 3.0
+    assert graph.frontier[graph.nodes[:, 0] > 3.7].all()
+
+
+def test_the_graph_is_deterministic_and_seeded() -> None:
+    _, _, z = _flat()
+    z[40:50, 60:70] = 0.5
+    a = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=5)
+    b = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=5)
+    c = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=6)
+    for name in ("nodes", "indices", "risk", "node_ids", "clearance"):
+        assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
+    assert a.nodes.tobytes() != c.nodes.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("start", "reason"),
+    [((np.nan, 1.0), "bad_input"), ((50.0, 1.0), "outside_map"), ((3.0, 2.0), "start_not_on_graph")],
+)
+def test_a_bad_start_is_a_typed_error(start: tuple[float, float], reason: str) -> None:
+    x, y, z = _flat()
+    z[np.hypot(x - 3.0, y - 2.0) < 0.9] = 1.0
+    with pytest.raises(NoRoute) as caught:
+        TraversalGraph.build(_grid(z, np.hypot(x - 3.0, y - 2.0) > 0.8), start, PARAMS)
+    assert caught.value.reason == reason
+
+
+def test_a_map_without_trusted_cells_is_a_typed_error() -> None:
+    _, _, z = _flat()
+    with pytest.raises(NoRoute) as caught:
+        TraversalGraph.build(_grid(z, np.zeros(z.shape, bool)), (1.0, 1.0))
+    assert caught.value.reason == "no_terrain"

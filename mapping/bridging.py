@@ -79,16 +79,42 @@ def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  #
 
 
 @njit(cache=True)
-def bridge(height, source, trusted, upper, rule):  # pragma: no cover
-    """Heights of bridged cells.
+def trust(height, variance, count, source, v_max, settled, agree):  # pragma: no cover
+    """Which cells to believe (rows, cols) bool: wheel cells, and LiDAR cells certain enough (`v_max` [m^2]).
 
-    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
-    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (all metres).
-    Returns out (rows, cols) f32, NaN where nothing was bridged. Of several bridges the shortest wins.
+    A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
+    once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`.
     """
     rows, cols = height.shape
-    out = np.full((rows, cols), np.nan, dtype=np.float32)
-    gap = np.full((rows, cols), np.inf, dtype=np.float32)
+    out = np.zeros((rows, cols), dtype=np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            if source[r, c] == 1:
+                out[r, c] = True
+            elif source[r, c] == 2:
+                n = 2
+                if count[r, c] < settled:
+                    n = 0
+                    for a in range(max(r - 1, 0), min(r + 2, rows)):
+                        for b in range(max(c - 1, 0), min(c + 2, cols)):
+                            if count[a, b] >= settled and abs(height[a, b] - height[r, c]) <= agree:
+                                n += 1
+                if n < 2:
+                    source[r, c] = 3
+                else:
+                    out[r, c] = variance[r, c] < v_max
+    for r in range(rows):
+        for c in range(cols):
+            if source[r, c] == 3:
+                source[r, c] = 0
+                height[r, c] = np.nan
+                variance[r, c] = np.nan
+    return out
+
+
+@njit(cache=True)
+def _all_lines(height, source, trusted, upper, rule, out, gap):  # pragma: no cover
+    rows, cols = height.shape
     pos = np.empty(rows + cols, dtype=np.int64)
     for r in range(rows):
         _line(height, source, trusted, upper, r, 0, 0, 1, rule, pos, out, gap)
@@ -100,7 +126,43 @@ def bridge(height, source, trusted, upper, rule):  # pragma: no cover
             _line(height, source, trusted, upper, 0, c, 1, 1, rule, pos, out, gap)
         if c < cols - 1:
             _line(height, source, trusted, upper, 0, c, 1, -1, rule, pos, out, gap)
-    return out
+
+
+@njit(cache=True)
+def bridge(height, source, trusted, upper, rule):  # pragma: no cover
+    """Heights of bridged cells.
+
+    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
+    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (all metres).
+    Returns out (rows, cols) f32, NaN where nothing was bridged. Of several bridges over a cell the shortest wins; a
+    bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged
+    cells closes what the eight directions left open.
+    """
+    rows, cols = height.shape
+    result = np.full((rows, cols), np.nan, dtype=np.float32)
+    h, s, t = height.copy(), source.copy(), trusted.copy()
+    for _ in range(2):
+        out = np.full((rows, cols), np.nan, dtype=np.float32)
+        gap = np.full((rows, cols), np.inf, dtype=np.float32)
+        _all_lines(h, s, t, upper, rule, out, gap)
+        for r in range(rows):
+            for c in range(cols):
+                if gap[r, c] == np.inf:
+                    continue
+                n = 0
+                for a in range(max(r - 1, 0), min(r + 2, rows)):
+                    for b in range(max(c - 1, 0), min(c + 2, cols)):
+                        n += s[a, b] != 0 or gap[a, b] < np.inf
+                if n >= 6:  # itself included
+                    result[r, c] = out[r, c]
+        for r in range(rows):
+            for c in range(cols):
+                if s[r, c] == 0 and result[r, c] == result[r, c]:
+                    h[r, c] = result[r, c]
+                    t[r, c] = True
+                    # beside the wheels no ray comes low: keep the looser rule there
+                    s[r, c] = 1 if upper[r, c] > h[r, c] + rule[4] else 2
+    return result
 
 
 def bridge_rule(

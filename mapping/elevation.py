@@ -65,13 +65,20 @@ class ElevationMap:
         self._buffers(1024)
         self._limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope])
         self._body = np.array(p.body_box)
+        self._fuse_rule = np.array(
+            [
+                p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
+                p.drift_sigma**2 / 1000.0, p.trust_sigma**2, p.trust_count, 1000.0 * p.conflict_memory,
+            ]
+        )  # fmt: skip
         self._reader = MapReader(self.store, p)
 
     def _buffers(self, n: int) -> None:
         self._i, self._j = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-        self._xyz, self._var, self._ends = np.empty((n, 3)), np.empty((n, 2)), np.empty((n, 3))
-        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 5))
-        self._top, self._bottom = np.empty(n), np.empty(n)
+        self._z, self._var = np.empty(n, dtype=np.float32), np.empty((n, 2), dtype=np.float32)
+        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 4), dtype=np.float32)
+        self._top, self._bottom = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+        self._ends = np.empty((n, 3))
 
     def warm_up(self) -> None:
         """Compile (or load) every kernel on a throw-away map."""
@@ -132,25 +139,26 @@ class ElevationMap:
         drops = np.zeros(5, dtype=np.int64)
         m, rays = kernels.project(
             points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
-            self._i, self._j, self._xyz, self._var, self._ends, drops,
+            self._i, self._j, self._z, self._var, self._ends, drops,
         )  # fmt: skip
-        cell = self.store.locate(self._i[:m], self._j[:m])
         s = self.store
+        cell = s.locate(self._i[:m], self._j[:m])
         k, overhangs = kernels.reduce_cells(
-            cell, self._xyz[:, 2], self._var, m, s["mark"], p.surface_band, p.clearance,
+            cell, self._z, self._var, m, s.mark, p.surface_band, p.clearance,
             self._which, self._top, self._bottom, self._sums,
         )  # fmt: skip
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
         kernels.fuse(
-            self._which, self._top, self._bottom, self._sums, k, s["height"], s["variance"], s["count"], s["seen"],
-            s["source"], s["alt"], s["streak"], s["below"], s["upper"], s["passes"], now, p.gate, p.gate_min, p.face,
-            p.clearance, p.up_after, p.down_after, p.min_sigma**2, p.drift_sigma**2 / 1000.0, p.trust_sigma**2,
-            out, residuals,
+            self._which, self._top, self._bottom, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
+            s.touched, 2 * s.shift,
         )  # fmt: skip
-        s.touched[np.unique(self._which[:k] >> (2 * s.shift))] = 1
         if residuals[1] >= p.drift_min_cells:
-            self.z_correction -= p.drift_gain * float(np.clip(residuals[0] / residuals[1], -0.05, 0.05))
+            # a dead band, or the estimate would walk: the map follows the corrected scans
+            mean = residuals[0] / residuals[1]
+            self.z_correction -= p.drift_gain * float(
+                np.clip(mean, -0.05, 0.05) - np.clip(mean, -p.drift_free, p.drift_free)
+            )
         self._rays, self._sensor = rays, place + rotation @ origin
         self._angle = float(np.hypot(noise[1], noise[2]))
         self.scans += 1
@@ -200,10 +208,11 @@ class ElevationMap:
         self._fresh = False
         s = self.store
         cell = s.locate(patch.i, patch.j)
-        source, variance = s["source"], s["variance"]
-        take = (source[cell] == UNKNOWN) | ((source[cell] == CONTACT) & (patch.variance <= variance[cell]))
-        cell = cell[take]
-        s["height"][cell], variance[cell], source[cell] = patch.height[take], patch.variance[take], CONTACT
+        old = s.cells[cell]
+        take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
+        cell, new = cell[take], old[take]
+        new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
+        s.cells[cell] = new
         s.touched[np.unique(cell >> (2 * s.shift))] = 1
         return int(cell.size)
 
@@ -213,19 +222,15 @@ class ElevationMap:
         if self._rays == 0:
             return 0
         hit = np.empty(200_000, dtype=np.int64)
-        stride = 2 if self._rays > 4000 else 1
+        # neighbouring rays of a dense scan cross the same cells: alternate halves do
+        stride = 2 if self._rays > 8000 else 1
         n = trace(
             self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
-            p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, s["height"], s["variance"],
-            s["source"], s["upper"], s["mark"], hit,
+            p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
+            s.cells, s.touched, s.mark, hit,
         )  # fmt: skip
-        now = self._clock(self.stamp)
-        removed = judge(
-            hit, n, p.clean_passes, int(1000 * p.clean_unseen), now, s["height"], s["variance"], s["count"], s["seen"],
-            s["source"], s["alt"], s["streak"], s["below"], s["upper"], s["passes"],
-        )  # fmt: skip
-        s.touched[np.unique(hit[:n] >> (2 * s.shift))] = 1
-        return int(removed)
+        unseen, now = int(1000 * p.clean_unseen), self._clock(self.stamp)
+        return int(judge(hit, n, p.clean_passes, unseen, p.trust_count, now, s.cells, s.touched, 2 * s.shift))
 
     def _clock(self, stamp: int) -> int:
         """Milliseconds since the first stamp; never runs backwards."""

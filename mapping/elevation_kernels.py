@@ -16,7 +16,7 @@ CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 
 @njit(cache=True)
 def project(
-    points, rotation, position, origin, limits, body, noise, resolution, i, j, xyz, var, rays, counts
+    points, rotation, position, origin, limits, body, noise, resolution, i, j, z, var, rays, counts
 ):  # pragma: no cover
     """Points of one scan to world cells.
 
@@ -24,44 +24,52 @@ def project(
     limits: min range, max range, ceiling above base at the robot, ceiling growth per metre.
     body (6,): x0, x1, y0, y1, z0, z1 of the self-filter box, base_link.
     noise: range sigma, beam angle sigma, attitude sigma, height sigma.
-    Out, compacted: i, j (n,) cells; xyz (n,3) world; var (n,2): per-point variance of z, and the part all points of a
-    place share (attitude, pose), which does not average out; rays (q,3): world ends of all rays, dropped for their
-    distance or height included: they still tell what is empty. Returns n and q.
+    Out, compacted: i, j (n,) cells; z (n,) f32 world height; var (n,2) f32: per-point variance of z, and the part all
+    points of a place share (attitude, pose), which does not average out; rays (q,3): world ends of all rays, dropped
+    for their distance or height included: they still tell what is empty. Returns n and q.
     """
     m = 0
     q = 0
+    inv = 1.0 / resolution
+    near, far = limits[0] * limits[0], limits[1] * limits[1]
+    along, across = noise[0] * noise[0], noise[1] * noise[1]
+    tilt, lift = noise[2] * noise[2], noise[3] * noise[3]
+    r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
+    r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
+    r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
     for k in range(points.shape[0]):
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
-        if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz)):
-            counts[DROP_NAN] += 1
-            continue
         dx, dy, dz = px - origin[0], py - origin[1], pz - origin[2]
         rr = dx * dx + dy * dy + dz * dz
-        if rr < limits[0] * limits[0]:
+        if not np.isfinite(rr):
+            counts[DROP_NAN] += 1
+            continue
+        if rr < near:
             counts[DROP_RANGE] += 1
             continue
         if body[0] < px < body[1] and body[2] < py < body[3] and body[4] < pz < body[5]:
             counts[DROP_BODY] += 1
             continue
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz
-        rays[q, 0], rays[q, 1], rays[q, 2] = x + position[0], y + position[1], z + position[2]
+        x = r00 * px + r01 * py + r02 * pz
+        y = r10 * px + r11 * py + r12 * pz
+        h = r20 * px + r21 * py + r22 * pz
+        wx, wy, wz = x + position[0], y + position[1], h + position[2]
+        rays[q, 0], rays[q, 1], rays[q, 2] = wx, wy, wz
         q += 1
-        if rr > limits[1] * limits[1]:
+        if rr > far:
             counts[DROP_RANGE] += 1
             continue
         dd = x * x + y * y
-        if z > limits[2] + limits[3] * np.sqrt(dd):
+        if h > limits[2] and h > limits[2] + limits[3] * np.sqrt(dd):
             counts[DROP_CEILING] += 1
             continue
-        uz = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
-        uz2 = uz * uz / rr
-        var[m, 0] = noise[0] * noise[0] * uz2 + noise[1] * noise[1] * rr * (1.0 - uz2)
-        var[m, 1] = noise[2] * noise[2] * dd + noise[3] * noise[3]
-        xyz[m] = rays[q - 1]
-        i[m] = np.int64(np.floor(xyz[m, 1] / resolution + 0.5))
-        j[m] = np.int64(np.floor(xyz[m, 0] / resolution + 0.5))
+        uz = r20 * dx + r21 * dy + r22 * dz
+        uz2 = uz * uz
+        var[m, 0] = along * uz2 / rr + across * (rr - uz2)
+        var[m, 1] = tilt * dd + lift
+        z[m] = wz
+        i[m] = np.int64(np.floor(wy * inv + 0.5))
+        j[m] = np.int64(np.floor(wx * inv + 0.5))
         m += 1
     counts[USED] = m
     return m, q
@@ -73,124 +81,136 @@ def reduce_cells(cell, z, var, m, mark, band, clearance, which, top, bottom, sum
 
     A face (wall, box, step) thus keeps its top. Points that hang more than `clearance` above everything else in the
     cell are an overhang and ignored. `mark` is scratch over the pool (sparse set: no clearing needed).
-    Out: which (k,) pool index; top, bottom (k,) [m]; sums (k,5): weight, weight*z, points, shared variance, next above.
-    Returns k and the number of overhangs.
+    Out: which (k,) pool index; top, bottom (k,) [m]; sums (k,4) f32: weight, weight * (z - top), points, shared
+    variance. Returns k and the number of overhangs.
     """
     k = 0
+    spread = np.float32(0.0)
     for p in range(m):
         c = cell[p]
         s = mark[c]
-        if s >= k or s < 0 or which[s] != c:
+        if s < k and which[s] == c:
+            if z[p] > top[s]:
+                top[s] = z[p]
+                spread = max(spread, z[p] - bottom[s])
+            elif z[p] < bottom[s]:
+                bottom[s] = z[p]
+                spread = max(spread, top[s] - z[p])
+        else:
             mark[c] = k
             which[k] = c
-            top[k] = bottom[k] = z[p]
-            sums[k, :] = 0.0
-            sums[k, 4] = np.inf
+            top[k] = z[p]
+            bottom[k] = z[p]
+            sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = np.float32(0.0)
             k += 1
-        else:
-            top[s] = max(top[s], z[p])
-            bottom[s] = min(bottom[s], z[p])
     overhangs = 0
-    tall = False
-    for s in range(k):
-        tall = tall or top[s] - bottom[s] > clearance
-    if tall:
+    if spread > clearance:
         low = np.full(k, -np.inf)
+        above = np.full(k, np.inf)
         for p in range(m):
             s = mark[cell[p]]
             if top[s] - bottom[s] > clearance:
                 if z[p] < bottom[s] + clearance:
                     low[s] = max(low[s], z[p])
                 else:
-                    sums[s, 4] = min(sums[s, 4], z[p])
+                    above[s] = min(above[s], z[p])
         for s in range(k):
-            if sums[s, 4] < np.inf and sums[s, 4] - low[s] > clearance:
+            if above[s] < np.inf and above[s] - low[s] > clearance:
                 top[s] = low[s]
                 overhangs += 1
     for p in range(m):
         s = mark[cell[p]]
-        if z[p] <= top[s] and z[p] >= top[s] - band:
-            w = 1.0 / var[p, 0]
+        d = z[p] - top[s]
+        if d <= 0.0 and d >= -band:
+            w = np.float32(1.0) / var[p, 0]
             sums[s, 0] += w
-            sums[s, 1] += w * z[p]
-            sums[s, 2] += 1.0
+            sums[s, 1] += w * d
+            sums[s, 2] += np.float32(1.0)
             sums[s, 3] += var[p, 1]
     return k, overhangs
 
 
 @njit(cache=True)
-def fuse(
-    which, top, bottom, sums, k, height, variance, count, seen, source, alt, streak, below, upper, passes,
-    now, gate, gate_min, face, clearance, up_after, down_after, v_min, drift_rate, v_new_max, counts, residuals,
-):  # fmt: skip  # pragma: no cover
+def fuse(which, top, bottom, sums, k, cells, now, rule, counts, residuals, touched, area):  # pragma: no cover
     """Fuse one measurement per cell into the map (1-D Kalman with two modes per cell).
 
-    A measurement that disagrees (beyond `gate` sigmas and `gate_min` metres) builds up the cell's second mode; after
-    `up_after` (higher) or `down_after` (lower) scans without agreement the second mode takes over. A lower measurement
-    on a face (more than `face` of vertical extent in this scan) contradicts nothing: the wall's top is only out of view.
-    residuals: [sum of z - h over agreeing cells, their number], for the drift estimate.
+    rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface takes
+    over, smallest variance, drift variance per ms, largest variance, points of an established cell, memory of a
+    contradiction [ms].
+    A measurement beyond the gate builds up the cell's second mode, which takes over after enough scans in a row. A lower
+    measurement on a face (vertical extent in this scan) contradicts nothing: the wall's top is only out of view.
+    residuals: [sum of z - h over agreeing established cells, their number], for the drift estimate. touched: flag per
+    tile of 1 << area cells.
     """
+    gate, gate_min, face, clearance = rule[0], rule[1], rule[2], rule[3]
+    v_min, drift_rate, v_max, settled, memory = rule[6], rule[7], rule[8], rule[9], rule[10]
     for s in range(k):
-        c = which[s]
-        z = sums[s, 1] / sums[s, 0]
-        shared = sums[s, 3] / sums[s, 2]
-        pv = 1.0 / sums[s, 0] + shared
+        cell = cells[which[s]]
+        touched[which[s] >> area] = 1
+        z = np.float64(top[s]) + np.float64(sums[s, 1]) / sums[s, 0]
+        pv = 1.0 / np.float64(sums[s, 0]) + np.float64(sums[s, 3]) / sums[s, 2]
         n = np.int64(sums[s, 2])
         counts[CELLS] += 1
-        if source[c] != 2:
-            height[c] = z
-            variance[c] = max(pv, v_min)
-            count[c] = min(n, 65535)
-            source[c] = 2
-            seen[c] = now
-            alt[c] = np.nan
-            below[c] = np.nan
-            streak[c] = 0
-            passes[c] = 0
-            upper[c] = np.inf
+        new = cell.source != 2
+        if not new:
+            h = np.float64(cell.height)
+            v = np.float64(cell.variance)
+            dz = z - h
+            limit = max(gate_min, gate * np.sqrt(v + pv))
+            # one or two stray points (mixed pixels at edges) give way at once
+            new = abs(dz) > limit and cell.count < settled and n >= cell.count
+        if new:
+            cell.height = z
+            cell.variance = max(pv, v_min)
+            cell.count = min(n, 255)
+            cell.source = 2
+            cell.seen = now
+            cell.alt = np.nan
+            cell.below = np.nan
+            cell.streak = 0
+            cell.passes = 0
+            cell.upper = np.inf
             counts[NEW] += 1
             continue
-        h = np.float64(height[c])
-        v = np.float64(variance[c])
-        dz = z - h
-        limit = max(gate_min, gate * np.sqrt(v + pv))
         if abs(dz) <= limit:
-            v = min(v + drift_rate * max(0, now - seen[c]), v_new_max)
-            height[c] = (v * z + pv * h) / (v + pv)
-            variance[c] = max(v * pv / (v + pv), v_min)
-            count[c] = min(np.int64(count[c]) + n, 65535)
-            seen[c] = now
-            streak[c] = 0
-            passes[c] = 0
+            v = min(v + drift_rate * max(0, now - cell.seen), v_max)
+            if cell.count >= settled:
+                residuals[0] += dz
+                residuals[1] += 1.0
+            cell.height = (v * z + pv * h) / (v + pv)
+            cell.variance = max(v * pv / (v + pv), v_min)
+            cell.count = min(np.int64(cell.count) + n, 255)
+            cell.seen = now
+            cell.streak = 0
+            cell.passes = 0
             counts[AGREED] += 1
-            residuals[0] += dz
-            residuals[1] += 1.0
             continue
         if dz < 0.0 and top[s] - bottom[s] > face:
-            seen[c] = now
-            passes[c] = 0
+            cell.seen = now
+            cell.passes = 0
             continue
-        if dz > 0.0 and np.float64(bottom[s]) - h > clearance:
+        if dz > 0.0 and bottom[s] - h > clearance:
             counts[OVERHANG] += 1
             continue
         counts[CONFLICT] += 1
-        if streak[c] > 0 and abs(z - alt[c]) <= limit:
-            alt[c] += np.float32((z - alt[c]) / (streak[c] + 1.0))
-            streak[c] += 1
+        if cell.streak > 0 and abs(z - cell.alt) <= limit and now - cell.alt_seen <= memory:
+            cell.streak = min(np.int64(cell.streak) + 1, 255)
+            cell.alt += np.float32((z - cell.alt) / cell.streak)
         else:
-            alt[c] = z
-            streak[c] = 1
-        if streak[c] >= (up_after if dz > 0.0 else down_after):
+            cell.alt = z
+            cell.streak = 1
+        cell.alt_seen = now
+        if cell.streak >= (rule[4] if dz > 0.0 else rule[5]):
             if dz > 0.0:
-                if not below[c] < h:
-                    below[c] = height[c]
-            elif not below[c] < alt[c] - limit:
-                below[c] = np.nan
-            height[c] = alt[c]
-            variance[c] = max(pv, v_min)
-            count[c] = min(n * np.int64(streak[c]), 65535)
-            seen[c] = now
-            streak[c] = 0
-            passes[c] = 0
-            alt[c] = np.nan
+                if not cell.below < h:
+                    cell.below = cell.height
+            elif not cell.below < cell.alt - limit:
+                cell.below = np.nan
+            cell.height = cell.alt
+            cell.variance = max(pv, v_min)
+            cell.count = min(n * np.int64(cell.streak), 255)
+            cell.seen = now
+            cell.streak = 0
+            cell.passes = 0
+            cell.alt = np.nan
             counts[REPLACED] += 1

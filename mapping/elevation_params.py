@@ -46,6 +46,9 @@ class ElevationParams(BaseModel):
     )
     up_after: int = Field(default=2, ge=1, description="scans until a higher surface replaces a lower one")
     down_after: int = Field(default=5, ge=1, description="scans until a lower surface replaces a higher one")
+    conflict_memory: float = Field(
+        default=1.0, description="contradictions further apart than this start over [s]"
+    )
     min_sigma: float = Field(
         default=0.006, gt=0.0, description="a cell never gets more certain than this [m]"
     )
@@ -56,7 +59,7 @@ class ElevationParams(BaseModel):
     trust_sigma: float = Field(
         default=0.06, gt=0.0, description="cells less certain than this are not trusted [m]"
     )
-    trust_count: int = Field(default=2, ge=1, description="points a trusted cell needs")
+    trust_count: int = Field(default=3, ge=1, description="points of an established cell")
     # --- ground under the wheels
     footprint: tuple[float, float] = Field(default=(0.70, 0.43), description="body length and width [m]")
     footprint_margin: float = Field(
@@ -96,6 +99,7 @@ class ElevationParams(BaseModel):
     drift_gain: float = Field(
         default=0.1, ge=0.0, le=1.0, description="share of the mean height residual taken per scan"
     )
+    drift_free: float = Field(default=0.006, ge=0.0, description="mean residuals below this are noise [m]")
     drift_min_cells: int = Field(default=200, description="agreeing cells needed for that")
     # --- deltas
     patch_step: float = Field(

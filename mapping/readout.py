@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapping.bridging import bridge, bridge_rule
+from mapping.bridging import bridge, bridge_rule, trust
 from mapping.elevation_params import ElevationParams
 from mapping.patch import MapPatch
-from mapping.tiles import BRIDGED, CONTACT, LIDAR, UNKNOWN, TileStore
+from mapping.tiles import BRIDGED, SENT, UNKNOWN, TileStore
 
 _BLOCK = 8
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step."""
@@ -25,7 +25,7 @@ class MapReader:
         self._rule = bridge_rule(
             p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap
         )
-        self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + p.bridge_gap) / p.resolution)) + 1
+        self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
 
     def read(self, box: Box, stamp: int, epoch: int) -> MapPatch:
         """Cells of `box`, bridged. The same cell reads the same whatever the box: the margin covers every bridge."""
@@ -33,12 +33,11 @@ class MapReader:
         i0, j0, rows, cols = box
         pad = self._pad
         wide = (i0 - pad, j0 - pad, rows + 2 * pad, cols + 2 * pad)
-        height, variance = s.read("height", *wide), s.read("variance", *wide)
-        source, upper = s.read("source", *wide), s.read("upper", *wide)
-        trusted = (
-            (source == LIDAR) & (variance < p.trust_sigma**2) & (s.read("count", *wide) >= p.trust_count)
+        cells = s.read(*wide)
+        height, variance, source, upper = (
+            np.ascontiguousarray(cells[n]) for n in ("height", "variance", "source", "upper")
         )
-        trusted |= source == CONTACT
+        trusted = trust(height, variance, cells["count"], source, p.trust_sigma**2, p.trust_count, p.gate_min)
         bridged = bridge(height, source, trusted, upper, self._rule)
         inner = (slice(pad, pad + rows), slice(pad, pad + cols))
         height, variance, source, upper = height[inner], variance[inner], source[inner], upper[inner]
@@ -81,12 +80,14 @@ class MapReader:
         s, step = self.store, self.params.patch_step
         whole = self.read(box, stamp, epoch)
         height, upper = whole.layers["elevation"], whole.layers["upper_bound"]
-        state = (whole.layers["source"] + 16 * whole.layers["trusted"]).astype(np.uint8)
-        sent_upper = s.read("sent_upper", *box)
-        changed = (state != s.read("sent_source", *box)) | (
-            np.abs(height - s.read("sent_height", *box)) > step
+        now = np.empty(whole.shape, dtype=SENT)
+        now["height"], now["upper"] = height, upper
+        now["state"] = whole.layers["source"] + 16 * whole.layers["trusted"]
+        sent = s.swap_sent(box[0], box[1], None, whole.shape)
+        changed = (now["state"] != sent["state"]) | (np.abs(height - sent["height"]) > step)
+        moved = (np.isfinite(upper) != np.isfinite(sent["upper"])) | (
+            np.abs(upper - sent["upper"]) > 10 * step
         )
-        moved = (np.isfinite(upper) != np.isfinite(sent_upper)) | (np.abs(upper - sent_upper) > 10 * step)
         changed |= np.isnan(height) & moved
         patches = []
         for a in range(0, box[2], s.size):
@@ -95,8 +96,7 @@ class MapReader:
                 continue
             where = (slice(a + int(r.min()), a + int(r.max()) + 1), slice(int(c.min()), int(c.max()) + 1))
             top, left = box[0] + where[0].start, box[1] + where[1].start
-            for name, new in (("sent_height", height), ("sent_source", state), ("sent_upper", upper)):
-                s.write(name, top, left, new[where])
+            s.swap_sent(top, left, now[where], now[where].shape)
             layers = {name: np.ascontiguousarray(layer[where]) for name, layer in whole.layers.items()}
             origin = (left * whole.resolution, top * whole.resolution)
             patches.append(MapPatch(origin, whole.resolution, stamp, epoch, layers))

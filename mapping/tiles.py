@@ -1,8 +1,8 @@
 """World-fixed tile store: a map of a building costs memory only where it was seen.
 
 Cell (i, j) is centred on `(j * resolution, i * resolution)` in the `map` frame: row i grows with y, column j with x.
-A tile holds `size` x `size` cells; all tiles live in one growing pool of flat arrays, so kernels address any cell with
-one integer. A small dense directory maps tile coordinates to pool slots.
+A tile holds `size` x `size` cells; all tiles live in one growing flat pool, so kernels address any cell with one
+integer. A small dense directory maps tile coordinates to pool slots.
 """
 
 from __future__ import annotations
@@ -14,29 +14,36 @@ from numpy.typing import NDArray
 UNKNOWN, CONTACT, LIDAR, BRIDGED = 0, 1, 2, 3
 """Where a height comes from. `BRIDGED` exists in read-outs only, never in the store."""
 
-LAYERS: dict[str, tuple[type, float]] = {
-    "height": (np.float32, np.nan),
-    "variance": (np.float32, np.nan),
-    "count": (np.uint16, 0),
-    "seen": (np.int32, 0),
-    "source": (np.uint8, UNKNOWN),
-    "alt": (np.float32, np.nan),
-    "streak": (np.uint8, 0),
-    "below": (np.float32, np.nan),
-    "upper": (np.float32, np.inf),
-    "passes": (np.uint8, 0),
-    "sent_height": (np.float32, np.nan),
-    "sent_source": (np.uint8, UNKNOWN),
-    "sent_upper": (np.float32, np.nan),
-    "mark": (np.int32, 0),
-}
-"""Name -> dtype, value in a fresh cell. height [m] and variance [m^2] of the surface; count of points that agreed;
-seen [ms since the map's first scan] last agreement; alt [m] the height that contradicts it and its streak of scans;
-below [m] the ground that was there before something came to stand on it; upper [m] lowest ray that passed over a cell
-without a LiDAR height; passes: scans that looked through the cell; sent_*: what the last patch said; mark: scratch."""
+CELL = np.dtype(
+    [
+        ("height", "<f4"),
+        ("variance", "<f4"),
+        ("alt", "<f4"),
+        ("below", "<f4"),
+        ("upper", "<f4"),
+        ("seen", "<i4"),
+        ("alt_seen", "<i4"),
+        ("count", "u1"),
+        ("source", "u1"),
+        ("streak", "u1"),
+        ("passes", "u1"),
+    ]
+)
+"""One cell, 32 bytes, so that fusing touches one cache line per cell.
 
-SAVED = ("height", "variance", "count", "seen", "source", "below", "upper")
-"""Layers that make up a stored map; the others start fresh."""
+height [m] and variance [m^2] of the surface; alt [m]: a height that contradicts it; below [m]: the ground that was
+there before something came to stand on it; upper [m]: lowest ray that passed over a cell without a LiDAR height; seen
+and alt_seen [ms since the map's first scan]: last agreement with either height; count: points that agreed; source;
+streak: scans in a row that said `alt`; passes: clean-ups that looked through the cell."""
+
+FRESH = np.array([(np.nan, np.nan, np.nan, np.nan, np.inf, 0, 0, 0, UNKNOWN, 0, 0)], dtype=CELL)[0]
+
+SENT = np.dtype([("height", "<f4"), ("upper", "<f4"), ("state", "u1")])
+"""What the last delta said about a cell."""
+FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
+
+SAVED = ("height", "variance", "below", "upper", "seen", "count", "source")
+"""Fields that make up a stored map; the others start fresh."""
 
 
 class TileStore:
@@ -54,14 +61,12 @@ class TileStore:
         self.used = 0
         self.tiles = np.zeros((0, 2), dtype=np.int32)
         self.touched = np.zeros(0, dtype=np.uint8)
-        self.layers: dict[str, NDArray] = {n: np.zeros(0, dtype=d) for n, (d, _) in LAYERS.items()}
+        self.cells = np.zeros(0, dtype=CELL)
+        self.sent = np.zeros(0, dtype=SENT)
+        self.mark = np.zeros(0, dtype=np.int32)
         self.directory = np.full((1, 1), -1, dtype=np.int32)
         self.first = np.zeros(2, dtype=np.int64)
         self._reserve(16)
-
-    def __getitem__(self, name: str) -> NDArray:
-        """Flat pool array of a layer, (capacity * size * size,). Valid until the next allocation."""
-        return self.layers[name]
 
     def _reserve(self, capacity: int) -> None:
         have = self.touched.size
@@ -69,8 +74,9 @@ class TileStore:
             return
         capacity = max(capacity, 2 * have)
         cells = (capacity - have) * self.size * self.size
-        for name, (dtype, fresh) in LAYERS.items():
-            self.layers[name] = np.concatenate([self.layers[name], np.full(cells, fresh, dtype=dtype)])
+        self.cells = np.concatenate([self.cells, np.full(cells, FRESH, dtype=CELL)])
+        self.sent = np.concatenate([self.sent, np.full(cells, FRESH_SENT, dtype=SENT)])
+        self.mark = np.concatenate([self.mark, np.zeros(cells, dtype=np.int32)])
         self.touched = np.concatenate([self.touched, np.zeros(capacity - have, dtype=np.uint8)])
         self.tiles = np.concatenate([self.tiles, np.zeros((capacity - have, 2), dtype=np.int32)])
 
@@ -120,23 +126,30 @@ class TileStore:
                 return out
             self.allocate(row, col)
 
-    def tile_view(self, name: str, slot: int) -> NDArray:
-        """(size, size) view of one tile's layer."""
+    def tile(self, slot: int) -> NDArray[np.void]:
+        """(size, size) view of one tile's cells."""
         n = self.size * self.size
-        return self.layers[name][slot * n : (slot + 1) * n].reshape(self.size, self.size)
+        return self.cells[slot * n : (slot + 1) * n].reshape(self.size, self.size)
 
-    def read(self, name: str, i0: int, j0: int, rows: int, cols: int) -> NDArray:
-        """Dense copy (rows, cols) of a layer; cells of absent tiles hold the fresh value."""
-        dtype, fresh = LAYERS[name]
-        out: NDArray = np.full((rows, cols), fresh, dtype=dtype)
+    def read(self, i0: int, j0: int, rows: int, cols: int) -> NDArray[np.void]:
+        """Dense copy (rows, cols) of cells; those of absent tiles are fresh."""
+        out: NDArray = np.full((rows, cols), FRESH, dtype=CELL)
         for slot, dst, src in self._overlaps(i0, j0, rows, cols):
-            out[dst] = self.tile_view(name, slot)[src]
+            out[dst] = self.tile(slot)[src]
         return out
 
-    def write(self, name: str, i0: int, j0: int, block: NDArray) -> None:
-        """Store a dense block; parts over absent tiles are dropped."""
-        for slot, dst, src in self._overlaps(i0, j0, *block.shape):
-            self.tile_view(name, slot)[src] = block[dst]
+    def swap_sent(
+        self, i0: int, j0: int, block: NDArray[np.void] | None, shape: tuple[int, int]
+    ) -> NDArray[np.void]:
+        """Dense copy (rows, cols) of what was last sent; `block` replaces it when given."""
+        n = self.size * self.size
+        out: NDArray = np.full(shape, FRESH_SENT, dtype=SENT)
+        for slot, dst, src in self._overlaps(i0, j0, *shape):
+            tile = self.sent[slot * n : (slot + 1) * n].reshape(self.size, self.size)
+            out[dst] = tile[src]
+            if block is not None:
+                tile[src] = block[dst]
+        return out
 
     def _overlaps(self, i0: int, j0: int, rows: int, cols: int):
         s = self.size
@@ -164,7 +177,7 @@ class TileStore:
     @property
     def nbytes(self) -> int:
         """Memory held by the pool [bytes]."""
-        return sum(a.nbytes for a in self.layers.values()) + self.directory.nbytes
+        return self.cells.nbytes + self.sent.nbytes + self.mark.nbytes + self.directory.nbytes
 
 
 _DONE = -(2**40)

@@ -13,14 +13,14 @@ from numba import njit
 
 @njit(cache=True)
 def trace(
-    xyz, m, stride, first_ray, sensor, directory, first, shift, resolution, reach, skip, margin, angle,
-    height, variance, source, upper, mark, hit,
+    xyz, m, stride, first_ray, sensor, directory, first, shift, resolution, reach, skip, margin, angle, settled,
+    cells, touched, mark, hit,
 ):  # fmt: skip  # pragma: no cover
     """Walk rays from sensor (3,) to every `stride`-th of xyz[:m] (world), over cells of allocated tiles.
 
-    Lowers `upper` of cells without a LiDAR height; collects in `hit` the pool index of each cell with a height that a
+    Lowers `upper` of cells without a LiDAR height (and flags their tile in `touched`); collects in `hit` the pool index of each cell with a height that a
     ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the ray's end. angle: sigma of the
-    ray direction [rad]. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
+    ray direction [rad]; settled: points of an established cell. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
     """
     n = 0
     size = np.int64(1) << shift
@@ -38,6 +38,7 @@ def trace(
         ux, uy = dx / dist, dy / dist
         end = min(dist - resolution, reach)
         solid_end = min(dist - skip, reach)
+        stray_end = min(dist - 0.25 * skip, reach)
         j, i = np.int64(np.floor(sx)), np.int64(np.floor(sy))
         step_j = np.int64(1) if ux > 0 else np.int64(-1)
         step_i = np.int64(1) if uy > 0 else np.int64(-1)
@@ -62,24 +63,27 @@ def trace(
                     if slot >= 0:
                         base = np.int64(slot) << (2 * shift)
             if base >= 0:
-                cell = base + ((i & mask) << shift) + (j & mask)
+                index = base + ((i & mask) << shift) + (j & mask)
+                cell = cells[index]
                 # the ray's highest point over the cell: only what lies above all of it is disproved
                 z = sensor[2] + dz * (at if dz < 0.0 else leave)
-                if source[cell] == 2:
-                    if leave <= solid_end and z + margin < height[cell]:
-                        spread = 9.0 * (variance[cell] + angle * angle * leave * leave)
-                        over = height[cell] - z - margin
+                if cell.source == 2:
+                    over = cell.height - z - margin
+                    # stray cells beside a wall have no face that the ray could graze
+                    if over > 0.0 and (leave <= solid_end or (cell.count < settled and leave <= stray_end)):
+                        spread = 9.0 * (cell.variance + angle * angle * leave * leave)
                         if over * over > spread:
-                            s = mark[cell]
-                            if n < hit.size and (s < 0 or s >= n or hit[s] != cell):
-                                mark[cell] = n
-                                hit[n] = cell
+                            s = mark[index]
+                            if n < hit.size and (s < 0 or s >= n or hit[s] != index):
+                                mark[index] = n
+                                hit[n] = index
                                 n += 1
                 else:
                     # the middle of the crossing, one sigma up
                     low = sensor[2] + dz * 0.5 * (at + leave) + angle * leave
-                    if low < upper[cell]:
-                        upper[cell] = low
+                    if low < cell.upper:
+                        cell.upper = low
+                        touched[base >> (2 * shift)] = 1
             at = leave
             if next_j < next_i:
                 next_j += gap_j
@@ -91,38 +95,35 @@ def trace(
 
 
 @njit(cache=True)
-def judge(
-    hit, n, passes_needed, unseen, now, height, variance, count, seen, source, alt, streak, below, upper, passes,
-):  # fmt: skip  # pragma: no cover
+def judge(hit, n, passes_needed, unseen, settled, now, cells, touched, area):  # pragma: no cover
     """Remove cells looked through in `passes_needed` clean-ups and unconfirmed for `unseen` [ms].
 
-    The ground that was known before something came to stand there returns; else the cell becomes unknown.
-    Returns the number of cells removed.
+    The ground that was known before something came to stand there returns; else the cell becomes unknown. One look is
+    enough for a stray cell of fewer than `settled` points. Returns the number of cells removed.
     """
     removed = 0
     for k in range(n):
-        c = hit[k]
-        if now - seen[c] < unseen:
+        cell = cells[hit[k]]
+        if now - cell.seen < unseen:
             continue
-        if passes[c] < 255:
-            passes[c] += 1
-        if passes[c] < passes_needed:
+        if cell.passes < 255:
+            cell.passes += 1
+        if cell.passes < passes_needed and cell.count >= settled:
             continue
-        passes[c] = 0
         removed += 1
-        if below[c] < height[c]:
-            height[c] = below[c]
-            below[c] = np.nan
-            streak[c] = 0
-            alt[c] = np.nan
-            seen[c] = now
+        touched[hit[k] >> area] = 1
+        cell.passes = 0
+        cell.streak = 0
+        cell.alt = np.nan
+        if cell.below < cell.height:
+            cell.height = cell.below
+            cell.below = np.nan
+            cell.seen = now
             continue
-        height[c] = np.nan
-        variance[c] = np.nan
-        below[c] = np.nan
-        alt[c] = np.nan
-        streak[c] = 0
-        count[c] = 0
-        source[c] = 0
-        upper[c] = np.inf
+        cell.height = np.nan
+        cell.variance = np.nan
+        cell.below = np.nan
+        cell.count = 0
+        cell.source = 0
+        cell.upper = np.inf
     return removed

@@ -135,3 +135,57 @@ def poses_features(laid: Laid, poses: np.ndarray) -> np.ndarray:
         for k in range(4):
             out[i, k] = f[k]
     return out
+
+
+@njit(cache=True)
+def _heights(height: np.ndarray, ox: float, oy: float, inv: float, xy: np.ndarray) -> np.ndarray:
+    rows, cols = height.shape
+    out = np.empty(xy.shape[0])
+    for i in range(xy.shape[0]):
+        col = min(max((xy[i, 0] - ox) * inv, 0.0), cols - 1.0)
+        row = min(max((xy[i, 1] - oy) * inv, 0.0), rows - 1.0)
+        c, r = min(int(col), cols - 2), min(int(row), rows - 2)
+        fc, fr = col - c, row - r
+        low = height[r, c] * (1.0 - fc) + height[r, c + 1] * fc
+        high = height[r + 1, c] * (1.0 - fc) + height[r + 1, c + 1] * fc
+        out[i] = low * (1.0 - fr) + high * fr
+    return out
+
+
+def heights_at(terrain: Terrain, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) bilinear ground height [m] at x, y (n, 2)."""
+    return _heights(
+        terrain.height,
+        terrain.origin[0],
+        terrain.origin[1],
+        1.0 / terrain.resolution,
+        np.ascontiguousarray(xy),
+    )
+
+
+@njit(cache=True)
+def _steps(laid: Laid, poses: np.ndarray) -> np.ndarray:
+    height, trusted, ox, oy, inv, sx, sy = laid
+    rows, cols = height.shape
+    out = np.zeros(poses.shape[0])
+    for i in range(poses.shape[0]):
+        c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
+        for a in range(sx.size):
+            for b in range(sy.size):
+                col = int((poses[i, 0] + sx[a] * c - sy[b] * s - ox) * inv + 0.5)
+                row = int((poses[i, 1] + sx[a] * s + sy[b] * c - oy) * inv + 0.5)
+                if col < 0 or row < 0 or col > cols - 2 or row > rows - 2 or not trusted[row, col]:
+                    continue
+                z = height[row, col]
+                if trusted[row, col + 1]:
+                    out[i] = max(out[i], abs(height[row, col + 1] - z))
+                if trusted[row + 1, col]:
+                    out[i] = max(out[i], abs(height[row + 1, col] - z))
+    return out
+
+
+def steps_under(
+    terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
+) -> NDArray[np.float64]:
+    """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
+    return _steps(terrain.laid(length, width), np.ascontiguousarray(poses, dtype=np.float64))

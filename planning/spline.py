@@ -1,0 +1,89 @@
+"""Endpoint-preserving uniform cubic B-spline along a polyline, held near it by control points around each corner."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+BLEND = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+"""Uniform cubic B-spline: powers of t (rows) times control points (columns)."""
+
+
+def reach_limits(vertices: Array, corridor: float) -> Array:
+    """(n,) farthest distance [m] from each vertex at which its two side control points may sit.
+
+    With controls P - h u, P, P + h v the curve passes P at h |v - u| / 6, so h bounds the distance to the polyline.
+    Ends and near-reversals (the robot turns in place there) get 0.
+    """
+    leg = np.diff(vertices, axis=0)
+    length = np.hypot(leg[:, 0], leg[:, 1])
+    unit = leg / length[:, None]
+    out = np.zeros(len(vertices))
+    bend = np.hypot(*(unit[1:] - unit[:-1]).T)
+    room = 0.5 * np.minimum(length[1:], length[:-1])
+    out[1:-1] = np.minimum(room, 6.0 * 0.98 * corridor / np.maximum(bend, 1e-9))
+    out[1:-1][bend > 2.0 * np.sin(np.radians(75.0))] = 0.0
+    return out
+
+
+def controls(vertices: Array, reach: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Control points (m, 2) and the vertex each belongs to; reach 0 keeps the corner sharp (triple point)."""
+    leg = np.diff(vertices, axis=0)
+    unit = leg / np.hypot(leg[:, 0], leg[:, 1])[:, None]
+    points, owner = [vertices[0]] * 3, [0] * 3
+    for i in range(1, len(vertices) - 1):
+        sides = (vertices[i] - reach[i] * unit[i - 1], vertices[i], vertices[i] + reach[i] * unit[i])
+        for k, p in enumerate(sides):
+            # Where two corners share the middle of a leg the second control would only slow the curve down.
+            if k == 0 and reach[i] > 0.0 and np.hypot(*(p - points[-1])) < 1e-9:
+                continue
+            points.append(p)
+            owner.append(i)
+    points += [vertices[-1]] * 3
+    owner += [len(vertices) - 1] * 3
+    return np.array(points), np.array(owner)
+
+
+def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np.int64]]:
+    """The spline sampled every `step` [m] or a little less, both ends and every sharp corner in.
+
+    Returns points (n, 2) and the vertex each sample belongs to (n,).
+    """
+    control, owner = controls(vertices, reach)
+    dense, of, sharp = [control[:1]], [owner[:1]], [np.zeros(1, bool)]
+    for k in range(len(control) - 3):
+        span = control[k : k + 4]
+        chord = np.hypot(*np.diff(span, axis=0).T).sum()
+        if chord < 1e-12:
+            continue
+        t = np.linspace(0.0, 1.0, max(4, int(np.ceil(chord / (0.25 * step)))) + 1)[1:]
+        dense.append(np.vander(t, 4, increasing=True) @ (BLEND @ span))
+        of.append(np.where(t < 0.5, owner[k + 1], owner[k + 2]))
+        sharp.append(np.zeros(t.size, bool))
+        sharp[-1][-1] = bool((control[k + 1] == control[k + 3]).all())
+    xy, own, corner = np.concatenate(dense), np.concatenate(of), np.concatenate(sharp)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    corner[-1] = True
+    stops = np.flatnonzero(corner)
+    s = [np.zeros(1)]
+    before = 0.0
+    for stop in stops:
+        if arc[stop] - before > 1e-9:
+            count = max(1, int(np.ceil((arc[stop] - before) / step - 1e-9)))
+            s.append(np.linspace(before, arc[stop], count + 1)[1:])
+            before = arc[stop]
+    at = np.concatenate(s)
+    out = np.column_stack([np.interp(at, arc, xy[:, 0]), np.interp(at, arc, xy[:, 1])])
+    out[0], out[-1] = vertices[0], vertices[-1]
+    return out, own[np.minimum(np.searchsorted(arc, at - 1e-12), len(own) - 1)]
+
+
+def distance_to_polyline(points: Array, vertices: Array) -> Array:
+    """(n,) distance of each point from the polyline [m]."""
+    a, b = vertices[:-1], vertices[1:]
+    ab = b - a
+    rel = points[:, None] - a[None]
+    t = np.clip((rel * ab).sum(-1) / np.maximum((ab * ab).sum(-1), 1e-18), 0.0, 1.0)
+    return np.hypot(*(rel - t[..., None] * ab).transpose(2, 0, 1)).min(1)

@@ -5,12 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from hal.scenes import rescue
+from hal.scenes.maze import maze
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
 from hal.scenes.yard import flat, yard
 
 __all__ = ["Goal", "Pose", "Scene", "SceneError", "load_scene", "scene_names"]
 
-_BUILT_IN: dict[str, Callable[..., Scene]] = {"flat": flat, "yard": yard}
+_BUILT_IN: dict[str, Callable[..., Scene]] = {
+    "flat": flat,
+    "yard": yard,
+    "maze": maze,
+    "rescue_slopes": rescue.slopes,
+    "rescue_platform": rescue.platform,
+    "rescue_steps": rescue.steps,
+    "rescue_elevated": rescue.elevated,
+}
 
 
 def scene_names() -> list[str]:

@@ -63,8 +63,7 @@ def _relief(scene: Scene) -> NDArray[np.uint8]:
     sy, sx = np.gradient(height, scene.resolution)
     light = (0.5 * sx - 0.5 * sy + 0.7071) / np.sqrt(1.0 + sx**2 + sy**2)
     shade = 0.35 + 0.75 * np.clip(light, 0.0, 1.0)
-    if scene.trusted is not None:
-        shade = np.where(scene.trusted, shade, 0.45 * shade)
+    shade = np.where(scene.trusted, shade, 0.45 * shade)
     return np.clip(colour * shade[..., None], 0, 255).astype(np.uint8)
 
 

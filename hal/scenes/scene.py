@@ -38,8 +38,8 @@ class Scene:
     description: str = ""
     allowed_area: tuple[tuple[float, float], ...] | None = None
     """Polygon x, y [m] outside which goals are refused; None: everywhere."""
-    trusted: NDArray[np.bool_] | None = None
-    """(rows, cols) cells that a survey of the scene has seen; None: all of them."""
+    survey: NDArray[np.float32] | None = None
+    """(rows, cols) heights as scanner stations measured them: with noise, NaN where none saw the cell. None: as `height`."""
     pairs: tuple[Pair, ...] = field(default=())
     """Start and goal of each benchmark query, frozen."""
 
@@ -53,8 +53,8 @@ class Scene:
             )
         if not (np.isfinite(self.resolution) and self.resolution > 0.0):
             raise SceneError(f"{self.name}: resolution must be positive [m], got {self.resolution}")
-        if self.trusted is not None and self.trusted.shape != height.shape:
-            raise SceneError(f"{self.name}: trusted has shape {self.trusted.shape}, height {height.shape}")
+        if self.survey is not None and self.survey.shape != height.shape:
+            raise SceneError(f"{self.name}: survey has shape {self.survey.shape}, height {height.shape}")
         object.__setattr__(self, "height", height)
         for name, (x, y, _) in {"start": self.start, **self.goals}.items():
             if not self.contains(x, y):
@@ -66,6 +66,13 @@ class Scene:
         rows, cols = self.height.shape
         x0, y0 = self.origin
         return x0, y0, x0 + (cols - 1) * self.resolution, y0 + (rows - 1) * self.resolution
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """(rows, cols) bool: cells that the survey has seen; all without a survey."""
+        if self.survey is None:
+            return np.ones(self.height.shape, np.bool_)
+        return np.isfinite(self.survey)
 
     def contains(self, x: float, y: float) -> bool:
         """True inside the extent."""

@@ -16,8 +16,13 @@ Outputs = list[tuple[Topic, Any]]
 class Stage(Protocol):
     """One process's logic."""
 
-    inputs: tuple[Topic, ...]
-    outputs: tuple[Topic, ...]
+    @property
+    def inputs(self) -> tuple[Topic, ...]:
+        """Topics it takes."""
+
+    @property
+    def outputs(self) -> tuple[Topic, ...]:
+        """Topics it publishes, and no others."""
 
     def warm_up(self) -> None:
         """Compile and allocate, so that the first message is handled as fast as the thousandth."""

@@ -50,7 +50,7 @@ def scene_show(
     options = {"resolution": resolution, "height_range": height_range}
     scene = load_scene(name, **{k: v for k, v in options.items() if v is not None})
     if png is not None:
-        from hal.scenes import render_scene_png
+        from hal.scenes.picture import render_scene_png
 
         render_scene_png(scene, png)
     record = {

@@ -137,6 +137,7 @@ class NavigatorStage:
         else:
             self._status()
             self._ask()
+            self._status()
 
     def _restore(self, message: Any) -> None:
         # After a crash nobody knows how far the goal had come: say so instead of driving on.
@@ -290,10 +291,10 @@ class NavigatorStage:
         self._send(
             id=f"{goal.id}/back{goal.recoveries}",
             reverse=True,
-            x=way[:, 0],
-            y=way[:, 1],
+            x=way[:, 0].copy(),
+            y=way[:, 1].copy(),
             z=np.zeros(len(way)),
-            yaw=way[:, 2],
+            yaw=way[:, 2].copy(),
             speed=speed,
         )
         self._status()

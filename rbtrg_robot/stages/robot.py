@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from hal.contract import Backend
@@ -33,6 +35,8 @@ from rbtrg_robot.node import Heart
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
+
+log = logging.getLogger(__name__)
 
 STEP = 5_000_000
 """Gate and simulator period [ns]."""
@@ -78,6 +82,11 @@ class RobotStage:
     def close(self) -> None:
         """Leave the robot safe."""
         self._backend.close()
+
+    @property
+    def start_time(self) -> int:
+        """Source clock [ns] at which a simulator begins."""
+        return int(self._backend.options.start_time)  # type: ignore[attr-defined]
 
     def alive(self, process: str, alive: bool) -> None:
         """A watched process appeared or went: without it the robot stands."""
@@ -198,20 +207,47 @@ class RobotStage:
         )
 
 
-def build(config: Any) -> RobotStage:
-    """From the stack's configuration. Raises BackendError, SceneError."""
-    if config.simulated:
-        from hal.mujoco.backend import make_backend
+def build(config: Any, restored: dict[Topic, bytes] | None = None) -> RobotStage:
+    """From the stack's configuration. Raises BackendError, SceneError.
 
-        backend: Backend = make_backend(config)
-    else:
-        from hal.unitree import make_backend as make_unitree
-
-        backend = make_unitree(config.interface, dry_run=config.dry_run)
+    A restarted simulator goes on where the last one died: `restored` holds its newest truth.
+    """
+    watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
+    backend = _simulator(config, restored or {}) if config.simulated else _hardware(config)
     area = config.allowed_area()
     gate = SafetyGate(backend.capabilities, config.gate, Geofence.of(area) if area else None)
-    watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
+
+
+def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
+    from hal.mujoco.backend import MujocoBackend
+    from hal.mujoco.options import SimOptions
+
+    options = SimOptions(
+        controller=config.controller,
+        policy_dir=config.policy_dir or None,
+        lidar=config.lidar,
+        lidar_mount=config.mount,
+        seed=config.seed,
+        start=config.origin,
+        **config.sim,
+    )
+    if t.TRUTH in restored:
+        truth = messages.decode(restored[t.TRUTH], t.TRUTH.type)
+        place = truth.pose.pose
+        start = (place.position.x, place.position.y, yaw_of(place.orientation))
+        options = replace(options, start=start, start_time=stamp_of(truth) // STEP * STEP)
+    backend = MujocoBackend(config.load_scene(), options)
+    if backend.notice:
+        log.info("%s", backend.notice)
+    return backend
+
+
+def _hardware(config: Any) -> Backend:
+    from hal.unitree import make_backend
+
+    backend: Backend = make_backend(config.interface, dry_run=config.dry_run)
+    return backend
 
 
 class Pace:
@@ -247,12 +283,17 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
     """The process: paced by the wall clock."""
     heart = Heart(bus, BY_NAME["robot"].name)
     heart.beat("starting")
-    stage = build(config)
-    now = stage.restore_time(restored) if config.simulated else time.time_ns()
+    stage = build(config, restored)
+    now = stage.start_time if config.simulated else time.time_ns()
     try:
         stage.warm_up()
         changes: deque[tuple[str, bool]] = deque()
-        bus.watch_processes(lambda process, alive: (changes.append((process, alive)), bus.wake()))
+
+        def changed(process: str, alive: bool) -> None:
+            changes.append((process, alive))
+            bus.wake()
+
+        bus.watch_processes(changed)
         for topic in stage.outputs:
             bus.advertise(topic)
         bus.subscribe(stage.inputs)

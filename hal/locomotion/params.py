@@ -31,10 +31,11 @@ class VmcParams(NamedTuple):
     """Time [s] by which the attitude is extrapolated with the gyro: half of the loop delay to be tolerated."""
 
     # --- legs
-    leg_kp: float = 120.0
+    leg_kp: float = 110.0
     """Hip and thigh position gain [Nm/rad], closed in the motor: holds the wheels under the trunk."""
-    leg_kd: float = 2.0
-    """Damping of hip, thigh and calf [Nm s/rad], closed in the motor, so that it suffers no delay."""
+    leg_kd: float = 4.0
+    """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
+    calf_kd: float = 2.0
     stroke_min: float = 0.12
     """Axle below hip [m] where the folded leg's soft stop ends."""
     stroke_max: float = 0.392
@@ -73,3 +74,38 @@ class VmcParams(NamedTuple):
     """Time constant of the ground plane estimate [s]."""
     nose_up: float = 0.30
     """Pitch [rad] above the wanted one at which drive torque is cut to zero, against wheelies."""
+
+    # --- climbing with one wheel at a time
+    climb: float = 1.0
+    """0 switches it off."""
+    blocked_force: float = 30.0
+    """Difference of horizontal force between the two wheels of a side that means blocked [N]."""
+    blocked_time: float = 0.12
+    """[s]"""
+    triangle: float = 0.30
+    """How far the centre of mass moves from the edge of the support triangle towards its far corner, as a share."""
+    shift_bandwidth: float = 14.0
+    """Of the critically damped weight shift [rad/s]."""
+    shift_back: float = 6.0
+    """The same when the climb is over [rad/s]."""
+    shift_accel: float = 3.0
+    """[m/s^2]"""
+    shift_time: float = 0.15
+    """Shortest time for unloading the wheel [s]."""
+    stroke_lift: float = 0.135
+    """Axle below hip of the lifted wheel [m]."""
+    lift_rate: float = 1.0
+    """[m/s]"""
+    retreat: float = 0.02
+    """How far the wheel backs off from the face while it is lifted [m]."""
+    reach: float = 0.16
+    """How far beyond the place where it was blocked the wheel is put down [m]."""
+    reach_max: float = 0.20
+    """Furthest ahead of the hip [m]."""
+    reach_rate: float = 0.8
+    lower_rate: float = 0.6
+    """[m/s]"""
+    swing_kp: float = 120.0
+    """Joint gain of the lifted leg [Nm/rad]."""
+    load_rate: float = 600.0
+    """How fast a wheel that was put down takes load [N/s]."""

@@ -21,6 +21,7 @@ from hal.go2w import (
     wheel_centres,
     wheel_jacobians,
 )
+from hal.locomotion.climb import DRIVE, SHIFT, climb_tick
 from hal.locomotion.geometry import (
     GRAVITY,
     contact_geometry,
@@ -52,6 +53,18 @@ MEMORY = np.dtype(
         ("force", "f8", (4, 3)),  # contact force on the wheel, H [N]
         ("contact", "i8", (4,)),
         ("load", "f8", (4,)),  # commanded vertical force [N]
+        ("load_cap", "f8", (4,)),  # its upper bound after touch-down [N]
+        ("mode", "i8"),  # of the climb, see hal.locomotion.climb
+        ("leg", "i8"),  # lifted
+        ("queued", "i8"),  # lifted next, or -1
+        ("way", "f8"),  # +1 climbing forward, -1 backward
+        ("timer", "f8"),  # in this mode [s]
+        ("blocked", "f8", (4,)),  # for how long [s]
+        ("shift_goal", "f8", (2,)),  # wheels relative to the trunk [m]
+        ("shift", "f8", (2,)),
+        ("shift_rate", "f8", (2,)),  # [m/s]
+        ("foot", "f8", (3,)),  # wanted centre of the lifted wheel, H [m]
+        ("lift_x", "f8"),  # where it was blocked [m]
     ]
 )
 """What the controller remembers between ticks."""
@@ -73,15 +86,22 @@ def slew(x: float, target: float, step: float) -> float:
 
 
 @njit(cache=True)
-def estimate_contacts(m, tau: Array, weight_torque: Array, jac_c: Array, dt: float, p: VmcParams) -> None:
-    """Contact forces from leg torques (quasi-static), low-passed, and contact flags with hysteresis."""
+def estimate_contacts(m, tau: Array, weight_torque: Array, jac: Array, dt: float, p: VmcParams) -> None:
+    """Contact forces from leg torques (quasi-static), low-passed, and contact flags with hysteresis.
+
+    What a wheel takes from the ground goes through its axle, wherever it is touched: the leg carries it by the Jacobian of the
+    wheel centre (`jac`, H), and the wheel motor's reaction by thigh and calf.
+    """
     alpha = dt / (dt + p.force_filter)
     for leg in range(4):
-        inv = inverse3(jac_c[leg])
+        inv = inverse3(jac[leg])
         for axis in range(3):
             f = 0.0
             for joint in range(3):
-                f += inv[joint, axis] * (weight_torque[leg, joint] - tau[3 * leg + joint])
+                t = weight_torque[leg, joint] - tau[3 * leg + joint]
+                if joint > 0:
+                    t += tau[12 + leg]
+                f += inv[joint, axis] * t
             m.force[leg, axis] += alpha * (clip(f, -300.0, 300.0) - m.force[leg, axis])
         if m.contact[leg] == 1:
             if m.force[leg, 2] < p.contact_off:
@@ -124,16 +144,22 @@ def vmc_tick(
         for leg in range(4):
             m.contact[leg] = 1
             m.load[leg] = 0.25 * MASS * GRAVITY
+            m.load_cap[leg] = p.force_max
             m.force[leg, 2] = m.load[leg]
             m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg]
             m.place[leg, 1] = centres[leg, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg]
+        m.queued = -1
     m.ticks += 1
-    estimate_contacts(m, tau, weight_torque, jac_c, dt, p)
+    estimate_contacts(m, tau, weight_torque, jac, dt, p)
+    climb_tick(m, centres, com, rot, command[0], dt, p)
+    lifted = m.leg if m.mode > SHIFT else -1
 
     # --- ground plane and height
     weight = np.empty(4)
     for leg in range(4):
         weight[leg] = 1.0 if m.contact[leg] == 1 else 0.05
+        if leg == lifted:
+            weight[leg] = 1e-3
     ground, slope_x, slope_y = fit_plane(points, weight)
     alpha = 1.0 if m.ticks == 1 else dt / (dt + p.slope_filter)
     m.slope_x += alpha * (clip(slope_x, -1.0, 1.0) - m.slope_x)
@@ -166,8 +192,23 @@ def vmc_tick(
     m.speed += dt / (dt + 0.03) * (speed / total - m.speed)
 
     # --- commands
-    m.vx = slew(m.vx, command[0], p.accel * dt)
-    m.wz = slew(m.wz, command[1], p.alpha * dt)
+    climbing = m.mode != DRIVE
+    push = np.zeros(2)  # wanted horizontal acceleration of the trunk
+    w = p.shift_bandwidth if climbing else p.shift_back
+    for axis in range(2):
+        a = w * w * (m.shift_goal[axis] - m.shift[axis]) - 2.0 * w * m.shift_rate[axis]
+        a = clip(a, -p.shift_accel, p.shift_accel)
+        m.shift_rate[axis] += a * dt
+        m.shift[axis] += m.shift_rate[axis] * dt
+        push[axis] -= a
+    before_vx = m.vx
+    if climbing:
+        m.vx = 0.0
+        m.wz = 0.0
+    else:
+        m.vx = slew(m.vx, command[0], p.accel * dt)
+        m.wz = slew(m.wz, command[1], p.alpha * dt)
+        push[0] += (m.vx - before_vx) / dt
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
@@ -181,6 +222,10 @@ def vmc_tick(
     wrench[0] = MASS * GRAVITY + m.lift_i + p.heave_k * error - p.heave_d * rise
     wrench[1] = p.roll_k * clip(roll_wanted - roll, -0.25, 0.25) - p.roll_d * omega[0]
     wrench[2] = p.pitch_k * clip(pitch_wanted - pitch, -0.25, 0.25) - p.pitch_d * omega[1]
+    # The ground pushes the trunk sideways far below its centre of mass; the vertical forces must undo that moment.
+    arm = com[2] + m.height
+    wrench[1] -= arm * MASS * push[1]
+    wrench[2] += arm * MASS * push[0]
     lower = np.zeros(4)
     upper = np.full(4, p.force_max)
     for leg in range(4):
@@ -189,12 +234,16 @@ def vmc_tick(
         stroke = hip_z - centres[leg, 2]
         upper[leg] = clip(p.force_max * (p.stroke_max - stroke) / 0.02, 3.0, p.force_max)
         lower[leg] = clip(80.0 * (p.stroke_min - stroke) / 0.02, 0.0, 120.0)
+        m.load_cap[leg] = min(m.load_cap[leg] + p.load_rate * dt, p.force_max)
+        if leg == lifted:
+            upper[leg] = 0.0
+        upper[leg] = min(upper[leg], m.load_cap[leg])
         lower[leg] = min(lower[leg] + 3.0, upper[leg])
     distribute(points, com, wrench, lower, upper, m.load, 20)
 
     # --- drive
     yaw_error = m.wz - omega[2]
-    stopped = abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0
+    stopped = climbing or (abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0)
     if stopped:
         m.yaw_i = 0.0
     else:
@@ -208,7 +257,8 @@ def vmc_tick(
         m.speed_i *= 1.0 - dt / 0.5
     elif abs(m.vx - m.speed) < 0.3:
         m.speed_i = clip(m.speed_i + p.speed_ki * (m.vx - m.speed) * dt, -2.5, 2.5)
-    if stopped and m.hold == 0 and abs(m.speed) < 0.03 and abs(omega[2]) < 0.05:
+    still = climbing or (abs(m.speed) < 0.03 and abs(omega[2]) < 0.05)
+    if stopped and m.hold == 0 and still:
         m.hold = 1
         for leg in range(4):
             m.latch[leg] = q[12 + leg] + q[3 * leg + 1] + q[3 * leg + 2] + pitch
@@ -218,14 +268,23 @@ def vmc_tick(
     # --- wheel placement under the trunk
     pull = p.turn_pull * clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
     step = p.place_rate * dt
+    # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.
+    rolling = max(clip(abs(m.speed) / 0.3, 0.1, 1.0), clip(abs(m.wz) / 0.1, 0.0, 1.0))
+    total_load = max(m.load[0] + m.load[1] + m.load[2] + m.load[3], 50.0)
     for leg in range(4):
         goal_x = -pull * SX[leg] + com[0]
         before = m.place[leg, 0]
-        m.place[leg, 0] = slew(before, goal_x, step)
+        if climbing:
+            goal_x = before
+        m.place[leg, 0] = slew(before, goal_x, step * rolling)
         m.place[leg, 1] = slew(m.place[leg, 1], com[1], step)
         rate_x = (m.place[leg, 0] - before) / dt
-        error_x = HIP_X * SX[leg] + m.place[leg, 0] - centres[leg, 0]
-        error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg] + m.place[leg, 1] - centres[leg, 1]
+        error_x = HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0]
+        error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg] + m.place[leg, 1] + m.shift[1] - centres[leg, 1]
+        error_z = 0.0
+        if leg == lifted:
+            error_x = m.foot[0] - centres[leg, 0]
+            error_z = m.foot[2] - centres[leg, 2]
         inv = inverse3(jac[leg])
         wheel = 12 + leg
         # The wheel's feed-forward holds the vertical load on the slope; its motor-side speed loop does the rest.
@@ -234,15 +293,23 @@ def vmc_tick(
         for joint in range(3):
             i = 3 * leg + joint
             t = weight_torque[leg, joint] - jac_c[leg, 2, joint] * m.load[leg]
+            t -= (
+                (jac[leg, 0, joint] * push[0] + jac[leg, 1, joint] * push[1])
+                * MASS
+                * m.load[leg]
+                / total_load
+            )
             if joint > 0:
                 # The wheel motor's reaction turns the calf; carry it up to the trunk.
                 t += extra
             out[OUT_TAU, i] = t
-            delta = clip(inv[joint, 0] * error_x + inv[joint, 1] * error_y, -0.3, 0.3)
+            delta = clip(
+                inv[joint, 0] * error_x + inv[joint, 1] * error_y + inv[joint, 2] * error_z, -0.3, 0.3
+            )
             out[OUT_Q, i] = q[i] + delta
-            out[OUT_DQ, i] = 0.0
-            out[OUT_KP, i] = 0.0 if joint == 2 else p.leg_kp
-            out[OUT_KD, i] = p.leg_kd
+            out[OUT_DQ, i] = inv[joint, 0] * (m.shift_rate[0] + rate_x) + inv[joint, 1] * m.shift_rate[1]
+            out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
+            out[OUT_KD, i] = p.calf_kd if joint == 2 else p.leg_kd
         ground_speed = m.vx - turn * points[leg, 1] + rate_x
         want = ground_speed / WHEEL_RADIUS - spin[leg]
         band = limit / p.wheel_kd

@@ -1,0 +1,130 @@
+"""Lifting one blocked wheel onto what blocks it: detection and the sequence shift, lift, reach, lower.
+
+A wheel counts as blocked while its contact force points against the way, compared with the other wheel of its side (a turn loads
+both alike), for long enough. Then the robot stands still, moves its centre of mass over the other three wheels, lifts the wheel
+as far as the leg folds, reaches forward and puts it down on whatever is there.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hal.go2w import HIP_X, HIP_Y, SX, SY, THIGH_Y, TREAD_Y
+from hal.locomotion.params import VmcParams
+from hal.types import Array
+
+DRIVE, SHIFT, LIFT, REACH, LOWER = range(5)
+"""Values of the memory field `mode`."""
+
+
+@njit(cache=True)
+def detect_blocked(m, way: float, dt: float, p: VmcParams) -> int:
+    """The leg that has been blocked long enough, or -1. `way`: +1 driving forward, -1 backward, 0 not driving."""
+    found = -1
+    worst = p.blocked_time
+    for leg in range(4):
+        other = (leg + 2) % 4
+        difference = way * (m.force[other, 0] - m.force[leg, 0])
+        if way != 0.0 and m.contact[leg] == 1 and difference > p.blocked_force:
+            m.blocked[leg] += dt
+        else:
+            m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
+        if m.blocked[leg] > worst:
+            worst = m.blocked[leg]
+            found = leg
+    return found
+
+
+@njit(cache=True)
+def begin(m, leg: int, way: float, centres: Array, com: Array, p: VmcParams) -> None:
+    """Start the sequence for `leg`: the centre of mass goes over the triangle of the other three wheels.
+
+    The goal lies `triangle` of the way from the middle of the two neighbours, on whose line the triangle ends, to the third wheel.
+    """
+    if m.mode == DRIVE:
+        # The legs that pushed are bent like springs: take them as they are, or they throw the trunk back.
+        for i in range(4):
+            m.place[i, 0] = centres[i, 0] - HIP_X * SX[i] - m.shift[0]
+            m.place[i, 1] = centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[i] - m.shift[1]
+    m.mode = SHIFT
+    m.leg = leg
+    m.way = way
+    m.timer = 0.0
+    beside = leg + 1 if leg % 2 == 0 else leg - 1
+    along = (leg + 2) % 4
+    across = (beside + 2) % 4
+    shifted = np.zeros(2)
+    for i in range(4):
+        shifted[0] += 0.25 * (centres[i, 0] - HIP_X * SX[i] - m.place[i, 0])
+        shifted[1] += 0.25 * (centres[i, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[i] - m.place[i, 1])
+    for axis in range(2):
+        middle = 0.5 * (centres[beside, axis] + centres[along, axis])
+        goal = middle + p.triangle * (centres[across, axis] - middle)
+        m.shift_goal[axis] = min(max(shifted[axis] + com[axis] - goal, -0.10), 0.10)
+
+
+@njit(cache=True)
+def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt: float, p: VmcParams) -> None:
+    """Advance the sequence. `centres` (4, 3): wheel centres, H. Sets `foot`, the wanted wheel centre of the lifted leg, H."""
+    m.timer += dt
+    way = 0.0
+    if abs(m.vx) > 0.1 and abs(command_vx) > 0.1:
+        way = 1.0 if m.vx > 0.0 else -1.0
+    if m.mode == DRIVE:
+        leg = detect_blocked(m, way, dt, p)
+        if leg >= 0 and p.climb > 0.0:
+            partner = leg + 1 if leg % 2 == 0 else leg - 1
+            m.queued = partner if m.blocked[partner] > 0.5 * p.blocked_time else -1
+            begin(m, leg, way, centres, com, p)
+        return
+    leg = m.leg
+    hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
+    if m.mode == SHIFT:
+        miss = abs(m.shift[0] - m.shift_goal[0]) + abs(m.shift[1] - m.shift_goal[1])
+        if miss < 0.01 and m.timer > p.shift_time:
+            m.mode = LIFT
+            m.timer = 0.0
+            for axis in range(3):
+                m.foot[axis] = centres[leg, axis]
+            m.lift_x = centres[leg, 0]
+    elif m.mode == LIFT:
+        top = hip_z - p.stroke_lift
+        m.foot[2] = min(m.foot[2] + p.lift_rate * dt, top)
+        back = m.lift_x - m.way * p.retreat
+        m.foot[0] += min(max(back - m.foot[0], -0.3 * dt), 0.3 * dt)
+        if m.foot[2] >= top - 1e-6 and centres[leg, 2] > top - 0.03:
+            m.mode = REACH
+            m.timer = 0.0
+        elif m.timer > 0.8:
+            m.mode = LOWER
+            m.timer = 0.0
+    elif m.mode == REACH:
+        goal = m.lift_x + m.way * p.reach
+        limit = HIP_X * SX[leg] + m.way * p.reach_max
+        goal = min(goal, limit) if m.way > 0.0 else max(goal, limit)
+        m.foot[2] = hip_z - p.stroke_lift
+        m.foot[0] += min(max(goal - m.foot[0], -p.reach_rate * dt), p.reach_rate * dt)
+        arrived = abs(m.foot[0] - goal) < 1e-6 and abs(centres[leg, 0] - goal) < 0.03
+        if arrived or m.timer > 0.6:
+            m.mode = LOWER
+            m.timer = 0.0
+            m.foot[0] = centres[leg, 0]
+    elif m.mode == LOWER:
+        m.foot[2] = max(m.foot[2] - p.lower_rate * dt, hip_z - p.stroke_max)
+        landed = centres[leg, 2] - m.foot[2] > 0.025 or m.force[leg, 2] > p.contact_on + 6.0
+        if (landed and m.timer > 0.06) or m.timer > 1.0:
+            m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg] - m.shift[0]
+            m.load_cap[leg] = 10.0
+            m.load[leg] = 0.0
+            m.blocked[leg] = 0.0
+            if m.queued >= 0:
+                begin(m, m.queued, m.way, centres, com, p)
+                m.queued = -1
+            else:
+                m.mode = DRIVE
+                m.timer = 0.0
+                m.shift_goal[0] = 0.0
+                m.shift_goal[1] = 0.0
+                for i in range(4):
+                    m.blocked[i] = 0.0

@@ -8,6 +8,7 @@ The robot does not collide with itself.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
 
 import mujoco
@@ -21,6 +22,8 @@ BODY_FRICTION = 0.4
 """Sliding friction of everything but the wheels."""
 BASE_THICKNESS = 0.5
 """Ground below the lowest point of the terrain [m]."""
+HIDDEN = (0.0, 0.0, -100.0)
+"""Where obstacles wait [m]."""
 
 _SHELL = (0.80, 0.81, 0.83, 1.0)
 _DARK = (0.13, 0.14, 0.16, 1.0)
@@ -47,12 +50,13 @@ def build(
     friction: float = 0.8,
     timestep: float = 0.005,
     payload: float = 0.0,
-    boxes: int = 0,
+    boxes: Sequence[tuple[float, float, float]] = (),
 ) -> mujoco.MjModel:
     """Robot on terrain.
 
     `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the wheels;
-    `payload`: mass [kg] fixed on top of the trunk; `boxes`: how many mocap boxes (`box0`...) to keep ready for obstacles.
+    `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of sight below the
+    ground until they are placed.
 
     Actuator i drives motor i of `hal.go2w.MOTORS` with force = ctrl + biasprm[1] q + biasprm[2] dq, clipped by the motor's
     torque limit; the simulation writes the gains of the current command into `actuator_biasprm`.
@@ -70,8 +74,8 @@ def build(
     _looks(spec)
     _terrain(spec, np.asarray(height, np.float64), resolution, origin)
     _robot(spec, friction, payload)
-    for index in range(boxes):
-        _obstacle(spec, index)
+    for index, size in enumerate(boxes):
+        _obstacle(spec, index, size)
     return spec.compile()
 
 
@@ -144,12 +148,12 @@ def _terrain(
     )
 
 
-def _obstacle(spec: mujoco.MjSpec, index: int) -> None:
-    body = spec.worldbody.add_body(name=f"box{index}", mocap=True, pos=[0.0, 0.0, -100.0 - index])
+def _obstacle(spec: mujoco.MjSpec, index: int, size: tuple[float, float, float]) -> None:
+    body = spec.worldbody.add_body(name=f"box{index}", mocap=True, pos=HIDDEN)
     body.add_geom(
         name=f"box{index}",
         type=_BOX,
-        size=[0.1, 0.1, 0.1],
+        size=0.5 * np.asarray(size),
         rgba=[0.75, 0.42, 0.18, 1.0],
         contype=2,
         conaffinity=1,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -10,8 +12,11 @@ from numpy.typing import NDArray
 
 from hal import go2w
 from hal.lowlevel import LowCommand, LowState
-from hal.mujoco.model import build
+from hal.mujoco.model import HIDDEN, build
 from hal.types import Array
+
+# By default MuJoCo writes its warnings to a file in the working directory.
+mujoco.set_mju_user_warning(logging.getLogger("hal.mujoco").warning)
 
 STAND_KP = 70.0
 STAND_KD = 5.0
@@ -20,6 +25,12 @@ SETTLE_KP = 300.0
 """Stiff, so that the robot stands where it is put."""
 LONGEST_LEG, SHORTEST_LEG = 0.38, 0.12
 """Reach of the wheel centre below base_link [m] that leaves room to move."""
+
+_BAD = [
+    int(mujoco.mjtWarning.mjWARN_BADQPOS),
+    int(mujoco.mjtWarning.mjWARN_BADQVEL),
+    int(mujoco.mjtWarning.mjWARN_BADQACC),
+]
 
 
 def stand_command(q: Array | None = None, kp: float = STAND_KP) -> LowCommand:
@@ -51,7 +62,7 @@ class Simulation:
         timestep: float = 0.005,
         payload: float = 0.0,
         command_delay: float = 0.0,
-        boxes: int = 0,
+        boxes: Sequence[tuple[float, float, float]] = (),
     ) -> None:
         self.height = np.ascontiguousarray(height, np.float32)
         self.resolution = float(resolution)
@@ -159,6 +170,11 @@ class Simulation:
         h = self.height[i : i + 2, j : j + 2]
         return float((1 - v) * ((1 - u) * h[0, 0] + u * h[0, 1]) + v * ((1 - u) * h[1, 0] + u * h[1, 1]))
 
+    @property
+    def diverged(self) -> bool:
+        """MuJoCo met NaN or huge values since the last reset and has put the robot back to the origin."""
+        return bool(self.data.warning.number[_BAD].any())
+
     # --- doing -----------------------------------------------------------------------------------------------------
     def reset(
         self, x: float = 0.0, y: float = 0.0, yaw: float = 0.0, q: Array | None = None, settle: float = 0.6
@@ -187,8 +203,8 @@ class Simulation:
         else:
             pose = np.array(q, np.float64)
             slope = np.linalg.lstsq(np.column_stack([feet[:, :2], np.ones(4)]), axle, rcond=None)[0]
-            tilt = np.array([0.0, -np.arctan(slope[0]), np.arctan(slope[1] / np.hypot(1.0, slope[0]))])
-            mujoco.mju_euler2Quat(quat, tilt + [yaw, 0.0, 0.0], "zyx")
+            tilt = np.array([yaw, -np.arctan(slope[0]), np.arctan(slope[1] / np.hypot(1.0, slope[0]))])
+            mujoco.mju_euler2Quat(quat, tilt, "zyx")
             trunk = 0.0
         self._qpos[:3] = x, y, trunk
         self._qpos[3:7] = quat
@@ -221,6 +237,11 @@ class Simulation:
         """Push the trunk with `force` [N], world axes, for `duration` [s] from now."""
         self.data.xfrc_applied[self._base, :3] = force
         self._push_until = self._steps + round(duration / self.timestep)
+
+    def place_box(self, index: int, centre: tuple[float, float, float] | None, yaw: float = 0.0) -> None:
+        """Put box `index` there [m], world; None takes it away."""
+        self.data.mocap_pos[index] = HIDDEN if centre is None else centre
+        self.data.mocap_quat[index] = np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)
 
     def step(self, steps: int = 1) -> None:
         """Advance `steps` physics steps."""

@@ -1,0 +1,292 @@
+"""The Go2-W in MuJoCo behind the contract of `hal.contract`: sensors, modes, commands, faults. Same seed, same bytes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hal import go2w
+from hal.contract import BackendError
+from hal.lidar.caster import OrientedBox, make_caster
+from hal.lidar.simulator import LidarSimulator
+from hal.lidar.spec import LIDARS
+from hal.locomotion.vmc import VmcController
+from hal.lowlevel import Locomotion, LowState
+from hal.mujoco.modes import Modes
+from hal.mujoco.options import Obstacle, Push, SimOptions
+from hal.mujoco.policy import PolicyController
+from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
+from hal.mujoco.sim import Simulation
+from hal.scenes import Scene
+from hal.types import (
+    NS,
+    Capabilities,
+    GroundTruth,
+    ModeRequest,
+    Phase,
+    PostureCommand,
+    RobotState,
+    Sample,
+    VelocityCommand,
+)
+
+IMU_PERIOD = NS // 200
+JOINT_PERIOD = NS // 50
+TRUTH_PERIOD = NS // 50
+STATE_PERIOD = NS // 10
+LIDAR_SLICE = NS // 100
+"""Rays are cast this often, from where the sensor is then."""
+BATTERY_LIFE = 7200.0
+"""[s]"""
+CONTACT_FORCE = 12.0
+"""Vertical wheel force [N] from joint torques above which a wheel counts as on the ground."""
+BACKLOG = 2 * NS
+"""`read` refuses to advance further in one call: the host's clock jumped."""
+
+CAPABILITIES = {
+    "vmc": Capabilities(
+        "go2w-mujoco-vmc", max_vx=1.0, max_wz=1.0, max_step=0.10, max_slope=np.radians(25.0), max_gap=0.10
+    ),
+    "policy": Capabilities(
+        "go2w-mujoco-policy",
+        max_vx=1.0,
+        max_vy=0.5,
+        max_wz=1.0,
+        max_step=0.25,
+        max_slope=np.radians(30.0),
+        max_gap=0.12,
+        strafe=True,
+    ),
+}
+
+
+class MujocoBackend:
+    """`hal.contract.Backend` on `scene`. Raises BackendError, PolicyError."""
+
+    def __init__(self, scene: Scene, options: SimOptions | None = None, **changes: Any) -> None:
+        """`changes` are fields of SimOptions that replace those of `options`."""
+        self.options = o = replace(options or SimOptions(), **changes)
+        self.scene = scene
+        if o.lidar is not None and o.lidar not in LIDARS:
+            raise BackendError(f"there is no LiDAR {o.lidar!r}: use one of {', '.join(LIDARS)}")
+        self._dt = round(o.timestep * NS)
+        self.controller: Locomotion
+        if o.controller == "policy":
+            self.controller = PolicyController(o.policy_dir or "")
+        else:
+            self.controller = VmcController(period=max(o.timestep, 0.005))
+        self._control_steps = max(1, round(self.controller.period * NS / self._dt))
+        draw = np.random.default_rng(np.random.SeedSequence([o.seed, 0xF12]))
+        self.friction = (
+            scene.friction if o.friction is None else o.friction
+        ) + o.friction_spread * draw.uniform(-1, 1)
+        self.simulation = Simulation(
+            scene.height,
+            scene.resolution,
+            scene.origin,
+            friction=self.friction,
+            timestep=o.timestep,
+            payload=o.payload,
+            command_delay=o.command_delay,
+            boxes=tuple(box.size for box in o.obstacles),
+        )
+        spec = LIDARS[o.lidar].decimated(o.lidar_step) if o.lidar is not None else None
+        self._mount = o.lidar_mount or (spec.mount if spec else None)
+        self.capabilities = CAPABILITIES[o.controller]
+        if o.lidar is not None and self._mount is not None:
+            self.capabilities = replace(self.capabilities, lidar=o.lidar, lidar_mount=self._mount)
+        self._spec = spec
+        self.notice = ""
+        """One line for the operator about the ray caster."""
+        self._caster = None
+        if spec is not None:
+            self._caster, self.notice = make_caster(
+                scene.height, scene.resolution, scene.origin, prefer=o.caster
+            )
+        self._modes = Modes(self.controller)
+        self._connected = False
+        self._state = RobotState(o.start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)
+
+    # --- contract --------------------------------------------------------------------------------------------------
+    def connect(self) -> None:
+        """Put the robot at its start and begin. The source clock starts at `options.start_time`."""
+        o = self.options
+        x, y, yaw = o.start or self.scene.start
+        if not self.scene.contains(x, y):
+            raise BackendError(
+                f"start ({x:.2f}, {y:.2f}) lies outside scene {self.scene.name}: choose another start"
+            )
+        self.simulation.reset(x, y, yaw, q=go2w.FOLDED if o.seated else None)
+        self._steps = 0
+        self._ran = 0
+        self._sensors = Sensors(o.seed, o.noise)
+        self._out = DelayLine()
+        self._lidar = None
+        if self._spec is not None and self._caster is not None and self._mount is not None:
+            self._lidar = LidarSimulator(self._spec, self._mount, self._caster, o.seed, noise=o.noise)
+        self._pushes = sorted(o.pushes, key=lambda push: push.time)
+        self._shown: tuple[bool, ...] = (False,) * len(o.obstacles)
+        self._moving = any(box.velocity != (0.0, 0.0) for box in o.obstacles)
+        self._low = self._sensors.measure(self.simulation.low_state())
+        self._modes.begin(self._low, o.seated)
+        self._connected = True
+        self._contact = (True, True, True, True)
+        self._state_due = 0
+        self._place_obstacles(0)
+        self._publish(0)
+
+    def read(self, now: int) -> list[Sample]:
+        """Advance the physics to `now` [ns] and return what its sensors delivered meanwhile, in order of delivery."""
+        if not self._connected:
+            return []
+        target = (now - self.options.start_time) // self._dt
+        if (target - self._steps) * self._dt > BACKLOG:
+            raise BackendError(
+                f"asked to simulate {(target - self._steps) * self._dt / NS:.1f} s at once: the clock jumped; "
+                "read at least every 2 s"
+            )
+        while self._steps < target:
+            self._advance()
+        return self._out.take(max(now, self.options.start_time))
+
+    def drive(self, command: VelocityCommand) -> None:
+        """Velocity until the next call; takes effect at the next control tick."""
+        if not np.isfinite((command.vx, command.vy, command.wz)).all():
+            raise BackendError("velocity must be finite: put the safety gate in front of the backend")
+        self._modes.drive(command)
+
+    def posture(self, command: PostureCommand) -> None:
+        """Trunk height and attitude offsets until the next call."""
+        self._modes.posture(command)
+
+    def request(self, mode: ModeRequest) -> None:
+        """Start a transition; see `hal.mujoco.modes`."""
+        self._modes.request(mode)
+
+    def state(self) -> RobotState:
+        """Newest summary state."""
+        return self._state
+
+    def close(self) -> None:
+        """Damp the motors and stop the clock."""
+        self._connected = False
+        self._modes.disconnect()
+        self._state = replace(self._state, phase=self._modes.phase, cause=self._modes.cause)
+
+    # --- for tests, benchmarks and trouble -------------------------------------------------------------------------
+    def push(self, force: tuple[float, float, float], duration: float = 0.2) -> None:
+        """Push the trunk with `force` [N], world axes, for `duration` [s] from now."""
+        self.simulation.push(force, duration)
+
+    # --- one physics step ------------------------------------------------------------------------------------------
+    def _advance(self) -> None:
+        if self._steps % self._control_steps == 0:
+            self.simulation.apply(self._modes.step(self._low))
+        while self._pushes and self._pushes[0].time * NS <= self._steps * self._dt:
+            push = self._pushes.pop(0)
+            self.simulation.push(push.force, push.duration)
+        self.simulation.step()
+        self._steps += 1
+        elapsed = self._steps * self._dt
+        control = self._steps % self._control_steps == 0
+        if control or elapsed % IMU_PERIOD < self._dt:
+            self._low = self._sensors.measure(self.simulation.low_state())
+        if self.options.obstacles:
+            self._place_obstacles(elapsed)
+        self._publish(elapsed)
+
+    def _publish(self, elapsed: int) -> None:
+        """Everything due after the step that ended `elapsed` [ns] after connect."""
+        o, dt = self.options, self._dt
+        stamp = o.start_time + elapsed
+        if elapsed % IMU_PERIOD < dt:
+            self._out.put(stamp + round(o.imu_delay * NS), imu_sample(stamp, self._low))
+        if elapsed % JOINT_PERIOD < dt:
+            self._out.put(stamp + round(o.joint_delay * NS), joint_sample(stamp, self._low))
+            self._watch()
+        if self._lidar is not None and elapsed % LIDAR_SLICE < dt:
+            sim = self.simulation
+            scan = self._lidar.advance(stamp, sim.position, sim.quaternion)
+            if scan is not None:
+                self._out.put(stamp + round(o.lidar_delay * NS), scan)
+        if elapsed % TRUTH_PERIOD < dt:
+            self._out.put(stamp, self._truth(stamp))
+        phase, cause = self._modes.phase, self._modes.cause
+        if elapsed >= self._state_due or phase is not self._state.phase or cause != self._state.cause:
+            self._state_due = elapsed - elapsed % STATE_PERIOD + STATE_PERIOD
+            self._contact = wheels_on_ground(self._low)
+            temperature = 30.0 + 10.0 * min(elapsed / NS / 1800.0, 1.0)
+            battery = max(o.battery - elapsed / NS / BATTERY_LIFE, 0.0)
+            self._state = RobotState(stamp, phase, cause, battery, temperature, self._contact)
+            self._out.put(stamp, self._state)
+
+    def _truth(self, stamp: int) -> GroundTruth:
+        sim = self.simulation
+        w, x, y, z = sim.quaternion
+        return GroundTruth(
+            stamp, sim.position, np.array([x, y, z, w]), sim.linear_velocity, sim.angular_velocity
+        )
+
+    def _watch(self) -> None:
+        """What a simulation can suffer and a robot cannot."""
+        sim = self.simulation
+        if self._modes.phase is Phase.FAULT:
+            return
+        if sim.diverged:
+            self._modes.fault("the simulation diverged; restart it with a smaller timestep")
+        elif not self.scene.contains(*sim.position[:2].tolist()):
+            self._modes.fault(f"left the terrain of scene {self.scene.name}; restart the simulation")
+
+    def _place_obstacles(self, elapsed: int) -> None:
+        t = elapsed / NS
+        shown = tuple(box.appear <= t < box.disappear for box in self.options.obstacles)
+        due = elapsed % LIDAR_SLICE < self._dt
+        if shown == self._shown and not (self._moving and any(shown) and due):
+            return
+        self._shown = shown
+        boxes = [
+            box_at(box, t) if on else None for box, on in zip(self.options.obstacles, shown, strict=True)
+        ]
+        for index, box in enumerate(boxes):
+            self.simulation.place_box(
+                index, None if box is None else box.centre, 0.0 if box is None else box.yaw
+            )
+        if self._lidar is not None:
+            self._lidar.set_boxes([box for box in boxes if box is not None])
+
+
+def box_at(box: Obstacle, time: float) -> OrientedBox:
+    """Where the obstacle is `time` [s] after connect."""
+    x, y, z = box.centre
+    age = time - box.appear
+    return OrientedBox((x + box.velocity[0] * age, y + box.velocity[1] * age, z), box.size, box.yaw)
+
+
+def wheels_on_ground(state: LowState) -> tuple[bool, bool, bool, bool]:
+    """Which wheels carry load, from leg torques alone: FR, FL, RR, RL."""
+    jacobian = go2w.wheel_jacobians(state.q).transpose(0, 2, 1)
+    torque = state.tau[:12].reshape(4, 3, 1)
+    singular = np.abs(np.linalg.det(jacobian)) < 1e-4
+    force = -np.linalg.solve(np.where(singular[:, None, None], np.eye(3), jacobian), torque)[:, :, 0]
+    w, x, y, z = state.quaternion.tolist()
+    up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    a, b, c, d = (bool(f > CONTACT_FORCE) for f in force @ up)
+    return a, b, c, d
+
+
+def make_backend(config: Any) -> MujocoBackend:
+    """From the stack's configuration (scene, controller, LiDAR, seed, start). Raises BackendError, SceneError, PolicyError."""
+    return MujocoBackend(
+        config.load_scene(),
+        controller=config.controller,
+        policy_dir=config.policy_dir or None,
+        lidar=config.lidar,
+        lidar_mount=config.mount,
+        seed=config.seed,
+        start=config.start_pose(),
+    )
+
+
+__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimOptions", "make_backend"]

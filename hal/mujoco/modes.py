@@ -1,0 +1,305 @@
+"""The robot's state machine: which motions the motors follow in which phase, how phases end, and why.
+
+| phase | motors | left by |
+|---|---|---|
+| damped | soft dampers | STAND, RECOVER |
+| sitting | fold the legs, then hold | STAND, RECOVER, DAMP |
+| standing | fold, stretch, take the stance | done -> ready; timeout, fall -> fault |
+| ready, moving | locomotion controller | SIT, DAMP, STOP; fall -> fault |
+| stopped | locomotion controller at zero velocity | RESUME, SIT, DAMP |
+| fault | soft dampers | RECOVER, DAMP |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hal import go2w
+from hal.lowlevel import Locomotion, LowCommand, LowState
+from hal.mujoco.righting import Righting
+from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
+
+STAND_TIMEOUT = 6.0
+"""[s] from the start of getting up to a checked stance."""
+SIT_TIMEOUT = 6.0
+"""[s] from the request to seated."""
+STANCE_TIME = 0.5
+"""[s] the controller holds the stance before the robot counts as ready."""
+FALLEN_UP = 0.5
+"""Cosine of the tilt from which a robot counts as fallen (60 deg)..."""
+FALLEN_TIME = 0.15
+"""... when it lasts this long [s]."""
+STEADY_SPEED = 0.35
+"""Wheel speed [rad/s] below which the robot counts as standing still."""
+MOVING_TIME = 0.5
+"""Phase `moving` ends this long [s] after the last command that was not zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class Keyframe:
+    """Reach `q` (16,) [rad] within `duration` [s]."""
+
+    duration: float
+    q: Array
+
+
+class Motion:
+    """Smooth joint motion through keyframes from where the joints are; holds the last one.
+
+    The torque the motors carry at the start fades out while the springs take over: no drop at the change.
+    """
+
+    FADE = 0.4
+    """[s]"""
+
+    def __init__(self, state: LowState, frames: list[Keyframe], kp: float, kd: float = 5.0) -> None:
+        self._start = state.time
+        self._times = state.time + np.cumsum([0.0, *(f.duration for f in frames)])
+        self._poses = [state.q.copy(), *(f.q for f in frames)]
+        self._tau = state.tau.copy()
+        self._tau[go2w.WHEELS] = 0.0
+        stiffness = np.full(16, kp)
+        stiffness[go2w.WHEELS] = 0.0
+        self._command = LowCommand(state.q.copy(), np.zeros(16), np.zeros(16), stiffness, np.full(16, kd))
+
+    def done(self, time: float) -> bool:
+        """The last keyframe's time has come."""
+        return bool(time >= self._times[-1])
+
+    def step(self, time: float) -> LowCommand:
+        """Command at `time` [s]."""
+        k = int(np.clip(np.searchsorted(self._times, time, side="right") - 1, 0, len(self._poses) - 2))
+        s = np.clip((time - self._times[k]) / (self._times[k + 1] - self._times[k]), 0.0, 1.0)
+        s = s * s * (3.0 - 2.0 * s)
+        self._command.q[:] = (1.0 - s) * self._poses[k] + s * self._poses[k + 1]
+        self._command.tau[:] = max(1.0 - (time - self._start) / self.FADE, 0.0) * self._tau
+        return self._command
+
+
+def damped(kd: float = 3.0) -> LowCommand:
+    """Motors as dampers."""
+    zero = np.zeros(16)
+    return LowCommand(zero, zero.copy(), zero.copy(), zero.copy(), np.full(16, kd))
+
+
+def up(state: LowState) -> float:
+    """Cosine of the trunk's tilt."""
+    _, x, y, _ = state.quaternion.tolist()
+    return 1.0 - 2.0 * (x * x + y * y)
+
+
+def level_stance(state: LowState, height: float = 0.33) -> Array:
+    """(16,) joint angles of a level trunk `height` [m] above ground that is parallel to the trunk now (it lies on it)."""
+    w, x, y, z = state.quaternion.tolist()
+    down = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    centres = go2w.wheel_centres(go2w.STAND)
+    # Seen from the level trunk the ground falls away along the horizontal part of the trunk's up axis.
+    slope = -down[:2] / max(down[2], 0.5)
+    centres[:, 2] = -(height - go2w.WHEEL_RADIUS) - centres[:, :2] @ slope
+    centres[:, 2] = np.clip(centres[:, 2], -0.36, -0.13)
+    return go2w.leg_angles(centres)
+
+
+class Modes:
+    """See the module. `step` once per control tick."""
+
+    def __init__(self, controller: Locomotion) -> None:
+        self._controller = controller
+        self.phase = Phase.DISCONNECTED
+        self.cause = "not connected"
+        self._velocity = VelocityCommand(0)
+        self._posture = PostureCommand(0)
+        self._latched = False
+        self._act: Callable[[LowState], LowCommand] = self._damp
+        self._motion: Motion | None = None
+        self._righting: Righting | None = None
+        self._deadline = np.inf
+        self._tilted_since: float | None = None
+        self._moved = -np.inf
+        self._damped = damped()
+        self._pending: ModeRequest | None = None
+
+    # --- asked from outside ----------------------------------------------------------------------------------------
+    def drive(self, velocity: VelocityCommand) -> None:
+        """Velocity until the next call."""
+        self._velocity = velocity
+
+    def posture(self, posture: PostureCommand) -> None:
+        """Posture until the next call."""
+        self._posture = posture
+
+    def request(self, mode: ModeRequest) -> None:
+        """Takes effect with the next `step`; the last request before it counts, but a STOP is never overtaken."""
+        if mode is ModeRequest.STOP:
+            self._latched = True
+        elif mode is ModeRequest.RESUME:
+            self._latched = False
+        else:
+            self._pending = mode
+
+    def begin(self, state: LowState, seated: bool) -> None:
+        """The robot was just connected: on its wheels, or lying."""
+        self._latched = False
+        self._pending = None
+        self._tilted_since = None
+        if seated:
+            self._enter(Phase.SITTING, "connected, seated", self._hold_seat)
+            self._motion = Motion(state, [Keyframe(0.5, go2w.FOLDED)], kp=40.0)
+        else:
+            self._take_stance(state, "connected, taking its stance", state.time + STAND_TIMEOUT)
+
+    def disconnect(self) -> None:
+        """Nobody drives the robot any more."""
+        self._enter(Phase.DISCONNECTED, "disconnected", self._damp)
+
+    def fault(self, reason: str) -> None:
+        """Damp the motors; only RECOVER or DAMP lead out."""
+        self._enter(Phase.FAULT, reason, self._damp)
+
+    # --- ticking ---------------------------------------------------------------------------------------------------
+    def step(self, state: LowState) -> LowCommand:
+        """One control tick."""
+        if self._pending is not None:
+            mode, self._pending = self._pending, None
+            self._handle(mode, state)
+        self._watch_fall(state)
+        return self._act(state)
+
+    def _enter(self, phase: Phase, cause: str, act: Callable[[LowState], LowCommand]) -> None:
+        self.phase, self.cause, self._act = phase, cause, act
+        self._motion = None
+        self._righting = None
+        self._deadline = np.inf
+
+    def _handle(self, mode: ModeRequest, state: LowState) -> None:
+        on_wheels = self.phase in (Phase.READY, Phase.MOVING, Phase.STOPPED)
+        if mode is ModeRequest.DAMP:
+            self._enter(Phase.DAMPED, "damp requested", self._damp)
+        elif mode is ModeRequest.SIT:
+            if on_wheels:
+                self._enter(Phase.SITTING, "sit requested: stopping", self._stop_to_sit)
+                self._deadline = state.time + SIT_TIMEOUT
+            elif self.phase is not Phase.SITTING:
+                self._refuse("sit", f"robot is {self.phase.value}")
+        elif on_wheels or self.phase is Phase.STANDING:
+            return  # already there
+        elif mode is ModeRequest.STAND and self.phase is Phase.FAULT:
+            self._refuse("stand", "request recover to leave a fault")
+        elif up(state) > FALLEN_UP:
+            self._get_up(state, f"{mode.value} requested: getting up")
+        elif mode is ModeRequest.STAND:
+            self._refuse("stand", "the robot lies on its side or back; request recover")
+        else:
+            self._enter(Phase.STANDING, "recover requested: turning onto its belly", self._right)
+            self._righting = Righting(state)
+
+    def _refuse(self, what: str, why: str) -> None:
+        self.cause = f"{self.cause.split('; ')[0]}; {what} refused: {why}"
+
+    def _watch_fall(self, state: LowState) -> None:
+        if (
+            self._righting is not None
+            or self.phase in (Phase.FAULT, Phase.DAMPED, Phase.DISCONNECTED)
+            or up(state) > FALLEN_UP
+        ):
+            self._tilted_since = None
+        elif self._tilted_since is None:
+            self._tilted_since = state.time
+        elif state.time - self._tilted_since >= FALLEN_TIME:
+            tilt = np.degrees(np.arccos(np.clip(up(state), -1.0, 1.0)))
+            self.fault(f"fallen: tilt {tilt:.0f} deg; clear the place and request recover")
+
+    # --- what the motors do ----------------------------------------------------------------------------------------
+    def _damp(self, state: LowState) -> LowCommand:
+        return self._damped
+
+    def _hold_seat(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        return self._motion.step(state.time)
+
+    def _stop_to_sit(self, state: LowState) -> LowCommand:
+        """Brake first: a robot that folds its legs at speed tips over."""
+        steady = np.abs(state.dq[go2w.WHEELS]).max() < STEADY_SPEED
+        if steady or state.time > self._deadline - SIT_TIMEOUT / 2:
+            self._enter(Phase.SITTING, "sit requested: folding its legs", self._fold)
+            self._motion = Motion(state, [Keyframe(2.0, self._folded(state))], kp=120.0)
+            self._deadline = state.time + SIT_TIMEOUT / 2
+            return self._motion.step(state.time)
+        return self._controller.step(state, VelocityCommand(self._velocity.stamp), self._posture)
+
+    def _fold(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        if self._motion.done(state.time):
+            self.cause = "seated"
+            self._act = self._hold_seat
+        return self._motion.step(state.time)
+
+    @staticmethod
+    def _folded(state: LowState) -> Array:
+        """FOLDED with the wheels where they have turned to."""
+        q = go2w.FOLDED.copy()
+        q[go2w.WHEELS] = state.q[go2w.WHEELS]
+        return q
+
+    def _get_up(self, state: LowState, cause: str, deadline: float | None = None) -> None:
+        self._enter(Phase.STANDING, cause, self._stretch)
+        frames = [Keyframe(1.0, go2w.FOLDED), Keyframe(0.2, go2w.FOLDED)]
+        self._motion = Motion(state, frames, kp=120.0)
+        self._stretching = False
+        self._deadline = state.time + STAND_TIMEOUT if deadline is None else deadline
+
+    def _stretch(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        if self._motion.done(state.time):
+            if self._stretching:
+                self._take_stance(state, self.cause, self._deadline)
+                return self._act(state)
+            # Folded and on the ground: its slope is known now.
+            self._stretching = True
+            self._motion = Motion(state, [Keyframe(1.5, level_stance(state))], kp=150.0)
+        return self._motion.step(state.time)
+
+    def _take_stance(self, state: LowState, cause: str, deadline: float) -> None:
+        self._enter(Phase.STANDING, cause, self._stance)
+        self._deadline = deadline
+        self._stance_since = state.time
+        self._controller.reset()
+
+    def _stance(self, state: LowState) -> LowCommand:
+        steady = np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED and up(state) > 0.8
+        if not steady:
+            self._stance_since = state.time
+        if state.time - self._stance_since >= STANCE_TIME:
+            self._enter(Phase.READY, "standing", self._walk)
+            self._moved = -np.inf
+        elif state.time > self._deadline:
+            self.fault(f"did not come to rest on its wheels within {STAND_TIMEOUT:.0f} s; request recover")
+            return self._damped
+        return self._controller.step(state, VelocityCommand(self._velocity.stamp), self._posture)
+
+    def _walk(self, state: LowState) -> LowCommand:
+        v = self._velocity
+        if self._latched:
+            if self.phase is not Phase.STOPPED:
+                self.phase, self.cause = Phase.STOPPED, "stop requested; request resume"
+            v = VelocityCommand(v.stamp)
+        else:
+            if v.vx != 0.0 or v.vy != 0.0 or v.wz != 0.0:
+                self._moved = state.time
+            moving = state.time - self._moved < MOVING_TIME
+            phase = Phase.MOVING if moving else Phase.READY
+            if phase is not self.phase:
+                self.phase, self.cause = phase, "driving" if moving else "standing"
+        return self._controller.step(state, v, self._posture)
+
+    def _right(self, state: LowState) -> LowCommand:
+        assert self._righting is not None
+        command = self._righting.step(state)
+        if self._righting.upright:
+            self._get_up(state, "on its belly again: getting up")
+        elif self._righting.failed:
+            self.fault("fallen: it could not turn itself over; put it on its wheels, then request recover")
+        return command

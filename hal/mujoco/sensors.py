@@ -1,0 +1,107 @@
+"""Sensor errors and delivery delays. Random numbers come in blocks: one draw per sample costs more than the physics step."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from hal.lowlevel import LowState
+from hal.types import Array, ImuSample, JointSample, Sample
+
+GYRO_SIGMA, GYRO_BIAS = 0.003, 0.002
+"""White noise per sample and constant offset drawn per seed [rad/s]."""
+ACCEL_SIGMA, ACCEL_BIAS = 0.06, 0.03
+"""[m/s^2]"""
+TILT_BIAS = 0.003
+"""Constant error of the attitude filter, per axis [rad]."""
+POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA = 0.0005, 0.02, 0.1
+"""Joint encoders and torque estimate: [rad], [rad/s], [Nm]."""
+
+_BLOCK = 1024
+
+
+class Gaussian:
+    """Rows of standard normal numbers, drawn in blocks."""
+
+    def __init__(self, random: np.random.Generator, width: int) -> None:
+        self._random = random
+        self._shape = (_BLOCK, width)
+        self._rows = random.standard_normal(self._shape)
+        self._next = 0
+
+    def row(self) -> Array:
+        """(width,)"""
+        if self._next == _BLOCK:
+            self._rows = self._random.standard_normal(self._shape)
+            self._next = 0
+        self._next += 1
+        return self._rows[self._next - 1]
+
+
+class Sensors:
+    """Turns the exact joint-level state into what the robot's own sensors say."""
+
+    def __init__(self, seed: int, noise: bool) -> None:
+        self._noise = noise
+        streams = np.random.SeedSequence([seed, 0x1A7]).spawn(2)
+        constant = np.random.default_rng(streams[0]).standard_normal(8)
+        self._gyro_bias = GYRO_BIAS * constant[:3]
+        self._accel_bias = ACCEL_BIAS * constant[3:6]
+        self._tilt = TILT_BIAS * constant[6:8]
+        self._gaussian = Gaussian(np.random.default_rng(streams[1]), 6 + 48)
+        self._imu_scale = np.array([GYRO_SIGMA] * 3 + [ACCEL_SIGMA] * 3)
+
+    def measure(self, state: LowState) -> LowState:
+        """One control tick's LowState with errors, in place."""
+        if not self._noise:
+            return state
+        row = self._gaussian.row()
+        imu = row[:6] * self._imu_scale
+        state.gyro += imu[:3]
+        state.gyro += self._gyro_bias
+        state.accel += imu[3:]
+        state.accel += self._accel_bias
+        state.q += POSITION_SIGMA * row[6:22]
+        state.dq += VELOCITY_SIGMA * row[22:38]
+        state.tau += EFFORT_SIGMA * row[38:54]
+        state.quaternion[:] = _tilted(state.quaternion, self._tilt)
+        return state
+
+
+def _tilted(q: Array, tilt: Array) -> Array:
+    """`q` (w, x, y, z) turned by a small body-fixed roll and pitch [rad]."""
+    w, x, y, z = q.tolist()
+    a, b = 0.5 * float(tilt[0]), 0.5 * float(tilt[1])
+    out = np.array([w - x * a - y * b, x + w * a - z * b, y + w * b + z * a, z + x * b - y * a])
+    return out / np.sqrt(out @ out)
+
+
+def imu_sample(stamp: int, state: LowState) -> ImuSample:
+    """From a measured state, which keeps no reference to the sample."""
+    return ImuSample(stamp, state.gyro.copy(), state.accel.copy())
+
+
+def joint_sample(stamp: int, state: LowState) -> JointSample:
+    """From a measured state, which keeps no reference to the sample."""
+    return JointSample(stamp, state.q.copy(), state.dq.copy(), state.tau.copy())
+
+
+class DelayLine:
+    """Holds samples back: what goes in with a due time comes out when the clock has reached it, earliest due first."""
+
+    def __init__(self) -> None:
+        self._queues: dict[type, deque[tuple[int, Sample]]] = {}
+
+    def put(self, due: int, sample: Sample) -> None:
+        """`due` [ns] must not fall within one kind of sample."""
+        self._queues.setdefault(type(sample), deque()).append((due, sample))
+
+    def take(self, now: int) -> list[Sample]:
+        """All samples due by `now` [ns]."""
+        ready: list[tuple[int, Sample]] = []
+        for queue in self._queues.values():
+            while queue and queue[0][0] <= now:
+                ready.append(queue.popleft())
+        ready.sort(key=lambda item: item[0])
+        return [sample for _, sample in ready]

@@ -1,0 +1,225 @@
+"""What every backend must do, whatever robot is behind it. Subclass `ContractSuite` and give it a `rig` fixture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from hal.contract import Backend
+from hal.go2w import BODY_LENGTH, JOINT_RANGE, WHEEL_RADIUS, WHEELS
+from hal.types import (
+    NS,
+    POINT_DTYPE,
+    ImuSample,
+    JointSample,
+    LidarScan,
+    ModeRequest,
+    Phase,
+    RobotState,
+    Sample,
+    VelocityCommand,
+)
+
+Kind = TypeVar("Kind")
+
+
+class Rig:
+    """A backend and the clock that drives it. `tick` lets one host period pass and returns the source clock [ns]."""
+
+    def __init__(self, backend: Backend, tick: Callable[[], int]) -> None:
+        self.backend = backend
+        self.tick = tick
+        self.now = 0
+        self.states: list[RobotState] = []
+
+    def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list[Sample]:
+        """Drive for `seconds` of the source clock and return what the sensors said."""
+        end = None
+        samples: list[Sample] = []
+        while end is None or self.now < end:
+            self.now = self.tick()
+            end = self.now + round(seconds * NS) if end is None else end
+            self.backend.drive(VelocityCommand(self.now, vx=vx, wz=wz))
+            samples += self.backend.read(self.now)
+            self.states.append(self.backend.state())
+        return samples
+
+    def until(self, *phases: Phase, seconds: float) -> list[Sample]:
+        """Run at zero velocity until the robot is in one of `phases`; fail after `seconds`."""
+        samples: list[Sample] = []
+        spent = 0.0
+        while self.backend.state().phase not in phases:
+            assert spent < seconds, f"still {self.backend.state()} after {seconds} s"
+            samples += self.run(0.05)
+            spent += 0.05
+        return samples
+
+    def ready(self) -> None:
+        """Connect and wait until the robot takes velocity."""
+        self.backend.connect()
+        self.until(Phase.READY, seconds=30.0)
+
+
+def of(samples: list[Sample], kind: type[Kind]) -> list[Kind]:
+    """The samples of one kind."""
+    return [s for s in samples if isinstance(s, kind)]
+
+
+def wheel_travel(samples: list[Sample]) -> float:
+    """Mean distance [m] the wheels rolled forward, corrected for nothing: good enough on flat ground."""
+    joints = of(samples, JointSample)
+    turned = joints[-1].position[WHEELS] - joints[0].position[WHEELS]
+    return float(np.mean(turned)) * WHEEL_RADIUS
+
+
+class ContractSuite:
+    """Subclass with a fixture `rig`: a fresh backend on flat ground with room, not connected yet."""
+
+    scan_hits = 500
+    """Fewest points of a scan in the rig's surroundings."""
+
+    def test_says_disconnected_before_connect_and_after_close(self, rig: Rig) -> None:
+        assert rig.backend.state().phase is Phase.DISCONNECTED
+        assert rig.backend.state().cause
+        rig.ready()
+        rig.backend.close()
+        rig.backend.close()
+        assert rig.backend.state().phase is Phase.DISCONNECTED
+        assert rig.backend.read(rig.tick()) == []
+
+    def test_is_a_backend_with_sane_capabilities(self, rig: Rig) -> None:
+        assert isinstance(rig.backend, Backend)
+        c = rig.backend.capabilities
+        assert c.name
+        assert 0.2 <= c.max_vx <= 4.0
+        assert 0.2 <= c.max_wz <= 4.0
+        assert c.strafe == (c.max_vy > 0.0)
+        assert 0.0 < c.max_slope < 1.0
+        assert 0.0 < c.max_step < 0.5
+
+    def test_sensors_come_at_their_rates_in_order_and_never_from_the_future(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.5)
+        samples = rig.run(2.0)
+        for kind, rate in ((ImuSample, 200.0), (JointSample, 50.0), (LidarScan, 10.0), (RobotState, 10.0)):
+            stamps = np.array([s.stamp for s in samples if isinstance(s, kind)])
+            assert len(stamps) >= 0.8 * 2.0 * rate, kind.__name__
+            assert (np.diff(stamps) > 0).all(), kind.__name__
+            assert (stamps <= rig.now).all(), kind.__name__
+            assert np.median(np.diff(stamps)) < 1.2 * NS / rate, kind.__name__
+
+    def test_a_standing_robot_feels_gravity_and_nothing_else(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(1.0)
+        samples = rig.run(1.0)
+        accel = np.mean([s.accel for s in of(samples, ImuSample)], axis=0)
+        gyro = np.mean([s.gyro for s in of(samples, ImuSample)], axis=0)
+        assert abs(np.linalg.norm(accel) - 9.81) < 0.2
+        assert accel[2] > 9.5
+        assert np.linalg.norm(gyro) < 0.03
+
+    def test_joints_are_within_their_limits_and_carry_the_robot(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.5)
+        joints = of(rig.run(0.5), JointSample)
+        for sample in joints:
+            assert sample.position.shape == sample.velocity.shape == sample.effort.shape == (16,)
+            assert (sample.position[:12] > JOINT_RANGE[:12, 0] - 0.05).all()
+            assert (sample.position[:12] < JOINT_RANGE[:12, 1] + 0.05).all()
+        knees = np.mean([s.effort[2:12:3] for s in joints], axis=0)
+        assert (np.abs(knees) > 1.0).all()
+
+    def test_scans_are_points_with_times_and_without_the_robot(self, rig: Rig) -> None:
+        rig.ready()
+        scans = of(rig.run(1.0), LidarScan)
+        assert scans
+        for scan in scans:
+            p = scan.points
+            assert p.dtype == POINT_DTYPE
+            assert len(p) >= self.scan_hits
+            xyz = np.stack([p["x"], p["y"], p["z"]], axis=1)
+            assert np.isfinite(xyz).all()
+            assert p["time"].min() >= 0.0
+            assert p["time"].max() <= 0.2
+            near = np.linalg.norm(xyz, axis=1) < 0.5 * BODY_LENGTH - 0.1
+            assert near.mean() < 0.01
+
+    def test_drives_forward_and_stops_again(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(1.0, vx=0.4)
+        samples = rig.run(2.0, vx=0.4)
+        assert rig.backend.state().phase is Phase.MOVING
+        assert 0.6 * 0.8 <= wheel_travel(samples) <= 1.4 * 0.8
+        rig.run(2.0)
+        assert rig.backend.state().phase is Phase.READY
+        assert abs(wheel_travel(rig.run(1.0))) < 0.02
+
+    def test_turns_in_place(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(1.0, wz=0.6)
+        rate = np.mean([s.gyro[2] for s in of(rig.run(2.0, wz=0.6), ImuSample)])
+        assert 0.45 <= rate <= 0.75
+
+    def test_a_velocity_holds_until_the_next_one(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.5, vx=0.3)
+        samples: list[Sample] = []
+        end = rig.now + NS // 2
+        while rig.now < end:
+            rig.now = rig.tick()
+            samples += rig.backend.read(rig.now)
+        assert wheel_travel(samples) > 0.05
+
+    def test_stop_latches_until_resume(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(1.0, vx=0.4)
+        rig.backend.request(ModeRequest.STOP)
+        rig.run(2.0, vx=0.4)
+        assert rig.backend.state().phase is Phase.STOPPED
+        assert "stop" in rig.backend.state().cause
+        assert abs(wheel_travel(rig.run(1.0, vx=0.4))) < 0.02
+        rig.backend.request(ModeRequest.RESUME)
+        rig.until(Phase.READY, Phase.MOVING, seconds=2.0)
+        rig.run(1.0, vx=0.4)
+        assert wheel_travel(rig.run(1.0, vx=0.4)) > 0.2
+
+    def test_sits_down_and_stands_up_again(self, rig: Rig) -> None:
+        rig.ready()
+        rig.backend.request(ModeRequest.SIT)
+        rig.until(Phase.SITTING, seconds=10.0)
+        rig.run(4.0)
+        joints = of(rig.run(0.5, vx=0.4), JointSample)
+        assert (joints[-1].position[2:12:3] < -2.2).all(), "knees are folded"
+        assert np.abs(joints[-1].velocity[WHEELS]).max() < 0.5, "a seated robot does not drive"
+        rig.backend.request(ModeRequest.STAND)
+        rig.until(Phase.STANDING, Phase.READY, seconds=10.0)
+        rig.until(Phase.READY, seconds=20.0)
+        assert wheel_travel(rig.run(2.0, vx=0.4)) > 0.2
+
+    def test_damp_lets_go_and_stand_takes_over_again(self, rig: Rig) -> None:
+        rig.ready()
+        rig.backend.request(ModeRequest.DAMP)
+        rig.until(Phase.DAMPED, seconds=2.0)
+        rig.run(2.0, vx=0.4)
+        assert rig.backend.state().phase is Phase.DAMPED
+        assert np.abs(of(rig.run(0.5, vx=0.4), JointSample)[-1].velocity[WHEELS]).max() < 0.5
+        rig.backend.request(ModeRequest.STAND)
+        rig.until(Phase.READY, seconds=20.0)
+
+    def test_every_state_says_why(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.3, vx=0.3)
+        rig.backend.request(ModeRequest.SIT)
+        rig.run(1.0)
+        assert len({s.phase for s in rig.states}) >= 3
+        for state in rig.states:
+            assert state.cause, state
+            assert 0.0 <= state.battery <= 1.0
+
+    def test_reading_twice_at_the_same_time_gives_nothing_new(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.5)
+        first = rig.backend.read(rig.now)
+        assert of(first, ImuSample) == [] or len(of(first, ImuSample)) < 5

@@ -1,0 +1,31 @@
+"""The MuJoCo robot keeps the contract."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from contract_suite import ContractSuite, Rig
+
+from hal.mujoco.backend import MujocoBackend
+from hal.scenes import Scene
+
+
+def walled_floor() -> Scene:
+    """12 x 12 m of flat ground between low walls."""
+    height = np.zeros((241, 241), np.float32)
+    height[:6] = height[-6:] = height[:, :6] = height[:, -6:] = 0.8
+    return Scene("floor", height, 0.05, (-6.0, -6.0), (-2.0, 0.0, 0.0), {})
+
+
+class TestMujoco(ContractSuite):
+    scan_hits = 1000
+
+    @pytest.fixture
+    def rig(self) -> Rig:
+        clock = [0]
+
+        def tick() -> int:
+            clock[0] += 10_000_000
+            return clock[0]
+
+        return Rig(MujocoBackend(walled_floor(), lidar_step=10, caster="numba"), tick)

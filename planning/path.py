@@ -77,8 +77,8 @@ class Path:
 def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimits | None = None) -> Path:
     """Smooth `plan` into a path from the requested start to the requested goal.
 
-    A requested position that is not a node is the path's first (last) point; nodes that only lead there are left out
-    when the direct way is no worse. Each corner is rounded as far as the corridor allows, less where the body's risk
+    A requested position that is not a node is the path's first (last) point, a goal only where the ground between it
+    and its node can be driven over; a node that only leads there is left out when the direct way is no worse. Each corner is rounded as far as the corridor allows, less where the body's risk
     on the curve would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
@@ -136,13 +136,14 @@ def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits)
     if not isinstance(start, (int, np.integer)):
         xy = _join(np.array(start, dtype=np.float64), xy, plan.request.start_yaw, terrain, body, limits)
     if not isinstance(goal, (int, np.integer)) and plan.reaches_goal:
-        xy = _join(np.array(goal, dtype=np.float64), xy[::-1], None, terrain, body, limits)[::-1]
+        end = np.array(goal, dtype=np.float64)
+        # The goal may lie in what its node keeps clear of: then the path ends at the node.
+        if _passable(_leg(xy[-1], end, body), terrain, body, limits):
+            xy = _join(end, xy[::-1], None, terrain, body, limits)[::-1]
     keep = [xy[0]]
     for p in xy[1:]:
         if np.hypot(*(p - keep[-1])) > 1e-3:
             keep.append(p)
-    if len(keep) > 1 and not isinstance(goal, (int, np.integer)) and plan.reaches_goal:
-        keep[-1] = xy[-1]
     return np.array(keep)
 
 
@@ -160,6 +161,20 @@ def _join(
         if _excess(direct, around, terrain, body, limits) <= _SLACK:
             return [end, *xy[1:]]
     return [end, *xy]
+
+
+def _passable(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> bool:
+    """Whether ground off the graph is seen, within the step limit and no steeper than the slope limit."""
+    if not len(poses):
+        return True
+    features = terrain_features(terrain, poses, body)
+    # The corner bands' centres are three quarters of a side apart; the tilt's formula takes the whole width.
+    pitch = np.arctan(features[:, 0] / (0.75 * body.length)).max()
+    roll = np.arctan(np.tan(np.radians(features[:, 1])) / 0.75).max()
+    step = steps_under(terrain, poses, body.length, body.width).max()
+    return bool(
+        step <= limits.max_step and max(pitch, roll) <= limits.max_slope and features[:, 3].max() <= 0.5
+    )
 
 
 def _leg(a: Array, b: Array, body: BodyModel) -> Array:

@@ -11,15 +11,16 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.body_risk import FEATURES, BodyModel
+from planning.endpoints import Place, goal_node, position, start_node
 from planning.errors import NoRoute, NoRouteReason, PlanningError
-from planning.graph import SNAP_DISTANCE, TraversalGraph
+from planning.frontier import SAME_FRONTIER, open_frontiers, worth_keeping
+from planning.graph import TraversalGraph
 from planning.risk_table import RiskTable, weights_of
 from planning.search_kernels import route_moments, search_nodes, search_pairs, weigh
 
 Variant = Literal["native", "edge-only", "mean-only", "full"]
 VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full")
 SETS = ("edge", "sweep", "terminal sweep")
-Place = tuple[float, float] | int
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,12 @@ class PlanRequest:
     start_yaw: float | None = None
     goal_yaw: float | None = None
     variant: Variant = "full"
+    allow_frontier: bool = False
+    """For a goal that cannot be reached over known ground, plan to the most promising frontier instead."""
+    previous_frontier: tuple[float, float] | None = None
+    """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
+    seen_frontiers: tuple[tuple[float, float], ...] = ()
+    """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +82,9 @@ class Plan:
     """(n, 3) x, y, z of the nodes [m], `map`."""
     request: PlanRequest
     reaches_goal: bool = True
+    """False when the plan ends at a frontier, from where the robot has to look again."""
+    frontier: tuple[float, float] | None = None
+    """x, y [m] of that frontier."""
     expanded: int = 0
     """States the search expanded."""
 
@@ -94,25 +104,41 @@ def plan(
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
-    start = _snap(graph, grid, request.start, "start")
-    goal = _snap(graph, grid, request.goal, "goal")
-    return _search(table, request, start, goal, start_yaw, goal_yaw)
+    start = start_node(graph, grid, request.start)
+    goal = goal_node(graph, grid, request.goal, request.allow_frontier)
+    found = None if goal is None else _to_goal(table, request, start, goal, start_yaw, goal_yaw)
+    if found is None and request.allow_frontier:
+        found = _to_frontier(table, request, start, start_yaw)
+    if found is None:
+        raise NoRoute(NoRouteReason.NO_ROUTE, "start and goal are on the graph but not connected")
+    return found
 
 
 def plan_many(
     graph: TraversalGraph,
     grid: ElevationGrid,
-    requests: Sequence[PlanRequest],
+    start: Place,
+    goals: Sequence[Place],
     body: BodyModel | None = None,
+    *,
+    start_yaw: float | None = None,
+    goal_yaws: Sequence[float | None] | None = None,
+    variant: Variant = "full",
     table: RiskTable | None = None,
 ) -> list[Plan | NoRoute]:
-    """One plan, or the reason why there is none, per request; the requests share their evaluations."""
+    """One plan per goal, or the reason why there is none; all goals share their evaluations.
+
+    The cheapest goal: `min((p for p in plans if isinstance(p, Plan)), key=lambda p: p.cost)`.
+    """
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
+    yaws = [None] * len(goals) if goal_yaws is None else list(goal_yaws)
+    if len(yaws) != len(goals):
+        raise PlanningError(f"goal_yaws must have one entry per goal: {len(goals)}, got {len(yaws)}")
     out: list[Plan | NoRoute] = []
-    for request in requests:
+    for goal, yaw in zip(goals, yaws, strict=True):
         try:
-            out.append(plan(graph, grid, request, body, table))
+            out.append(plan(graph, grid, PlanRequest(start, goal, start_yaw, yaw, variant), body, table))
         except NoRoute as none:
             out.append(none)
     return out
@@ -140,54 +166,61 @@ def _check(grid: ElevationGrid, request: PlanRequest) -> tuple[float, float]:
     return yaws[0], yaws[1]
 
 
-def _snap(graph: TraversalGraph, grid: ElevationGrid, place: Place, name: str) -> int:
-    """Node index of a place; NoRoute when it is not on the graph."""
-    if isinstance(place, (int, np.integer)) and not isinstance(place, bool):
-        if not 0 <= place < len(graph.nodes):
-            raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} node {place} is not in 0..{len(graph.nodes) - 1}")
-        return int(place)
-    try:
-        x, y = (float(v) for v in place)  # type: ignore[union-attr]
-    except (TypeError, ValueError):
-        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} must be x, y in metres; got {place!r}") from None
-    if not (np.isfinite(x) and np.isfinite(y)):
-        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} ({x}, {y}) is not finite")
-    x0, y0, x1, y1 = grid.extent
-    half = grid.resolution / 2
-    if not (x0 - half <= x <= x1 + half and y0 - half <= y <= y1 + half):
+def _to_goal(
+    table: RiskTable, request: PlanRequest, start: int, goal: int, start_yaw: float, goal_yaw: float
+) -> Plan | None:
+    """The plan to a node, None when it is not connected to the start."""
+    ends = np.zeros(len(table.graph.nodes), np.bool_)
+    ends[goal] = True
+    xy = (float(table.roads.x[goal]), float(table.roads.y[goal]))
+    return _search(table, request, start, ends, xy, start_yaw, goal_yaw)
+
+
+def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: float) -> Plan:
+    """The plan to the frontier with the least cost so far plus distance to go (see `planning.frontier`)."""
+    nodes = table.graph.nodes[:, :2]
+    goal = position(table.graph, request.goal, "goal")
+    ends = open_frontiers(table.graph, start, request.seen_frontiers)
+    best = _search(table, request, start, ends, goal, start_yaw, np.nan)
+    if best is None:
         raise NoRoute(
-            NoRouteReason.OUTSIDE_MAP,
-            f"{name} ({x:.2f}, {y:.2f}) is outside the map, x {x0:.2f}..{x1:.2f}, y {y0:.2f}..{y1:.2f} m",
+            NoRouteReason.NO_ROUTE,
+            "the goal cannot be reached over known ground and no frontier is left to look from",
         )
-    node = graph.nearest_node((x, y), SNAP_DISTANCE)
-    if node is None:
-        reason = NoRouteReason.START_NOT_ON_GRAPH if name == "start" else NoRouteReason.GOAL_IN_OBSTACLE
-        raise NoRoute(
-            reason,
-            f"no drivable node within {SNAP_DISTANCE:.2f} m of the {name} ({x:.2f}, {y:.2f}): move it to free ground",
-        )
-    return node
+    if request.previous_frontier is not None:
+        near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
+        kept = _search(table, request, start, ends & near, goal, start_yaw, np.nan)
+        if kept is not None and worth_keeping(kept.cost, kept.points[-1], best.cost, best.points[-1], goal):
+            best = kept
+    x, y, _ = best.points[-1]
+    return replace(best, reaches_goal=False, frontier=(float(x), float(y)))
 
 
 def _search(
-    table: RiskTable, request: PlanRequest, start: int, goal: int, start_yaw: float, goal_yaw: float
-) -> Plan:
-    """Run the variant's search between two nodes."""
+    table: RiskTable,
+    request: PlanRequest,
+    start: int,
+    ends: NDArray[np.bool_],
+    xy: tuple[float, float],
+    start_yaw: float,
+    goal_yaw: float,
+) -> Plan | None:
+    """Run the variant's search from a node to the best of the end nodes."""
     body = table.body
     if request.variant == "mean-only":
         body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
     w = weights_of(body)
-    if start == goal:
+    if ends[start]:
         route, cost, expanded = np.empty(0, np.int64), 0.0, 0
     elif request.variant == "native":
-        cost, route, expanded = search_nodes(w, table.roads, start, goal)
+        cost, route, expanded = search_nodes(w, table.roads, start, ends, *xy)
     else:
         sweeps = request.variant != "edge-only"
         cost, route, expanded = search_pairs(
-            table.laid, w, table.roads, table.tables(body), start, goal, start_yaw, goal_yaw, sweeps
+            table.laid, w, table.roads, table.tables(body), start, ends, *xy, start_yaw, goal_yaw, sweeps
         )
     if not np.isfinite(cost):
-        raise NoRoute(NoRouteReason.NO_ROUTE, "start and goal are on the graph but not connected")
+        return None
     return describe(table, request, body, start, route, cost, expanded, start_yaw, goal_yaw)
 
 

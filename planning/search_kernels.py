@@ -252,14 +252,17 @@ def search_pairs(
     roads: Roads,
     tables: Tables,
     start: int,
-    goal: int,
+    is_end: np.ndarray,
+    gx: float,
+    gy: float,
     start_yaw: float,
     goal_yaw: float,
     sweeps: bool,
 ) -> tuple[float, np.ndarray, int]:
-    """Cheapest route over ordered pairs. A yaw of NaN was not requested.
+    """Route over ordered pairs to the end node with the least cost plus planar distance to (gx, gy).
 
-    Returns the cost (inf: none), the slots of the route's edges and the number of expanded states.
+    For a goal node the distance is zero; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
+    requested. Returns the cost of the route (inf: none), the slots of its edges and the number of expanded states.
     """
     slots = roads.target.size
     g = np.full(slots, np.inf)
@@ -269,7 +272,6 @@ def search_pairs(
     heap_s = np.empty(64, np.int64)
     n = 0
     expanded = 0
-    gx, gy = roads.x[goal], roads.y[goal]
     last = -1
     slot = -1
     while True:
@@ -288,8 +290,8 @@ def search_pairs(
                 elif not np.isnan(start_yaw):
                     b2, u2 = turn_risk(laid, w, roads.x[at], roads.y[at], start_yaw, roads.heading[out])
                 b, u = max(b, b2), max(u, u2)
-                if k == goal and not np.isnan(goal_yaw):
-                    b2, u2 = turn_risk(laid, w, gx, gy, roads.heading[out], goal_yaw)
+                if is_end[k] and not np.isnan(goal_yaw):
+                    b2, u2 = turn_risk(laid, w, roads.x[k], roads.y[k], roads.heading[out], goal_yaw)
                     b, u = max(b, b2), max(u, u2)
             cost = base + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
             if cost < g[out]:
@@ -309,7 +311,7 @@ def search_pairs(
         if slot < 0:
             return np.inf, np.empty(0, np.int64), expanded
         closed[slot] = True
-        if roads.target[slot] == goal:
+        if is_end[roads.target[slot]]:
             last = slot
             break
     count = 0
@@ -326,15 +328,17 @@ def search_pairs(
 
 
 @njit(cache=True)
-def search_nodes(w: Weights, roads: Roads, start: int, goal: int) -> tuple[float, np.ndarray, int]:
-    """Cheapest route by the native cost l (1 + sigma r), A* over nodes; returns as `search_pairs`."""
+def search_nodes(
+    w: Weights, roads: Roads, start: int, is_end: np.ndarray, gx: float, gy: float
+) -> tuple[float, np.ndarray, int]:
+    """The same by the native cost l (1 + sigma r), A* over nodes."""
     count = roads.x.size
     g = np.full(count, np.inf)
     parent = np.full(count, -1, np.int64)
     closed = np.zeros(count, np.bool_)
     heap_f = np.empty(64)
     heap_s = np.empty(64, np.int64)
-    gx, gy = roads.x[goal], roads.y[goal]
+    goal = -1
     g[start] = 0.0
     n = push(heap_f, heap_s, 0, 0.0, start)
     expanded = 0
@@ -345,7 +349,8 @@ def search_nodes(w: Weights, roads: Roads, start: int, goal: int) -> tuple[float
             continue
         closed[i] = True
         expanded += 1
-        if i == goal:
+        if is_end[i]:
+            goal = i
             break
         for out in range(roads.indptr[i], roads.indptr[i + 1]):
             k = roads.target[out]
@@ -357,7 +362,7 @@ def search_nodes(w: Weights, roads: Roads, start: int, goal: int) -> tuple[float
                     heap_f = np.concatenate((heap_f, np.empty(n)))
                     heap_s = np.concatenate((heap_s, np.empty(n, np.int64)))
                 n = push(heap_f, heap_s, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), k)
-    if not closed[goal]:
+    if goal < 0:
         return np.inf, np.empty(0, np.int64), expanded
     steps = 0
     i = goal

@@ -155,3 +155,12 @@ def test_a_path_stops_being_safe_when_a_wall_or_a_hole_in_the_graph_appears():
     ok, why = still_safe(path, shorter, grid, BODY)
     assert not ok
     assert "no drivable ground" in why
+
+
+def test_a_goal_behind_a_ledge_ends_at_its_node():
+    grid, graph = zigzag()
+    height = grid.height.copy()
+    height[:, 94:] = 0.6
+    ledge = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+    path = make_path(plan(graph, ledge, PlanRequest(0, (4.85, 2.3))), ledge, BODY)
+    np.testing.assert_allclose(path.points[-1, :2], graph.nodes[6, :2])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import body_oracle as oracle
@@ -84,16 +85,74 @@ def test_start_equal_to_goal_is_one_node_at_no_cost(world):
 def test_a_shared_table_changes_no_result_and_evaluates_nothing_twice(world):
     grid, graph = world
     table = RiskTable(graph, grid, BODY)
-    requests = [PlanRequest(0, g, None, 0.3) for g in range(0, len(graph.nodes), 3)]
-    shared = plan_many(graph, grid, requests, BODY, table)
+    goals = [*range(0, len(graph.nodes), 3), 999]
+    shared = plan_many(graph, grid, 0, goals, BODY, table=table)
     before = table.evaluated()
-    again = plan_many(graph, grid, requests, BODY, table)
-    assert [p.nodes for p in again if isinstance(p, Plan)] == [p.nodes for p in shared if isinstance(p, Plan)]
+    again = plan_many(graph, grid, 0, goals, BODY, table=table)
     assert table.evaluated() == before
-    for request, one in zip(requests, shared, strict=True):
-        alone = plan(graph, grid, request, BODY)
+    for goal, one, two in zip(goals[:-1], shared, again, strict=False):
+        alone = plan(graph, grid, PlanRequest(0, goal), BODY)
         assert isinstance(one, Plan)
-        assert (alone.nodes, alone.cost) == (one.nodes, one.cost)
+        assert isinstance(two, Plan)
+        assert (alone.nodes, alone.cost) == (one.nodes, one.cost) == (two.nodes, two.cost)
+    assert isinstance(shared[-1], NoRoute)
+    assert shared[-1].reason is NoRouteReason.BAD_INPUT
+
+
+def test_a_goal_beyond_known_ground_ends_at_the_most_promising_frontier():
+    grid = flat(6, 4)
+    nodes = np.array([[3, 2, 0], [2, 2.8, 0], [2, 1.2, 0], [4, 2, 0], [5, 2.8, 0], [5, 1.2, 0]], float)
+    edges = np.array([[0, 1], [0, 2], [0, 3], [3, 4], [3, 5]])
+    frontier = np.array([True, True, True, False, True, True])
+    graph = TraversalGraph.from_edges(nodes, edges, np.zeros(5), frontier)
+    ask = PlanRequest(0, (12.0, 2.2), allow_frontier=True)
+    best = plan(graph, grid, ask, BODY)
+    assert best.nodes == (0, 3, 4)
+    assert not best.reaches_goal
+    assert best.frontier == (5.0, 2.8)
+    # The other side is hardly worse: once chosen it stays, although it would not be chosen anew.
+    kept = plan(graph, grid, replace(ask, previous_frontier=(5.0, 1.2)), BODY)
+    assert kept.frontier == (5.0, 1.2)
+    # What lies behind the robot is clearly worse and given up.
+    assert plan(graph, grid, replace(ask, previous_frontier=(2.0, 1.2)), BODY).frontier == (5.0, 2.8)
+    everywhere = ((5.0, 2.8), (5.0, 1.2), (2.0, 2.8))
+    assert plan(graph, grid, replace(ask, seen_frontiers=everywhere), BODY).frontier == (2.0, 1.2)
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, replace(ask, seen_frontiers=(*everywhere, (2.0, 1.2))), BODY)
+    assert error.value.reason is NoRouteReason.NO_ROUTE
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, replace(ask, allow_frontier=False), BODY)
+    assert error.value.reason is NoRouteReason.OUTSIDE_MAP
+
+
+def test_a_start_beside_a_wall_takes_the_node_on_its_own_side():
+    height = np.zeros((41, 81), np.float32)
+    height[:, 40] = 1.0
+    grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.05)
+    nodes = np.array([[1.6, 1.0, 0], [2.2, 1.0, 0], [1.0, 1.0, 0], [3.0, 1.0, 0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 2], [1, 3]]), np.zeros(2))
+    assert plan(graph, grid, PlanRequest((1.93, 1.0), 2), BODY).nodes == (0, 2)
+    with pytest.raises(NoRoute, match="not connected"):
+        plan(graph, grid, PlanRequest((1.93, 1.0), 3), BODY)
+
+
+def test_an_unseen_goal_and_a_goal_in_a_wall_are_told_apart():
+    height = np.zeros((81, 81), np.float32)
+    height[60:75, 60:75] = 1.0
+    trusted = np.ones((81, 81), bool)
+    trusted[:30, 50:] = False
+    grid = ElevationGrid(height, trusted, (0.0, 0.0), 0.05)
+    graph = TraversalGraph.from_edges(
+        np.array([[1.0, 1.0, 0], [2.0, 1.0, 0]]), np.array([[0, 1]]), np.zeros(1), np.array([False, True])
+    )
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, PlanRequest(0, (3.3, 0.7)), BODY)
+    assert error.value.reason is NoRouteReason.GOAL_UNKNOWN
+    assert plan(graph, grid, PlanRequest(0, (3.3, 0.7), allow_frontier=True), BODY).nodes == (0, 1)
+    for allow in (False, True):
+        with pytest.raises(NoRoute) as error:
+            plan(graph, grid, PlanRequest(0, (3.05, 3.3), allow_frontier=allow), BODY)
+        assert error.value.reason is NoRouteReason.GOAL_IN_OBSTACLE
 
 
 def test_equal_routes_are_decided_the_same_way_every_time():

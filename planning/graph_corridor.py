@@ -9,6 +9,8 @@ from numba import njit
 
 from planning.graph_terrain import LETHAL, UNSEEN
 
+MARGIN = 0.02
+"""The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -74,9 +76,9 @@ def corridor_free(
     d = math.sqrt(dx * dx + dy * dy)
     ux = dx / d
     uy = dy / d
-    front = 0.5 * length
-    half = 0.5 * width
-    span = d + length
+    front = 0.5 * length + MARGIN
+    half = 0.5 * width + MARGIN
+    span = d + 2.0 * front
     n = math.ceil(span / SECTION)
     sums[:n] = 0.0
     reach_y = abs(uy) * front + abs(ux) * half

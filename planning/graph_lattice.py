@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
-from planning.graph_corridor import SECTION, corridor_free
+from planning.graph_corridor import MARGIN, SECTION, corridor_free
 from planning.graph_input import GraphParams, Window, merge_windows
 from planning.graph_place import CLEAR, UNKNOWN_RUN, line_of_sight, open_frontier, place_nodes
 from planning.graph_risk import F32, edge_risk, nearest_height, window_minmax
@@ -228,8 +228,8 @@ class Lattice:
             )  # fmt: skip
             self.clearance[self.chosen < 0] = 0.0
         moved = (before[0] != self.chosen) | (before[1] != self.where).any(axis=2)
-        around = max(0.5 * math.hypot(p.length, p.width), p.robot_size) + res
-        rank = math.ceil((REACH * self.side + p.length) / SECTION) + 2
+        around = max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, p.robot_size) + res
+        rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
         connect(
             grid.height, self.flags, xs, ys, x0, y0, res, self.chosen, self.where, OFFSETS, REACH * self.side, moved,
             boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.min_coverage, *self.start, p.blind_radius,

@@ -137,7 +137,7 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
         lc = -dr
         slope_cap = max_tan * n * scale
         # diff at c: from c to c + n; the largest so far decides whether there is anything to do in this direction
-        largest = 0.0
+        largest = np.float32(0.0)
         for r in range(rows):
             for c in range(cols):
                 rb = r + n * dr

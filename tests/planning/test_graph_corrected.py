@@ -8,6 +8,7 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
+from tests.planning.graph_scenes import crossing_edges, drivable, random_scene
 
 RES = 0.04
 PARAMS = GraphParams(blind_radius=0.0)
@@ -166,3 +167,24 @@ def test_a_map_without_trusted_cells_is_a_typed_error() -> None:
     with pytest.raises(NoRoute) as caught:
         TraversalGraph.build(_grid(z, np.zeros(z.shape, bool)), (1.0, 1.0))
     assert caught.value.reason == "no_terrain"
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_on_random_ground_no_swept_footprint_covers_a_wall_a_ledge_or_a_pit(seed: int) -> None:
+    scene = random_scene(seed, res=0.02 if seed % 4 == 0 else 0.04, noise=0.005)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS, seed)
+    assert len(graph.edges) > 300
+    assert crossing_edges(graph, scene, shrink=0.02, step=0.12) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_on_random_ground_all_that_can_be_driven_to_is_covered(seed: int) -> None:
+    scene = random_scene(seed)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS, seed)
+    reachable = drivable(scene, grow=0.05)
+    gap = np.sqrt(((reachable[:, None] - graph.nodes[None, :, :2]) ** 2).sum(axis=2)).min(axis=1)
+    assert len(reachable) > 3000
+    assert np.mean(gap > 0.5) < 0.005
+    possible = drivable(scene, grow=-0.04)
+    off = np.sqrt(((graph.nodes[:, None, :2] - possible[None]) ** 2).sum(axis=2)).min(axis=1)
+    assert off.max() < 0.15, "no node where the robot could not get to"

@@ -12,6 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+RIM = 0.2
+"""Bridged cells this near to a proven hole [m] stay unknown."""
+
 
 @njit(cache=True)
 def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  # pragma: no cover
@@ -43,15 +46,16 @@ def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  #
         small = b - a <= 3
         fits = abs(hb - ha) <= rule[2] or (small and abs(hb - ha) <= 2.0 * rule[2])
         if not fits:
-            # the same slope before or behind the gap, over at least 3 cells
+            # the same slope goes on before or behind the gap, over at least half its width: a ramp, not a step
+            reach = max(3, (b - a + 1) // 2)
             p = q - 1
-            while p >= 0 and a - pos[p] < 3:
+            while p >= 0 and a - pos[p] < reach:
                 p -= 1
             if p >= 0 and (a - pos[p]) * step <= rule[1] and trusted[r + pos[p] * dr, c + pos[p] * dc]:
                 rest = ha - height[r + pos[p] * dr, c + pos[p] * dc] - slope * (a - pos[p]) * step
-                fits = abs(rest) <= 0.7 * rule[2]
+                fits = abs(rest) <= 0.5 * rule[2]
             p = q + 2
-            while p < n and pos[p] - b < 3:
+            while p < n and pos[p] - b < reach:
                 p += 1
             if (
                 not fits
@@ -60,7 +64,7 @@ def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  #
                 and trusted[r + pos[p] * dr, c + pos[p] * dc]
             ):
                 rest = height[r + pos[p] * dr, c + pos[p] * dc] - hb - slope * (pos[p] - b) * step
-                fits = abs(rest) <= 0.7 * rule[2]
+                fits = abs(rest) <= 0.5 * rule[2]
         if not fits:
             continue
         for k in range(a + 1, b):
@@ -129,6 +133,37 @@ def _all_lines(height, source, trusted, upper, rule, out, gap):  # pragma: no co
 
 
 @njit(cache=True)
+def _drop_rims(result, source, upper, hole, depth):  # pragma: no cover
+    """Unbridge what lies within `depth` cells of a proven hole: beside its near edge no ray comes low enough to tell."""
+    rows, cols = result.shape
+    queue_r, queue_c = np.empty(result.size, np.int32), np.empty(result.size, np.int32)
+    level = np.zeros((rows, cols), dtype=np.uint8)
+    n = 0
+    for r in range(rows):
+        for c in range(cols):
+            if not np.isnan(result[r, c]):
+                for a, b in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
+                    if 0 <= a < rows and 0 <= b < cols and source[a, b] == 0 and np.isnan(result[a, b]):
+                        if upper[a, b] < result[r, c] - hole:
+                            level[r, c] = 1
+                if level[r, c] == 1:
+                    queue_r[n], queue_c[n] = r, c
+                    n += 1
+    head = 0
+    while head < n:
+        r, c = np.int64(queue_r[head]), np.int64(queue_c[head])
+        head += 1
+        result[r, c] = np.nan
+        if level[r, c] >= depth:
+            continue
+        for a, b in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
+            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0 and not np.isnan(result[a, b]):
+                level[a, b] = level[r, c] + 1
+                queue_r[n], queue_c[n] = a, b
+                n += 1
+
+
+@njit(cache=True)
 def bridge(height, source, trusted, upper, rule):  # pragma: no cover
     """Heights of bridged cells.
 
@@ -162,6 +197,7 @@ def bridge(height, source, trusted, upper, rule):  # pragma: no cover
                     t[r, c] = True
                     # beside the wheels no ray comes low: keep the looser rule there
                     s[r, c] = 1 if upper[r, c] > h[r, c] + rule[4] else 2
+    _drop_rims(result, source, upper, rule[5], int(RIM / rule[0]))
     return result
 
 

@@ -24,6 +24,8 @@ from mapping.readout import MapReader
 from mapping.tiles import CONTACT, UNKNOWN, TileStore
 from mapping.visibility import judge, trace
 
+_HITS = 100_000
+"""Most cells one clean-up can look through; the rest waits for the next."""
 XT16_ORIGIN = (0.1634, 0.0, 0.116)
 
 
@@ -221,16 +223,21 @@ class ElevationMap:
         p, s = self.params, self.store
         if self._rays == 0:
             return 0
-        hit = np.empty(200_000, dtype=np.int64)
+        hit, low = np.empty(_HITS, dtype=np.int64), np.empty(_HITS)
+        many = np.empty(_HITS, dtype=np.int32)
         # neighbouring rays of a dense scan cross the same cells: alternate halves do
         stride = 2 if self._rays > 8000 else 1
         n = trace(
             self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
             p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
-            s.cells, s.touched, s.mark, hit,
+            s.cells, s.touched, s.mark, hit, low, many,
         )  # fmt: skip
         unseen, now = int(1000 * p.clean_unseen), self._clock(self.stamp)
-        return int(judge(hit, n, p.clean_passes, unseen, p.trust_count, now, s.cells, s.touched, 2 * s.shift))
+        return int(
+            judge(
+                hit, low, many, n, p.clean_passes, unseen, p.trust_count, now, s.cells, s.touched, 2 * s.shift
+            )
+        )
 
     def _clock(self, stamp: int) -> int:
         """Milliseconds since the first stamp; never runs backwards."""

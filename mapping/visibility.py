@@ -10,17 +10,21 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+RAYS = 2
+"""Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
+
 
 @njit(cache=True)
 def trace(
     xyz, m, stride, first_ray, sensor, directory, first, shift, resolution, reach, skip, margin, angle, settled,
-    cells, touched, mark, hit,
+    cells, touched, mark, hit, low, many,
 ):  # fmt: skip  # pragma: no cover
     """Walk rays from sensor (3,) to every `stride`-th of xyz[:m] (world), over cells of allocated tiles.
 
-    Lowers `upper` of cells without a LiDAR height (and flags their tile in `touched`); collects in `hit` the pool index of each cell with a height that a
-    ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the ray's end. angle: sigma of the
-    ray direction [rad]; settled: points of an established cell. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
+    Lowers `upper` of cells without a LiDAR height and flags their tile in `touched`. Collects in `hit` the pool index of
+    each cell with a height that a ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the
+    ray's end; in `low` the lowest such ray, in `many` their number. angle: sigma of the ray direction [rad]; settled:
+    points of an established cell. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
     """
     n = 0
     size = np.int64(1) << shift
@@ -74,15 +78,20 @@ def trace(
                         spread = 9.0 * (cell.variance + angle * angle * leave * leave)
                         if over * over > spread:
                             s = mark[index]
-                            if n < hit.size and (s < 0 or s >= n or hit[s] != index):
+                            if s >= 0 and s < n and hit[s] == index:
+                                low[s] = min(low[s], z)
+                                many[s] += 1
+                            elif n < hit.size:
                                 mark[index] = n
                                 hit[n] = index
+                                low[n] = z
+                                many[n] = 1
                                 n += 1
                 else:
                     # the middle of the crossing, one sigma up
-                    low = sensor[2] + dz * 0.5 * (at + leave) + angle * leave
-                    if low < cell.upper:
-                        cell.upper = low
+                    bound = sensor[2] + dz * 0.5 * (at + leave) + angle * leave
+                    if bound < cell.upper:
+                        cell.upper = bound
                         touched[base >> (2 * shift)] = 1
             at = leave
             if next_j < next_i:
@@ -95,27 +104,27 @@ def trace(
 
 
 @njit(cache=True)
-def judge(hit, n, passes_needed, unseen, settled, now, cells, touched, area):  # pragma: no cover
+def judge(hit, low, many, n, passes_needed, unseen, settled, now, cells, touched, area):  # pragma: no cover
     """Remove cells looked through in `passes_needed` clean-ups and unconfirmed for `unseen` [ms].
 
-    The ground that was known before something came to stand there returns; else the cell becomes unknown. One look is
+    The ground that was known before something came to stand there returns if the rays passed above it; else the cell becomes unknown. One look is
     enough for a stray cell of fewer than `settled` points. Returns the number of cells removed.
     """
     removed = 0
     for k in range(n):
         cell = cells[hit[k]]
-        if now - cell.seen < unseen:
+        if many[k] < RAYS and cell.count >= settled:
             continue
         if cell.passes < 255:
             cell.passes += 1
-        if cell.passes < passes_needed and cell.count >= settled:
+        if now - cell.seen < unseen or (cell.passes < passes_needed and cell.count >= settled):
             continue
         removed += 1
         touched[hit[k] >> area] = 1
         cell.passes = 0
         cell.streak = 0
         cell.alt = np.nan
-        if cell.below < cell.height:
+        if cell.below < low[k]:
             cell.height = cell.below
             cell.below = np.nan
             cell.seen = now

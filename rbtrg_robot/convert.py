@@ -102,9 +102,9 @@ def joint_msg(sample: JointSample) -> Any:
         "sensor_msgs/msg/JointState",
         header=header(sample.stamp, BASE),
         name=list(MOTORS),
-        position=np.asarray(sample.position, np.float64),
-        velocity=np.asarray(sample.velocity, np.float64),
-        effort=np.asarray(sample.effort, np.float64),
+        position=np.ascontiguousarray(sample.position, np.float64),
+        velocity=np.ascontiguousarray(sample.velocity, np.float64),
+        effort=np.ascontiguousarray(sample.effort, np.float64),
     )
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.messages import decode, stamp_of
 from rbtrg_robot.processes import Process
 from rbtrg_robot.topics import Topic
@@ -63,6 +64,7 @@ class Health:
 
     def __init__(self, simulated: bool) -> None:
         self._simulated = simulated
+        self._frame = MapFrame()
         self.newest: dict[Topic, Any] = {}
         self.beats: dict[str, tuple[float, Any]] = {}
         self.topics: dict[str, TopicHealth] = {}
@@ -75,6 +77,8 @@ class Health:
             self.beats[message.process] = (wall, message)
             for name, count, newest in zip(message.topic, message.published, message.newest, strict=True):
                 self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
+        elif topic is t.TF_STATIC:
+            self._frame.take(message)
         else:
             self.newest[topic] = message
         return message
@@ -142,11 +146,12 @@ class Health:
         odom = self.newest.get(t.ODOM)
         if odom is not None:
             pose, twist = odom.pose.pose, odom.twist.twist
+            x, y, yaw = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
             row |= {
-                "x": pose.position.x,
-                "y": pose.position.y,
+                "x": x,
+                "y": y,
                 "z": pose.position.z,
-                "yaw": yaw_of(pose.orientation),
+                "yaw": yaw,
                 "speed": twist.linear.x,
                 "yaw_rate": twist.angular.z,
             }

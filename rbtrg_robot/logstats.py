@@ -37,7 +37,9 @@ class TopicStatistics:
             gap = (stamp - self.last) / 1e9
             self.longest_gap = max(self.longest_gap, gap)
             self.backwards += gap < 0
-            if entry.sequence > self.sequence + 1:
+            known = BY_NAME.get(entry.topic)
+            # Where several publish, their sequences interleave.
+            if known is not None and known.owner and entry.sequence > self.sequence + 1:
                 self.missing += entry.sequence - self.sequence - 1
         else:
             self.first = stamp
@@ -64,7 +66,7 @@ class LogSummary:
             topic = BY_NAME.get(name)
             if s.missing:
                 found.append(f"{name}: {s.missing} of {s.count + s.missing} messages are missing")
-            if s.backwards:
+            if s.backwards and (topic is None or topic.owner):
                 found.append(f"{name}: stamps go backwards {s.backwards} times")
             if topic and topic.rate and name != "/heartbeat" and s.longest_gap > max(10 / topic.rate, 0.5):
                 found.append(f"{name}: silent for {s.longest_gap:.2f} s (nominal {topic.rate:g} Hz)")

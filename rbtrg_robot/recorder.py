@@ -77,7 +77,9 @@ class Recorder:
         self._writer.close()
 
 
-def main(config: Any, bus: Bus, stopping: Callable[[], bool]) -> None:
+def main(
+    config: Any, bus: Bus, stopping: Callable[[], bool], _restored: dict[t.Topic, bytes] | None = None
+) -> None:
     """The process: everything on the bus until told to stop."""
     attachments = {CONFIG: config.to_yaml().encode()}
     recorder = Recorder(Path(config.log_dir), config.recorder, config.metadata(), attachments)

@@ -217,7 +217,11 @@ class Supervisor:
     def _end_if_hung(self, child: Child, now: float) -> None:
         name = child.row.name
         age = self._health.beat_age(name)
-        silent = now - child.started > START_LIMIT if age is None else age > HEARTBEAT_LIMIT
+        beat = self._health.beats.get(name)
+        if age is None or beat is None or beat[1].state != "ready":
+            silent = now - child.started > START_LIMIT
+        else:
+            silent = age > HEARTBEAT_LIMIT
         if silent and child.popen is not None:
             self._say(f"{name} hangs; killing it")
             child.popen.kill()

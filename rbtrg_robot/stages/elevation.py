@@ -22,6 +22,8 @@ from rbtrg_robot.topics import Topic
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
+TRUSTED_SENT = 16
+"""`state` of a cell that the last update called trusted."""
 
 
 class ElevationStage:
@@ -137,15 +139,15 @@ class ElevationStage:
         if now < self._status_due:
             return []
         self._status_due = now + 500_000_000
-        stats = self.map.stats()
+        store = self.map.store
         status = make(
             t.MAP_STATUS.type,
             header=header(now, "map"),
             epoch=self.map.epoch,
             scans=self._scans,
-            tiles=stats.tiles,
-            known_cells=stats.known,
-            trusted_cells=stats.trusted,
+            tiles=store.used,
+            known_cells=np.count_nonzero(store.cells["source"]),
+            trusted_cells=np.count_nonzero(store.sent["state"] >= TRUSTED_SENT),
             resolution=self.map.params.resolution,
             detail=self._detail,
         )

@@ -389,3 +389,8 @@ class NavigatorStage:
                 frontier=goal.frontier,
             )
         self._out.append((t.GOAL_STATUS, status))
+
+
+def build(config: Any) -> NavigatorStage:
+    """From the stack's configuration."""
+    return NavigatorStage(config.navigator, config.allowed_area())

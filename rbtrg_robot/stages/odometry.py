@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from hal.types import Extrinsics
-from mapping.odometry import FastPose, LidarInertialOdometry, ScanOdometry, WheelOdometry
+from mapping.odometry import LidarInertialOdometry
+from mapping.odometry_types import FastPose, ScanOdometry
+from mapping.wheel_odometry import WheelOdometry
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import (
     BASE,
@@ -134,9 +136,11 @@ class OdometryStage:
             health=str(scan.health),
             reason=scan.reason,
             overlap=float(scan.overlap),
+            inliers=float(scan.inliers),
             residual=float(scan.residual),
-            disagreement=float(scan.disagreement),
-            degeneracy=np.asarray(scan.degeneracy, np.float64),
+            correction=float(scan.correction),
+            degenerate=np.ascontiguousarray(scan.degenerate, np.float64),
+            degeneracy=float(scan.degeneracy),
             counter=list(counters),
             count=array(list(counters.values()), "uint32"),
         )

@@ -134,3 +134,8 @@ class TrackerStage:
             cross_track=float(step.cross_track),
             heading_error=float(step.heading_error),
         )
+
+
+def build(config: Any) -> TrackerStage:
+    """From the stack's configuration."""
+    return TrackerStage(config.tracker, config.freshness)

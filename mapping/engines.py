@@ -13,6 +13,8 @@ from hal.types import Array
 from mapping.voxel_planes import VoxelPlanes
 
 EngineName = Literal["kiss_icp", "small_gicp"]
+FEW_PLANES = 50
+"""Points on planes below which their statistics say nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Match:
     overlap: float
     """Share of them that fall into seen parts of the local map [0..1]."""
     inliers: float
-    """Share of those on a surface of the map that lie on it (within the gate) [0..1]."""
+    """Share of those in voxels with a plane that lie on it (within the gate) [0..1]; 1 where the map has too few planes to tell."""
     residual: float
     """RMS distance of the inliers from the map's surfaces [m]."""
     information: Array
@@ -38,7 +40,10 @@ class Engine(Protocol):
     """Scan-to-map registration with a local map of its own. One thread, deterministic."""
 
     name: EngineName
-    empty: bool
+    scans: int
+    """Scans in the local map."""
+    sigma: float
+    """Systematic error of a registered surface [m]."""
 
     def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
         """Register a deskewed cloud (n, 3) in base_link near `guess` (4, 4); correspondences up to 3 x `threshold` [m]."""
@@ -62,8 +67,11 @@ class KissParams(BaseModel):
     source_voxel: float = Field(
         default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
-    max_iterations: int = Field(default=30, ge=1)
-    convergence: float = Field(default=2e-4, gt=0)
+    max_iterations: int = Field(default=20, ge=1)
+    surface_sigma: float = Field(
+        default=0.008, gt=0, description="systematic error of a registered surface [m]"
+    )
+    convergence: float = Field(default=1e-3, gt=0)
 
 
 class GicpParams(BaseModel):
@@ -76,6 +84,9 @@ class GicpParams(BaseModel):
         default=0.15, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
     neighbours: int = Field(default=10, ge=5, description="points behind each covariance")
+    surface_sigma: float = Field(
+        default=0.004, gt=0, description="systematic error of a registered surface [m]"
+    )
     max_iterations: int = Field(default=20, ge=1)
     horizon: int = Field(
         default=600, ge=10, description="scans after which an unseen voxel of the map is forgotten"
@@ -99,11 +110,12 @@ class KissEngine:
         config.registration.max_num_iterations = params.max_iterations
         config.registration.convergence_criterion = params.convergence
         self._params = params
+        self.sigma = params.surface_sigma
         self._map = get_voxel_hash_map(config)
         self._registration = get_registration(config)
         self._planes = VoxelPlanes(0.4, max_range)
         self._frame = np.empty((0, 3))
-        self.empty = True
+        self.scans = 0
 
     def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
         """See Engine."""
@@ -112,7 +124,7 @@ class KissEngine:
         self._frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
         source = voxel_down_sample(self._frame, self._params.source_voxel)
         pose = guess
-        if not self.empty:
+        if self.scans:
             pose = self._registration.align_points_to_map(
                 points=source,
                 voxel_map=self._map,
@@ -126,13 +138,13 @@ class KissEngine:
         """See Engine."""
         self._map.update(self._frame, pose)
         self._planes.insert(self._frame, np.ascontiguousarray(pose))
-        self.empty = False
+        self.scans += 1
 
     def reset(self) -> None:
         """See Engine."""
         self._map.clear()
         self._planes.clear()
-        self.empty = True
+        self.scans = 0
 
 
 class GicpEngine:
@@ -142,6 +154,7 @@ class GicpEngine:
 
     def __init__(self, params: GicpParams, max_range: float) -> None:
         self._params = params
+        self.sigma = params.surface_sigma
         self._max_range = max_range
         self._planes = VoxelPlanes(0.4, max_range)
         self.reset()
@@ -156,7 +169,7 @@ class GicpEngine:
         )
         self._points = np.ascontiguousarray(self._cloud.points()[:, :3])
         pose = guess
-        if not self.empty:
+        if self.scans:
             result = small_gicp.align(
                 self._map,
                 self._cloud,
@@ -172,7 +185,7 @@ class GicpEngine:
         """See Engine."""
         self._map.insert(self._cloud, pose)
         self._planes.insert(self._points, np.ascontiguousarray(pose))
-        self.empty = False
+        self.scans += 1
 
     def reset(self) -> None:
         """See Engine."""
@@ -182,7 +195,7 @@ class GicpEngine:
         self._map.set_lru(horizon=self._params.horizon, clear_cycle=10)
         self._planes.clear()
         self._points = np.empty((0, 3))
-        self.empty = True
+        self.scans = 0
 
 
 def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
@@ -192,7 +205,7 @@ def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
         pose=pose,
         points=len(points),
         overlap=seen / max(len(points), 1),
-        inliers=inliers / max(planar, 1),
+        inliers=inliers / planar if planar >= FEW_PLANES else 1.0,
         residual=float(np.sqrt(total / max(inliers, 1))),
-        information=h / max(inliers, 1),
+        information=h / max(inliers, FEW_PLANES),
     )

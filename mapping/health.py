@@ -26,9 +26,6 @@ class HealthParams(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    surface_sigma: float = Field(
-        default=0.008, gt=0, description="systematic error of a registered surface [m]"
-    )
     min_points: int = Field(
         default=60, ge=10, description="registered points below which a scan says nothing"
     )
@@ -49,6 +46,9 @@ class HealthParams(BaseModel):
     )
     jump: float = Field(
         default=1.0, description="registration is not used when it moves the prediction further [m]"
+    )
+    young: int = Field(
+        default=10, ge=1, description="scans in the local map below which overlap says nothing"
     )
     gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
     gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
@@ -101,14 +101,16 @@ class HealthMonitor:
             return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
         return Health.GOOD, ""
 
-    def judge(self, stamp: int, match: Match, predicted: Array, prior: Array, first: bool) -> Verdict:
+    def judge(
+        self, stamp: int, match: Match, predicted: Array, prior: Array, scans: int, sigma: float
+    ) -> Verdict:
         """Weigh a registration.
 
         `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
-        `first`: the local map was empty, there was nothing to fit.
+        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m].
         """
         s = self.params
-        covariance, direction, share = pose_covariance(match, s.surface_sigma)
+        covariance, direction, share = pose_covariance(match, sigma)
         difference = np.concatenate(
             [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
         )
@@ -117,20 +119,21 @@ class HealthMonitor:
         bad, weak = "", ""
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
-        elif not first:
-            if match.overlap < s.overlap_lost:
+        elif scans:
+            young = scans < s.young
+            if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
-            elif match.inliers < s.inliers_lost:
+            elif match.inliers < s.inliers_lost and not young:
                 bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
             elif moved > s.jump:
                 bad = f"registration jumped by {moved:.2f} m"
-            elif match.overlap < s.overlap_low:
+            elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.inliers < s.inliers_low:
                 weak = f"{match.inliers:.0%} of the scan lies on the map's surfaces"
             elif match.residual > s.residual_high:
                 weak = f"scan is {1e3 * match.residual:.0f} mm off the map"
-            elif share < s.information_low:
+            elif share < s.information_low and not young:
                 weak = "nothing constrains the direction ({:+.1f}, {:+.1f}, {:+.1f})".format(*direction)
             elif off > s.disagreement:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"

@@ -9,6 +9,7 @@ differentiated nor a lever arm enters the propagation. Solà, "Quaternion kinema
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.go2w import IMU_POSITION
 from hal.types import Array
-from mapping.inertial_kernels import GRAVITY, correct, run
+from mapping.inertial_kernels import GRAVITY, correct, output, run
 from mapping.rotation import rotation, rotation_vector, skew, turn
 
 
@@ -32,10 +33,26 @@ class InertialParams(BaseModel):
     gyro_bias: float = Field(default=0.01, gt=0, description="initial standard deviation [rad/s]")
     accel_bias: float = Field(default=0.05, gt=0, description="initial standard deviation [m/s^2]")
     wheel_noise: tuple[float, float, float] = Field(
-        default=(0.05, 0.08, 0.05),
+        default=(0.1, 0.1, 0.1),
         description="wheel velocity, white part per 50 Hz sample, body x, y, z [m/s]",
     )
     imu_position: tuple[float, float, float] = Field(default=IMU_POSITION, description="IMU in base_link [m]")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BaseState:
+    """base_link in `odom`."""
+
+    position: Array
+    """(3,) [m]"""
+    orientation: Array
+    """(4,) x, y, z, w."""
+    linear: Array
+    """(3,) [m/s], base_link."""
+    angular: Array
+    """(3,) [rad/s], base_link."""
+    covariance: Array
+    """(6, 6) position, rotation about the axes of `odom`."""
 
 
 class InertialFilter:
@@ -52,7 +69,7 @@ class InertialFilter:
         self.p = np.eye(15)
         self.u = np.zeros(6)
         self.refused = 0
-        self._lever = np.array(params.imu_position)
+        self.lever = np.array(params.imu_position)
         self._noise = np.array(
             [params.gyro_noise, params.accel_noise, params.gyro_bias_walk, params.accel_bias_walk]
         )
@@ -77,7 +94,7 @@ class InertialFilter:
             if level:
                 self.x[10:13] = mean[:3]
         rot = rotation(self.x[6:10])
-        self.x[:3] = rot @ self._lever + (0.0, 0.0, height)
+        self.x[:3] = rot @ self.lever + (0.0, 0.0, height)
         moving = velocity is None and not level
         if velocity is not None:
             self.x[3:6] = rot @ velocity
@@ -118,12 +135,12 @@ class InertialFilter:
         """Correct with a measured base_link pose (4, 4) in `odom`; covariance (6, 6): position in `odom` [m], rotation in base_link [rad]."""
         rot = rotation(self.x[6:10])
         residual = np.concatenate(
-            [pose[:3, 3] + pose[:3, :3] @ self._lever - self.x[:3], rotation_vector(rot.T @ pose[:3, :3])]
+            [pose[:3, 3] + pose[:3, :3] @ self.lever - self.x[:3], rotation_vector(rot.T @ pose[:3, :3])]
         )
         rows = [0, 1, 2, 6, 7, 8]
         # The measured position belongs to base_link; through the lever arm its rotation error moves the IMU.
         lever = np.eye(6)
-        lever[:3, 3:] = -pose[:3, :3] @ skew(self._lever)
+        lever[:3, 3:] = -pose[:3, :3] @ skew(self.lever)
         r = lever @ covariance @ lever.T
         gain = np.linalg.solve(self.p[np.ix_(rows, rows)] + r, self.p[rows]).T
         correct(self.x, gain @ residual)
@@ -134,33 +151,28 @@ class InertialFilter:
 
     def pose(self) -> Array:
         """(4, 4) `odom` <- base_link."""
-        return base_pose(self.x, self._lever)
+        out = np.eye(4)
+        out[:3, :3] = rotation(self.x[6:10])
+        out[:3, 3] = self.x[:3] - out[:3, :3] @ self.lever
+        return out
 
-    def twist(self) -> tuple[Array, Array]:
-        """Linear [m/s] and angular [rad/s] velocity of base_link in base_link axes."""
-        angular = self.u[:3] - self.x[10:13]
-        return rotation(self.x[6:10]).T @ self.x[3:6] - np.cross(angular, self._lever), angular
+    def output(self, offset: Array) -> BaseState:
+        """State of base_link, shifted by `offset` (6,): position in `odom` [m], rotation in base_link [rad]."""
+        flat, covariance = np.empty(13), np.empty((6, 6))
+        output(self.x, self.p, self.u, self.lever, offset, flat, covariance)
+        return BaseState(flat[:3], flat[3:7], flat[7:10], flat[10:], covariance)
 
-    def covariance(self) -> Array:
-        """(6, 6) of the base_link pose, ROS order: position in `odom`, rotation about the axes of `odom`."""
-        rot = rotation(self.x[6:10])
-        t = np.eye(6)
-        t[:3, 3:] = skew(rot @ self._lever)
-        t[3:, 3:] = np.eye(3)
-        to_odom = np.eye(6)
-        to_odom[3:, 3:] = rot
-        rows = [0, 1, 2, 6, 7, 8]
-        world = to_odom @ self.p[np.ix_(rows, rows)] @ to_odom.T
-        return t @ world @ t.T
+    def at_imu(self, linear: Array, angular: Array) -> Array:
+        """Velocity (3,) of the IMU point from that of base_link, base_link axes [m/s]."""
+        (wx, wy, wz), (x, y, z) = angular, self.lever
+        return linear + np.array([wy * z - wz * y, wz * x - wx * z, wx * y - wy * x])
+
+    def move_clock(self, stamp: int) -> None:
+        """The source clock was set: the pose stays, the time in between is unknown."""
+        self.stamp = stamp
+        self.x[3:6] = 0.0
+        self.p[:6, :6] += np.diag([0.04] * 3 + [0.25] * 3)
 
     def copy_from(self, other: InertialFilter) -> None:
         """Take over the state of another filter."""
         self.stamp, self.x, self.p, self.u = other.stamp, other.x.copy(), other.p.copy(), other.u.copy()
-
-
-def base_pose(x: Array, lever: Array) -> Array:
-    """(4, 4) `odom` <- base_link of a filter state whose IMU sits at `lever` in base_link."""
-    out = np.eye(4)
-    out[:3, :3] = rotation(x[6:10])
-    out[:3, 3] = x[:3] - out[:3, :3] @ lever
-    return out

@@ -192,3 +192,51 @@ def run(
             track_stamp[rows - 1] = now
             track[rows - 1] = x[:10]
     return rows, refused
+
+
+@njit(cache=True)
+def output(x: Array, p: Array, u: Array, lever: Array, offset: Array, out: Array, covariance: Array) -> None:
+    """State of base_link from the state of the IMU at `lever` (3,) in base_link.
+
+    `offset` (6,): position in `odom` [m] and small rotation in base_link [rad] to add. `out` (13,): position, orientation x y z w, linear and
+    angular velocity in base_link; `covariance` (6, 6): position in `odom`, rotation about the axes of `odom`.
+    """
+    q = x[6:10].copy()
+    turn(q, offset[3], offset[4], offset[5])
+    rot = rotation(q)
+    arm = np.empty(3)
+    for i in range(3):
+        arm[i] = rot[i, 0] * lever[0] + rot[i, 1] * lever[1] + rot[i, 2] * lever[2]
+        out[i] = x[i] + offset[i] - arm[i]
+        out[10 + i] = u[i] - x[10 + i]
+    sign = -1.0 if q[3] < 0.0 else 1.0
+    for i in range(4):
+        out[3 + i] = sign * q[i]
+    w0, w1, w2 = out[10], out[11], out[12]
+    for i in range(3):
+        out[7 + i] = rot[0, i] * x[3] + rot[1, i] * x[4] + rot[2, i] * x[5]
+    out[7] -= w1 * lever[2] - w2 * lever[1]
+    out[8] -= w2 * lever[0] - w0 * lever[2]
+    out[9] -= w0 * lever[1] - w1 * lever[0]
+    # d position = d p + [arm]x d theta_odom, d theta_odom = R d theta.
+    t = np.zeros((6, 6))
+    for j in range(3):
+        r0, r1, r2 = rot[0, j], rot[1, j], rot[2, j]
+        t[j, j] = 1.0
+        t[3, 3 + j], t[4, 3 + j], t[5, 3 + j] = r0, r1, r2
+        t[0, 3 + j] = arm[1] * r2 - arm[2] * r1
+        t[1, 3 + j] = arm[2] * r0 - arm[0] * r2
+        t[2, 3 + j] = arm[0] * r1 - arm[1] * r0
+    half = np.zeros((6, 6))
+    for i in range(6):
+        for k in range(6):
+            if t[i, k] != 0.0:
+                for j in range(6):
+                    half[i, j] += t[i, k] * p[k + (3 if k > 2 else 0), j + (3 if j > 2 else 0)]
+    for i in range(6):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(6):
+                total += half[i, k] * t[j, k]
+            covariance[i, j] = total
+            covariance[j, i] = total

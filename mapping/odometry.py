@@ -26,10 +26,13 @@ from mapping.health import Health, HealthMonitor
 from mapping.inertial import InertialFilter
 from mapping.intake import SampleBuffer, Sweep, TopicClock, clean_scan
 from mapping.odometry_types import FastPose, OdometryParams, ScanOdometry
-from mapping.rotation import quaternion, rotation, turn
-from mapping.wheel_odometry import WheelOdometry, leg_velocity, velocities
+from mapping.pose_stream import PoseStream
+from mapping.rotation import rotation, turn
+from mapping.wheel_odometry import WheelOdometry, velocities
 
 XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
+
+ZERO = np.zeros(6)
 
 
 class LidarInertialOdometry:
@@ -44,8 +47,6 @@ class LidarInertialOdometry:
         self.initialised = False
         self._engine = make_engine(params)
         self._filter = InertialFilter(params.inertial)
-        self._fast = InertialFilter(params.inertial)
-        self._dead = InertialFilter(params.inertial)
         self._monitor = HealthMonitor(params.health)
         self._mount = mount_matrix(mount)
         self._lever = np.array(params.inertial.imu_position)
@@ -57,10 +58,10 @@ class LidarInertialOdometry:
         }
         self._imu = SampleBuffer(6, 20_000)
         self._joints = SampleBuffer(48, 4_000)
+        self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._joint_stamp = -NS
         self._sweeps: deque[Sweep] = deque()
-        self._offset = np.zeros(6)
-        self._offset_stamp = 0
+        self._note = ""
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
 
     # --- samples in ---------------------------------------------------------------------------------------------
@@ -75,10 +76,7 @@ class LidarInertialOdometry:
         self._imu.append(int(sample.stamp), row)
         if not self.initialised or sample.stamp - self._filter.stamp > 60 * NS:
             return None
-        if not self._catch_up(self._fast, int(sample.stamp)):
-            return None
-        self._catch_up(self._dead, int(sample.stamp))
-        return self._fast_pose()
+        return self._stream.on_imu(int(sample.stamp), row, self._health, self._reason)
 
     def add_joints(self, sample: JointSample) -> WheelOdometry | None:
         """Take a joint sample (thinned to 50 Hz); wheel-leg odometry at its stamp once initialised."""
@@ -93,7 +91,7 @@ class LidarInertialOdometry:
             return None
         self._joint_stamp = stamp
         self._joints.append(stamp, row)
-        return self._wheel_odometry(stamp, row) if self.initialised else None
+        return self._stream.on_joints(stamp, row) if self.initialised else None
 
     def add_scan(self, scan: LidarScan) -> None:
         """Take a scan; `poll` processes it."""
@@ -110,7 +108,9 @@ class LidarInertialOdometry:
         while True:
             if self._sweeps and self._ready(self._sweeps[0].end):
                 result = self._process(self._sweeps.popleft())
-            elif self.initialised and not self._sweeps and self._now() > self._filter.stamp + 2 * NS:
+            elif (
+                self.initialised and not self._sweeps and 2 * NS < self._now() - self._filter.stamp < 60 * NS
+            ):
                 result = self._coast(self._filter.stamp + NS)
             else:
                 return out
@@ -132,18 +132,22 @@ class LidarInertialOdometry:
         cloud = deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
 
         predicted = self._filter.pose()
-        prior = self._filter.covariance()
+        prior = self._filter.output(ZERO).covariance
         wide = self._monitor.lost or self._monitor.gap(sweep.end) > 0.5
-        first = self._engine.empty
+        scans = self._engine.scans
         match = self._engine.align(
             cloud, predicted, self.params.threshold_lost if wide else self.params.threshold
         )
-        verdict = self._monitor.judge(sweep.end, match, predicted, prior, first)
+        verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
         if verdict.use:
-            if not first:
+            if scans:
                 self._filter.update_pose(match.pose, _rotation_to_body(verdict.covariance, match.pose))
             self._engine.insert(self._filter.pose())
         self._health, self._reason = verdict.health, verdict.reason
+        if self._note and verdict.health is not Health.LOST:
+            self._health = Health.DEGRADED
+            self._reason = "; ".join(r for r in (self._note, verdict.reason) if r)
+        self._note = ""
         self._rejoin()
         return self._result(cloud, match, predicted, verdict.degenerate, verdict.degeneracy)
 
@@ -165,17 +169,20 @@ class LidarInertialOdometry:
             if math.isfinite(h[0]):
                 velocity, height = v[0], float(h[0])
         self._filter.start(sweep.end, _unrotated(imu_stamp, imu, sweep.end, level), level, velocity, height)
-        self._fast.copy_from(self._filter)
-        self._dead.copy_from(self._filter)
+        self._stream.start(self._filter)
         self._monitor.start(sweep.end)
         self.initialised = True
         self._rejoin()
 
     def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
-        """Advance the filter to `end`; the track it took."""
-        gap = self._clocks["imu"].newest is None or self._clocks["imu"].newest < end
-        if gap:
-            self.counters["scan_without_imu"] += 1
+        """Advance the filter to `end`; the track it took. Notes which data were missing."""
+        for topic, name, buffer in (("joints", "joint", self._joints), ("imu", "IMU", self._imu)):
+            stamps, _ = buffer.between(max(self._filter.stamp, end - NS // 10), end)
+            if len(stamps):
+                continue
+            self.counters[f"scan_without_{topic}"] += 1
+            if topic == "imu" or (self._clocks[topic].newest is not None and self.params.use_joints):
+                self._note = f"no {name} data"
         return self._advance(self._filter, end)
 
     def _advance(self, state: InertialFilter, end: int) -> tuple[NDArray[np.int64], Array]:
@@ -192,7 +199,8 @@ class LidarInertialOdometry:
         return self._dead_reckoned("no scan")
 
     def _dead_reckoned(self, reason: str) -> ScanOdometry:
-        sigma = math.sqrt(float(np.linalg.eigvalsh(self._filter.covariance()[:3, :3])[-1]))
+        covariance = self._filter.output(ZERO).covariance
+        sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
         self._rejoin()
         nothing = Match(self._filter.pose(), 0, 0.0, 0.0, 0.0, np.zeros((6, 6)))
@@ -203,15 +211,14 @@ class LidarInertialOdometry:
     def _result(
         self, cloud: NDArray[np.float32], match: Match, predicted: Array, direction: Array, share: float
     ) -> ScanOdometry:
-        pose = self._filter.pose()
-        linear, angular = self._filter.twist()
+        state = self._filter.output(ZERO)
         return ScanOdometry(
             stamp=self._filter.stamp,
-            position=pose[:3, 3].copy(),
-            orientation=quaternion(pose[:3, :3]),
-            linear=linear,
-            angular=angular,
-            covariance=self._filter.covariance(),
+            position=state.position,
+            orientation=state.orientation,
+            linear=state.linear,
+            angular=state.angular,
+            covariance=state.covariance,
             health=self._health,
             reason=self._reason,
             overlap=match.overlap,
@@ -223,73 +230,11 @@ class LidarInertialOdometry:
             cloud=cloud,
         )
 
-    # --- between scans ------------------------------------------------------------------------------------------
-    def _catch_up(self, state: InertialFilter, stamp: int) -> bool:
-        if stamp <= state.stamp:
-            return False
-        self._advance(state, stamp)
-        return True
-
     def _rejoin(self) -> None:
-        """Continue the fast pose from the corrected filter; the step is kept as an offset that fades."""
-        before, stamp = self._fast_output(), self._fast.stamp
-        self._fast.copy_from(self._filter)
-        if stamp > self._filter.stamp:
-            self._advance(self._fast, stamp)
-        after = self._fast.pose()
-        self._offset[:3] = before[:3, 3] - after[:3, 3]
-        q = quaternion(after[:3, :3].T @ before[:3, :3])
-        self._offset[3:] = 2.0 * q[:3]
-        self._offset_stamp = self._fast.stamp
-        if not np.abs(self._offset).max() < 1.0:  # a new clock or a first pose: nothing to continue
-            self._offset[:] = 0.0
-        keep = min(self._filter.stamp, self._dead.stamp)
+        self._stream.rejoin(self._filter)
+        keep = min(self._filter.stamp, self._stream.dead.stamp)
         self._imu.forget(keep)
         self._joints.forget(keep)
-
-    def _fast_output(self) -> Array:
-        pose = self._fast.pose()
-        fade = math.exp(-(self._fast.stamp - self._offset_stamp) * 1e-9 / self.params.smoothing)
-        q = quaternion(pose[:3, :3])
-        turn(q, *(fade * self._offset[3:]))
-        pose[:3, :3] = rotation(q)
-        pose[:3, 3] += fade * self._offset[:3]
-        return pose
-
-    def _fast_pose(self) -> FastPose:
-        pose = self._fast_output()
-        linear, angular = self._fast.twist()
-        health, reason = self._health, self._reason
-        gap = self._monitor.gap(self._fast.stamp)
-        if gap > self.params.health.gap_lost:
-            health, reason = Health.LOST, f"no usable scan for {gap:.1f} s"
-        elif gap > 2 * self.params.health.gap_degraded and health is Health.GOOD:
-            health, reason = Health.DEGRADED, f"no usable scan for {gap:.1f} s"
-        return FastPose(
-            stamp=self._fast.stamp,
-            position=pose[:3, 3].copy(),
-            orientation=quaternion(pose[:3, :3]),
-            linear=linear,
-            angular=angular,
-            covariance=self._fast.covariance(),
-            health=health,
-            reason=reason,
-        )
-
-    def _wheel_odometry(self, stamp: int, row: Array) -> WheelOdometry:
-        linear, sigma, contact = np.empty(3), np.empty(3), np.empty(4, np.bool_)
-        angular = self._dead.u[:3] - self._dead.x[10:13]
-        leg_velocity(row[:16], row[16:32], row[32:], angular, self._wheel_noise, linear, sigma, contact)
-        pose = self._dead.pose()
-        return WheelOdometry(
-            stamp=stamp,
-            position=pose[:3, 3].copy(),
-            orientation=quaternion(pose[:3, :3]),
-            linear=linear,
-            angular=angular,
-            covariance=self._dead.covariance(),
-            contact=(bool(contact[0]), bool(contact[1]), bool(contact[2]), bool(contact[3])),
-        )
 
     # --- the door -----------------------------------------------------------------------------------------------
     def _admit(self, topic: str, stamp: int) -> bool:
@@ -299,20 +244,18 @@ class LidarInertialOdometry:
         return verdict != "drop"
 
     def _follow_clock(self, topic: str, stamp: int) -> None:
-        """The source clock was set. Scans lead: with them the filter moves to the new time, pose and map stay."""
-        if topic == "imu":
-            self._imu.clear()
-        elif topic == "joints":
-            self._joints.clear()
-            self._joint_stamp = -NS
-        else:
-            self._sweeps.clear()
-            for state in (self._filter, self._fast, self._dead):
-                state.stamp = stamp
-                state.x[3:6] = 0.0
-                state.p[:6, :6] += np.diag([0.04] * 3 + [0.25] * 3)
-            self._offset_stamp = stamp
-            self._monitor.start(stamp)
+        """The source clock was set: go on at the new time with the pose and the map kept. The other topics follow without asking."""
+        for name, clock in self._clocks.items():
+            if name != topic:
+                clock.newest = stamp - NS // 2
+        self._imu.clear()
+        self._joints.clear()
+        self._joint_stamp = -NS
+        self._sweeps.clear()
+        self._filter.move_clock(stamp)
+        self._stream.move_clock(stamp)
+        self._monitor.start(stamp)
+        self._note = "source clock was set"
 
     def _now(self) -> int:
         return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)

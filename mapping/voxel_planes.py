@@ -18,7 +18,7 @@ CAPACITY = 1 << 16
 """Slots of the hash table; the map is trimmed when half full."""
 POINTS = 60
 """A voxel with this many points is settled and takes no more."""
-SEEN = 5
+PLANE = 5
 """Points that make a plane."""
 
 
@@ -149,9 +149,11 @@ def _fit(
         rz = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2]
         x, y, z = rx + pose[0, 3], ry + pose[1, 3], rz + pose[2, 3]
         s = _slot(keys, math.floor(x / size), math.floor(y / size), math.floor(z / size))
-        if s < 0 or stats[s, 0] < SEEN:
+        if s < 0:
             continue
         seen += 1
+        if stats[s, 0] < PLANE:
+            continue
         if plane[s, 4] > 0.0:
             _plane(stats[s], plane[s])
             plane[s, 4] = 0.0

@@ -1,7 +1,6 @@
 """Lifting one blocked wheel onto what blocks it: detection and the sequence shift, lift, reach, lower.
 
-A wheel counts as blocked while its contact force points against the way, compared with the other wheel of its side (a turn loads
-both alike), for long enough. Then the robot stands still, moves its centre of mass over the other three wheels, lifts the wheel
+A wheel counts as blocked when it has been pushed back, against the other three wheels, for long enough. Then the robot stands still, moves its centre of mass over the other three wheels, lifts the wheel
 as far as the leg folds, reaches forward and puts it down on whatever is there.
 """
 
@@ -19,14 +18,20 @@ DRIVE, SHIFT, LIFT, REACH, LOWER = range(5)
 
 
 @njit(cache=True)
-def detect_blocked(m, way: float, dt: float, p: VmcParams) -> int:
-    """The leg that has been blocked long enough, or -1. `way`: +1 driving forward, -1 backward, 0 not driving."""
+def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> int:
+    """The leg that has been blocked long enough, or -1. `way`: +1 driving forward, -1 backward, 0 not driving.
+
+    Blocked: the wheel is pushed back, much harder than the other three, or has fallen behind its place under the trunk.
+    """
     found = -1
     worst = p.blocked_time
+    total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     for leg in range(4):
-        other = (leg + 2) % 4
-        difference = way * (m.force[other, 0] - m.force[leg, 0])
-        if way != 0.0 and m.contact[leg] == 1 and difference > p.blocked_force:
+        back = -way * m.force[leg, 0]
+        others = way * (total - m.force[leg, 0]) / 3.0
+        behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
+        pushed = back > 0.4 * p.blocked_force and back + others > p.blocked_force
+        if way != 0.0 and (pushed or (behind > p.blocked_lag and back > 5.0)):
             m.blocked[leg] += dt
         else:
             m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
@@ -72,7 +77,7 @@ def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt:
     if abs(m.vx) > 0.1 and abs(command_vx) > 0.1:
         way = 1.0 if m.vx > 0.0 else -1.0
     if m.mode == DRIVE:
-        leg = detect_blocked(m, way, dt, p)
+        leg = detect_blocked(m, centres, way, dt, p)
         if leg >= 0 and p.climb > 0.0:
             partner = leg + 1 if leg % 2 == 0 else leg - 1
             m.queued = partner if m.blocked[partner] > 0.5 * p.blocked_time else -1

@@ -11,8 +11,10 @@ class VmcParams(NamedTuple):
     # --- trunk
     height: float = 0.385
     """Default height of base_link above the ground plane [m]; leaves 0.1 m of leg stroke down and 0.18 m up."""
-    max_level: float = 0.38
-    """Ground slope [rad] up to which the trunk is kept level; beyond it leans with the excess."""
+    level_roll: float = 0.38
+    """Side slope of the ground [rad] up to which the trunk is kept level; beyond it leans with the excess."""
+    level_pitch: float = 0.20
+    """The same along the trunk; less, because the legs need their stroke to climb steps."""
     heave_k: float = 900.0
     """[N/m]"""
     heave_d: float = 60.0
@@ -79,22 +81,24 @@ class VmcParams(NamedTuple):
     climb: float = 1.0
     """0 switches it off."""
     blocked_force: float = 30.0
-    """Difference of horizontal force between the two wheels of a side that means blocked [N]."""
+    """Backward force on a wheel, compared with the mean of the others, that means blocked [N]."""
+    blocked_lag: float = 0.07
+    """How far a wheel may fall behind its place under the trunk [m]."""
     blocked_time: float = 0.12
     """[s]"""
-    triangle: float = 0.30
+    triangle: float = 0.24
     """How far the centre of mass moves from the edge of the support triangle towards its far corner, as a share."""
-    shift_bandwidth: float = 14.0
+    shift_bandwidth: float = 18.0
     """Of the critically damped weight shift [rad/s]."""
     shift_back: float = 6.0
     """The same when the climb is over [rad/s]."""
-    shift_accel: float = 3.0
+    shift_accel: float = 4.0
     """[m/s^2]"""
-    shift_time: float = 0.15
+    shift_time: float = 0.1
     """Shortest time for unloading the wheel [s]."""
-    stroke_lift: float = 0.135
+    stroke_lift: float = 0.125
     """Axle below hip of the lifted wheel [m]."""
-    lift_rate: float = 1.0
+    lift_rate: float = 1.6
     """[m/s]"""
     retreat: float = 0.02
     """How far the wheel backs off from the face while it is lifted [m]."""
@@ -102,8 +106,8 @@ class VmcParams(NamedTuple):
     """How far beyond the place where it was blocked the wheel is put down [m]."""
     reach_max: float = 0.20
     """Furthest ahead of the hip [m]."""
-    reach_rate: float = 0.8
-    lower_rate: float = 0.6
+    reach_rate: float = 1.4
+    lower_rate: float = 1.0
     """[m/s]"""
     swing_kp: float = 120.0
     """Joint gain of the lifted leg [Nm/rad]."""

@@ -212,8 +212,8 @@ def vmc_tick(
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
-    pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.max_level, p.max_level)
-    roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.max_level, p.max_level)
+    pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.level_pitch, p.level_pitch)
+    roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.level_roll, p.level_roll)
 
     # --- trunk wrench and its distribution on the wheels
     error = clip(height - m.height, -0.08, 0.08)

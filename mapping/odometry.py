@@ -61,7 +61,7 @@ class LidarInertialOdometry:
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._joint_stamp = -NS
         self._sweeps: deque[Sweep] = deque()
-        self._note = ""
+        self._notes: list[str] = []
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
 
     # --- samples in ---------------------------------------------------------------------------------------------
@@ -144,10 +144,10 @@ class LidarInertialOdometry:
                 self._filter.update_pose(match.pose, _rotation_to_body(verdict.covariance, match.pose))
             self._engine.insert(self._filter.pose())
         self._health, self._reason = verdict.health, verdict.reason
-        if self._note and verdict.health is not Health.LOST:
+        if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
-            self._reason = "; ".join(r for r in (self._note, verdict.reason) if r)
-        self._note = ""
+            self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
+        self._notes.clear()
         self._rejoin()
         return self._result(cloud, match, predicted, verdict.degenerate, verdict.degeneracy)
 
@@ -182,7 +182,7 @@ class LidarInertialOdometry:
                 continue
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._clocks[topic].newest is not None and self.params.use_joints):
-                self._note = f"no {name} data"
+                self._notes.append(f"no {name} data")
         return self._advance(self._filter, end)
 
     def _advance(self, state: InertialFilter, end: int) -> tuple[NDArray[np.int64], Array]:
@@ -255,7 +255,7 @@ class LidarInertialOdometry:
         self._filter.move_clock(stamp)
         self._stream.move_clock(stamp)
         self._monitor.start(stamp)
-        self._note = "source clock was set"
+        self._notes.append("source clock was set")
 
     def _now(self) -> int:
         return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)

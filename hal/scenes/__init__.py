@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from pathlib import Path
 
 from hal.scenes import rescue
 from hal.scenes.maze import maze
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
 from hal.scenes.yard import flat, yard
 
-__all__ = ["Goal", "Pose", "Scene", "SceneError", "load_scene", "scene_names"]
+__all__ = ["DEFAULT_SCENE", "Goal", "Pose", "Scene", "SceneError", "load_scene", "scene_names"]
 
-_BUILT_IN: dict[str, Callable[..., Scene]] = {
+DEFAULT_SCENE = "yard"
+
+_BUILT_IN: dict[str, Callable[[], Scene]] = {
     "flat": flat,
     "yard": yard,
     "maze": maze,
@@ -28,8 +30,37 @@ def scene_names() -> list[str]:
     return list(_BUILT_IN)
 
 
-def load_scene(name: str, **options: Any) -> Scene:
-    """A built-in scene by name. Raises SceneError."""
-    if name not in _BUILT_IN:
-        raise SceneError(f"no scene {name!r}: use one of {', '.join(_BUILT_IN)}")
-    return _BUILT_IN[name](**options)
+def load_scene(
+    name: str | Path,
+    *,
+    resolution: float | None = None,
+    height_range: tuple[float, float] | None = None,
+    seed: int | None = None,
+    start: Pose | None = None,
+) -> Scene:
+    """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
+
+    `resolution` [m] and `height_range` [m] say how to import a file, `start` where the robot starts on it (see
+    `hal.scenes.files.read_scene`). `seed` picks a maze; `maze:7` does the same in one word. Raises SceneError.
+    """
+    text = str(name)
+    base, _, number = text.partition(":")
+    if base == "maze" and not Path(text).is_file():
+        if number and not number.isdecimal():
+            raise SceneError(f"{text!r}: the seed after maze: must be a whole number")
+        seed = int(number) if number else seed
+    if base in _BUILT_IN and (not number or base == "maze"):
+        if resolution is not None or height_range is not None or start is not None:
+            raise SceneError(f"{base} is built in: resolution, height range and start are for files")
+        if base == "maze":
+            return maze(seed=seed or 0)
+        if seed is not None:
+            raise SceneError(f"{base} has no seed: only maze has")
+        return _BUILT_IN[base]()
+    if not Path(text).suffix:
+        raise SceneError(f"no scene {text!r}: use one of {', '.join(_BUILT_IN)}, or a file")
+    from hal.scenes.files import read_scene  # readers are only needed for files
+
+    if seed is not None:
+        raise SceneError("a scene from a file has no seed: only maze has")
+    return read_scene(Path(text), resolution=resolution, height_range=height_range, start=start)

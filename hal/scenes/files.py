@@ -1,0 +1,158 @@
+"""Scenes from files: arrays, height pictures, point clouds and meshes; and scenes to files."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, UnidentifiedImageError
+
+from hal.scenes.gridding import fill, grid, place_start
+from hal.scenes.readers import read_geometry
+from hal.scenes.scene import Goal, Pose, Scene, SceneError
+
+DEFAULT_RESOLUTION = 0.05
+"""Cell size for clouds and meshes [m]."""
+ENDINGS = (".npz", ".png", ".ply", ".pcd", ".stl", ".obj")
+
+
+def read_scene(
+    path: Path,
+    *,
+    resolution: float | None = None,
+    height_range: tuple[float, float] | None = None,
+    start: Pose | None = None,
+) -> Scene:
+    """A scene from `path`. Raises SceneError.
+
+    `resolution` [m] is needed for a picture and optional for clouds and meshes; `height_range` [m] (black, white) is
+    needed for a picture. Unknown cells are filled for the physics and stay NaN in `Scene.survey`. Without `start` a
+    level place is chosen.
+    """
+    if not path.is_file():
+        raise SceneError(f"{path}: no such file")
+    if resolution is not None and not resolution > 0.0:
+        raise SceneError(f"resolution must be a positive number of metres, got {resolution}")
+    ending = path.suffix.lower()
+    if ending == ".npz":
+        if resolution is not None or height_range is not None:
+            raise SceneError(
+                f"{path.name}: an .npz file brings its own resolution and heights: leave the options out"
+            )
+        return _read_npz(path, start)
+    if ending == ".png":
+        height, origin = _read_png(path, resolution, height_range)
+        assert resolution is not None
+    elif ending in ENDINGS:
+        resolution = resolution or DEFAULT_RESOLUTION
+        height, origin = grid(read_geometry(path), resolution, path.name)
+    else:
+        raise SceneError(
+            f"{path.name}: cannot read {ending or 'a file without ending'}: use {', '.join(ENDINGS)}"
+        )
+    return _scene(path.stem, height, resolution, origin, start, None, f"from {path.name}")
+
+
+def _scene(
+    name: str,
+    height: NDArray[np.float32],
+    resolution: float,
+    origin: tuple[float, float],
+    start: Pose | None,
+    goals: Mapping[str, Goal] | None,
+    description: str,
+) -> Scene:
+    known = np.isfinite(height)
+    filled = fill(height)
+    if start is None:
+        start, found = place_start(filled, known, resolution, origin, name)
+        goals = {**found, **(goals or {})}
+    return Scene(
+        name=name,
+        height=filled,
+        resolution=resolution,
+        origin=origin,
+        start=start,
+        goals=goals or {"home": start},
+        description=description,
+        survey=None if known.all() else height,
+    )
+
+
+def _read_png(
+    path: Path, resolution: float | None, height_range: tuple[float, float] | None
+) -> tuple[NDArray[np.float32], tuple[float, float]]:
+    if resolution is None or height_range is None:
+        raise SceneError(
+            f"{path.name}: a picture needs the heights of black and white (height range) and a resolution [m]"
+        )
+    low, high = height_range
+    if not (np.isfinite([low, high]).all() and low < high):
+        raise SceneError(f"{path.name}: height range must be two growing numbers of metres, got {low} {high}")
+    try:
+        with Image.open(path) as image:
+            deep = image.mode.startswith("I")  # 16 bit
+            pixels = np.asarray(image if deep else image.convert("L"), np.float64)
+    except (OSError, UnidentifiedImageError, ValueError) as error:
+        raise SceneError(f"{path.name}: not a readable PNG ({error})") from error
+    height = low + (high - low) * pixels[::-1] / (65535.0 if deep else 255.0)  # row 0 of a picture is north
+    rows, cols = height.shape
+    return height.astype(np.float32), (-0.5 * (cols - 1) * resolution, -0.5 * (rows - 1) * resolution)
+
+
+def _read_npz(path: Path, start: Pose | None) -> Scene:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            data = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise SceneError(f"{path.name}: not a readable .npz file ({error})") from error
+    missing = [key for key in ("height", "resolution", "origin") if key not in data]
+    if missing:
+        raise SceneError(
+            f"{path.name}: lacks {', '.join(missing)}; an .npz scene holds height, resolution and origin"
+        )
+    height = np.asarray(data["height"])
+    if height.ndim != 2 or not np.issubdtype(height.dtype, np.number) or min(height.shape) < 2:
+        raise SceneError(
+            f"{path.name}: height must be a 2-D array of numbers, got {height.dtype} {height.shape}"
+        )
+    try:
+        resolution = float(data["resolution"])
+        x, y = (float(v) for v in np.asarray(data["origin"], float).reshape(-1)[:2])
+        if start is None and "start" in data:
+            sx, sy, yaw = (float(v) for v in np.asarray(data["start"], float).reshape(3))
+            start = (sx, sy, yaw)
+        goals: dict[str, Goal] | None = None
+        if "goal_names" in data:
+            poses = np.asarray(data["goal_poses"], float).reshape(-1, 3).tolist()
+            names = np.asarray(data["goal_names"]).astype(str).tolist()
+            goals = {
+                n: (p[0], p[1], None if np.isnan(p[2]) else p[2]) for n, p in zip(names, poses, strict=True)
+            }
+    except (ValueError, TypeError, KeyError) as error:
+        raise SceneError(
+            f"{path.name}: resolution, origin, start or goals are malformed ({error})"
+        ) from error
+    if not (np.isfinite([resolution, x, y]).all() and resolution > 0.0):
+        raise SceneError(f"{path.name}: resolution must be positive and origin finite [m]")
+    if np.isinf(height.astype(np.float64)).any():
+        raise SceneError(f"{path.name}: height holds infinities; use NaN where it is unknown")
+    return _scene(path.stem, height.astype(np.float32), resolution, (x, y), start, goals, f"from {path.name}")
+
+
+def save_scene(scene: Scene, path: Path) -> None:
+    """Write an .npz that `read_scene` reads back. Unsurveyed cells are stored as NaN."""
+    names = list(scene.goals)
+    poses = [[x, y, np.nan if yaw is None else yaw] for x, y, yaw in scene.goals.values()]
+    np.savez_compressed(
+        path,
+        height=scene.height if scene.survey is None else scene.survey,
+        resolution=scene.resolution,
+        origin=np.array(scene.origin),
+        start=np.array(scene.start),
+        goal_names=np.array(names, dtype=np.str_),
+        goal_poses=np.array(poses, np.float64).reshape(-1, 3),
+    )

@@ -1,0 +1,191 @@
+"""Point clouds and meshes from files, plain: PLY, PCD, STL, OBJ. Only positions and faces are kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.scenes.scene import SceneError
+
+_PLY_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
+}  # fmt: skip
+_PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Vertices (n, 3) [m] and, for a mesh, triangles (m, 3) as indices into them."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+
+def read_geometry(path: Path) -> Geometry:
+    """Read by file ending. Raises SceneError for a format or a content that cannot be read."""
+    reader = {".ply": _ply, ".pcd": _pcd, ".stl": _stl, ".obj": _obj}.get(path.suffix.lower())
+    if reader is None:
+        raise SceneError(
+            f"{path.name}: cannot read {path.suffix or 'a file without ending'}: use .ply, .pcd, .stl or .obj"
+        )
+    try:
+        geometry = reader(path.read_bytes())
+    except OSError as error:
+        raise SceneError(f"{path}: {error.strerror}") from error
+    except (ValueError, IndexError, KeyError, TypeError) as error:
+        raise SceneError(
+            f"{path.name}: broken or truncated {path.suffix[1:].upper()} file ({error})"
+        ) from error
+    finite = np.asarray(np.isfinite(geometry.vertices).all(axis=1))
+    if not finite.any():
+        raise SceneError(f"{path.name}: holds no points")
+    if len(geometry.triangles):
+        if geometry.triangles.min() < 0 or geometry.triangles.max() >= len(geometry.vertices):
+            raise SceneError(f"{path.name}: broken file (a face names a vertex that is not there)")
+        return Geometry(geometry.vertices, geometry.triangles[finite[geometry.triangles].all(axis=1)])
+    return Geometry(geometry.vertices[finite], geometry.triangles)
+
+
+_NO_FACES = np.empty((0, 3), np.int64)
+
+
+# --- PLY ----------------------------------------------------------------------------------------------------------
+@dataclass(slots=True)
+class _Element:
+    name: str
+    count: int
+    scalars: list[tuple[str, str]] = field(default_factory=list)
+    lists: list[tuple[str, str]] = field(default_factory=list)
+    """Count type and item type."""
+
+
+def _ply(data: bytes) -> Geometry:
+    head, sep, body = data.partition(b"end_header\n")
+    if not sep:
+        head, sep, body = data.partition(b"end_header\r\n")
+    if not data.startswith(b"ply") or not sep:
+        raise ValueError("no PLY header")
+    layout, elements = "", list[_Element]()
+    for words in (line.split() for line in head.decode("ascii", "replace").splitlines()):
+        if words[:1] == ["format"]:
+            layout = words[1]
+        elif words[:1] == ["element"]:
+            elements.append(_Element(words[1], int(words[2])))
+        elif words[:2] == ["property", "list"]:
+            elements[-1].lists.append((_PLY_TYPES[words[2]], _PLY_TYPES[words[3]]))
+        elif words[:1] == ["property"]:
+            elements[-1].scalars.append((words[2], _PLY_TYPES[words[1]]))
+    if layout not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise ValueError(f"unknown layout {layout!r}")
+    order = ">" if layout == "binary_big_endian" else "<"
+    vertices, triangles, lines, at = None, _NO_FACES, body.splitlines() if layout == "ascii" else [], 0
+    for element in elements:
+        if layout == "ascii":
+            rows, lines = lines[: element.count], lines[element.count :]
+            if len(rows) < element.count:
+                raise ValueError(f"{len(rows)} of {element.count} {element.name} lines")
+            if element.name == "vertex":
+                table = np.array([row.split() for row in rows], np.float64)
+                column = [name for name, _ in element.scalars]
+                vertices = table[:, [column.index(k) for k in "xyz"]]
+            elif element.name == "face":
+                triangles = _fans([[int(v) for v in row.split()][1:] for row in rows])
+        elif not element.lists:
+            dtype = np.dtype([(name, order + kind) for name, kind in element.scalars])
+            records = np.frombuffer(body, dtype, element.count, at)
+            at += dtype.itemsize * element.count
+            if element.name == "vertex":
+                vertices = np.stack([records[k] for k in "xyz"], axis=1).astype(np.float64)
+        elif element.name == "face" and not element.scalars and len(element.lists) == 1:
+            triangles, at = _ply_faces(body, at, element, order)
+        else:
+            break  # nothing after an element of unknown length is needed
+    if vertices is None:
+        raise ValueError("no vertices")
+    return Geometry(vertices, triangles)
+
+
+def _ply_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[NDArray[np.int64], int]:
+    count_type, item_type = (np.dtype(order + kind) for kind in element.lists[0])
+    triangle = np.dtype([("n", count_type), ("v", item_type, (3,))])
+    if len(body) - at >= triangle.itemsize * element.count:
+        table = np.frombuffer(body, triangle, element.count, at)
+        if (table["n"] == 3).all():
+            return table["v"].astype(np.int64), at + triangle.itemsize * element.count
+    faces = []
+    for _ in range(element.count):
+        n = int(np.frombuffer(body, count_type, 1, at)[0])
+        at += count_type.itemsize
+        faces.append(np.frombuffer(body, item_type, n, at).tolist())
+        at += item_type.itemsize * n
+    return _fans(faces), at
+
+
+def _fans(faces: list[list[int]]) -> NDArray[np.int64]:
+    """Polygons cut into triangles."""
+    cut = [(f[0], f[k], f[k + 1]) for f in faces for k in range(1, len(f) - 1)]
+    return np.array(cut, np.int64).reshape(-1, 3)
+
+
+# --- PCD ----------------------------------------------------------------------------------------------------------
+def _pcd(data: bytes) -> Geometry:
+    header: dict[str, list[str]] = {}
+    at = 0
+    while "DATA" not in header:
+        end = data.index(b"\n", at)
+        words = data[at:end].decode("ascii", "replace").split()
+        at = end + 1
+        if words and not words[0].startswith("#"):
+            header[words[0]] = words[1:]
+    fields = header["FIELDS"]
+    repeat = [int(n) for n in header.get("COUNT", ["1"] * len(fields))]
+    points = int(header["POINTS"][0])
+    layout = header["DATA"][0]
+    if layout == "ascii":
+        rows = data[at:].split(b"\n")[:points]
+        table = np.array([row.split() for row in rows if row.strip()], np.float64)
+        if len(table) < points:
+            raise ValueError(f"{len(table)} of {points} points")
+        first = np.concatenate([[0], np.cumsum(repeat)])
+        return Geometry(table[:, [int(first[fields.index(k)]) for k in "xyz"]], _NO_FACES)
+    if layout != "binary":
+        raise ValueError(f"layout {layout}: save it as ascii or binary")
+    kinds = [f"<{_PCD_TYPES[t]}{s}" for t, s in zip(header["TYPE"], header["SIZE"], strict=True)]
+    names = [f if fields.index(f) == i else f"_{i}" for i, f in enumerate(fields)]  # padding may repeat "_"
+    dtype = np.dtype([(f, k, (n,)) for f, k, n in zip(names, kinds, repeat, strict=True)])
+    records = np.frombuffer(data, dtype, points, at)
+    return Geometry(np.stack([records[k][:, 0] for k in "xyz"], axis=1).astype(np.float64), _NO_FACES)
+
+
+# --- meshes -------------------------------------------------------------------------------------------------------
+def _stl(data: bytes) -> Geometry:
+    count = int(np.frombuffer(data, "<u4", 1, 80)[0]) if len(data) >= 84 else 0
+    if len(data) == 84 + 50 * count and count:
+        dtype = np.dtype([("normal", "<f4", (3,)), ("corner", "<f4", (3, 3)), ("attribute", "<u2")])
+        corners = np.frombuffer(data, dtype, count, 84)["corner"].reshape(-1, 3)
+    elif data.lstrip()[:5].lower() == b"solid":
+        words = [line.split() for line in data.splitlines()]
+        corners = np.array([w[1:4] for w in words if w[:1] == [b"vertex"]], np.float64)
+    else:
+        raise ValueError(f"{len(data)} bytes do not fit {count} triangles")
+    if len(corners) == 0 or len(corners) % 3:
+        raise ValueError(f"{len(corners)} corners are no triangles")
+    return Geometry(corners.astype(np.float64), np.arange(len(corners)).reshape(-1, 3))
+
+
+def _obj(data: bytes) -> Geometry:
+    vertices: list[list[float]] = []
+    faces: list[list[int]] = []
+    for line in data.decode("utf-8", "replace").splitlines():
+        words = line.split()
+        if words[:1] == ["v"]:
+            vertices.append([float(v) for v in words[1:4]])
+        elif words[:1] == ["f"]:
+            index = [int(w.split("/")[0]) for w in words[1:]]
+            faces.append([i - 1 if i > 0 else len(vertices) + i for i in index])
+    return Geometry(np.array(vertices, np.float64).reshape(-1, 3), _fans(faces))

@@ -12,6 +12,7 @@ from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.graph_native import _draw
 from planning.graph_risk import disc_blocked, edge_risk, top_two_z, window_minmax
+from tools.bench.planning_oracle import NativeOracle
 
 GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden"
 
@@ -132,6 +133,30 @@ def test_eigenvectors_equal_lapack() -> None:
         _, v = np.linalg.eigh(c)
         got = top_two_z(c[0, 0], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2])
         assert got == pytest.approx((abs(v[2, 2]), abs(v[2, 1])), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        GraphParams(
+            mode="native", expand_dist=0.6, sample_num=7, height_threshold=0.16, collision_threshold=0.1
+        ),
+        GraphParams(
+            mode="native", expand_dist=0.38, sample_num=12, height_threshold=0.2, collision_threshold=0.1
+        ),
+    ],
+)
+def test_graph_equals_the_plain_python_reading(params: GraphParams) -> None:
+    grid = _terrain(7, n=80)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), params, seed=9)
+    oracle = NativeOracle(grid, (1.0, 1.0), params, seed=9)
+    assert len(graph.nodes) > 40
+    np.testing.assert_array_equal(graph.nodes, oracle.nodes)
+    assert {tuple(e) for e in graph.edges.tolist()} == {tuple(e) for e in oracle.edges.tolist()}
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    want = dict(zip(map(tuple, oracle.edges.tolist()), oracle.risk.tolist(), strict=True))
+    for a, b, r in zip(source.tolist(), graph.indices.tolist(), graph.risk.tolist(), strict=True):
+        assert r == pytest.approx(want[min(a, b), max(a, b)], abs=1e-3)
 
 
 def test_same_seed_same_graph_other_seed_another() -> None:

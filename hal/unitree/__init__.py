@@ -1,1 +1,35 @@
+"""A real Go2-W: the same topics, services and semantics as Unitree's SDK, on our own DDS types.
 
+`make_backend` is the entry; nothing here imports DDS before it is called.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hal.contract import BackendError
+
+if TYPE_CHECKING:
+    from hal.unitree.backend import UnitreeBackend
+    from hal.unitree.options import UnitreeOptions
+
+
+class MissingExtra(BackendError):
+    """The optional DDS package is not installed."""
+
+
+def make_backend(
+    interface: str, dry_run: bool = False, domain: int = 0, options: UnitreeOptions | None = None
+) -> UnitreeBackend:
+    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface."""
+    try:
+        import cyclonedds.core  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra(
+            f"the Unitree backend needs DDS ({error}); install it with: pip install 'rbtrg-robot[unitree]'"
+        ) from error
+    from hal.unitree.backend import UnitreeBackend
+    from hal.unitree.link import check_interface
+
+    check_interface(interface)
+    return UnitreeBackend(interface, domain, options, dry_run)

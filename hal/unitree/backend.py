@@ -1,0 +1,354 @@
+"""The Go2-W through its sport service, as a backend of the contract.
+
+One thread, nothing blocks after `connect`. `read` drains telemetry, advances whatever transition runs and keeps Move
+going; `drive` only sets the velocity. Three things stop the robot when something above dies: the watchdog here (no
+`drive` for 0.2 s), the guardian process (this process killed or stuck), and the robot's own 1 s hold.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable, Generator
+
+from hal.contract import BackendError
+from hal.types import (
+    NS,
+    ModeRequest,
+    Phase,
+    PostureCommand,
+    RobotState,
+    Sample,
+    VelocityCommand,
+)
+from hal.unitree.guardian import Guardian
+from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, DryRunLink, Link
+from hal.unitree.mover import Mover
+from hal.unitree.options import UnitreeOptions
+from hal.unitree.rpc import Rpc
+from hal.unitree.telemetry import MOUNT_TOLERANCE, Telemetry
+from hal.unitree.transitions import Failed, Transitions
+
+log = logging.getLogger(__name__)
+
+_STATE_PERIOD = NS // 25
+"""[ns] between RobotState samples while nothing changes."""
+_LYING = (5, 10)
+_DAMPED = 7
+_BALANCE = (1, 2, 3, 9, 11)
+"""Sport modes that accept Move: balance, pose, locomotion, and what newer firmware reports while walking."""
+
+
+class UnitreeBackend:
+    """A Go2-W on `interface`. See `hal.contract.Backend`; the source clock is the host's wall clock."""
+
+    def __init__(
+        self,
+        interface: str,
+        domain: int = 0,
+        options: UnitreeOptions | None = None,
+        dry_run: bool = False,
+        link: Link | None = None,
+        clock: Callable[[], int] = time.time_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        """interface: network interface of the robot's network; domain: 0 on the real robot; dry_run: listen, send
+        nothing; link, clock, sleep: replaced by tests, then no guardian is started."""
+        self.options = options or UnitreeOptions()
+        self.capabilities = self.options.capabilities()
+        self._interface, self._domain, self._dry_run = interface, domain, dry_run
+        self._link, self._clock, self._sleep = link, clock, sleep
+        self._guarded = link is None and not dry_run
+        self._guardian: Guardian | None = None
+        self._telemetry: Telemetry | None = None
+        self._now = 0
+        self._phase, self._cause = Phase.DISCONNECTED, "not connected yet"
+        self._transition: Generator[None, None, None] | None = None
+        self._doing = ""
+        self._doing_phase = Phase.STANDING
+        self._fault = ""
+        self._stopped = ""
+        self._reported: tuple[Phase, str] | None = None
+        self._reported_at = 0
+
+    # -- contract --------------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Find the robot, check who owns its motors, take the remote role. Raises BackendError."""
+        if self._telemetry is not None:
+            return
+        link = self._link if self._link is not None else self._open_link()
+        if self._dry_run:
+            link = DryRunLink(link)
+        self._link = link
+        self._rpc = Rpc(link)
+        self._telemetry = telemetry = Telemetry(link, self.options)
+        self._mover = Mover(self._rpc, self.options, self.capabilities)
+        self._steps = Transitions(self._rpc, telemetry, self.options, self._dry_run)
+        try:
+            if self._guarded:
+                self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
+            self._wait_for_robot(telemetry)
+            self._run_now(self._steps.take_control())
+            if self._guardian is not None:
+                self._guardian.wait_ready(self.options.connect_timeout)
+        except BackendError:
+            self._release()
+            raise
+        self._stopped = ""
+        self._fault = ""
+        self._mover.fed(self._clock())
+
+    def read(self, now: int) -> list[Sample]:
+        """Samples since the last call; also runs transitions, watchdog and the repetition of Move."""
+        telemetry = self._telemetry
+        if telemetry is None:
+            return []
+        self._now = now
+        out: list[Sample] = list(telemetry.read(now))
+        self._rpc.poll(now)
+        self._steps.now = now
+        self._advance()
+        self._judge(telemetry, now)
+        self._mover.pump(now, allowed=self._phase in (Phase.READY, Phase.MOVING))
+        if self._guardian is not None:
+            self._guardian.beat(self._mover.moving)
+        state = self.state()
+        due = now - self._reported_at >= _STATE_PERIOD or (state.phase, state.cause) != self._reported
+        if due and now > self._reported_at:
+            self._reported_at, self._reported = now, (state.phase, state.cause)
+            out.append(state)
+        return out
+
+    def drive(self, command: VelocityCommand) -> None:
+        """Velocity until the next call; ignored (zero) unless the robot is ready."""
+        if self._telemetry is None:
+            return
+        ready = self._phase in (Phase.READY, Phase.MOVING) and self._transition is None
+        self._mover.set(command if ready else VelocityCommand(command.stamp), self._now)
+        self._mover.pump(self._now, allowed=ready)
+
+    def posture(self, command: PostureCommand) -> None:
+        """Roll and pitch offsets at rest. The present sport service has no body height."""
+        self._connected()
+        self._mover.posture(command)
+
+    def request(self, mode: ModeRequest) -> None:
+        """Start a transition; progress and failure show in `state`."""
+        self._connected()
+        match mode:
+            case ModeRequest.STOP:
+                self._abandon()
+                self._stopped = "emergency stop"
+                self._halt()
+            case ModeRequest.RESUME:
+                self._stopped = ""
+            case ModeRequest.DAMP:
+                self._abandon()
+                if self._guardian is not None:
+                    self._guardian.damp()
+                self._start(self._steps.damp(), "going soft", Phase.STANDING)
+            case ModeRequest.SIT:
+                self._start(self._steps.sit(), "lying down", Phase.STANDING)
+            case ModeRequest.STAND | ModeRequest.RECOVER if self._stopped:
+                log.warning("%s refused: the emergency stop is latched, resume first", mode.value)
+            case ModeRequest.STAND:
+                self._fault = ""
+                self._start(self._steps.stand(), "standing up", Phase.STANDING)
+            case ModeRequest.RECOVER:
+                self._fault = ""
+                self._restart_guardian()
+                self._start(self._steps.recover(), "recovering", Phase.STANDING)
+        self._judge(self._connected(), self._now)
+
+    def state(self) -> RobotState:
+        """Newest summary state."""
+        t = self._telemetry
+        if t is None:
+            return RobotState(self._now, self._phase, self._cause)
+        return RobotState(self._now, self._phase, self._cause, t.battery, t.motor_temperature, t.contact)
+
+    def close(self) -> None:
+        """Stop, lie down, release. Bounded to about three seconds; never releases the motion service."""
+        if self._telemetry is None:
+            return
+        try:
+            if self._telemetry.low_age(self._clock()) < 1.0:
+                self._abandon()
+                self._halt()
+                lie = self.options.sit_on_close and self._phase not in (Phase.SITTING, Phase.DAMPED)
+                self._run_now(self._steps.leave(lie))
+        except BackendError as error:
+            log.warning("leaving the robot: %s", error)
+        finally:
+            self._release()
+            self._phase, self._cause = Phase.DISCONNECTED, "closed"
+
+    # -- what operators ask for ------------------------------------------------------------------------------------
+
+    def diagnostics(self) -> dict[str, object]:
+        """Figures for `status`: clock offsets [ns], late answers, unreadable messages, restarts of the robot."""
+        t = self._connected()
+        return {
+            "low_state_clock_offset_ns": t.low_clock.offset,
+            "lidar_clock_offset_ns": t.lidar_clock.offset,
+            "clock_jumps": t.low_clock.jumps + t.lidar_clock.jumps,
+            "late_responses": self._rpc.late,
+            "unreadable_messages": dict(t.bad),
+            "robot_restarts": t.reboots,
+            "guardian_pid": None if self._guardian is None else self._guardian.pid,
+            "dry_run": self._dry_run,
+        }
+
+    # -- inside ----------------------------------------------------------------------------------------------------
+
+    def _open_link(self) -> Link:
+        from hal.unitree import idl
+
+        topics: list[tuple[str, object, int]] = [
+            (LOW_STATE, idl.LowState, 256),
+            (SPORT_STATE, idl.SportModeState, 64),
+        ]
+        if self.options.lidar == "l1":
+            topics.append((L1_IMU, idl.Imu, 128))
+        cloud = self.options.topic()
+        if cloud is not None:
+            topics.append((cloud, idl.PointCloud2, 4))
+        return DdsLink(self._interface, self._domain, topics)
+
+    def _connected(self) -> Telemetry:
+        if self._telemetry is None:
+            raise BackendError("not connected: call connect() first")
+        return self._telemetry
+
+    def _wait_for_robot(self, telemetry: Telemetry) -> None:
+        deadline = self._clock() + round(self.options.connect_timeout * NS)
+        while True:
+            now = self._clock()
+            telemetry.read(now)
+            if telemetry.low_age(now) < self.options.state_timeout and telemetry.sport is not None:
+                return
+            if now > deadline:
+                break
+            self._sleep(0.01)
+        where = (
+            f"on {self._interface!r}, DDS domain {self._domain}, within {self.options.connect_timeout:.0f} s"
+        )
+        if telemetry.low is None:
+            raise BackendError(
+                f"no LowState from the robot {where}: is it switched on, is the cable in, is this the robot's network "
+                "(192.168.123.0/24), and is the domain right (0 on the robot)?"
+            )
+        if telemetry.sport is not None:
+            raise BackendError(f"LowState stopped arriving {where}: check cable and robot")
+        # A robot whose motion service was released sends no sportmodestate; taking control selects it again.
+        log.warning("no sportmodestate %s: trying to select the motion service", where)
+
+    def _run_now(self, steps: Generator[None, None, None]) -> None:
+        """Drive a transition to its end, waiting. Only in connect and close."""
+        telemetry = self._connected()
+        try:
+            while True:
+                self._now = self._steps.now = self._clock()
+                telemetry.read(self._now)
+                self._rpc.poll(self._now)
+                if self._guardian is not None:
+                    self._guardian.beat(self._mover.moving)
+                next(steps)
+                self._sleep(0.005)
+        except StopIteration:
+            return
+        except Failed as failure:
+            raise BackendError(str(failure)) from failure
+
+    def _start(self, steps: Generator[None, None, None], doing: str, phase: Phase) -> None:
+        self._abandon()
+        self._transition, self._doing, self._doing_phase = steps, doing, phase
+        self._mover.rest(self._now)
+        self._mover.confirm_reset()
+
+    def _abandon(self) -> None:
+        self._transition = None
+        self._rpc.forget()
+
+    def _advance(self) -> None:
+        if self._transition is None:
+            return
+        try:
+            next(self._transition)
+        except StopIteration:
+            self._transition = None
+        except Failed as failure:
+            self._transition = None
+            self._fault = f"{self._doing}: {failure}"
+            log.error("%s", self._fault)
+
+    def _halt(self) -> None:
+        """StopMove on both paths."""
+        self._mover.stop(self._now)
+        if self._guardian is not None:
+            self._guardian.stop()
+
+    def _judge(self, t: Telemetry, now: int) -> None:
+        """Phase and cause from what is known now."""
+        before = (self._phase, self._cause)
+        self._phase, self._cause = self._verdict(t, now)
+        halting = self._phase in (Phase.DISCONNECTED, Phase.FAULT)
+        if halting and before[0] in (Phase.READY, Phase.MOVING):
+            self._halt()
+        if self._phase != before[0]:
+            log.info("%s -> %s: %s", before[0].value, self._phase.value, self._cause or "as asked")
+
+    def _verdict(self, t: Telemetry, now: int) -> tuple[Phase, str]:
+        o = self.options
+        if t.low_age(now) > o.state_timeout:
+            self._mover.confirm_reset()
+            return Phase.DISCONNECTED, f"no LowState for {t.low_age(now):.1f} s: check cable and robot"
+        if not t.upright:
+            self._fault = self._fault or "fallen: recover when the robot is free"
+        if self._guarded and not self._dry_run and (self._guardian is None or not self._guardian.alive()):
+            self._fault = self._fault or "guardian process lost: recover starts it again"
+        if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
+            self._fault = self._fault or (
+                f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
+            )
+        ignored = self._mover.ignored(now, t)
+        if ignored > o.ignored_timeout:
+            self._fault = self._fault or f"robot ignores Move for {ignored:.0f} s: request stand"
+        if self._fault:
+            return Phase.FAULT, self._fault
+        if self._transition is not None:
+            return self._doing_phase, f"{self._doing}: {self._steps.doing}"
+        if t.sport_age(now) > o.sport_timeout:
+            return Phase.FAULT, "sport service is silent (motion service released?): request recover"
+        if t.mode == _DAMPED:
+            return Phase.DAMPED, self._stopped or "joints are soft"
+        if t.mode in _LYING or not t.standing_tall:
+            return Phase.SITTING, self._stopped or "lying"
+        if self._stopped:
+            return Phase.STOPPED, self._stopped
+        if t.mode not in _BALANCE:
+            return Phase.STANDING, "joints are locked: request stand"
+        if self._mover.moving and (t.speed > 0.05 or t.yaw_rate > 0.1):
+            return Phase.MOVING, self._mover.note or "following velocity"
+        note = self._mover.note or "balance stand, takes velocity"
+        if ignored > 1.5:
+            note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
+        return Phase.READY, note
+
+    def _restart_guardian(self) -> None:
+        if not self._guarded or (self._guardian is not None and self._guardian.alive()):
+            return
+        if self._guardian is not None:
+            self._guardian.close()
+        self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
+
+    def _release(self) -> None:
+        if self._guardian is not None:
+            self._guardian.close()
+            self._guardian = None
+        if self._link is not None:
+            self._link.close()
+        self._link = None if self._guarded or self._dry_run else self._link
+        self._telemetry = None

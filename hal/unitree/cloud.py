@@ -1,0 +1,263 @@
+"""PointCloud2 and Imu of the robot's LiDAR topics: CDR bytes to `POINT_DTYPE` and back, without per-point Python.
+
+The point layout differs by driver and firmware, so it is read from the message: x y z are needed; intensity, ring and
+a per-point time (`time` or `t` relative, `timestamp` absolute) are taken where present.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.types import NS, POINT_DTYPE, Array
+from hal.unitree.api import WireError
+from hal.unitree.layout import CDR_HEADER
+
+_DATATYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
+"""sensor_msgs/PointField datatype codes."""
+_CODES = {np.dtype(v): k for k, v in _DATATYPES.items()}
+_TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
+
+
+class _Reader:
+    """Walks through a CDR body."""
+
+    def __init__(self, data: bytes) -> None:
+        if len(data) < 8 or data[1] != 1:
+            raise WireError(f"message of {len(data)} bytes is not little-endian CDR")
+        self.data, self.at = data, 4
+
+    def number(self, fmt: str, size: int) -> int:
+        self.at += -(self.at - 4) % size
+        try:
+            (value,) = struct.unpack_from("<" + fmt, self.data, self.at)
+        except struct.error as error:
+            raise WireError("message ends early") from error
+        self.at += size
+        return value
+
+    def u32(self) -> int:
+        return self.number("I", 4)
+
+    def text(self) -> str:
+        length = self.u32()
+        if length < 1 or self.at + length > len(self.data):
+            raise WireError("message ends inside a string")
+        raw = self.data[self.at : self.at + length - 1]
+        self.at += length
+        return raw.decode("utf-8", "replace")
+
+
+@dataclass(frozen=True, slots=True)
+class RawCloud:
+    """A PointCloud2 as it came: no copy of the points."""
+
+    stamp: int
+    """Header stamp [ns], the LiDAR's own clock."""
+    frame: str
+    points: NDArray[np.void]
+    """(n,) with the sender's field names."""
+
+
+def decode_cloud(data: bytes) -> RawCloud:
+    """Read a PointCloud2. Raises WireError when it is cut off or its fields do not fit its point size."""
+    r = _Reader(data)
+    stamp = r.number("i", 4) * NS + r.u32()
+    frame = r.text()
+    height, width = r.u32(), r.u32()
+    count = r.u32()
+    if count > 64:
+        raise WireError(f"{count} point fields")
+    fields = []
+    for _ in range(count):
+        name, offset, datatype, number = r.text(), r.u32(), r.number("B", 1), r.u32()
+        if datatype not in _DATATYPES:
+            raise WireError(f"point field {name!r} has unknown datatype {datatype}")
+        fields.append((name, _DATATYPES[datatype], offset, number))
+    big_endian = r.number("B", 1)
+    step = r.u32()
+    r.u32()  # row_step: rows are contiguous in every driver seen
+    size = r.u32()
+    if big_endian:
+        raise WireError("big-endian clouds are not supported")
+    n = height * width
+    if step < 1 or n * step > size or r.at + size > len(data):
+        raise WireError(f"cloud of {height} x {width} points of {step} bytes has {size} bytes of data")
+    used = [(name, fmt, offset) for name, fmt, offset, number in fields if number == 1]
+    if any(offset + np.dtype(fmt).itemsize > step for _, fmt, offset in used):
+        raise WireError("a point field lies outside the point")
+    if not {"x", "y", "z"} <= {name for name, _, _ in used}:
+        raise WireError(f"cloud has no x, y, z: {[name for name, *_ in fields]}")
+    dtype = np.dtype(
+        {
+            "names": [name for name, _, _ in used],
+            "formats": [fmt for _, fmt, _ in used],
+            "offsets": [offset for _, _, offset in used],
+            "itemsize": step,
+        }
+    )
+    return RawCloud(stamp, frame, np.frombuffer(data, dtype, n, r.at))
+
+
+@njit(cache=True)
+def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body, out):  # type: ignore[no-untyped-def]
+    """Copy the points that are finite, within range and off the body; returns how many."""
+    reach = 0.0  # beyond this distance from the LiDAR nothing can be on the body
+    for k in range(3):
+        reach += max(abs(body[k] - translation[k]), abs(body[k + 3] - translation[k])) ** 2
+    n = 0
+    for i in range(x.size):
+        squared = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
+        if not (near * near <= squared <= far * far):  # NaN compares false
+            continue
+        if squared < reach:
+            inside = True
+            for k in range(3):
+                v = rotation[k, 0] * x[i] + rotation[k, 1] * y[i] + rotation[k, 2] * z[i] + translation[k]
+                inside = inside and body[k] < v < body[k + 3]
+            if inside:
+                continue
+        p = out[n]
+        p.x, p.y, p.z = x[i], y[i], z[i]
+        p.intensity, p.ring, p.time = intensity[i], ring[i], time[i]
+        n += 1
+    return n
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mount:
+    """Where the LiDAR sits and what of its returns to keep."""
+
+    rotation: Array
+    """(3, 3) base_link <- lidar."""
+    translation: Array
+    """(3,) LiDAR in base_link [m]."""
+    min_range: float = 0.2
+    max_range: float = 30.0
+    body: Array = field(default_factory=lambda: np.array([-0.45, -0.25, -0.45, 0.45, 0.25, 0.08]))
+    """(6,) x, y, z min and max of the robot in base_link [m]."""
+
+
+def sweep(cloud: RawCloud, mount: Mount) -> tuple[int, NDArray[np.void]]:
+    """Start of the sweep [ns, LiDAR clock] and its valid returns as `POINT_DTYPE` in the LiDAR frame."""
+    raw = cloud.points
+    names = raw.dtype.names or ()
+    n = len(raw)
+    start, time = _times(cloud)
+    ring = next((name for name in ("ring", "line") if name in names), None)
+    out = np.empty(n, POINT_DTYPE)
+    kept = _pack(  # type: ignore[call-arg]
+        *(_column(raw[axis], np.float32) for axis in "xyz"),
+        _column(raw["intensity"], np.float32) if "intensity" in names else np.zeros(n, np.float32),
+        _column(raw[ring], np.uint16) if ring is not None else np.zeros(n, np.uint16),
+        time,
+        mount.rotation,
+        mount.translation,
+        mount.min_range,
+        mount.max_range,
+        mount.body,
+        out,
+    )
+    return start, out[:kept]
+
+
+def _column(values: NDArray, dtype: type) -> NDArray:
+    """A contiguous copy: one compiled kernel instead of one per alignment and layout."""
+    return values.astype(dtype)
+
+
+def _times(cloud: RawCloud) -> tuple[int, NDArray[np.float32]]:
+    """Start of the sweep [ns, LiDAR clock] and the seconds since then, per point."""
+    raw = cloud.points
+    name = next((name for name in _TIME_NAMES if name in (raw.dtype.names or ())), None)
+    if name is None or len(raw) == 0:
+        return cloud.stamp, np.zeros(len(raw), np.float32)
+    if raw.dtype[name] == np.float32:
+        return cloud.stamp, raw[name].astype(np.float32)
+    time = raw[name].astype(np.float64)
+    if raw.dtype[name].kind in "ui":
+        time *= 1e-9
+    first = float(time.min())
+    if not np.isfinite(first):
+        raise WireError(f"point field {name!r} is not finite")
+    # Absolute stamps come in seconds or in nanoseconds; what is within a sweep is relative to the header.
+    unit = 1e-9 if first > 1e14 else 1.0
+    start = cloud.stamp + round(first * NS) if first < 1e3 else round(first * unit * NS)
+    return start, ((time - first) * unit).astype(np.float32)
+
+
+def encode_cloud(stamp: int, frame: str, points: NDArray[np.void]) -> bytes:
+    """PointCloud2 with the fields of `points`, for the peer and for tests."""
+    dtype = points.dtype
+    names = dtype.names or ()
+    out = bytearray(CDR_HEADER)
+
+    def u32(value: int) -> None:
+        out.extend(b"\0" * (-(len(out) - 4) % 4) + struct.pack("<I", value))
+
+    def text(value: str) -> None:
+        raw = value.encode() + b"\0"
+        u32(len(raw))
+        out.extend(raw)
+
+    out += struct.pack("<iI", stamp // NS, stamp % NS)
+    text(frame)
+    u32(1)
+    u32(len(points))
+    u32(len(names))
+    for name in names:
+        assert dtype.fields is not None
+        kind, offset = dtype.fields[name][:2]
+        text(name)
+        u32(offset)
+        out.append(_CODES[kind])
+        u32(1)
+    out.append(0)
+    u32(dtype.itemsize)
+    u32(dtype.itemsize * len(points))
+    u32(dtype.itemsize * len(points))
+    out += np.ascontiguousarray(points).tobytes()
+    out.append(1)
+    return bytes(out)
+
+
+@dataclass(frozen=True, slots=True)
+class RawImu:
+    """A sensor_msgs/Imu in the LiDAR's axes."""
+
+    stamp: int
+    """[ns], the LiDAR's own clock."""
+    quaternion: Array
+    """(4,) w, x, y, z."""
+    gyro: Array
+    """(3,) [rad/s]."""
+    accel: Array
+    """(3,) [m/s^2]."""
+
+
+def decode_imu(data: bytes, wxyz: bool = True) -> RawImu:
+    """Read an Imu. The L1 stores w, x, y, z where the message says x, y, z, w (`wxyz`). Raises WireError."""
+    r = _Reader(data)
+    stamp = r.number("i", 4) * NS + r.u32()
+    r.text()
+    at = r.at + -(r.at - 4) % 8
+    if len(data) < at + 37 * 8:
+        raise WireError("imu message ends early")
+    values = np.frombuffer(data, "<f8", 37, at)
+    quaternion = values[:4] if wxyz else values[[3, 0, 1, 2]]
+    return RawImu(stamp, quaternion, values[13:16], values[25:28])
+
+
+def encode_imu(imu: RawImu, frame: str, wxyz: bool = True) -> bytes:
+    """The inverse of `decode_imu`."""
+    raw = frame.encode() + b"\0"
+    out = CDR_HEADER + struct.pack("<iII", imu.stamp // NS, imu.stamp % NS, len(raw)) + raw
+    out += b"\0" * (-(len(out) - 4) % 8)
+    values = np.zeros(37)
+    values[:4] = imu.quaternion if wxyz else imu.quaternion[[1, 2, 3, 0]]
+    values[13:16], values[25:28] = imu.gyro, imu.accel
+    return out + values.tobytes()

@@ -1,0 +1,206 @@
+"""The DDS side: one participant on one network interface, readers and writers that move bytes, nothing else."""
+
+from __future__ import annotations
+
+import logging
+import socket
+from collections.abc import Iterable
+from typing import Any, Protocol
+
+import psutil
+
+from hal.contract import BackendError
+from hal.unitree import api
+from hal.unitree.api import Request, Response
+
+LOW_STATE = "rt/lowstate"
+SPORT_STATE = "rt/sportmodestate"
+L1_IMU = "rt/utlidar/imu"
+L1_CLOUD = "rt/utlidar/cloud"
+
+log = logging.getLogger(__name__)
+
+
+class Link(Protocol):
+    """What the backend needs of the network. Nothing blocks."""
+
+    def send(self, service: str, request: Request) -> None:
+        """Write a request."""
+
+    def responses(self, service: str) -> list[Response]:
+        """Responses since the last call."""
+
+    def take(self, topic: str) -> list[bytes]:
+        """CDR messages since the last call, oldest first."""
+
+    def reachable(self, service: str) -> bool:
+        """Whether a server of this service has been discovered."""
+
+    def close(self) -> None:
+        """Release everything. Idempotent."""
+
+
+def check_interface(name: str) -> None:
+    """Raise BackendError unless the interface exists, is up and has an IPv4 address."""
+    addresses = psutil.net_if_addrs()
+    if name not in addresses:
+        raise BackendError(
+            f"network interface {name!r} does not exist; choose one of {', '.join(sorted(addresses))} (--interface)"
+        )
+    stats = psutil.net_if_stats().get(name)
+    if stats is None or not stats.isup:
+        raise BackendError(
+            f"network interface {name!r} is down; plug the cable in or run: ip link set {name} up"
+        )
+    if not any(a.family == socket.AF_INET for a in addresses[name]):
+        raise BackendError(
+            f"network interface {name!r} has no IPv4 address; the robot's network is 192.168.123.0/24, "
+            f"for example: ip addr add 192.168.123.99/24 dev {name}"
+        )
+
+
+def domain_config(interface: str) -> str:
+    """Cyclone DDS configuration that binds to this interface alone.
+
+    Loopback has no multicast on many machines and versions: there, peers are given by address.
+    """
+    discovery = ""
+    multicast = "default"
+    if interface == "lo":
+        multicast = "false"
+        discovery = (
+            "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>30</MaxAutoParticipantIndex>"
+            '<Peers><Peer address="127.0.0.1"/></Peers></Discovery>'
+        )
+    return (
+        '<CycloneDDS><Domain Id="any"><General><Interfaces>'
+        f'<NetworkInterface name="{interface}"/></Interfaces>'
+        f"<AllowMulticast>{multicast}</AllowMulticast></General>{discovery}</Domain></CycloneDDS>"
+    )
+
+
+class DdsLink:
+    """`Link` on Cyclone DDS."""
+
+    def __init__(
+        self,
+        interface: str,
+        domain: int,
+        topics: Iterable[tuple[str, Any, int]],
+        services: Iterable[str] = api.SERVICES,
+    ) -> None:
+        """topics: name, IDL type, depth of the queue between two `take` calls. Raises BackendError."""
+        from cyclonedds.core import DDSException, Policy, Qos
+        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.sub import DataReader
+        from cyclonedds.topic import Topic
+        from cyclonedds.util import duration
+
+        from hal.unitree import idl
+
+        check_interface(interface)
+        self._request: Any = idl.RequestMessage
+        self._bad = 0
+        try:
+            self._domain: Any = Domain(domain, domain_config(interface))
+            self._participant: Any = DomainParticipant(domain)
+            self._readers: dict[str, Any] = {}
+            self._writers: dict[str, Any] = {}
+
+            def qos(depth: int, reliable: bool) -> Qos:
+                # A write to a robot that does not answer must not stall the control loop.
+                kind = (
+                    Policy.Reliability.Reliable(duration(milliseconds=5))
+                    if reliable
+                    else Policy.Reliability.BestEffort
+                )
+                return Qos(kind, Policy.History.KeepLast(depth))
+
+            for name, kind, depth in topics:
+                topic: Any = Topic(self._participant, name, kind)
+                self._readers[name] = DataReader(self._participant, topic, qos(depth, reliable=False))
+            for service in services:
+                name = f"rt/api/{service}/response"
+                topic = Topic(self._participant, name, idl.ResponseMessage)
+                self._readers[name] = DataReader(self._participant, topic, qos(50, reliable=True))
+                topic = Topic(self._participant, f"rt/api/{service}/request", idl.RequestMessage)
+                self._writers[service] = DataWriter(self._participant, topic, qos(20, reliable=True))
+        except DDSException as error:
+            raise BackendError(
+                f"DDS does not start on {interface!r}, domain {domain}: {error}; "
+                "one process can hold a domain once, and a firewall must let UDP 7400-7500 through"
+            ) from error
+
+    def send(self, service: str, request: Request) -> None:
+        """Write a request; a full queue drops it, the caller's timeout notices."""
+        from cyclonedds.core import DDSException
+
+        try:
+            self._writers[service].write(self._request.of(request.pack()))
+        except DDSException as error:
+            log.warning("request %d to %s was not sent: %s", request.api, service, error)
+
+    def responses(self, service: str) -> list[Response]:
+        """Responses since the last call; those that cannot be read are counted and logged."""
+        out = []
+        for data in self.take(f"rt/api/{service}/response"):
+            try:
+                out.append(Response.unpack(data))
+            except api.WireError as error:
+                self._bad += 1
+                log.warning("unreadable response from %s: %s", service, error)
+        return out
+
+    def take(self, topic: str) -> list[bytes]:
+        """CDR messages since the last call, oldest first."""
+        return [sample.cdr for sample in self._readers[topic].take(N=256) if hasattr(sample, "cdr")]
+
+    def reachable(self, service: str) -> bool:
+        """Whether a server of this service has been discovered."""
+        return bool(self._writers[service].get_matched_subscriptions())
+
+    def close(self) -> None:
+        """Release everything. Idempotent."""
+        # Cyclone deletes an entity when its Python object goes; children first.
+        self._readers.clear()
+        self._writers.clear()
+        self._participant = None
+        self._domain = None
+
+
+class DryRunLink:
+    """Listens for real, writes nothing: requests are logged, and answered as if the robot had said yes."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._answers: dict[str, list[Response]] = {}
+        self._last: dict[tuple[str, int], str] = {}
+        self._skipped = 0
+
+    def send(self, service: str, request: Request) -> None:
+        """Log the request where it differs from the last of its kind; of a stream of Moves one in 25."""
+        key = (service, request.api)
+        if self._last.get(key) != request.parameter:
+            self._skipped = (self._skipped + 1) % 25 if request.no_reply and key in self._last else 0
+            self._last[key] = request.parameter
+            if self._skipped == 0:
+                log.info("dry run, not sent: %s %d %s", service, request.api, request.parameter)
+        if not request.no_reply:
+            self._answers.setdefault(service, []).append(Response(request.id, request.api, 0, ""))
+
+    def responses(self, service: str) -> list[Response]:
+        """The made-up answers."""
+        return self._answers.pop(service, [])
+
+    def take(self, topic: str) -> list[bytes]:
+        """Real telemetry."""
+        return self._link.take(topic)
+
+    def reachable(self, service: str) -> bool:
+        """Real discovery."""
+        return self._link.reachable(service)
+
+    def close(self) -> None:
+        """Release the real link."""
+        self._link.close()

@@ -1,0 +1,119 @@
+"""Keeps Move going while it is wanted, and ends it properly."""
+
+from __future__ import annotations
+
+import math
+
+from hal.types import NS, Capabilities, PostureCommand, VelocityCommand
+from hal.unitree import api
+from hal.unitree.options import UnitreeOptions
+from hal.unitree.rpc import Rpc
+from hal.unitree.telemetry import Telemetry
+
+_ZERO_TIME = 0.3
+"""[s] of zero Moves after a stop: a single packet may be lost."""
+_EULER_PERIOD = 0.2
+"""[s]; an attitude offset must be repeated to hold."""
+
+
+class Mover:
+    """Repeats the wanted velocity as Move; at zero, or when the host falls silent: StopMove, zero Moves, silence."""
+
+    def __init__(self, rpc: Rpc, options: UnitreeOptions, capabilities: Capabilities) -> None:
+        self._rpc, self._options, self._capabilities = rpc, options, capabilities
+        self._period = round(NS / options.move_rate)
+        self._velocity = (0.0, 0.0)
+        self._fed_at = 0
+        self._sent_at: int | None = None
+        self._rest_since: int | None = None
+        self._ignored_since: int | None = None
+        self._posture = PostureCommand(0)
+        self._posture_at = 0
+        self.note = ""
+        """Why the robot is not given the wanted velocity; empty when it is."""
+
+    @property
+    def moving(self) -> bool:
+        """Whether a velocity other than zero is, or within the last moments was, on its way to the robot."""
+        return self._velocity != (0.0, 0.0) or self._rest_since is not None
+
+    def fed(self, now: int) -> None:
+        """The host lives."""
+        self._fed_at = now
+
+    def set(self, command: VelocityCommand, now: int) -> None:
+        """The wanted velocity; not finite counts as zero, beyond the capabilities is clipped."""
+        self._fed_at = now
+        limit_v, limit_w = self._capabilities.max_vx, self._capabilities.max_wz
+        if not (math.isfinite(command.vx) and math.isfinite(command.wz)):
+            self.note = "velocity is not finite"
+            self.rest(now)
+            return
+        self.note = ""
+        velocity = (max(-limit_v, min(limit_v, command.vx)), max(-limit_w, min(limit_w, command.wz)))
+        if velocity == (0.0, 0.0):
+            self.rest(now)
+        else:
+            self._velocity, self._rest_since = velocity, None
+
+    def rest(self, now: int) -> None:
+        """Want zero: StopMove once, then zero Moves for a moment."""
+        if self._velocity != (0.0, 0.0):
+            self._velocity = (0.0, 0.0)
+            self.stop(now)
+
+    def stop(self, now: int) -> None:
+        """StopMove at once, whatever was wanted."""
+        self._velocity, self._rest_since = (0.0, 0.0), now
+        self._rpc.send(api.SPORT, api.Sport.STOP_MOVE, now)
+        self._move(now)
+
+    def posture(self, command: PostureCommand) -> None:
+        """Attitude offset to hold at rest."""
+        if math.isfinite(command.roll) and math.isfinite(command.pitch):
+            self._posture = command
+            self._posture_at = 0
+
+    def pump(self, now: int, allowed: bool) -> None:
+        """Send what is due. Not `allowed`: the wanted velocity is dropped."""
+        if not allowed:
+            self.rest(now)
+        if self._velocity != (0.0, 0.0) and (now - self._fed_at) / NS > self._options.watchdog:
+            self.note = "no velocity from the host"
+            self.rest(now)
+        if self._rest_since is not None and (now - self._rest_since) / NS > _ZERO_TIME:
+            self._rest_since = None
+        # A tick early rather than a tick late: host loops are not exact.
+        if self.moving and (self._sent_at is None or now - self._sent_at >= 0.9 * self._period):
+            self._move(now)
+        tilted = self._posture.roll != 0.0 or self._posture.pitch != 0.0
+        if allowed and not self.moving and tilted and (now - self._posture_at) / NS >= _EULER_PERIOD:
+            self._posture_at = now
+            roll, pitch = (max(-0.75, min(0.75, a)) for a in (self._posture.roll, self._posture.pitch))
+            self._rpc.send(api.SPORT, api.Sport.EULER, now, x=roll, y=pitch, z=0.0)
+
+    def _move(self, now: int) -> None:
+        self._sent_at = now
+        vx, wz = (round(v, 4) for v in self._velocity)
+        if self._options.avoid_obstacles:
+            self._rpc.send(api.OBSTACLES_AVOID, api.ObstaclesAvoid.MOVE, now, x=vx, y=0.0, yaw=wz, mode=0)
+        else:
+            self._rpc.send(api.SPORT, api.Sport.MOVE, now, x=vx, y=0.0, z=wz)
+
+    def ignored(self, now: int, telemetry: Telemetry) -> float:
+        """Seconds for which Move has been sent and nothing measured moved."""
+        vx, wz = self._velocity
+        if abs(vx) < 0.1 and abs(wz) < 0.15:
+            if not self.moving:
+                self._ignored_since = None
+            return 0.0
+        if (telemetry.speed > 0.2 * abs(vx) and abs(vx) >= 0.1) or telemetry.yaw_rate > 0.2 * abs(wz) > 0.02:
+            self._ignored_since = None
+            return 0.0
+        if self._ignored_since is None:
+            self._ignored_since = now
+        return (now - self._ignored_since) / NS
+
+    def confirm_reset(self) -> None:
+        """Forget how long Move was ignored: the robot was out of sight."""
+        self._ignored_since = None

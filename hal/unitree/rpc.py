@@ -1,0 +1,68 @@
+"""Requests that wait for their response without blocking: send, poll, time out."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from hal.types import NS
+from hal.unitree.api import SERVICES, Request, Response, compact
+from hal.unitree.link import Link
+
+NO_ANSWER = 3104
+"""Result code of a request that was not answered in time (the SDK's own code for it)."""
+
+
+class Rpc:
+    """All requests of one client. Owned by one thread."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._last_id = 0
+        self._pending: dict[int, tuple[str, int, int]] = {}
+        self._done: dict[int, Response] = {}
+        self.late = 0
+        """Responses that came after their time was over, or to nobody."""
+        self.history: deque[tuple[int, str, int, str]] = deque(maxlen=200)
+        """The last requests: now [ns], service, api, parameter."""
+
+    def send(self, service: str, api: int, now: int, **parameter: Any) -> None:
+        """Write a request that wants no reply."""
+        self._write(service, api, now, parameter, no_reply=True)
+
+    def call(self, service: str, api: int, now: int, timeout: float, parameter: Mapping[str, Any]) -> int:
+        """Write a request; `result` with the returned id tells the outcome within `timeout` [s]."""
+        identity = self._write(service, api, now, parameter, no_reply=False)
+        self._pending[identity] = (service, api, now + round(timeout * NS))
+        return identity
+
+    def _write(self, service: str, api: int, now: int, parameter: Mapping[str, Any], no_reply: bool) -> int:
+        self._last_id = max(self._last_id + 1, now)
+        text = compact(dict(parameter))
+        self.history.append((now, service, api, text))
+        self._link.send(service, Request(self._last_id, int(api), text, no_reply))
+        return self._last_id
+
+    def poll(self, now: int) -> None:
+        """Collect responses and time out what waited too long. Call once per tick."""
+        for service in SERVICES:
+            for response in self._link.responses(service):
+                waiting = self._pending.pop(response.id, None)
+                if waiting is None or waiting[0] != service:
+                    self.late += 1
+                else:
+                    self._done[response.id] = response
+        for identity, (_, api, deadline) in list(self._pending.items()):
+            if now >= deadline:
+                del self._pending[identity]
+                self._done[identity] = Response(identity, api, NO_ANSWER)
+
+    def result(self, identity: int) -> Response | None:
+        """The response, once; None while waiting."""
+        return self._done.pop(identity, None)
+
+    def forget(self) -> None:
+        """Give up all that is pending; its answers will count as late."""
+        self._pending.clear()
+        self._done.clear()

@@ -1,0 +1,246 @@
+"""What the robot tells: samples for the stack, and the few values the driver itself decides by."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import Counter
+
+import numpy as np
+
+from hal import go2w
+from hal.types import NS, Array, ImuSample, JointSample, LidarScan
+from hal.unitree.api import WireError
+from hal.unitree.clock import ClockOffset
+from hal.unitree.cloud import Mount, decode_cloud, decode_imu, sweep
+from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
+from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
+from hal.unitree.options import UnitreeOptions
+
+log = logging.getLogger(__name__)
+
+IMU_PERIOD = 4
+"""[ms] of LowState ticks between IMU samples: 250 Hz from 500 Hz."""
+JOINT_PERIOD = 20
+"""[ms] of LowState ticks between joint samples."""
+MOUNT_SAMPLES = 200
+"""L1 IMU samples averaged before the mount is judged."""
+MOUNT_TOLERANCE = math.radians(25.0)
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) matrix parent <- child of fixed-axis roll, pitch, yaw [rad]."""
+    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+class Telemetry:
+    """Drains the link into samples. Ages are host time since the last message that carried something new."""
+
+    def __init__(self, link: Link, options: UnitreeOptions) -> None:
+        self._link, self._options = link, options
+        self._imu_rotation = rotation(0.0, 0.0, options.imu_yaw)
+        mount = options.mount()
+        self._mount = Mount(rotation(*mount.rpy), np.array(mount.translation))
+        self._topic = options.topic()
+        self.low_clock = ClockOffset()
+        self.lidar_clock = ClockOffset()
+        self.low: np.void | None = None
+        self.sport: np.void | None = None
+        self._low_at: int | None = None
+        self._sport_at: int | None = None
+        self._sport_stamp: tuple[int, int] | None = None
+        self._tick: int | None = None
+        self._imu_tick = self._joint_tick = -(2**32)
+        self._last: dict[type, int] = {}
+        self.bad: Counter[str] = Counter()
+        """Unreadable messages by topic."""
+        self._gravity = np.zeros(3)
+        self._gravity_count = 0
+        self.mount_error: float | None = None
+        """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
+        self.reboots = 0
+
+    # -- draining --------------------------------------------------------------------------------------------------
+
+    def read(self, now: int) -> list[ImuSample | JointSample | LidarScan]:
+        """Everything that arrived, stamped on the host clock, in stamp order."""
+        out: list[ImuSample | JointSample | LidarScan] = []
+        for data in self._link.take(SPORT_STATE):
+            self._guarded(SPORT_STATE, self._take_sport, data, now)
+        fresh = [self._guarded(LOW_STATE, self._take_low, data, now) for data in self._link.take(LOW_STATE)]
+        for low in fresh:  # after the clock has seen the whole batch: all of it was received by now
+            out += self._low_samples(low, now) if low is not None else []
+        if self._options.lidar == "l1":
+            for data in self._link.take(L1_IMU):
+                out += self._guarded(L1_IMU, self._take_l1_imu, data, now) or []
+        if self._topic is not None:
+            for data in self._link.take(self._topic):
+                out += self._guarded(self._topic, self._take_cloud, data, now) or []
+        out.sort(key=lambda sample: sample.stamp)
+        return out
+
+    def _guarded(self, topic, take, data: bytes, now: int):  # type: ignore[no-untyped-def]
+        try:
+            return take(data, now)
+        except WireError as error:
+            self.bad[topic] += 1
+            if self.bad[topic] in (1, 10, 100) or self.bad[topic] % 1000 == 0:
+                log.warning("%s: unreadable message %d: %s", topic, self.bad[topic], error)
+            return None
+
+    def _take_sport(self, data: bytes, now: int) -> None:
+        sport = view(data, SPORT_MODE_STATE_CDR)
+        stamp = (int(sport["stamp"]["sec"]), int(sport["stamp"]["nanosec"]))
+        if stamp != self._sport_stamp:  # a repeated stamp is a frozen publisher
+            self._sport_stamp, self._sport_at, self.sport = stamp, now, sport
+
+    def _take_low(self, data: bytes, now: int) -> np.void | None:
+        """The message if it is new."""
+        low = view(data, LOW_STATE_CDR)
+        tick = int(low["tick"])
+        if self._tick is not None:
+            step = (tick - self._tick) % 2**32
+            if step == 0:
+                return None  # frozen publisher: nothing new
+            if step > 2**31:
+                if self._tick - tick < 1000:
+                    return None  # out of order
+                self.reboots += 1
+                self._imu_tick = self._joint_tick = -(2**32)
+                log.warning(
+                    "LowState tick went back from %d to %d ms: the robot was restarted", self._tick, tick
+                )
+        self._tick, self._low_at, self.low = tick, now, low
+        self.low_clock.observe(tick * 1_000_000, now)
+        return low
+
+    def _low_samples(self, low: np.void, now: int) -> list[ImuSample | JointSample | LidarScan]:
+        tick = int(low["tick"])
+        stamp = self.low_clock.convert(tick * 1_000_000, now)
+        out: list[ImuSample | JointSample | LidarScan] = []
+        if self._options.imu == "lowstate" and tick - self._imu_tick >= IMU_PERIOD:
+            self._imu_tick = tick
+            imu = low["imu_state"]
+            out += self._imu(
+                stamp, self._imu_rotation @ imu["gyroscope"], self._imu_rotation @ imu["accelerometer"]
+            )
+        if tick - self._joint_tick >= JOINT_PERIOD:
+            self._joint_tick = tick
+            motors = low["motor_state"]
+            q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
+            if math.isfinite(q.sum() + dq.sum() + tau.sum()):
+                out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
+        return out
+
+    def _imu(self, stamp: int, gyro: Array, accel: Array) -> list[ImuSample | JointSample | LidarScan]:
+        if not math.isfinite(gyro.sum() + accel.sum()):
+            return []
+        return [ImuSample(self._after(ImuSample, stamp), gyro, accel)]
+
+    def _after(self, kind: type, stamp: int) -> int:
+        """`stamp`, or just after the last one of its kind: a better clock offset must not turn time back."""
+        last = self._last.get(kind)
+        if last is not None and last - NS < stamp <= last:
+            stamp = last + 1
+        self._last[kind] = stamp
+        return stamp
+
+    def _take_l1_imu(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
+        raw = decode_imu(data, self._options.l1_imu_wxyz)
+        self.lidar_clock.observe(raw.stamp, now)
+        gyro, accel = self._mount.rotation @ raw.gyro, self._mount.rotation @ raw.accel
+        self._judge_mount(gyro, accel)
+        if self._options.imu != "l1":
+            return []
+        return self._imu(self.lidar_clock.convert(raw.stamp, now), gyro, accel)
+
+    def _judge_mount(self, gyro: Array, accel: Array) -> None:
+        """Compare gravity through the configured mount with the trunk's own, at rest."""
+        if self.low is None or not np.abs(gyro).max() < 0.1 or not np.isfinite(accel).all():
+            return
+        self._gravity += accel
+        self._gravity_count += 1
+        if self._gravity_count < MOUNT_SAMPLES:
+            return
+        own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
+        norms = float(np.linalg.norm(own) * np.linalg.norm(self._gravity))
+        if norms > 0.0:
+            self.mount_error = math.acos(max(-1.0, min(1.0, float(own @ self._gravity) / norms)))
+        self._gravity, self._gravity_count = np.zeros(3), 0
+
+    def _take_cloud(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
+        start, points = sweep(decode_cloud(data), self._mount)
+        if not len(points):
+            return []
+        # The end of the sweep is what was just received; its start lies a sweep earlier.
+        duration = round(float(points["time"].max()) * NS)
+        self.lidar_clock.observe(start + duration, now)
+        end = self.lidar_clock.convert(start + duration, now)
+        return [LidarScan(self._after(LidarScan, end - duration), points)]
+
+    # -- values ----------------------------------------------------------------------------------------------------
+
+    def low_age(self, now: int) -> float:
+        """Seconds since the last LowState with a new tick; infinite before the first."""
+        return math.inf if self._low_at is None else (now - self._low_at) / NS
+
+    def sport_age(self, now: int) -> float:
+        """Seconds since the last sportmodestate with a new stamp; infinite before the first."""
+        return math.inf if self._sport_at is None else (now - self._sport_at) / NS
+
+    @property
+    def mode(self) -> int:
+        """Mode of the sport service (0 idle, 1 balance, 2 pose, 3 locomotion, 5 lying, 6 locked, 7 damping, 8 recovery)."""
+        return -1 if self.sport is None else int(self.sport["mode"])
+
+    @property
+    def standing_tall(self) -> bool:
+        """Whether the body is high enough to be on its feet."""
+        return self.sport is not None and float(self.sport["body_height"]) > 0.2
+
+    @property
+    def speed(self) -> float:
+        """Measured planar speed [m/s]; the larger of the sport service's estimate and the wheels' mean."""
+        estimate = 0.0 if self.sport is None else math.hypot(*map(float, self.sport["velocity"][:2]))
+        wheels = 0.0
+        if self.low is not None:
+            wheels = abs(float(self.low["motor_state"]["dq"][go2w.WHEELS].mean())) * go2w.WHEEL_RADIUS
+        return max(v for v in (estimate, wheels, 0.0) if math.isfinite(v))
+
+    @property
+    def yaw_rate(self) -> float:
+        """Measured [rad/s], magnitude."""
+        return 0.0 if self.low is None else abs(float(self.low["imu_state"]["gyroscope"][2]))
+
+    @property
+    def upright(self) -> bool:
+        """Whether the trunk is less than 60 deg from level (quaternion w, x, y, z of the robot's attitude filter)."""
+        if self.low is None:
+            return True
+        _, x, y, _ = map(float, self.low["imu_state"]["quaternion"])
+        return 1.0 - 2.0 * (x * x + y * y) > 0.5
+
+    @property
+    def battery(self) -> float:
+        """State of charge [0..1]."""
+        return 1.0 if self.low is None else float(self.low["bms_state"]["soc"]) / 100.0
+
+    @property
+    def motor_temperature(self) -> float:
+        """Hottest of the sixteen motors [deg C]."""
+        return 0.0 if self.low is None else float(self.low["motor_state"]["temperature"][:16].max())
+
+    @property
+    def contact(self) -> tuple[bool, bool, bool, bool]:
+        """Wheel on ground, FR FL RR RL. A robot without foot sensors reports zeros: taken as contact."""
+        if self.low is None or not self.low["foot_force"].any():
+            return True, True, True, True
+        fr, fl, rr, rl = (bool(force > 20) for force in self.low["foot_force"])
+        return fr, fl, rr, rl

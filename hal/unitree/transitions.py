@@ -1,0 +1,200 @@
+"""Sequences of requests, one generator each: advanced once per tick, every wait bounded, every failure with a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from typing import Any
+
+from hal.types import NS
+from hal.unitree import api
+from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport
+from hal.unitree.options import UnitreeOptions
+from hal.unitree.rpc import NO_ANSWER, Rpc
+from hal.unitree.telemetry import Telemetry
+
+Steps = Generator[None, None, None]
+
+
+class Failed(RuntimeError):
+    """A transition did not come to its end; the message says why and what to do."""
+
+
+class Transitions:
+    """`now` [ns] is set by the owner before each advance; `doing` names the present step in plain words."""
+
+    def __init__(self, rpc: Rpc, telemetry: Telemetry, options: UnitreeOptions, dry_run: bool) -> None:
+        self._rpc, self._telemetry, self._options, self._dry_run = rpc, telemetry, options, dry_run
+        self.now = 0
+        self.doing = ""
+        self._stood_up = False
+
+    # -- sequences -------------------------------------------------------------------------------------------------
+
+    def take_control(self) -> Steps:
+        """Make sure a motion service owns the motors, stop whatever runs, switch obstacle avoidance as configured."""
+        yield from self._own_motion()
+        yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping")
+        if self._options.avoid_obstacles:
+            yield from self._call(
+                api.OBSTACLES_AVOID, ObstaclesAvoid.SWITCH_SET, "obstacle avoidance on", enable=True
+            )
+            yield from self._call(
+                api.OBSTACLES_AVOID,
+                ObstaclesAvoid.USE_REMOTE_COMMAND_FROM_API,
+                "commands from here",
+                is_remote_commands_from_api=True,
+            )
+
+    def stand(self) -> Steps:
+        """StandUp, then BalanceStand: StandUp alone leaves the joints locked and Move without effect."""
+        yield from self._own_motion()
+        if not (self._telemetry.standing_tall and self._telemetry.mode in (0, 1, 2, 3, 6, 9, 11)):
+            yield from self._call(api.SPORT, Sport.STAND_UP, "stand up")
+            self._stood_up = True
+            yield from self._until(
+                lambda: self._telemetry.standing_tall, self._options.stand_timeout, "standing up"
+            )
+        yield from self._balance()
+
+    def recover(self) -> Steps:
+        """RecoveryStand from any attitude, then BalanceStand."""
+        yield from self._own_motion()
+        yield from self._call(api.SPORT, Sport.RECOVERY_STAND, "recovery stand")
+        yield from self._until(
+            lambda: self._telemetry.upright and self._telemetry.standing_tall,
+            self._options.stand_timeout,
+            "getting up",
+        )
+        yield from self._balance()
+
+    def sit(self) -> Steps:
+        """StopMove, StandDown."""
+        yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping")
+        yield from self._stand_down()
+        yield from self._until(
+            lambda: self._telemetry.mode == 5 and not self._telemetry.standing_tall,
+            self._options.stand_timeout,
+            "lying down",
+        )
+
+    def damp(self) -> Steps:
+        """Damp until the robot reports it."""
+        yield from self._call(api.SPORT, Sport.DAMP, "damp")
+        yield from self._until(lambda: self._telemetry.mode == 7, 2.0, "going soft")
+
+    def leave(self, lie_down: bool) -> Steps:
+        """StopMove; wait for rest; give obstacle avoidance back; lie down. Never ReleaseMode: the robot would drop."""
+        yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping", tries=2, timeout=0.3)
+        start = self.now
+        while self._telemetry.speed > 0.05 and self.now - start < 0.7 * NS:
+            yield
+        if self._options.avoid_obstacles:
+            yield from self._call(
+                api.OBSTACLES_AVOID,
+                ObstaclesAvoid.USE_REMOTE_COMMAND_FROM_API,
+                "commands from the joystick again",
+                tries=1,
+                timeout=0.3,
+                is_remote_commands_from_api=False,
+            )
+        if lie_down:
+            yield from self._stand_down(tries=1, timeout=0.5)
+
+    # -- parts -----------------------------------------------------------------------------------------------------
+
+    def _own_motion(self) -> Steps:
+        """CheckMode; where no motion service is active, SelectMode with patience for busy."""
+        answer = yield from self._call(
+            api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, "which motion service is active"
+        )
+        if self._dry_run or answer.json().get("name"):
+            return
+        deadline = self.now + round(self._options.busy_timeout * NS)
+        name = self._options.motion_mode
+        while True:
+            answer = yield from self._call(
+                api.MOTION_SWITCHER,
+                MotionSwitcher.SELECT_MODE,
+                f"selecting motion service {name!r}",
+                accept=(0, api.BUSY),
+                name=name,
+            )
+            if answer.code == 0:
+                break
+            if self.now > deadline:
+                raise Failed(
+                    f"mode switcher stayed busy for {self._options.busy_timeout:.0f} s; wait a minute, then recover"
+                )
+            self.doing = "mode switcher is busy, trying again"
+            yield from self._pause(0.5)
+        yield from self._until(
+            lambda: self._telemetry.sport_age(self.now) < 0.5, 5.0, f"motion service {name!r} to report"
+        )
+
+    def _balance(self) -> Steps:
+        """BalanceStand, repeated: right after StandUp it may be accepted without effect."""
+        deadline = self.now + round(self._options.stand_timeout * NS)
+        while True:
+            yield from self._call(api.SPORT, Sport.BALANCE_STAND, "balance stand")
+            start = self.now
+            while self.now - start < NS:
+                if self._dry_run or self._telemetry.mode in (1, 3):
+                    return
+                yield
+            if self.now > deadline:
+                raise Failed(
+                    f"robot stays in mode {self._telemetry.mode} after balance stand; "
+                    "check the joystick and the app are not in control"
+                )
+
+    def _stand_down(self, tries: int | None = None, timeout: float | None = None) -> Steps:
+        """StandDown; preceded by StandUp in a session that never stood up, without which it has no effect."""
+        if not self._stood_up:
+            yield from self._call(
+                api.SPORT, Sport.STAND_UP, "stand up before lying down", tries=tries, timeout=timeout
+            )
+            self._stood_up = True
+            yield from self._pause(0.4)
+        yield from self._call(api.SPORT, Sport.STAND_DOWN, "stand down", tries=tries, timeout=timeout)
+        self._stood_up = False
+
+    def _call(
+        self,
+        service: str,
+        number: int,
+        doing: str,
+        accept: tuple[int, ...] = (0,),
+        tries: int | None = None,
+        timeout: float | None = None,
+        **parameter: Any,
+    ) -> Generator[None, None, Response]:
+        """One request with repetitions; the response. Raises Failed on a code that is not accepted."""
+        self.doing = doing
+        tries = tries or self._options.rpc_tries
+        code = NO_ANSWER
+        for _ in range(tries):
+            identity = self._rpc.call(
+                service, number, self.now, timeout or self._options.rpc_timeout, parameter
+            )
+            while (response := self._rpc.result(identity)) is None:
+                yield
+            if response.code in accept:
+                return response
+            code = response.code
+            if code != NO_ANSWER:
+                break
+        raise Failed(f"{doing}: {api.describe(code)} from service {service!r}")
+
+    def _until(self, condition: Callable[[], bool], timeout: float, doing: str) -> Steps:
+        """Wait for telemetry to show it. A dry run has nothing to wait for."""
+        self.doing = doing
+        deadline = self.now + round(timeout * NS)
+        while not self._dry_run and not condition():
+            if self.now > deadline:
+                raise Failed(f"{doing} took longer than {timeout:.0f} s")
+            yield
+
+    def _pause(self, seconds: float) -> Steps:
+        start = self.now
+        while self.now - start < seconds * NS:
+            yield

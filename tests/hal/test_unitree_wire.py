@@ -1,0 +1,363 @@
+"""Bytes of the Unitree topics against the DDS library's own coder, checksum against its definition, clock offsets."""
+
+from __future__ import annotations
+
+import math
+import timeit
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hal import go2w
+from hal.lowlevel import LowCommand
+from hal.types import NS, POINT_DTYPE
+from hal.unitree import api, cloud, layout
+from hal.unitree.clock import ClockOffset
+from hal.unitree.telemetry import rotation
+
+idl = pytest.importorskip("hal.unitree.idl", reason="cyclonedds is not installed")
+
+
+def _leaves(kind) -> list:
+    """Every primitive annotation below an IDL type."""
+    from cyclonedds.idl import IdlStruct
+    from cyclonedds.idl.types import array, sequence
+
+    if isinstance(kind, type) and issubclass(kind, IdlStruct):
+        return [leaf for field in kind.__annotations__.values() for leaf in _leaves(field)]
+    for mark in getattr(kind, "__metadata__", ()):
+        if isinstance(mark, array | sequence):
+            return _leaves(mark.subtype)
+    return [kind]
+
+
+@pytest.mark.parametrize("kind", idl.TOPIC_TYPES, ids=lambda k: k.__name__)
+def test_no_octet_is_announced_in_a_way_that_kills_older_peers(kind):
+    from cyclonedds.idl.types import int8, uint8
+
+    leaves = _leaves(kind)
+    assert len(leaves) >= 5
+    assert all(leaf not in (uint8, int8) for leaf in leaves)
+
+
+@pytest.mark.parametrize("kind", idl.TOPIC_TYPES, ids=lambda k: k.__name__)
+def test_types_are_keyless_and_go_out_as_xcdr1(kind):
+    kind.__idl__.populate()
+    kind.__idl__.fill_type_data()
+    assert kind.__idl__.keyless
+    assert kind.__idl__.default_version == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "dtype", "size"),
+    [
+        ("LowState", layout.LOW_STATE_CDR, 1176),
+        ("LowCmd", layout.LOW_CMD_CDR, 808),
+        ("SportModeState", layout.SPORT_MODE_STATE_CDR, 512),
+    ],
+)
+def test_views_read_what_the_library_reads(kind: str, dtype: np.dtype, size: int):
+    assert dtype.itemsize == size
+    body = np.random.default_rng(3).integers(0, 255, size, dtype=np.uint8).tobytes()
+    data = layout.CDR_HEADER + body
+    reference = getattr(idl, kind).__idl__.deserialize(data)
+    record = layout.view(data, dtype)
+    names = dtype.names or ()
+
+    def field_of(name: str, index: int, field: str, ours):
+        if field == "mode" and f"{name}_modes" in names:
+            return ours[f"{name}_first_mode"] if index == 0 else ours[f"{name}_modes"]["mode"][index - 1]
+        return ours[name][index][field]
+
+    def same(theirs, ours) -> None:
+        for name in type(theirs).__annotations__:
+            value = getattr(theirs, name)
+            value = list(value) if isinstance(value, bytes) else value
+            if isinstance(value, list) and hasattr(value[0], "__dataclass_fields__"):
+                pairs = [
+                    (field_of(name, index, field, ours), getattr(item, field))
+                    for index, item in enumerate(value)
+                    for field in type(item).__annotations__
+                ]
+            elif hasattr(value, "__dataclass_fields__"):
+                same(value, ours[name])
+                continue
+            else:
+                pairs = [(ours[name], value)]
+            for got, wanted in pairs:
+                wanted = list(wanted) if isinstance(wanted, bytes) else wanted
+                np.testing.assert_array_equal(got, np.array(wanted).astype(got.dtype), name)
+
+    same(reference, record)
+
+
+def test_a_short_or_foreign_message_is_refused():
+    with pytest.raises(api.WireError, match="expected 1180"):
+        layout.view(layout.CDR_HEADER + b"\0" * 100, layout.LOW_STATE_CDR)
+    with pytest.raises(api.WireError):
+        layout.view(b"\0\0\0\0" + b"\0" * 1176, layout.LOW_STATE_CDR)
+
+
+def _crc_by_definition(words: list[int]) -> int:
+    crc = 0xFFFFFFFF
+    for word in words:
+        for bit in range(31, -1, -1):
+            top = (crc >> 31) & 1
+            crc = (crc << 1) & 0xFFFFFFFF
+            if top != (word >> bit) & 1:
+                crc ^= 0x04C11DB7
+    return crc
+
+
+@given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=40))
+def test_crc_equals_its_bitwise_definition(words: list[int]):
+    assert layout.crc32(np.array(words, np.uint32)) == _crc_by_definition(words)
+
+
+def test_crc_of_the_standard_check_string():
+    # CRC-32/MPEG-2 of "123456789" is 0x0376E6E7; whole words only here, so the definition carries the tail.
+    words = [int.from_bytes(b"1234", "big"), int.from_bytes(b"5678", "big")]
+    crc = layout.crc32(np.array(words, np.uint32))
+    for bit in range(7, -1, -1):
+        top = (crc >> 31) & 1
+        crc = (crc << 1) & 0xFFFFFFFF
+        if top != (ord("9") >> bit) & 1:
+            crc ^= 0x04C11DB7
+    assert crc == 0x0376E6E7
+
+
+def test_low_command_is_packed_in_motor_order_with_its_checksum():
+    values: dict[str, Any] = {
+        name: np.arange(16) + 100.0 * k for k, name in enumerate(("q", "dq", "tau", "kp", "kd"))
+    }
+    data = layout.pack_low_command(LowCommand(*values.values()))
+    theirs = idl.LowCmd.__idl__.deserialize(data)
+    assert list(theirs.head) == [0xFE, 0xEF]
+    assert theirs.level_flag == 0xFF
+    assert [m.mode for m in theirs.motor_cmd] == [1] * 16 + [0] * 4
+    assert [m.q for m in theirs.motor_cmd[:16]] == list(values["q"])
+    assert theirs.motor_cmd[12].kd == 412.0
+    assert theirs.motor_cmd[16].q == np.float32(2.146e9)
+    assert theirs.motor_cmd[19].dq == 16000.0
+    assert layout.LOW_CMD_C.itemsize == 812
+    assert layout.LOW_STATE_C.itemsize == 1180
+    # The checksum by hand: C layout, motor structs of 36 bytes from offset 24.
+    c = np.zeros(812, np.uint8)
+    c[:4] = (0xFE, 0xEF, 0xFF, 0)
+    for k, motor in enumerate(theirs.motor_cmd):
+        at = 24 + 36 * k
+        c[at] = motor.mode
+        c[at + 4 : at + 24] = np.array([motor.q, motor.dq, motor.tau, motor.kp, motor.kd], "<f4").view(
+            np.uint8
+        )
+    assert theirs.crc == _crc_by_definition(c.view("<u4")[:-1].tolist())
+
+
+@given(
+    st.integers(0, 2**62),
+    st.integers(0, 9999),
+    st.text(max_size=60).filter(lambda s: "\0" not in s),
+    st.booleans(),
+)
+@settings(max_examples=60)
+def test_requests_and_responses_are_what_the_library_writes(
+    identity: int, number: int, text: str, flag: bool
+):
+    request = api.Request(identity, number, text, flag)
+    theirs = idl.RequestMessage.__idl__.deserialize(request.pack())
+    assert (theirs.header.identity.id, theirs.header.identity.api_id) == (identity, number)
+    assert (theirs.header.policy.noreply, theirs.parameter, list(theirs.binary)) == (flag, text, [])
+    assert api.Request.unpack(idl.RequestMessage.__idl__.serialize(theirs)) == request
+    response = api.Response(identity, number, -number, text)
+    answer = idl.ResponseMessage.__idl__.deserialize(response.pack())
+    assert (answer.header.status.code, answer.data) == (-number, text)
+    assert api.Response.unpack(idl.ResponseMessage.__idl__.serialize(answer)) == response
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200)
+def test_noise_on_the_wire_is_an_error_not_a_crash(data: bytes):
+    for reader in (
+        api.Request.unpack,
+        api.Response.unpack,
+        cloud.decode_cloud,
+        cloud.decode_imu,
+        lambda d: layout.view(d, layout.LOW_STATE_CDR),
+    ):
+        try:
+            reader(data)
+        except api.WireError:
+            continue
+
+
+@given(st.integers(0, 400))
+def test_a_cut_cloud_is_an_error_not_a_crash(size: int):
+    data = cloud.encode_cloud(NS, "lidar", np.zeros(8, POINT_DTYPE))
+    if size < len(data) - 1:
+        with pytest.raises(api.WireError):
+            cloud.decode_cloud(data[:size])
+
+
+# --- clouds -------------------------------------------------------------------------------------------------------
+
+L1_DTYPE = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "ring", "time"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 16, 20, 24],
+        "itemsize": 32,
+    }
+)
+XT16_DTYPE = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("timestamp", "<f8")]
+)
+LIVOX_DTYPE = np.dtype(
+    [
+        ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"),
+        ("tag", "u1"), ("line", "u1"), ("timestamp", "<f8"),
+    ]
+)  # fmt: skip
+OPEN = cloud.Mount(np.eye(3), np.zeros(3), body=np.zeros(6))
+
+
+def _filled(dtype: np.dtype, n: int = 500) -> np.ndarray:
+    rng = np.random.default_rng(1)
+    points = np.zeros(n, dtype)
+    for axis in "xyz":
+        points[axis] = rng.uniform(1.0, 5.0, n)
+    points["intensity"] = rng.uniform(0, 255, n)
+    return points
+
+
+def test_the_library_reads_our_clouds():
+    points = _filled(L1_DTYPE)
+    theirs = idl.PointCloud2.__idl__.deserialize(cloud.encode_cloud(5 * NS + 7, "utlidar_lidar", points))
+    assert (theirs.header.stamp.sec, theirs.header.stamp.nanosec) == (5, 7)
+    assert theirs.header.frame_id == "utlidar_lidar"
+    assert (theirs.height, theirs.width, theirs.point_step) == (1, 500, 32)
+    assert [(f.name, f.offset, f.datatype) for f in theirs.fields][3:] == [
+        ("intensity", 16, 7),
+        ("ring", 20, 4),
+        ("time", 24, 7),
+    ]
+    assert bytes(theirs.data) == points.tobytes()
+
+
+def test_relative_times_count_from_the_header_stamp():
+    points = _filled(L1_DTYPE)
+    points["time"] = np.linspace(0.0, 0.1, 500)
+    start, out = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(9 * NS, "l", points)), OPEN)
+    assert start == 9 * NS
+    assert out.dtype == POINT_DTYPE
+    for name in POINT_DTYPE.names or ():
+        np.testing.assert_array_equal(out[name], points[name])
+
+
+@pytest.mark.parametrize(("dtype", "scale"), [(XT16_DTYPE, 1.0), (LIVOX_DTYPE, 1e9)])
+def test_absolute_times_give_the_start_of_the_sweep(dtype: np.dtype, scale: float):
+    points = _filled(dtype)
+    points["timestamp"] = (1_700_000_000.25 + np.linspace(0.0, 0.1, 500)) * scale
+    start, out = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(1_700_000_001 * NS, "l", points)), OPEN)
+    assert start == pytest.approx(1_700_000_000.25 * NS, abs=1000)
+    assert out["time"][0] == 0.0
+    assert out["time"][-1] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_invalid_far_and_body_returns_are_dropped():
+    points = np.zeros(6, POINT_DTYPE)
+    xyz = [(2, 0, 0), (math.nan, 0, 0), (0, 0, 0.05), (40, 0, 0), (0.2, 0.1, 0.0), (0, 0, -0.5)]
+    for point, (x, y, z) in zip(points, xyz, strict=True):
+        point["x"], point["y"], point["z"] = x, y, z
+    mount = cloud.Mount(np.eye(3), np.zeros(3), 0.1, 30.0, np.array([-0.4, -0.2, -0.3, 0.4, 0.2, 0.1]))
+    _, out = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), mount)
+    assert [(p["x"], p["z"]) for p in out] == [(2.0, 0.0), (0.0, -0.5)]
+
+
+def test_body_box_turns_with_the_flipped_l1():
+    translation, rpy = go2w.L1_MOUNT
+    turn = rotation(*rpy)
+    mount = cloud.Mount(turn, np.array(translation))
+    base = np.array([[0.0, 0.1, -0.1], [1.5, 0.0, -0.4], [0.0, 0.0, 1.0]])
+    local = (base - translation) @ turn
+    points = np.zeros(3, POINT_DTYPE)
+    points["x"], points["y"], points["z"] = local.T
+    _, out = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), mount)
+    back = np.stack([out["x"], out["y"], out["z"]], axis=1) @ turn.T + translation
+    np.testing.assert_allclose(back, base[1:], atol=1e-5)
+
+
+def test_clouds_without_coordinates_or_of_another_byte_order_are_refused():
+    only_z = np.zeros(3, np.dtype([("z", "<f4")]))
+    with pytest.raises(api.WireError, match="no x, y, z"):
+        cloud.decode_cloud(cloud.encode_cloud(0, "l", only_z))
+
+
+def test_l1_imu_quaternion_order_is_put_right():
+    raw = cloud.RawImu(3 * NS + 5, np.array([0.1, 0.2, 0.3, 0.4]), np.arange(3.0), np.arange(3.0) + 9)
+    theirs = idl.Imu.__idl__.deserialize(cloud.encode_imu(raw, "utlidar_imu", wxyz=True))
+    # The real L1: w sits where the message says x.
+    assert (theirs.orientation.x, theirs.orientation.w) == (0.1, 0.4)
+    for order in (True, False):
+        back = cloud.decode_imu(cloud.encode_imu(raw, "utlidar_imu", order), order)
+        np.testing.assert_array_equal(back.quaternion, raw.quaternion)
+        np.testing.assert_array_equal(back.gyro, raw.gyro)
+        np.testing.assert_array_equal(back.accel, raw.accel)
+        assert back.stamp == raw.stamp
+
+
+def test_decoding_is_cheaper_than_the_library_by_orders():
+    low = layout.CDR_HEADER + bytes(1176)
+    ours = min(
+        timeit.repeat(
+            lambda: layout.view(low, layout.LOW_STATE_CDR)["motor_state"]["q"], number=200, repeat=3
+        )
+    )
+    theirs = min(timeit.repeat(lambda: idl.LowState.__idl__.deserialize(low), number=20, repeat=3)) * 10
+    assert ours < 0.1 * theirs
+
+
+# --- clocks -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("epoch", [0, -1_700_000_000 * NS, 55 * NS])
+def test_offset_is_found_within_the_smallest_delay(epoch: int):
+    rng = np.random.default_rng(2)
+    clock = ClockOffset()
+    errors = []
+    for k in range(2000):
+        host = 1_700_000_000 * NS + k * 10_000_000
+        stamp = host + epoch
+        received = host + 1_000_000 + int(rng.exponential(8e6))
+        clock.observe(stamp, received)
+        converted = clock.convert(stamp, received)
+        assert converted <= received
+        errors.append(converted - host)
+    assert max(errors[100:]) < 2_000_000
+    assert min(errors[100:]) > 900_000
+    assert clock.jumps == 0
+
+
+def test_a_clock_set_while_running_is_followed_and_one_stray_stamp_is_not():
+    clock = ClockOffset()
+    for k in range(50):
+        clock.observe(k * NS // 10, 1000 * NS + k * NS // 10)
+    clock.observe(999 * NS, 1005 * NS)
+    assert clock.offset == 1000 * NS
+    assert clock.convert(999 * NS, 1005 * NS) == 1005 * NS
+    for k in range(60, 70):
+        stamp, received = 1_700_000_000 * NS + k * NS // 10, 1000 * NS + k * NS // 10
+        clock.observe(stamp, received)
+    assert clock.jumps == 1
+    assert clock.convert(stamp, received) == received
+
+
+def test_slow_drift_is_followed():
+    clock = ClockOffset()
+    for k in range(3000):
+        host = k * NS // 100
+        clock.observe(round(host * (1 + 50e-6)) + 77 * NS, host + 1_000_000)  # 50 ppm fast
+    error = clock.convert(round(host * (1 + 50e-6)) + 77 * NS, host + 1_000_000) - host
+    assert abs(error) < 2_000_000

@@ -1,0 +1,280 @@
+"""The Unitree backend and the peer as processes on loopback DDS: driving, deaths on either side, no orphans."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+import psutil
+import pytest
+
+pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
+from hal.contract import BackendError
+from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, VelocityCommand
+from hal.unitree import make_backend
+from hal.unitree.backend import UnitreeBackend
+from hal.unitree.options import UnitreeOptions
+
+ROOT = Path(__file__).parents[2]
+REST = 0.05
+DRIVER = """
+import sys, time
+from hal.types import VelocityCommand
+from hal.unitree import make_backend
+backend = make_backend("lo", domain=int(sys.argv[1]))
+backend.connect()
+print("up", flush=True)
+while True:
+    now = time.time_ns()
+    backend.read(now)
+    backend.drive(VelocityCommand(now, vx=0.5))
+    time.sleep(0.02)
+"""
+"""A host that drives forward for ever, to be killed."""
+
+
+class PeerProcess:
+    """The peer with its reports collected."""
+
+    def __init__(self, domain: int, *arguments: str) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "tests.unitree_peer",
+            "--domain",
+            str(domain),
+            "--report",
+            *arguments,
+        ]
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.reports: list[dict] = []
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline().startswith("robot on lo")
+        self._thread = Thread(target=self._collect, daemon=True)
+        self._thread.start()
+
+    def _collect(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.reports.append(json.loads(line))
+
+    def say(self, line: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    @property
+    def last(self) -> dict:
+        return self.reports[-1]
+
+    def rest_after(self, moment: float) -> float:
+        """Seconds from `moment` (monotonic) until the robot was at rest for good."""
+        moving = [
+            r["t"] for r in self.reports if r["t"] >= moment and (abs(r["v"]) > REST or abs(r["wz"]) > 0.1)
+        ]
+        return max(moving) - moment if moving else 0.0
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._thread.join(2.0)
+
+
+def wait(condition: Callable[[], bool], seconds: float = 15.0) -> None:
+    """Poll until true; fail in the end."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "condition never came true"
+        time.sleep(0.01)
+
+
+def run(backend: UnitreeBackend, seconds: float, vx: float = 0.0) -> list:
+    samples: list = []
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        now = time.time_ns()
+        samples += backend.read(now)
+        backend.drive(VelocityCommand(now, vx=vx))
+        time.sleep(0.01)
+    return samples
+
+
+def until(backend: UnitreeBackend, phase: Phase, seconds: float = 15.0, vx: float = 0.0) -> None:
+    deadline = time.monotonic() + seconds
+    while backend.state().phase is not phase:
+        assert time.monotonic() < deadline, f"no {phase}: {backend.state()}"
+        run(backend, 0.02, vx)
+
+
+@pytest.fixture(scope="module")
+def domain(worker_id: str) -> int:
+    """A DDS domain of its own for each test worker."""
+    return 20 + (int(worker_id.removeprefix("gw")) if worker_id != "master" else 40)
+
+
+@pytest.fixture(scope="module")
+def peer(domain: int) -> Iterator[PeerProcess]:
+    """One robot for the module: starting it is what takes the time."""
+    peer = PeerProcess(domain)
+    yield peer
+    peer.end()
+
+
+@pytest.fixture
+def backend(domain: int, peer: PeerProcess) -> Iterator[UnitreeBackend]:
+    backend = make_backend("lo", domain=domain, options=UnitreeOptions(sit_on_close=False))
+    backend.connect()
+    yield backend
+    backend.close()
+
+
+def test_drives_the_peer_and_reads_its_sensors(backend: UnitreeBackend, peer: PeerProcess):
+    until(backend, Phase.READY)
+    x = peer.last["x"]
+    samples = run(backend, 2.0, vx=0.5)
+    assert backend.state().phase is Phase.MOVING
+    assert peer.last["x"] > x + 0.5
+    imu = np.array([s.stamp for s in samples if isinstance(s, ImuSample)])
+    assert len(imu) > 300
+    assert (np.diff(imu) > 0).all()
+    assert abs(imu[-1] - time.time_ns()) < NS
+    scans = [s for s in samples if isinstance(s, LidarScan)]
+    assert len(scans) >= 14
+    assert len(scans[-1].points) > 1500
+    run(backend, 1.0)
+    assert abs(peer.last["v"]) < REST
+
+
+def test_close_leaves_no_process_and_lets_the_domain_be_opened_again(
+    backend: UnitreeBackend, peer: PeerProcess, domain: int
+):
+    guardian = backend.diagnostics()["guardian_pid"]
+    assert isinstance(guardian, int)
+    assert psutil.pid_exists(guardian)
+    start = time.monotonic()
+    backend.close()
+    assert time.monotonic() - start < 3.0
+    assert not psutil.pid_exists(guardian)
+    assert backend.read(time.time_ns()) == []
+    again = make_backend("lo", domain=domain, options=UnitreeOptions(sit_on_close=False))
+    again.connect()
+    until(again, Phase.READY)
+    again.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM, signal.SIGINT])
+def test_a_host_that_dies_or_hangs_leaves_the_robot_at_rest_within_half_a_second(
+    peer: PeerProcess, domain: int, number: signal.Signals
+):
+    host = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(domain)],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
+        stderr=subprocess.PIPE,
+    )
+    try:
+        assert host.stdout is not None
+        assert host.stdout.readline() == "up\n"
+        wait(lambda: bool(peer.reports) and peer.last["v"] > 0.4)
+        children = psutil.Process(host.pid).children()
+        assert len(children) == 1
+        moment = time.monotonic()
+        os.kill(host.pid, number)
+        wait(lambda: bool(peer.reports) and peer.last["t"] > moment + 1.5)
+        assert peer.rest_after(moment) < 0.5
+    finally:
+        host.kill()
+        host.communicate()
+    wait(lambda: not children[0].is_running(), 5.0)
+
+
+def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
+    backend: UnitreeBackend, peer: PeerProcess
+):
+    until(backend, Phase.MOVING, vx=0.5)
+    run(backend, 1.0, vx=0.5)
+    guardian = backend.diagnostics()["guardian_pid"]
+    assert isinstance(guardian, int)
+    moment = time.monotonic()
+    os.kill(guardian, signal.SIGKILL)
+    until(backend, Phase.FAULT, 1.0, vx=0.5)
+    assert "guardian" in backend.state().cause
+    run(backend, 1.0, vx=0.5)
+    assert peer.rest_after(moment) < 0.5
+    backend.request(ModeRequest.RECOVER)
+    until(backend, Phase.READY)
+    assert backend.diagnostics()["guardian_pid"] != guardian
+
+
+def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(domain: int):
+    gone = PeerProcess(domain + 50)
+    backend = make_backend("lo", domain=domain + 50, options=UnitreeOptions(sit_on_close=False))
+    backend.connect()
+    until(backend, Phase.MOVING, vx=0.5)
+    gone.end()
+    until(backend, Phase.DISCONNECTED, 1.0, vx=0.5)
+    assert "no LowState" in backend.state().cause
+    run(backend, 0.5, vx=0.5)
+    back = PeerProcess(domain + 50)
+    try:
+        until(backend, Phase.READY)
+        until(backend, Phase.MOVING, vx=0.5)
+        wait(lambda: bool(back.reports))
+        run(backend, 1.0, vx=0.5)
+        assert back.last["v"] > 0.3
+    finally:
+        backend.close()
+        back.end()
+
+
+def test_stop_is_at_rest_within_half_a_second(backend: UnitreeBackend, peer: PeerProcess):
+    until(backend, Phase.MOVING, vx=0.5)
+    run(backend, 1.0, vx=0.5)
+    moment = time.monotonic()
+    backend.request(ModeRequest.STOP)
+    run(backend, 1.2, vx=0.5)
+    assert backend.state().phase is Phase.STOPPED
+    assert peer.rest_after(moment) < 0.5
+
+
+def test_dry_run_listens_and_sends_nothing(peer: PeerProcess, domain: int):
+    backend = make_backend("lo", dry_run=True, domain=domain)
+    x = peer.last["x"]
+    backend.connect()
+    until(backend, Phase.READY)
+    samples = run(backend, 1.0, vx=0.5)
+    assert [s for s in samples if isinstance(s, LidarScan)]
+    backend.close()
+    assert peer.last["x"] == pytest.approx(x, abs=1e-3)
+    assert peer.last["phase"] == "ready"
+
+
+def test_without_a_robot_the_error_comes_in_time_and_says_what_to_check(domain: int):
+    backend = make_backend("lo", domain=domain + 100, options=UnitreeOptions(connect_timeout=1.0))
+    start = time.monotonic()
+    with pytest.raises(BackendError, match="is it switched on"):
+        backend.connect()
+    assert time.monotonic() - start < 4.0
+    assert not [c for c in psutil.Process().children() if "guardian" in " ".join(c.cmdline())]
+
+
+def test_an_interface_that_does_not_exist_is_refused_with_the_choices():
+    with pytest.raises(BackendError, match=r"'nope0' does not exist; choose one of .*lo"):
+        make_backend("nope0")
+
+
+def test_without_the_extra_the_error_says_how_to_install(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
+    with pytest.raises(BackendError, match=r"pip install 'rbtrg-robot\[unitree\]'"):
+        make_backend("lo")

@@ -1,0 +1,158 @@
+"""A Go2-W to talk to without a Go2-W: the robot's side of the Unitree topics on DDS.
+
+By hand, with the simulated robot behind it, and the stack in a second terminal:
+
+    python -m tests.unitree_peer --interface lo --domain 1 --body mujoco --scene yard
+    rbtrg-robot up --backend unitree --interface lo --domain 1
+
+Faults are given as `--fault deaf=6 --fault busy=8` and changed while it runs by lines on standard input:
+`fault low_silent=1`, `release`, `quit`. With `--report` it prints one JSON line 50 times a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import select
+import signal
+import sys
+import time
+from dataclasses import fields
+from typing import Any
+
+from hal.types import NS
+from hal.unitree import api, idl
+from hal.unitree.api import Request, WireError
+from hal.unitree.link import L1_CLOUD, L1_IMU, LOW_STATE, SPORT_STATE, check_interface, domain_config
+from tests.unitree_robot import Faults, KinematicBody, MujocoBody, RobotSide
+
+CLOUDS = {"l1": L1_CLOUD, "xt16": "rt/lidar_points"}
+TYPES: dict[str, Any] = {LOW_STATE: idl.LowState, SPORT_STATE: idl.SportModeState, L1_IMU: idl.Imu}
+
+
+def set_fault(faults: Faults, text: str) -> None:
+    """`name=value` with the type the field has."""
+    name, _, value = text.partition("=")
+    known = {f.name: getattr(faults, f.name) for f in fields(faults)}
+    if name not in known:
+        raise ValueError(f"unknown fault {name!r}; known: {', '.join(known)}")
+    kind = type(known[name])
+    setattr(faults, name, value not in ("", "0", "false") if kind is bool else kind(float(value)))
+
+
+class Peer:
+    """The robot's DDS endpoints."""
+
+    def __init__(self, interface: str, domain: int, robot: RobotSide, topic: str) -> None:
+        from cyclonedds.core import Policy, Qos
+        from cyclonedds.domain import Domain, DomainParticipant
+        from cyclonedds.pub import DataWriter
+        from cyclonedds.sub import DataReader
+        from cyclonedds.topic import Topic
+        from cyclonedds.util import duration
+
+        check_interface(interface)
+        self.robot = robot
+        self._domain = Domain(domain, domain_config(interface))
+        self._participant = participant = DomainParticipant(domain)
+        sensor = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(64))
+        server = Qos(Policy.Reliability.Reliable(duration(milliseconds=5)), Policy.History.KeepAll)
+        client = Qos(Policy.Reliability.Reliable(duration(milliseconds=5)), Policy.History.KeepLast(50))
+        self._types = {**TYPES, topic: idl.PointCloud2}
+        self._writers: dict[str, Any] = {
+            name: DataWriter(participant, Topic(participant, name, kind), sensor)
+            for name, kind in self._types.items()
+        }
+        self._response: Any = idl.ResponseMessage
+        self._requests: dict[str, Any] = {}
+        self._answers: dict[str, Any] = {}
+        for service in api.SERVICES:
+            request: Any = Topic(participant, f"rt/api/{service}/request", idl.RequestMessage)
+            response: Any = Topic(participant, f"rt/api/{service}/response", idl.ResponseMessage)
+            self._requests[service] = DataReader(participant, request, server)
+            self._answers[service] = DataWriter(participant, response, client)
+
+    def step(self, now: int) -> None:
+        """Requests in, physics on, responses and telemetry out. `now` [ns] since the start."""
+        for service, reader in self._requests.items():
+            for sample in reader.take(N=64):
+                if hasattr(sample, "cdr"):
+                    with contextlib.suppress(WireError):
+                        self.robot.handle(service, Request.unpack(sample.cdr), now)
+        self.robot.step(now)
+        for service, response in self.robot.responses(now):
+            self._answers[service].write(self._response.of(response.pack()))
+        for topic, messages in self.robot.outbox().items():
+            for data in messages:
+                self._writers[topic].write(self._types[topic].of(data))
+
+
+def main() -> int:
+    """Run until `quit`, end of standard input (with --report), SIGTERM or Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--interface", default="lo")
+    parser.add_argument("--domain", type=int, default=1)
+    parser.add_argument("--body", choices=("kinematic", "mujoco"), default="kinematic")
+    parser.add_argument("--scene", default="flat", help="scene of the simulated robot")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lidar", choices=tuple(CLOUDS), default="xt16")
+    parser.add_argument("--lying", action="store_true", help="start lying instead of in balance stand")
+    parser.add_argument("--fault", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--report", action="store_true", help="print the true state as JSON lines")
+    options = parser.parse_args()
+    faults = Faults()
+    for text in options.fault:
+        set_fault(faults, text)
+    body = (
+        MujocoBody(options.scene, not options.lying, options.seed, options.lidar)
+        if options.body == "mujoco"
+        else KinematicBody(not options.lying)
+    )
+    topic = CLOUDS[options.lidar]
+    peer = Peer(options.interface, options.domain, RobotSide(body, faults, options.lidar, topic), topic)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    start = time.monotonic_ns()
+    due = 0
+    inputs: list[int] = [0]
+    print(
+        f"robot on {options.interface}, domain {options.domain}: {options.body}, {body.phase.value}",
+        flush=True,
+    )
+    while True:
+        now = time.monotonic_ns() - start
+        peer.step(now)
+        if options.report and now >= due:
+            due = now + NS // 50
+            state = {
+                "t": time.monotonic(), "v": body.v, "wz": body.wz, "x": body.x, "y": body.y,
+                "yaw": body.yaw, "mode": peer.robot.mode, "command": peer.robot.command, "phase": body.phase.value,
+            }  # fmt: skip
+            try:
+                print(json.dumps(state), flush=True)
+            except BrokenPipeError:
+                return 0
+        if select.select(inputs, [], [], 0.001)[0]:
+            data = os.read(0, 4096).decode()
+            if not data:
+                if options.report:
+                    return 0
+                inputs = []  # started in the background: run on
+            for line in data.splitlines():
+                word, _, rest = line.strip().partition(" ")
+                if word == "quit":
+                    return 0
+                if word == "release":
+                    peer.robot.release(now)
+                elif word == "fault":
+                    set_fault(faults, rest)
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except KeyboardInterrupt:
+        sys.exit(0)

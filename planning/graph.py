@@ -19,6 +19,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph_input import Changed, GraphParams, Window, changed_windows, checked_start
 from planning.graph_lattice import Lattice
 from planning.graph_native import build_native
+from planning.graph_place import ALL_HEADINGS
 
 __all__ = ["GraphParams", "TraversalGraph"]
 
@@ -38,9 +39,11 @@ class TraversalGraph:
         indptr: (n + 1,) int64; the edges that leave node i are `indptr[i]:indptr[i + 1]`, targets ascending.
         indices: (nnz,) int32 target nodes.
         risk: (nnz,) float32 native risk, the same in both directions.
-        frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the node.
+        frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
         clearance: (n,) float32 distance to the nearest obstacle cell [m], capped at 0.6; inf where not known
             (native, `from_edges`). At or above the footprint's circumradius the robot may turn in place freely.
+        free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
+            clear of obstacles at the node; `planning.graph_place.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
         node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
         edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived
@@ -55,6 +58,7 @@ class TraversalGraph:
     risk: NDArray[np.float32]
     frontier: NDArray[np.bool_]
     clearance: NDArray[np.float32]
+    free_headings: NDArray[np.uint64]
     node_ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
     edge_revision: NDArray[np.int64]
@@ -116,7 +120,9 @@ class TraversalGraph:
             raise PlanningError(f"edges name nodes outside 0..{len(nodes) - 1}")
         graph = cls(GraphParams(), 0, None)
         n = len(nodes)
-        graph._publish(nodes, edges, risk, frontier, None, np.arange(n), np.ones(n), np.ones(len(edges)))
+        graph._publish(
+            nodes, edges, risk, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
+        )
         return graph
 
     def _build_native(self, grid: ElevationGrid) -> None:
@@ -137,7 +143,15 @@ class TraversalGraph:
             ids[fresh] = self._next_id + np.arange(np.count_nonzero(fresh))
         self._next_id = max(self._next_id, int(ids.max(initial=-1)) + 1)
         self._publish(
-            nodes, edges, risk, None, None, ids, np.full(len(nodes), version), np.full(len(edges), version)
+            nodes,
+            edges,
+            risk,
+            None,
+            None,
+            None,
+            ids,
+            np.full(len(nodes), version),
+            np.full(len(edges), version),
         )
 
     def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
@@ -159,6 +173,7 @@ class TraversalGraph:
         risk: NDArray[np.floating],
         frontier: NDArray[np.bool_] | None,
         clearance: NDArray[np.float32] | None,
+        free_headings: NDArray[np.uint64] | None,
         ids: NDArray[np.integer],
         node_revision: NDArray[Any],
         edge_revision: NDArray[Any],
@@ -183,6 +198,7 @@ class TraversalGraph:
             if clearance is None
             else np.asarray(clearance, dtype=np.float32)
         )
+        self.free_headings = np.full(n, ALL_HEADINGS) if free_headings is None else free_headings
         self.version += 1
 
     # -- asking it ----------------------------------------------------------------------------------------------
@@ -271,5 +287,6 @@ class TraversalGraph:
 
 
 _ARRAYS = (
-    "nodes", "indptr", "indices", "risk", "frontier", "clearance", "node_ids", "node_revision", "edge_revision",
+    "nodes", "indptr", "indices", "risk", "frontier", "clearance", "free_headings", "node_ids",
+    "node_revision", "edge_revision",
 )  # fmt: skip

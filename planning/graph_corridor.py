@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from planning.graph_risk import F32, edge_risk
 from planning.graph_terrain import LETHAL, UNSEEN
 
 MARGIN = 0.02
@@ -170,3 +171,55 @@ def _not_steep(sums, n, limit, track):
         if pitch * pitch + roll * roll > limit * limit:
             return False
     return True
+
+
+@njit(cache=True)
+def connect(
+    height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
+    length, width, max_tan, min_coverage, start_x, start_y, blind, radius, risk, revision, version,
+):  # fmt: skip
+    """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
+    ny, nx = chosen.shape
+    sums = np.empty((rank, 8))
+    for j in range(ny):
+        for i in range(nx):
+            for o in range(len(offsets)):
+                jj = j + offsets[o, 0]
+                ii = i + offsets[o, 1]
+                if jj >= ny or ii < 0 or ii >= nx:
+                    continue
+                if chosen[j, i] < 0 or chosen[jj, ii] < 0:
+                    risk[j, i, o] = -1.0
+                    continue
+                xa = where[j, i, 0]
+                ya = where[j, i, 1]
+                xb = where[jj, ii, 0]
+                yb = where[jj, ii, 1]
+                again = moved[j, i] or moved[jj, ii]
+                if not again:
+                    lo_x = min(xa, xb) - margin
+                    hi_x = max(xa, xb) + margin
+                    lo_y = min(ya, yb) - margin
+                    hi_y = max(ya, yb) + margin
+                    for k in range(len(boxes)):
+                        if (
+                            lo_x < boxes[k, 2]
+                            and hi_x > boxes[k, 0]
+                            and lo_y < boxes[k, 3]
+                            and hi_y > boxes[k, 1]
+                        ):
+                            again = True
+                            break
+                if not again:
+                    continue
+                risk[j, i, o] = -1.0
+                revision[j, i, o] = version
+                if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
+                    continue
+                if corridor_free(
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage,
+                    start_x, start_y, blind, sums,
+                ):  # fmt: skip
+                    risk[j, i, o] = edge_risk(
+                        height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
+                    )

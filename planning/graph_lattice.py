@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
-from planning.graph_corridor import MARGIN, SECTION, corridor_free
+from planning.graph_corridor import MARGIN, SECTION, connect
 from planning.graph_input import GraphParams, Window, merge_windows
-from planning.graph_place import CLEAR, UNKNOWN_RUN, line_of_sight, open_frontier, place_nodes
-from planning.graph_risk import F32, edge_risk, nearest_height, window_minmax
+from planning.graph_place import CLEAR, UNKNOWN_RUN, describe_nodes, line_of_sight, place_nodes
+from planning.graph_risk import F32, nearest_height, window_minmax
 from planning.graph_terrain import halo, update_flags
 
 OFFSETS = np.array([(0, 1), (0, 2)] + [(j, i) for j in (1, 2) for i in range(-2, 3)], dtype=np.int64)
@@ -36,72 +36,10 @@ class Built(NamedTuple):
     risk: NDArray[np.float32]
     frontier: NDArray[np.bool_]
     clearance: NDArray[np.float32]
+    free_headings: NDArray[np.uint64]
     ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
     edge_revision: NDArray[np.int64]
-
-
-@njit(cache=True)
-def connect(
-    height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, min_coverage, start_x, start_y, blind, radius, risk, revision, version,
-):  # fmt: skip
-    """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
-    ny, nx = chosen.shape
-    sums = np.empty((rank, 8))
-    for j in range(ny):
-        for i in range(nx):
-            for o in range(len(offsets)):
-                jj = j + offsets[o, 0]
-                ii = i + offsets[o, 1]
-                if jj >= ny or ii < 0 or ii >= nx:
-                    continue
-                if chosen[j, i] < 0 or chosen[jj, ii] < 0:
-                    risk[j, i, o] = -1.0
-                    continue
-                xa = where[j, i, 0]
-                ya = where[j, i, 1]
-                xb = where[jj, ii, 0]
-                yb = where[jj, ii, 1]
-                again = moved[j, i] or moved[jj, ii]
-                if not again:
-                    lo_x = min(xa, xb) - margin
-                    hi_x = max(xa, xb) + margin
-                    lo_y = min(ya, yb) - margin
-                    hi_y = max(ya, yb) + margin
-                    for k in range(len(boxes)):
-                        if (
-                            lo_x < boxes[k, 2]
-                            and hi_x > boxes[k, 0]
-                            and lo_y < boxes[k, 3]
-                            and hi_y > boxes[k, 1]
-                        ):
-                            again = True
-                            break
-                if not again:
-                    continue
-                risk[j, i, o] = -1.0
-                revision[j, i, o] = version
-                if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
-                    continue
-                if corridor_free(
-                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage,
-                    start_x, start_y, blind, sums,
-                ):  # fmt: skip
-                    risk[j, i, o] = edge_risk(
-                        height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
-                    )
-
-
-@njit(cache=True)
-def mark_frontiers(flags, x0, y0, res, chosen, where, todo, ring, start_x, start_y, blind, frontier):
-    """Set `frontier` (ny, nx) of the lattice cells in `todo` that have a node."""
-    for j in range(todo.shape[0]):
-        for i in range(todo.shape[1]):
-            if todo[j, i]:
-                frontier[j, i] = chosen[j, i] >= 0 and open_frontier(
-                    flags, x0, y0, res, where[j, i, 0], where[j, i, 1], ring, start_x, start_y, blind
-                )
 
 
 @njit(cache=True)
@@ -150,6 +88,7 @@ class Lattice:
         self.where = np.zeros((ny, nx, 2))
         self.clearance = np.zeros((ny, nx), dtype=np.float32)
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
+        self.headings = np.zeros((ny, nx), dtype=np.uint64)
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
         self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
         self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
@@ -182,7 +121,16 @@ class Lattice:
         di, dj = old["corner"][0] - corner[0], old["corner"][1] - corner[1]
         ja, ia = max(0, dj), max(0, di)
         jb, ib = min(cells[0], dj + old["chosen"].shape[0]), min(cells[1], di + old["chosen"].shape[1])
-        for name in ("chosen", "where", "clearance", "frontier", "node_revision", "risk", "edge_revision"):
+        for name in (
+            "chosen",
+            "where",
+            "clearance",
+            "frontier",
+            "headings",
+            "node_revision",
+            "risk",
+            "edge_revision",
+        ):
             getattr(self, name)[ja:jb, ia:ib] = old[name][ja - dj : jb - dj, ia - di : ib - di]
         # The map's border counts like unseen ground, so a border that moved is a change even where nothing was added.
         new = [(0, 0, ra, cols), (rb, 0, rows, cols), (ra, 0, rb, ca), (ra, cb, rb, cols)]
@@ -236,15 +184,16 @@ class Lattice:
             F32(p.robot_size), self.risk, self.edge_revision, version,
         )  # fmt: skip
         todo[:] = moved
+        ring = 0.5 * p.length + p.expand_dist
         for box in boxes:
-            j0, i0, j1, i1 = self._cells(box, p.expand_dist + UNKNOWN_RUN + 2.0 * res)
+            j0, i0, j1, i1 = self._cells(box, ring + UNKNOWN_RUN + 2.0 * res)
             todo[j0:j1, i0:i1] = True
             j0, i0, j1, i1 = self._cells(box, around)
             self.node_revision[j0:j1, i0:i1] = version
         self.node_revision[moved] = version
-        mark_frontiers(
-            self.flags, x0, y0, res, self.chosen, self.where, todo, p.expand_dist, *self.start, p.blind_radius,
-            self.frontier,
+        describe_nodes(
+            self.flags, x0, y0, res, self.chosen, self.where, todo, ring, p.length, p.width, *self.start, p.blind_radius,
+            self.frontier, self.headings,
         )  # fmt: skip
         return True
 
@@ -292,6 +241,7 @@ class Lattice:
             self.risk[ej, ei, eo][kept],
             self.frontier[j, i][keep],
             self.clearance[j, i][keep],
+            self.headings[j, i][keep],
             ids[keep],
             self.node_revision[j, i][keep].astype(np.int64),
             self.edge_revision[ej, ei, eo][kept].astype(np.int64),

@@ -21,8 +21,11 @@ CLEAR_LEVELS = (0.45, 0.36, 0.30, 0.25)
 CORE = 0.5
 """The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
 RAYS = 16
+HEADINGS = 36
+"""Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
+ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 UNKNOWN_RUN = 0.20
-"""Unseen ground this long on a ray, after at most one ring of free ground, is a frontier [m]."""
+"""Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
 
 @njit(cache=True)
@@ -125,15 +128,18 @@ def place_nodes(
                 x, y = candidate(seed, ix0 + i, iy0 + j, k, samples, side)
                 if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
                     continue
+                own = flags[math.floor((y - y0) / res + 0.5), math.floor((x - x0) / res + 0.5)]
+                if own & LETHAL or (own & UNSEEN and (x - start_x) ** 2 + (y - start_y) ** 2 > blind * blind):
+                    continue
                 if lethal_distance2(flags, x0, y0, res, x, y, half_width) < half_width * half_width:
+                    continue
+                if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
                     continue
                 d2 = lethal_distance2(flags, x0, y0, res, x, y, CLEAR)
                 level = 0
                 while level < levels and d2 < CLEAR_LEVELS[level] ** 2:
                     level += 1
                 if level >= best_level:
-                    continue
-                if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
                     continue
                 if disc_blocked(
                     piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
@@ -190,6 +196,47 @@ def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
 
 
 @njit(cache=True)
+def free_headings(flags, x0, y0, res, x, y, length, width):
+    """Bit h is set where the footprint at heading h * 5 deg (the same turned by 180 deg) is clear of lethal cells."""
+    rows, cols = flags.shape
+    free = ALL_HEADINGS
+    radius = 0.5 * math.hypot(length, width)
+    if lethal_distance2(flags, x0, y0, res, x, y, radius) >= radius * radius:
+        return free
+    for r in range(
+        max(0, math.ceil((y - radius - y0) / res)), min(rows, math.floor((y + radius - y0) / res) + 1)
+    ):
+        dy = y0 + r * res - y
+        for c in range(
+            max(0, math.ceil((x - radius - x0) / res)), min(cols, math.floor((x + radius - x0) / res) + 1)
+        ):
+            if not flags[r, c] & LETHAL:
+                continue
+            dx = x0 + c * res - x
+            for h in range(HEADINGS):
+                cs = math.cos(h * math.pi / HEADINGS)
+                sn = math.sin(h * math.pi / HEADINGS)
+                if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
+                    free &= ~(np.uint64(1) << np.uint64(h))
+    return free
+
+
+@njit(cache=True)
+def turn_is_free(headings, yaw_in, turn):
+    """True if a turn in place by `turn` [rad, signed] from `yaw_in` meets no blocked heading of `headings` (uint64).
+
+    Both ends are left out: they are headings of edges, whose corridors were tested to the full width.
+    """
+    step = math.pi / HEADINGS
+    low = min(yaw_in, yaw_in + turn)
+    high = max(yaw_in, yaw_in + turn)
+    for k in range(math.floor(low / step) + 1, math.ceil(high / step)):
+        if not headings >> np.uint64(k % HEADINGS) & np.uint64(1):
+            return False
+    return True
+
+
+@njit(cache=True)
 def line_of_sight(flags, x0, y0, res, xa, ya, xb, yb):
     """True if no lethal cell lies on the straight line, three cells wide."""
     rows, cols = flags.shape
@@ -203,3 +250,20 @@ def line_of_sight(flags, x0, y0, res, xa, ya, xb, yb):
                 if flags[r, c] & LETHAL:
                     return False
     return True
+
+
+@njit(cache=True)
+def describe_nodes(
+    flags, x0, y0, res, chosen, where, todo, ring, length, width, start_x, start_y, blind, frontier, headings
+):
+    """Set `frontier` and `headings` (ny, nx) of the lattice cells in `todo`."""
+    for j in range(todo.shape[0]):
+        for i in range(todo.shape[1]):
+            if not todo[j, i]:
+                continue
+            frontier[j, i] = False
+            if chosen[j, i] >= 0:
+                x = where[j, i, 0]
+                y = where[j, i, 1]
+                frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind)
+                headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)

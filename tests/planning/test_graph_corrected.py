@@ -8,6 +8,7 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
+from planning.graph_place import turn_is_free
 from tests.planning.graph_scenes import crossing_edges, drivable, random_scene
 
 RES = 0.04
@@ -188,3 +189,24 @@ def test_on_random_ground_all_that_can_be_driven_to_is_covered(seed: int) -> Non
     possible = drivable(scene, grow=-0.04)
     off = np.sqrt(((graph.nodes[:, None, :2] - possible[None]) ** 2).sum(axis=2)).min(axis=1)
     assert off.max() < 0.15, "no node where the robot could not get to"
+
+
+def test_headings_that_fit_are_told_apart_from_those_that_do_not() -> None:
+    _, y, z = _flat(6.0, 4.0)
+    z[np.abs(y - 2.0) > 0.36] = 1.0  # a corridor 0.72 m wide: along it fits, across it does not
+    graph = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS)
+    node = graph.nearest_node((3.0, 2.0))
+    assert node is not None
+    mask = graph.free_headings[node]
+    for k in range(36):
+        c, s = abs(np.cos(np.radians(5 * k))), abs(np.sin(np.radians(5 * k)))
+        off = abs(graph.nodes[node, 1] - 2.0)
+        half = 0.35 * s + 0.215 * c
+        if abs(half + off - 0.38) > 0.05:  # the wall's face is known to a cell
+            assert bool(mask >> np.uint64(k) & np.uint64(1)) == (half + off < 0.38)
+    assert turn_is_free(mask, 0.1, -0.2)
+    assert turn_is_free(mask, np.pi - 0.1, 0.2)
+    assert not turn_is_free(mask, 0.0, np.pi)
+    assert not turn_is_free(mask, -0.5, -1.0)
+    wide = TraversalGraph.build(_grid(np.zeros_like(z)), (1.0, 2.0), PARAMS)
+    assert turn_is_free(wide.free_headings[0], 0.0, np.pi)

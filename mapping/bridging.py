@@ -17,7 +17,7 @@ RIM = 0.2
 
 
 @njit(cache=True)
-def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  # pragma: no cover
+def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap, holes, kind):  # pragma: no cover
     """Bridge along one line of cells starting at (r, c); see `bridge`."""
     rows, cols = height.shape
     n = 0
@@ -70,15 +70,18 @@ def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap):  #
         for k in range(a + 1, b):
             z = ha + slope * (k - a) * step
             u = upper[r + k * dr, c + k * dc]
-            if u < z - rule[5] or not (small or blind or u <= z + rule[4]):
+            if u < z - rule[5]:
+                holes[r + k * dr, c + k * dc] = 1
                 fits = False
-                break
+            elif not (small or blind or u <= z + rule[4]):
+                fits = False
         if not fits:
             continue
         for k in range(a + 1, b):
             rk, ck = r + k * dr, c + k * dc
             if d < gap[rk, ck]:
                 gap[rk, ck] = d
+                kind[rk, ck] = 1 if blind else 2
                 out[rk, ck] = ha + slope * (k - a) * step
 
 
@@ -117,49 +120,44 @@ def trust(height, variance, count, source, v_max, settled, agree):  # pragma: no
 
 
 @njit(cache=True)
-def _all_lines(height, source, trusted, upper, rule, out, gap):  # pragma: no cover
+def _all_lines(height, source, trusted, upper, rule, out, gap, holes, kind):  # pragma: no cover
     rows, cols = height.shape
     pos = np.empty(rows + cols, dtype=np.int64)
     for r in range(rows):
-        _line(height, source, trusted, upper, r, 0, 0, 1, rule, pos, out, gap)
-        _line(height, source, trusted, upper, r, 0, 1, 1, rule, pos, out, gap)
-        _line(height, source, trusted, upper, r, cols - 1, 1, -1, rule, pos, out, gap)
+        _line(height, source, trusted, upper, r, 0, 0, 1, rule, pos, out, gap, holes, kind)
+        _line(height, source, trusted, upper, r, 0, 1, 1, rule, pos, out, gap, holes, kind)
+        _line(height, source, trusted, upper, r, cols - 1, 1, -1, rule, pos, out, gap, holes, kind)
     for c in range(cols):
-        _line(height, source, trusted, upper, 0, c, 1, 0, rule, pos, out, gap)
+        _line(height, source, trusted, upper, 0, c, 1, 0, rule, pos, out, gap, holes, kind)
         if c > 0:
-            _line(height, source, trusted, upper, 0, c, 1, 1, rule, pos, out, gap)
+            _line(height, source, trusted, upper, 0, c, 1, 1, rule, pos, out, gap, holes, kind)
         if c < cols - 1:
-            _line(height, source, trusted, upper, 0, c, 1, -1, rule, pos, out, gap)
+            _line(height, source, trusted, upper, 0, c, 1, -1, rule, pos, out, gap, holes, kind)
 
 
 @njit(cache=True)
-def _drop_rims(result, source, upper, hole, depth):  # pragma: no cover
-    """Unbridge what lies within `depth` cells of a proven hole: beside its near edge no ray comes low enough to tell."""
+def _drop_rims(result, source, level, depth):  # pragma: no cover
+    """Unbridge what lies within `depth` unknown cells of a proven hole (`level` 1, scratch): beside its near edge no ray
+    comes low enough to tell."""
     rows, cols = result.shape
-    queue_r, queue_c = np.empty(result.size, np.int32), np.empty(result.size, np.int32)
-    level = np.zeros((rows, cols), dtype=np.uint8)
+    queue = np.empty((result.size, 2), np.int64)
     n = 0
     for r in range(rows):
         for c in range(cols):
-            if not np.isnan(result[r, c]):
-                for a, b in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
-                    if 0 <= a < rows and 0 <= b < cols and source[a, b] == 0 and np.isnan(result[a, b]):
-                        if upper[a, b] < result[r, c] - hole:
-                            level[r, c] = 1
-                if level[r, c] == 1:
-                    queue_r[n], queue_c[n] = r, c
-                    n += 1
+            if level[r, c] == 1:
+                queue[n, 0], queue[n, 1] = r, c
+                n += 1
     head = 0
     while head < n:
-        r, c = np.int64(queue_r[head]), np.int64(queue_c[head])
+        i, j = queue[head]
         head += 1
-        result[r, c] = np.nan
-        if level[r, c] >= depth:
+        result[i, j] = np.nan
+        if level[i, j] > depth:
             continue
-        for a, b in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
-            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0 and not np.isnan(result[a, b]):
-                level[a, b] = level[r, c] + 1
-                queue_r[n], queue_c[n] = a, b
+        for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
+            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0 and source[a, b] == 0:
+                level[a, b] = level[i, j] + 1
+                queue[n, 0], queue[n, 1] = a, b
                 n += 1
 
 
@@ -176,10 +174,12 @@ def bridge(height, source, trusted, upper, rule):  # pragma: no cover
     rows, cols = height.shape
     result = np.full((rows, cols), np.nan, dtype=np.float32)
     h, s, t = height.copy(), source.copy(), trusted.copy()
+    holes = np.zeros((rows, cols), dtype=np.uint8)
+    kind = np.zeros((rows, cols), dtype=np.uint8)
     for _ in range(2):
         out = np.full((rows, cols), np.nan, dtype=np.float32)
         gap = np.full((rows, cols), np.inf, dtype=np.float32)
-        _all_lines(h, s, t, upper, rule, out, gap)
+        _all_lines(h, s, t, upper, rule, out, gap, holes, kind)
         for r in range(rows):
             for c in range(cols):
                 if gap[r, c] == np.inf:
@@ -190,14 +190,14 @@ def bridge(height, source, trusted, upper, rule):  # pragma: no cover
                         n += s[a, b] != 0 or gap[a, b] < np.inf
                 if n >= 6:  # itself included
                     result[r, c] = out[r, c]
+        _drop_rims(result, source, holes.copy(), int(RIM / rule[0]))
         for r in range(rows):
             for c in range(cols):
                 if s[r, c] == 0 and result[r, c] == result[r, c]:
                     h[r, c] = result[r, c]
                     t[r, c] = True
                     # beside the wheels no ray comes low: keep the looser rule there
-                    s[r, c] = 1 if upper[r, c] > h[r, c] + rule[4] else 2
-    _drop_rims(result, source, upper, rule[5], int(RIM / rule[0]))
+                    s[r, c] = kind[r, c]
     return result
 
 

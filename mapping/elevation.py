@@ -11,6 +11,7 @@ Same calls, same bytes: no clock, no randomness.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +20,9 @@ from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
 from mapping.grid import ElevationGrid
 from mapping.ground import support_patch
+from mapping.map_io import load_into, save_store
 from mapping.patch import MapError, MapPatch
+from mapping.poses import checked_pose
 from mapping.readout import MapReader
 from mapping.tiles import CONTACT, UNKNOWN, TileStore
 from mapping.visibility import judge, trace
@@ -124,7 +127,7 @@ class ElevationMap:
         if points.ndim != 2 or points.shape[1] != 3:
             raise MapError(f"points must be (n, 3), got {points.shape}")
         points = np.ascontiguousarray(points, dtype=np.float32)
-        rotation, place = _pose(position, orientation)
+        rotation, place = checked_pose(position, orientation)
         origin = np.asarray(sensor_origin, dtype=np.float64)
         place[2] += self.z_correction
         now = self._clock(stamp)
@@ -195,7 +198,7 @@ class ElevationMap:
         """
         p = self.params
         contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
-        rotation, place = _pose(position, orientation)
+        rotation, place = checked_pose(position, orientation)
         place[2] += self.z_correction
         self._clock(stamp)
         start = self._fresh if start is None else start
@@ -247,6 +250,23 @@ class ElevationMap:
         self.stamp = max(self.stamp, stamp)
         return min((self.stamp - self._start) // 1_000_000, 2**31 - 1)
 
+    # ------------------------------------------------------------------ files
+
+    def save(self, path: Path) -> None:
+        """Write the whole map as a versioned .npz. Raises OSError."""
+        save_store(self.store, path, self.params.resolution)
+
+    def load_prior(self, path: Path) -> int:
+        """Start from a map file (see `mapping.map_io`); returns its known cells. Readers see a new epoch.
+
+        Raises MapError and leaves the present map as it is when the file cannot be used.
+        """
+        store = TileStore(self.params.tile_cells)
+        known = load_into(store, path, self.params.resolution, self.params.trust_count)
+        self.reset()
+        self.store = self._reader.store = store
+        return known
+
     # ------------------------------------------------------------------ reading
 
     def window(self, x: float, y: float, half: float) -> MapPatch:
@@ -271,22 +291,3 @@ class ElevationMap:
     def take_patches(self) -> list[MapPatch]:
         """Cells whose height, trust or source changed since the last call: at most one patch per row of tiles."""
         return self._reader.take_changes(self.stamp, self.epoch)
-
-
-def _pose(position: ArrayLike, orientation: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rotation matrix (3,3) and position (3,) of a checked pose."""
-    place = np.array(position, dtype=np.float64)
-    q = np.asarray(orientation, dtype=np.float64)
-    if place.shape != (3,) or q.shape != (4,) or not (np.isfinite(place).all() and np.isfinite(q).all()):
-        raise MapError(f"pose must be finite (3,) and (4,), got {place} and {q}")
-    norm = float(np.linalg.norm(q))
-    if norm < 0.5:
-        raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
-    x, y, z, w = q / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    ), place

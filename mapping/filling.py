@@ -84,3 +84,46 @@ def _fill(height, upper):  # pragma: no cover
                     z = upper[r, c]
                 out[r, c] = z
     return out
+
+
+@njit(cache=True)
+def slope_and_step(height, resolution):  # pragma: no cover
+    """Slope [rad] and step [m] of each cell, (rows, cols) float32, NaN where the height is.
+
+    slope: of the plane through the known cells among the 3 x 3 around it (central or one-sided differences per axis);
+    step: largest height difference to one of its eight neighbours.
+    """
+    rows, cols = height.shape
+    slope = np.full((rows, cols), np.nan, dtype=np.float32)
+    step = np.full((rows, cols), np.nan, dtype=np.float32)
+    for r in range(rows):
+        for c in range(cols):
+            h = height[r, c]
+            if h != h:
+                continue
+            big = np.float32(0.0)
+            for a in range(max(r - 1, 0), min(r + 2, rows)):
+                for b in range(max(c - 1, 0), min(c + 2, cols)):
+                    d = abs(height[a, b] - h)
+                    if d > big:
+                        big = d
+            step[r, c] = big
+            grade = 0.0
+            for axis in range(2):
+                before, after = h, h
+                n = 0
+                if axis == 0:
+                    if r > 0 and height[r - 1, c] == height[r - 1, c]:
+                        before, n = height[r - 1, c], n + 1
+                    if r < rows - 1 and height[r + 1, c] == height[r + 1, c]:
+                        after, n = height[r + 1, c], n + 1
+                else:
+                    if c > 0 and height[r, c - 1] == height[r, c - 1]:
+                        before, n = height[r, c - 1], n + 1
+                    if c < cols - 1 and height[r, c + 1] == height[r, c + 1]:
+                        after, n = height[r, c + 1], n + 1
+                if n > 0:
+                    g = (after - before) / (n * resolution)
+                    grade += g * g
+            slope[r, c] = np.arctan(np.sqrt(grade))
+    return slope, step

@@ -28,7 +28,7 @@ class MapReader:
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
 
     def read(self, box: Box, stamp: int, epoch: int) -> MapPatch:
-        """Cells of `box`, bridged. The same cell reads the same whatever the box: the margin covers every bridge."""
+        """Cells of `box`, bridged. The margin around it covers a bridge and what its slope is judged by."""
         p, s = self.params, self.store
         i0, j0, rows, cols = box
         pad = self._pad

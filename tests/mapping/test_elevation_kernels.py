@@ -1,0 +1,373 @@
+"""Every kernel of the elevation map against plain numpy on random input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping import elevation_kernels as kernels
+from mapping.bridging import bridge, bridge_rule, trust
+from mapping.filling import fill_unknown, slope_and_step
+from mapping.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
+from mapping.visibility import judge, trace
+
+RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0])
+
+
+def rotation(rng: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.linalg.det(q)
+
+
+def test_project_equals_numpy() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-6, 6, (3000, 3)).astype(np.float32)
+    points[::50, 1] = np.nan
+    points[1::200] *= 4
+    r, p, o = rotation(rng), rng.normal(size=3), np.array([0.1, -0.2, 0.3])
+    limits, body = np.array([0.4, 8.0, 1.0, 0.5]), np.array([-1.0, 1.0, -2.0, 2.0, -1.0, 1.0])
+    noise = np.array([0.01, 0.002, 0.004, 0.005])
+    n = len(points)
+    i, j = np.empty(n, np.int64), np.empty(n, np.int64)
+    z, var, rays, counts = (
+        np.empty(n, np.float32),
+        np.empty((n, 2), np.float32),
+        np.empty((n, 3)),
+        np.zeros(5, np.int64),
+    )
+    m, q = kernels.project(points, r, p, o, limits, body, noise, 0.04, i, j, z, var, rays, counts)
+
+    x = points.astype(np.float64)
+    finite = np.isfinite(x).all(axis=1)
+    d = x - o
+    reach = np.linalg.norm(d, axis=1)
+    near = finite & (reach < 0.4)
+    inside = finite & ~near & (np.abs(x) < [1, 2, 1]).all(axis=1)
+    ray = finite & ~near & ~inside
+    far = ray & (reach > 8.0)
+    turned = x @ r.T
+    flat = np.hypot(turned[:, 0], turned[:, 1])
+    high = ray & ~far & (turned[:, 2] > 1.0) & (turned[:, 2] > 1.0 + 0.5 * flat)
+    keep = ray & ~far & ~high
+    assert counts.tolist() == [(~finite).sum(), (near | far).sum(), inside.sum(), high.sum(), keep.sum()]
+    assert m == keep.sum()
+    assert q == ray.sum()
+    world = turned + p
+    np.testing.assert_allclose(rays[:q], world[ray], atol=1e-9)
+    np.testing.assert_allclose(z[:m], world[keep, 2], atol=1e-5)
+    assert np.array_equal(i[:m], np.floor(world[keep, 1] / 0.04 + 0.5).astype(int))
+    assert np.array_equal(j[:m], np.floor(world[keep, 0] / 0.04 + 0.5).astype(int))
+    uz = (d @ r.T)[keep, 2] / reach[keep]
+    want = 0.01**2 * uz**2 + (0.002 * reach[keep]) ** 2 * (1 - uz**2)
+    np.testing.assert_allclose(var[:m, 0], want, rtol=1e-4)
+    np.testing.assert_allclose(var[:m, 1], (0.004 * flat[keep]) ** 2 + 0.005**2, rtol=1e-4)
+
+
+def reduce_oracle(cell, z, var, band, clearance):
+    out = {}
+    for c in np.unique(cell):
+        at = np.flatnonzero(cell == c)
+        h = z[at]
+        top = h.max()
+        if top - h.min() > clearance:
+            low = h[h < h.min() + np.float32(clearance)].max()
+            above = h[h >= h.min() + np.float32(clearance)].min()
+            if above - low > clearance:
+                top = low
+        use = at[(h <= top) & (h >= top - band)]
+        w = 1.0 / var[use, 0].astype(float)
+        out[c] = (top, h.min(), w.sum(), (w * z[use]).sum() / w.sum(), len(use), var[use, 1].mean())
+    return out
+
+
+def test_reduce_equals_numpy() -> None:
+    rng = np.random.default_rng(1)
+    n = 4000
+    cell = rng.integers(0, 300, n)
+    z = (rng.choice([0.0, 0.3, 2.0], n, p=[0.9, 0.07, 0.03]) + rng.normal(0, 0.03, n)).astype(np.float32)
+    var = rng.uniform(1e-5, 1e-3, (n, 2)).astype(np.float32)
+    mark = rng.integers(-5, 400, 300).astype(np.int32)  # scratch may hold anything
+    which, sums = np.empty(n, np.int64), np.empty((n, 4), np.float32)
+    top, bottom = np.empty(n, np.float32), np.empty(n, np.float32)
+    k, overhangs = kernels.reduce_cells(cell, z, var, n, mark, 0.05, 0.8, which, top, bottom, sums)
+    want = reduce_oracle(cell, z, var, 0.05, 0.8)
+    assert k == len(want)
+    assert overhangs > 0
+    for s in range(k):
+        t, b, w, mean, count, shared = want[which[s]]
+        assert (top[s], bottom[s], sums[s, 2]) == (t, b, count)
+        assert sums[s, 0] == pytest.approx(w, rel=1e-4)
+        assert top[s] + sums[s, 1] / sums[s, 0] == pytest.approx(mean, abs=1e-5)
+        assert sums[s, 3] / sums[s, 2] == pytest.approx(shared, rel=1e-4)
+
+
+class CellOracle:
+    """The two-mode cell, written once more in plain Python."""
+
+    def __init__(self) -> None:
+        self.h = self.v = None
+        self.n = self.streak = self.seen = self.alt_seen = 0
+        self.alt = self.below = None
+
+    def take(self, z, pv, n, top, bottom, now):
+        gate = None if self.h is None else max(0.05, 2.5 * (self.v + pv) ** 0.5)
+        if self.h is None or (abs(z - self.h) > gate and self.n < 3 and n >= self.n):
+            self.__init__()
+            self.h, self.v, self.n, self.seen = z, max(pv, RULE[6]), n, now
+            return
+        if abs(z - self.h) <= gate:
+            v = min(self.v + 1e-8 * (now - self.seen), RULE[8])
+            self.h = (v * z + pv * self.h) / (v + pv)
+            self.v = max(v * pv / (v + pv), RULE[6])
+            self.n, self.seen, self.streak = min(self.n + n, 255), now, 0
+            return
+        if z < self.h and top - bottom > 0.08:
+            self.seen = now
+            return
+        if z > self.h and bottom - self.h > 0.8:
+            return
+        if self.streak and abs(z - self.alt) <= gate and now - self.alt_seen <= 1000:
+            self.streak += 1
+            self.alt += (z - self.alt) / self.streak
+        else:
+            self.alt, self.streak = z, 1
+        self.alt_seen = now
+        up = z > self.h
+        if self.streak >= (2 if up else 5):
+            if up and (self.below is None or self.below >= self.h):
+                self.below = self.h
+            if not up and self.below is not None and self.below >= self.alt - gate:
+                self.below = None
+            self.h, self.v = self.alt, max(pv, RULE[6])
+            self.n, self.seen, self.streak = min(n * self.streak, 255), now, 0
+
+
+def test_fuse_equals_a_plain_reading_of_the_rules() -> None:
+    rng = np.random.default_rng(2)
+    store = TileStore(8)
+    index = store.locate(np.repeat(np.arange(8), 8), np.tile(np.arange(8), 8))
+    cells = [CellOracle() for _ in range(64)]
+    counts, residuals = np.zeros(6, np.int64), np.zeros(2)
+    for scan in range(60):
+        now = 100 * scan + (3000 if scan > 30 else 0)
+        pick = rng.permutation(64)[:40]
+        mode = rng.choice([0.0, 0.07, 0.4, 1.5], 40, p=[0.5, 0.2, 0.25, 0.05])
+        if scan > 20:  # something came to stand on half of the cells, then left
+            mode = np.where((pick < 32) & (scan < 40), 0.4, mode * (pick >= 32))
+        z = (mode + rng.normal(0, 0.01, 40)).astype(np.float32)
+        extent = rng.choice([0.0, 0.02, 0.3], 40, p=[0.5, 0.4, 0.1])
+        n = rng.integers(1, 6, 40)
+        weight, shared = (
+            rng.uniform(1e3, 1e5, 40).astype(np.float32),
+            rng.uniform(1e-6, 1e-4, 40).astype(np.float32),
+        )
+        sums = np.stack([weight, np.zeros(40), n, shared * n], axis=1).astype(np.float32)
+        bottom = (z - extent).astype(np.float32)
+        kernels.fuse(
+            index[pick], z, bottom, sums, 40, store.cells, now, RULE, counts, residuals, store.touched, 6
+        )
+        for s, c in enumerate(pick):
+            pv = 1.0 / float(sums[s, 0]) + float(sums[s, 3]) / float(sums[s, 2])
+            cells[c].take(float(z[s]), pv, int(n[s]), float(z[s]), float(bottom[s]), now)
+    got = store.cells[index]
+    np.testing.assert_allclose(got["height"], [c.h for c in cells], atol=2e-5)
+    np.testing.assert_allclose(got["variance"], [c.v for c in cells], rtol=1e-3)
+    assert got["count"].tolist() == [c.n for c in cells]
+    assert got["streak"].tolist() == [c.streak for c in cells]
+    below = np.array([np.nan if c.below is None else c.below for c in cells])
+    np.testing.assert_allclose(got["below"], below, atol=2e-5)
+    assert counts[kernels.REPLACED] > 50
+    assert counts[kernels.OVERHANG] > 0
+
+
+def crossing(sensor, end, low, high):
+    """Planar distances at which a ray enters and leaves a square, None when it misses it."""
+    d = end[:2] - sensor[:2]
+    length = np.hypot(*d)
+    u = d / length
+    with np.errstate(divide="ignore"):
+        a, b = (low - sensor[:2]) / u, (high - sensor[:2]) / u
+    enter, leave = np.minimum(a, b).max(), np.maximum(a, b).min()
+    return (max(enter, 0.0), leave) if leave > max(enter, 0.0) else None
+
+
+def test_trace_equals_brute_force_over_all_cells() -> None:
+    rng = np.random.default_rng(3)
+    res, size, angle = 0.1, 32, 0.003
+    store = TileStore(size)
+    grid = np.arange(-32, 32)
+    index = store.locate(np.repeat(grid, 64), np.tile(grid, 64)).reshape(64, 64)
+    known = rng.random((64, 64)) < 0.5
+    store.cells["source"][index[known]] = LIDAR
+    store.cells["height"][index[known]] = rng.uniform(-0.2, 0.6, known.sum())
+    store.cells["variance"][index[known]] = 1e-4
+    store.cells["count"][index[known]] = 9
+    sensor = np.array([0.03, -0.02, 0.5])
+    ends = np.column_stack([rng.uniform(-3, 3, (60, 2)), rng.uniform(-0.4, 0.6, 60)])
+    hit, low, many = np.empty(5000, np.int64), np.empty(5000), np.empty(5000, np.int32)
+    n = trace(
+        ends, 60, 1, 0, sensor, store.directory, store.first, store.shift, res, 2.5, 0.3, 0.04, angle, 3,
+        store.cells, store.touched, store.mark, hit, low, many,
+    )  # fmt: skip
+    want_hit: dict[int, tuple[float, int]] = {}
+    upper = np.full((64, 64), np.inf)
+    for end in ends:
+        dist = np.hypot(*(end - sensor)[:2])
+        dz = (end[2] - sensor[2]) / dist
+        for r in range(64):
+            for c in range(64):
+                middle = np.array([grid[c], grid[r]]) * res
+                cut = crossing(sensor, end, middle - res / 2, middle + res / 2)
+                if cut is None or cut[1] > min(dist - res, 2.5):
+                    continue
+                if known[r, c]:
+                    z = sensor[2] + dz * (cut[0] if dz < 0 else cut[1])
+                    over = float(store.cells["height"][index[r, c]]) - z - 0.04
+                    if cut[1] <= min(dist - 0.3, 2.5) and over > 3 * np.sqrt(1e-4 + (angle * cut[1]) ** 2):
+                        was = want_hit.get(int(index[r, c]), (np.inf, 0))
+                        want_hit[int(index[r, c])] = (min(was[0], z), was[1] + 1)
+                else:
+                    upper[r, c] = min(upper[r, c], sensor[2] + dz * sum(cut) / 2 + angle * cut[1])
+    assert n == len(want_hit)
+    assert n > 100
+    for k in range(n):
+        assert low[k] == pytest.approx(want_hit[int(hit[k])][0], abs=1e-9)
+        assert many[k] == want_hit[int(hit[k])][1]
+    np.testing.assert_allclose(store.cells["upper"][index], upper, atol=1e-6)
+
+
+def test_judge_removes_after_two_looks_and_gives_the_ground_back() -> None:
+    store = TileStore(8)
+    index = store.locate(np.zeros(5, np.int64), np.arange(5))
+    store.cells["source"][index] = LIDAR
+    store.cells["height"][index], store.cells["variance"][index] = 0.5, 1e-4
+    store.cells["count"][index] = [9, 9, 9, 1, 9]
+    store.cells["below"][index[1]] = 0.01  # ground known before
+    store.cells["below"][index[2]] = (
+        0.30  # an earlier, lower view of the same thing: the rays passed under it
+    )
+    low, many = np.full(5, 0.2), np.array([5, 5, 5, 1, 1], np.int32)
+
+    def look(now: int, at: np.ndarray) -> int:
+        args = (low[at], many[at], len(at), 2, 500, 3, now, store.cells, store.touched, 6)
+        return judge(index[at], *args)
+
+    everything = np.arange(5)
+    assert look(400, everything) == 0  # confirmed too recently
+    store.cells["passes"][index] = 0
+    assert look(700, everything) == 1  # the stray point goes at once
+    assert look(1000, np.array([0, 1, 2, 4])) == 3
+    got = store.cells[index]
+    assert got["height"][1] == pytest.approx(0.01)
+    assert got["source"][1] == LIDAR
+    assert np.isnan(got["height"][[0, 2, 3]]).all()
+    assert (got["source"][[0, 2, 3]] == UNKNOWN).all()
+    assert got["height"][4] == pytest.approx(0.5)  # one ray is not enough against a settled cell
+
+
+def test_trust_equals_numpy() -> None:
+    rng = np.random.default_rng(4)
+    shape = (40, 30)
+    source = rng.choice([UNKNOWN, CONTACT, LIDAR], shape, p=[0.3, 0.1, 0.6]).astype(np.uint8)
+    height = np.where(source > 0, rng.normal(0, 0.03, shape), np.nan).astype(np.float32)
+    variance = rng.uniform(0, 2e-3, shape).astype(np.float32)
+    count = np.where(source == LIDAR, rng.integers(1, 6, shape), 0).astype(np.uint8)
+    support = np.zeros(shape, int)
+    padded_h, padded_n = np.pad(height, 1, constant_values=np.nan), np.pad(count, 1)
+    for a in range(3):
+        for b in range(3):
+            h, n = padded_h[a : a + 40, b : b + 30], padded_n[a : a + 40, b : b + 30]
+            support += (n >= 3) & (np.abs(h - height) <= 0.05)
+    stray = (source == LIDAR) & (count < 3) & (support < 2)
+    want = (source == CONTACT) | ((source == LIDAR) & ~stray & (variance < 1e-3))
+    got = trust(height, variance, count, source, 1e-3, 3, 0.05)
+    assert np.array_equal(got, want)
+    assert np.isnan(height[stray]).all()
+    assert (source[stray] == UNKNOWN).all()
+    assert stray.sum() > 20
+
+
+def bridged(height, upper, *, source=None):
+    """Bridge a map whose finite cells are trusted LiDAR cells, 0.04 m."""
+    height = np.asarray(height, np.float32)
+    known = np.isfinite(height)
+    source = np.where(known, LIDAR, UNKNOWN).astype(np.uint8) if source is None else source
+    rule = bridge_rule(0.04, 0.64, 0.03, 0.47, 0.12, 0.04, 1.4)
+    return bridge(height, source, known, np.asarray(upper, np.float32), rule)
+
+
+def strips(profile, gaps, rows=20):
+    """A map constant along y with the height `profile` along x, unknown in the column ranges `gaps`."""
+    height = np.tile(np.asarray(profile, np.float32), (rows, 1))
+    for a, b in gaps:
+        height[:, a:b] = np.nan
+    return height
+
+
+def test_a_gap_in_level_ground_is_bridged_where_rays_passed_low() -> None:
+    height = strips(np.zeros(30), [(10, 20)])
+    out = bridged(height, np.full_like(height, 0.05))
+    assert np.array_equal(np.isfinite(out), np.isnan(height))
+    np.testing.assert_allclose(out[np.isfinite(out)], 0.0, atol=1e-6)
+    assert np.isnan(
+        bridged(height, np.full_like(height, 0.3))
+    ).all()  # something lower than the rays may stand there
+    assert np.isnan(bridged(height, np.full_like(height, np.inf))).all()  # a shadow
+    assert np.isnan(bridged(height, np.full_like(height, -0.1))).all()  # a ray went below: a hole
+
+
+def test_a_ramp_is_bridged_and_a_step_is_not() -> None:
+    x = np.arange(40) * 0.04
+    gaps = [(8, 15), (17, 24)]
+    ramp = strips(0.3 * x, gaps)
+    out = bridged(ramp, np.tile(0.3 * x + 0.05, (20, 1)))
+    np.testing.assert_allclose(out[5:15, 8:15], np.tile(0.3 * x[8:15], (10, 1)), atol=1e-5)
+    step = strips(np.where(x > 0.78, 0.10, 0.0), gaps)
+    out = bridged(step, np.full_like(step, 0.11))
+    assert np.isfinite(out[5:15, 8:15]).all()
+    assert np.isnan(out[:, 17:24]).all()
+
+
+def test_the_rim_of_a_hole_stays_unknown() -> None:
+    height = np.zeros((60, 60), np.float32)
+    height[20:40, 20:40] = np.nan
+    upper = np.full_like(height, 0.05)
+    upper[:, 24:] = -0.10  # behind the near edge the rays go below the ground
+    out = bridged(height, upper)
+    assert np.isnan(out[22:38, 20:40]).all()
+
+
+def test_nothing_wider_than_the_limit_is_bridged() -> None:
+    height = strips(np.zeros(60), [(10, 40)], rows=60)
+    assert np.isnan(bridged(height, np.full_like(height, 0.05))).all()
+
+
+def test_fill_takes_the_nearest_known_cell_and_the_lower_bound() -> None:
+    rng = np.random.default_rng(5)
+    height = np.where(rng.random((50, 37)) < 0.03, rng.normal(size=(50, 37)), np.nan).astype(np.float32)
+    out = fill_unknown(height)
+    r, c = np.nonzero(np.isfinite(height))
+    rows, cols = np.indices(height.shape)
+    d = (rows[..., None] - r) ** 2 + (cols[..., None] - c) ** 2
+    nearest = height[r, c]
+    for a, b in np.ndindex(height.shape):
+        assert out[a, b] in nearest[d[a, b] == d[a, b].min()]
+    bound = np.full_like(height, np.nan)
+    bound[0] = -9.0
+    lowered = fill_unknown(height, bound)
+    assert (lowered[0][np.isnan(height[0])] == -9.0).all()
+    assert np.array_equal(lowered[1:], out[1:])
+    assert (fill_unknown(np.full((3, 3), np.nan, np.float32)) == 0.0).all()
+
+
+def test_slope_and_step_of_a_plane_with_an_edge() -> None:
+    x = np.arange(30) * 0.05
+    height = np.tile(0.2 * x + np.where(x > 0.72, 0.15, 0.0), (20, 1)).astype(np.float32)
+    height[3, 3] = np.nan
+    slope, step = slope_and_step(height, 0.05)
+    assert slope[10, 8] == pytest.approx(np.arctan(0.2), abs=1e-4)
+    assert step[10, 14] == pytest.approx(0.16, abs=1e-4)
+    assert step[10, 8] == pytest.approx(0.01, abs=1e-4)
+    assert np.isnan(slope[3, 3])
+    assert np.isnan(step[3, 3])
+    assert np.isfinite(slope[3, 4])

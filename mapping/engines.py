@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from hal.types import Array
 from mapping.voxel_planes import VoxelPlanes
 
 EngineName = Literal["kiss_icp", "small_gicp"]
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
 FEW_PLANES = 50
 """Points on planes below which their statistics say nothing."""
 

@@ -1,4 +1,4 @@
-"""Ray kernels: the triangulated height surface, oriented boxes, and the poses of a moving sensor."""
+"""Ray kernels: the triangulated height surface and oriented boxes."""
 
 from __future__ import annotations
 
@@ -247,47 +247,3 @@ def incidence(
         sy /= resolution
         dot = -sx * directions[i, 0] - sy * directions[i, 1] + directions[i, 2]
         out[i] = abs(dot) / np.sqrt(1.0 + sx * sx + sy * sy)
-
-
-@njit(cache=True, nogil=True)
-def moving_rays(
-    beams: NDArray[np.float32],
-    alpha: NDArray[np.float64],
-    p0: NDArray[np.float64],
-    q0: NDArray[np.float64],
-    p1: NDArray[np.float64],
-    q1: NDArray[np.float64],
-    mount: NDArray[np.float64],
-    origins: NDArray[np.float32],
-    directions: NDArray[np.float32],
-) -> None:
-    """World origin and direction of beams (n, 3; `base_link` axes) fired at fractions `alpha` between two base poses.
-
-    Quaternions are w, x, y, z; `mount` (3,) is the sensor's position in `base_link`. Between the poses position is
-    linear and attitude a normalised linear blend, right to 1e-5 rad for steps up to 0.1 rad.
-    """
-    sign = 1.0 if q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3] >= 0.0 else -1.0
-    for i in range(beams.shape[0]):
-        a = alpha[i]
-        w = (1.0 - a) * q0[0] + a * sign * q1[0]
-        x = (1.0 - a) * q0[1] + a * sign * q1[1]
-        y = (1.0 - a) * q0[2] + a * sign * q1[2]
-        z = (1.0 - a) * q0[3] + a * sign * q1[3]
-        s = 2.0 / (w * w + x * x + y * y + z * z)
-        r00 = 1.0 - s * (y * y + z * z)
-        r01 = s * (x * y - w * z)
-        r02 = s * (x * z + w * y)
-        r10 = s * (x * y + w * z)
-        r11 = 1.0 - s * (x * x + z * z)
-        r12 = s * (y * z - w * x)
-        r20 = s * (x * z - w * y)
-        r21 = s * (y * z + w * x)
-        r22 = 1.0 - s * (x * x + y * y)
-        mx, my, mz = mount[0], mount[1], mount[2]
-        bx, by, bz = beams[i, 0], beams[i, 1], beams[i, 2]
-        origins[i, 0] = (1.0 - a) * p0[0] + a * p1[0] + r00 * mx + r01 * my + r02 * mz
-        origins[i, 1] = (1.0 - a) * p0[1] + a * p1[1] + r10 * mx + r11 * my + r12 * mz
-        origins[i, 2] = (1.0 - a) * p0[2] + a * p1[2] + r20 * mx + r21 * my + r22 * mz
-        directions[i, 0] = r00 * bx + r01 * by + r02 * bz
-        directions[i, 1] = r10 * bx + r11 * by + r12 * bz
-        directions[i, 2] = r20 * bx + r21 * by + r22 * bz

@@ -9,8 +9,8 @@ from math import cos
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.lidar.beams import measure, moving_rays, turn_beams
 from hal.lidar.caster import OrientedBox, TerrainCaster, cast_onto_boxes, pack_boxes
-from hal.lidar.kernels import moving_rays
 from hal.lidar.spec import LidarSpec
 from hal.types import POINT_DTYPE, Array, Extrinsics, LidarScan
 
@@ -133,22 +133,21 @@ class LidarSimulator:
                 self._unblocked(pattern.directions),
             )
         nominal, time, ring, seen = self._pattern
-        random = np.random.Generator(np.random.Philox(key=np.array([self._seed, number], np.uint64)))
-        true = nominal
-        if self._noise and self.spec.angle_sigma > 0.0:
-            # The part of the error along the ray has no effect after normalising.
-            true = nominal + np.float32(self.spec.angle_sigma) * random.standard_normal(
-                nominal.shape, dtype=np.float32
-            )
-            true /= np.sqrt(np.einsum("ij,ij->i", true, true))[:, None]
+        random = np.random.Generator(np.random.SFC64([self._seed, number]))
         n = len(nominal)
+        beams = np.empty_like(nominal)
+        if self._noise and self.spec.angle_sigma > 0.0:
+            error = random.standard_normal(nominal.shape, dtype=np.float32)
+            turn_beams(nominal, error, self.spec.angle_sigma, self._rotation, beams)
+        else:
+            turn_beams(nominal, nominal, 0.0, self._rotation, beams)
         return _Sweep(
             start=start,
             fired=0,
             nominal=nominal,
             time=time,
             ring=ring,
-            beams=(true @ self._rotation.T.astype(np.float32)),
+            beams=beams,
             seen=seen,
             ranges=np.full(n, np.inf, np.float32),
             cosine=np.zeros(n, np.float32),
@@ -186,37 +185,26 @@ class LidarSimulator:
 
     def _finish(self, sweep: _Sweep) -> LidarScan:
         """Sensor errors and limits on a complete sweep; misses and body returns are left out."""
-        spec = self.spec
-        ranges = sweep.ranges
-        keep = sweep.seen & np.isfinite(ranges)
+        spec, n = self.spec, len(sweep.ranges)
+        errors = (spec.range_sigma, spec.dropout, cos(spec.grazing), spec.mixed)
         if self._noise:
-            draw = sweep.random.random((3, len(ranges)), dtype=np.float32)
-            ranges = _mix(ranges, spec.rings, draw[0] / np.float32(max(spec.mixed, 1e-9)))
-            ranges = ranges + np.float32(spec.range_sigma) * sweep.random.standard_normal(
-                len(ranges), dtype=np.float32
-            )
-            keep &= draw[1] >= spec.dropout
-            keep &= sweep.cosine >= draw[2] * np.float32(cos(spec.grazing))
-        keep &= (ranges >= spec.min_range) & (ranges <= spec.max_range)
-        points = np.zeros(int(keep.sum()), POINT_DTYPE)
-        xyz = sweep.nominal[keep] * ranges[keep][:, None]
-        xyz = np.round(xyz / np.float32(QUANTUM)) * np.float32(QUANTUM)
-        points["x"], points["y"], points["z"] = xyz.T
-        points["intensity"] = np.round(100.0 * sweep.cosine[keep])
-        points["ring"] = sweep.ring[keep]
-        points["time"] = sweep.time[keep] * 1e-9
+            draw = sweep.random.random((3, n), dtype=np.float32)
+            noise = sweep.random.standard_normal(n, dtype=np.float32)
+        else:
+            draw, noise = np.ones((3, n), np.float32), np.zeros(n, np.float32)
+            errors = (0.0, 0.0, 0.0, 0.0)
+        limits = np.array([spec.min_range, spec.max_range, *errors, *MIXED_GAP, QUANTUM])
+        kept, xyz = np.empty(n, np.int64), np.empty((n, 3), np.float32)
+        m = measure(
+            sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, spec.rings, draw, noise, limits, kept, xyz
+        )
+        kept = kept[:m]
+        points = np.zeros(m, POINT_DTYPE)
+        points["x"], points["y"], points["z"] = xyz[:m].T
+        points["intensity"] = np.round(100.0 * sweep.cosine[kept])
+        points["ring"] = sweep.ring[kept]
+        points["time"] = sweep.time[kept] * 1e-9
         return LidarScan(sweep.start, points)
-
-
-def _mix(ranges: NDArray[np.float32], stride: int, draw: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Put a ray beside a depth edge between both sides where `draw` < 1; it is also the blend factor."""
-    mixed = ranges.copy()
-    here, there = ranges[:-stride], ranges[stride:]
-    with np.errstate(invalid="ignore"):  # inf - inf beside misses
-        gap = np.abs(there - here)
-    edge = (gap > MIXED_GAP[0]) & (gap < MIXED_GAP[1]) & (draw[:-stride] < 1.0)
-    mixed[:-stride][edge] += draw[:-stride][edge] * (there[edge] - here[edge])
-    return mixed
 
 
 def rotation_rpy(rpy: tuple[float, float, float]) -> Array:

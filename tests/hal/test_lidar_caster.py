@@ -142,3 +142,32 @@ def test_embree_and_numba_agree_within_a_millimetre() -> None:
     hit = np.isfinite(a) & np.isfinite(b)
     error = np.abs(a[hit] - b[hit])
     assert np.percentile(error, 99.9) < 1e-3
+
+
+def test_the_lidar_sees_the_same_triangles_as_the_physics() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    random = np.random.default_rng(0)
+    height = random.uniform(0.05, 0.4, (6, 7)).astype(np.float32)
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><asset><hfield name="h" nrow="6" ncol="7" size="0.6 0.5 1 0.1"/></asset>'
+        '<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>'
+    )
+    model.hfield_data[:] = height.ravel()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    directions = random.normal(size=(200, 3)) * 0.2 - [0.0, 0.0, 1.0]
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    origins = random.uniform([-0.5, -0.4, 1.0], [0.5, 0.4, 1.0], (200, 3))
+    got = NumbaCaster(Surface(height, 0.2, (-0.6, -0.5))).cast(
+        origins.astype(np.float32), directions.astype(np.float32)
+    )
+    geom = np.zeros(1, np.int32)
+    want = np.array(
+        [
+            mujoco.mj_ray(model, data, o, d, None, 1, -1, geom, None)
+            for o, d in zip(origins, directions, strict=True)
+        ]
+    )
+    hit = np.isfinite(got) & (want > 0)
+    assert hit.sum() > 150
+    assert got[hit] == pytest.approx(want[hit], abs=1e-5)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hal.lidar.beams import measure, moving_rays
 from hal.lidar.caster import NumbaCaster, OrientedBox, Surface
 from hal.lidar.simulator import QUANTUM, LidarSimulator, LidarTimeError, rotation_rpy
 from hal.lidar.spec import LIDARS
@@ -177,3 +178,59 @@ def test_scans_are_stamped_at_multiples_of_the_period_and_time_must_grow() -> No
         simulator.advance(5, np.zeros(3), LEVEL)
     with pytest.raises(LidarTimeError, match="skips"):
         simulator.advance(9 * NS, np.zeros(3), LEVEL)
+
+
+def test_measuring_agrees_with_plain_numpy() -> None:
+    random = np.random.default_rng(0)
+    n, stride = 400, 4
+    ranges = random.choice([1.0, 1.3, 2.8, np.inf, 0.05, 50.0], n).astype(np.float32)
+    cosine, seen = random.random(n, dtype=np.float32), random.random(n) < 0.9
+    nominal = random.normal(size=(n, 3)).astype(np.float32)
+    draw, noise = random.random((3, n), dtype=np.float32), random.standard_normal(n, dtype=np.float32)
+    limits = np.array([0.1, 40.0, 0.02, 0.1, 0.3, 0.4, 0.1, 1.0, QUANTUM])
+    kept, xyz = np.empty(n, np.int64), np.empty((n, 3), np.float32)
+    m = measure(ranges, cosine, seen, nominal, stride, draw, noise, limits, kept, xyz)
+    true = ranges.astype(float)
+    there = np.append(true[stride:], np.full(stride, np.inf))
+    with np.errstate(invalid="ignore"):
+        gap = there - true
+    mixed = (draw[0] < 0.4) & (np.abs(gap) > 0.1) & (np.abs(gap) < 1.0)
+    r = true.copy()
+    r[mixed] += gap[mixed] * draw[0, mixed] / 0.4
+    r += 0.02 * noise
+    want = seen & np.isfinite(true) & (draw[1] >= 0.1) & (cosine >= 0.3 * draw[2]) & (r >= 0.1) & (r <= 40.0)
+    assert mixed.sum() > 10
+    assert np.array_equal(kept[:m], np.flatnonzero(want))
+    points = np.round(nominal[want] * r[want, None] / QUANTUM) * QUANTUM
+    assert np.abs(xyz[:m] - points).max() <= 1.01 * QUANTUM
+    assert (np.abs(xyz[:m] - points) > 1e-6).mean() < 0.01
+
+
+def test_beams_follow_a_plain_pose_interpolation() -> None:
+    random = np.random.default_rng(1)
+    beams = random.normal(size=(50, 3)).astype(np.float32)
+    beams /= np.linalg.norm(beams, axis=1)[:, None]
+    alpha = np.linspace(0.0, 1.0, 50)
+    rpy0, rpy1 = np.array([0.05, -0.1, 1.0]), np.array([0.07, -0.08, 1.03])
+    p0, p1, mount = np.array([1.0, 2.0, 0.4]), np.array([1.1, 2.0, 0.42]), np.array([0.2, 0.1, 0.1])
+    origins, directions = np.empty((50, 3), np.float32), np.empty((50, 3), np.float32)
+    # A quaternion and its negative are the same attitude.
+    moving_rays(beams, alpha, p0, wxyz(rpy0), p1, -wxyz(rpy1), mount, origins, directions)
+    for k, a in enumerate(alpha):
+        r = rotation_rpy(tuple((1 - a) * rpy0 + a * rpy1))
+        assert directions[k] == pytest.approx(r @ beams[k], abs=1e-3)
+        assert origins[k] == pytest.approx((1 - a) * p0 + a * p1 + r @ mount, abs=1e-3)
+        assert np.linalg.norm(directions[k]) == pytest.approx(1.0, abs=1e-5)
+
+
+def wxyz(rpy: np.ndarray) -> np.ndarray:
+    r, p, y = 0.5 * rpy
+    cr, cp, cy, sr, sp, sy = np.cos(r), np.cos(p), np.cos(y), np.sin(r), np.sin(p), np.sin(y)
+    return np.array(
+        [
+            cr * cp * cy + sr * sp * sy,
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+        ]
+    )

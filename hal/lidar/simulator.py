@@ -93,6 +93,15 @@ class LidarSimulator:
         self._pattern = None
         self._sweep: _Sweep | None = None
         self._last: tuple[int, Array, Array] | None = None
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Load or compile every kernel now: the first sweep must not stall the physics."""
+        level = np.array([1.0, 0.0, 0.0, 0.0])
+        boxes, self._boxes = self._boxes, pack_boxes((OrientedBox((9.0, 0.0, 0.0), (1.0, 1.0, 1.0)),))
+        for stamp in (0, self.spec.period):
+            self.advance(stamp, np.zeros(3), level)
+        self._boxes, self._last, self._sweep, self._pattern = boxes, None, None, None
 
     def set_boxes(self, boxes: Sequence[OrientedBox]) -> None:
         """Moving obstacles in the world from now on."""

@@ -108,7 +108,7 @@ def main() -> int:
     for text in options.fault:
         set_fault(faults, text)
     body = (
-        MujocoBody(options.scene, not options.lying, options.seed, options.lidar)
+        MujocoBody(options.scene, not options.lying, seed=options.seed, lidar=options.lidar)
         if options.body == "mujoco"
         else KinematicBody(not options.lying)
     )

@@ -11,7 +11,7 @@ import json
 import math
 from collections import defaultdict
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -164,7 +164,7 @@ class RobotSide:
         self.body, self.faults = body, faults or Faults()
         self._lidar, self._topic = lidar, topic
         self.motion = "" if self.faults.released else "ai-w"
-        self.mode = 1 if body.phase is Phase.READY else 5
+        self.mode = {Phase.READY: 1, Phase.STANDING: 8}.get(body.phase, 5)
         self.command = (0.0, 0.0)
         self.avoid_remote = False
         self._commanded_at = -(10**18)
@@ -365,15 +365,13 @@ class RobotSide:
 class MujocoBody:
     """The simulated Go2-W as the body: its samples become telemetry."""
 
-    def __init__(
-        self, scene: str = "flat", standing: bool = True, seed: int = 0, lidar: str = "xt16"
-    ) -> None:
+    def __init__(self, scene: Any = "flat", standing: bool = True, **options: Any) -> None:
+        """scene: a name, or a Scene; options: fields of `hal.mujoco.options.SimOptions`."""
         from hal.mujoco.backend import MujocoBackend
         from hal.scenes import load_scene
 
-        self._backend = MujocoBackend(
-            load_scene(scene), seed=seed, seated=not standing, lidar=lidar, noise=True
-        )
+        scene = load_scene(scene) if isinstance(scene, str) else scene
+        self._backend = MujocoBackend(scene, seated=not standing, **options)
         self._backend.connect()
         self._mount = self._backend.capabilities.lidar_mount
         self._rotation = rotation(*self._mount.rpy)

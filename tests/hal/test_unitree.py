@@ -20,105 +20,16 @@ from hal.types import (
     Phase,
     PostureCommand,
     RobotState,
-    VelocityCommand,
 )
-from hal.unitree.api import SERVICES, Request, Response, Sport
-from hal.unitree.backend import UnitreeBackend
+from hal.unitree.api import Sport
 from hal.unitree.link import L1_CLOUD
 from hal.unitree.options import UnitreeOptions
 from hal.unitree.telemetry import rotation
 from tests.unitree_robot import Faults, KinematicBody, RobotSide
+from tests.unitree_world import HOST_EPOCH, World
 
-HOST_EPOCH = 1_750_000_000 * NS
-L1 = UnitreeOptions(lidar="l1")
 REST = 0.05
 """[m/s]; the body approaches zero exponentially."""
-
-
-class World:
-    """One clock, one robot, and the link between the two; the link can be cut."""
-
-    def __init__(
-        self, faults: Faults | None = None, standing: bool = True, options: UnitreeOptions = L1, **kwargs
-    ):
-        self.body = KinematicBody(standing)
-        topic = L1_CLOUD if options.lidar == "l1" else ""
-        self.robot = RobotSide(self.body, faults, lidar=options.lidar, topic=topic)
-        self.faults = self.robot.faults
-        self.elapsed = 0
-        self.cut = False
-        self.sent: list[tuple[int, str, Request]] = []
-        self._inbox: dict[str, list[bytes]] = {}
-        self._answers: dict[str, list[Response]] = {}
-        self.backend = UnitreeBackend(
-            "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
-        )
-        self.states: list[RobotState] = []
-        self.samples: list = []
-
-    @property
-    def now(self) -> int:
-        return HOST_EPOCH + self.elapsed
-
-    # -- link ----------------------------------------------------------------------------------------------------
-    def send(self, service: str, request: Request) -> None:
-        self.sent.append((self.elapsed, service, request))
-        if not self.cut:
-            self.robot.handle(service, Request.unpack(request.pack()), self.elapsed)
-
-    def responses(self, service: str) -> list[Response]:
-        return self._answers.pop(service, [])
-
-    def take(self, topic: str) -> list[bytes]:
-        return self._inbox.pop(topic, [])
-
-    def reachable(self, service: str) -> bool:
-        return service in SERVICES
-
-    def close(self) -> None:
-        pass
-
-    # -- time ----------------------------------------------------------------------------------------------------
-    def advance(self, seconds: float) -> None:
-        end = self.elapsed + round(seconds * NS)
-        while self.elapsed < end:
-            self.elapsed = min(end, self.elapsed + 2_000_000)
-            self.robot.step(self.elapsed)
-            for service, response in self.robot.responses(self.elapsed):
-                if not self.cut:
-                    self._answers.setdefault(service, []).append(response)
-            for topic, messages in self.robot.outbox().items():
-                if not self.cut:
-                    self._inbox.setdefault(topic, []).extend(messages)
-
-    def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list:
-        """The host's 50 Hz loop."""
-        samples: list = []
-        for _ in range(round(seconds / 0.02)):
-            self.advance(0.02)
-            samples += self.backend.read(self.now)
-            self.backend.drive(VelocityCommand(self.now, vx=vx, wz=wz))
-            self.states.append(self.backend.state())
-        self.samples += samples
-        return samples
-
-    def until(self, phase: Phase, seconds: float, vx: float = 0.0) -> RobotState:
-        for _ in range(round(seconds / 0.02)):
-            if self.backend.state().phase is phase:
-                return self.backend.state()
-            self.run(0.02, vx)
-        raise AssertionError(f"no {phase} within {seconds} s: {self.backend.state()}")
-
-    def apis(self, service: str = "sport") -> list[int]:
-        return [r.api for _, s, r in self.sent if s == service]
-
-    @property
-    def phase(self) -> Phase:
-        return self.backend.state().phase
-
-    @property
-    def cause(self) -> str:
-        return self.backend.state().cause
 
 
 def ready(faults: Faults | None = None, **kwargs) -> World:
@@ -299,7 +210,7 @@ def test_velocities_beyond_the_limits_are_clipped_and_nan_is_zero():
 
 
 def test_dry_run_sends_nothing_and_says_what_it_would():
-    world = World(options=L1, dry_run=True)
+    world = World(dry_run=True)
     world.backend.connect()
     world.run(0.5)
     assert world.phase is Phase.READY

@@ -33,6 +33,10 @@ from mapping.wheel_odometry import WheelOdometry, velocities
 XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
 
 ZERO = np.zeros(6)
+SETTLE = 0.5
+"""The robot must have stood still for this long [s] before gravity is taken from its accelerometer,"""
+PATIENCE_AT_START = 3.0
+"""but a robot that does not stand still starts anyway after this long [s]."""
 
 
 class LidarInertialOdometry:
@@ -60,6 +64,7 @@ class LidarInertialOdometry:
         self._joints = SampleBuffer(48, 4_000)
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._joint_stamp = -NS
+        self._first_scan = 0
         self._sweeps: deque[Sweep] = deque()
         self._notes: list[str] = []
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
@@ -141,7 +146,11 @@ class LidarInertialOdometry:
         verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
         if verdict.use:
             if scans:
-                self._filter.update_pose(match.pose, _rotation_to_body(verdict.covariance, match.pose))
+                measured = _rotation_to_body(verdict.covariance, match.pose)
+                # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
+                # scan to scan: gravity has the last word there.
+                measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+                self._filter.update_pose(match.pose, measured)
             self._engine.insert(self._filter.pose())
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
@@ -153,7 +162,7 @@ class LidarInertialOdometry:
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
-        window = NS
+        window = NS * 7 // 10
         imu_stamp, imu = self._imu.between(sweep.end - window, sweep.end)
         joint_stamp, joints = self._joints.between(sweep.end - window // 10, sweep.end)
         if len(imu) < 5:
@@ -161,6 +170,11 @@ class LidarInertialOdometry:
             if self.counters["scan_before_imu"] < 10:
                 return
         level = len(imu) >= 20 and _at_rest(imu)
+        # A trunk that still sways shows a wrong gravity, and the local map would keep that tilt for good.
+        self._first_scan = self._first_scan or sweep.end
+        settled = level and imu_stamp[-1] - imu_stamp[0] >= SETTLE * NS
+        if len(imu) and not settled and sweep.end - self._first_scan < PATIENCE_AT_START * NS:
+            return
         velocity, height = None, 0.0
         if self.params.use_joints and len(joints):
             v, _, h = velocities(

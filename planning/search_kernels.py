@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.footprint import Laid, pose_feature
+from planning.footprint import Laid, Scratch, features_of, scratch
 
 
 class Weights(NamedTuple):
@@ -108,6 +108,7 @@ def turn(yaw_in: float, yaw_out: float) -> float:
 @njit(cache=True)
 def set_moments(
     laid: Laid,
+    work: Scratch,
     w: Weights,
     x: float,
     y: float,
@@ -123,26 +124,31 @@ def set_moments(
     The poses go from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw). The tail is the ceil(n / 10) largest values.
     """
     k = max(1, (n + 9) // 10)
-    values = np.empty((4, n))
+    poses = np.empty((n, 3))
     for i in range(n):
         t = i / (n - 1) if n > 1 else 0.0
-        f = pose_feature(laid, x + t * dx, y + t * dy, yaw + t * dyaw)
+        poses[i, 0] = x + t * dx
+        poses[i, 1] = y + t * dy
+        poses[i, 2] = yaw + t * dyaw
+    values = np.empty((n, 4))
+    features_of(laid, work, poses, values)
+    for i in range(n):
         for m in range(4):
-            values[m, i] = f[m] / w.scale[m]
+            values[i, m] /= w.scale[m]
             if m < 3:
-                values[m, i] = min(w.clip, values[m, i])
+                values[i, m] = min(w.clip, values[i, m])
     for m in range(4):
         total = 0.0
         for i in range(n):
-            total += values[m, i]
+            total += values[i, m]
         tail = 0.0
         for _ in range(k):
             best = 0
             for i in range(1, n):
-                if values[m, i] > values[m, best]:
+                if values[i, m] > values[best, m]:
                     best = i
-            tail += values[m, best]
-            values[m, best] = -1.0
+            tail += values[best, m]
+            values[best, m] = -1.0
         out[0, m] = total / n
         out[1, m] = tail / k
 
@@ -157,31 +163,33 @@ def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
 
 
 @njit(cache=True)
-def edge_moments(laid: Laid, w: Weights, roads: Roads, slot: int, out: np.ndarray) -> None:
+def edge_moments(laid: Laid, work: Scratch, w: Weights, roads: Roads, slot: int, out: np.ndarray) -> None:
     """Moments of the poses along a directed edge; the opposite direction covers the same ground."""
     slot = min(slot, roads.reverse[slot])
     i, j = roads.source[slot], roads.target[slot]
     n = max(2, int(np.ceil(roads.length[slot] / w.edge_step - 1e-9)) + 1)
     dx, dy = roads.x[j] - roads.x[i], roads.y[j] - roads.y[i]
-    set_moments(laid, w, roads.x[i], roads.y[i], roads.heading[slot], dx, dy, 0.0, n, out)
+    set_moments(laid, work, w, roads.x[i], roads.y[i], roads.heading[slot], dx, dy, 0.0, n, out)
 
 
 @njit(cache=True)
 def turn_moments(
-    laid: Laid, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float, out: np.ndarray
+    laid: Laid, work: Scratch, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float, out: np.ndarray
 ) -> None:
     """Moments of a turn in place."""
     d = turn(yaw_in, yaw_out)
     n = int(np.ceil(abs(d) / w.sweep_step - 1e-9)) + 1
-    set_moments(laid, w, x, y, yaw_in, 0.0, 0.0, d, n, out)
+    set_moments(laid, work, w, x, y, yaw_in, 0.0, 0.0, d, n, out)
 
 
 @njit(cache=True)
-def edge_risk(laid: Laid, w: Weights, roads: Roads, tables: Tables, slot: int) -> tuple[float, float]:
+def edge_risk(
+    laid: Laid, work: Scratch, w: Weights, roads: Roads, tables: Tables, slot: int
+) -> tuple[float, float]:
     """B and U of a directed edge, from the table or evaluated now."""
     if np.isnan(tables.edge[slot, 0]):
         moments = np.empty((2, 4))
-        edge_moments(laid, w, roads, slot, moments)
+        edge_moments(laid, work, w, roads, slot, moments)
         tables.edge[slot, 0], tables.edge[slot, 1] = weigh(w, moments)
         tables.edge[roads.reverse[slot]] = tables.edge[slot]
     return tables.edge[slot, 0], tables.edge[slot, 1]
@@ -189,24 +197,24 @@ def edge_risk(laid: Laid, w: Weights, roads: Roads, tables: Tables, slot: int) -
 
 @njit(cache=True)
 def turn_risk(
-    laid: Laid, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float
+    laid: Laid, work: Scratch, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float
 ) -> tuple[float, float]:
     """B and U of a turn in place."""
     moments = np.empty((2, 4))
-    turn_moments(laid, w, x, y, yaw_in, yaw_out, moments)
+    turn_moments(laid, work, w, x, y, yaw_in, yaw_out, moments)
     return weigh(w, moments)
 
 
 @njit(cache=True)
 def sweep_risk(
-    laid: Laid, w: Weights, roads: Roads, tables: Tables, slot: int, out: int
+    laid: Laid, work: Scratch, w: Weights, roads: Roads, tables: Tables, slot: int, out: int
 ) -> tuple[float, float]:
     """B and U of the turn from directed edge `slot` into `out`, which leaves the target of `slot`."""
     j = roads.target[slot]
     at = roads.sweep_ptr[slot] + out - roads.indptr[j]
     if np.isnan(tables.sweep[at, 0]):
         tables.sweep[at, 0], tables.sweep[at, 1] = turn_risk(
-            laid, w, roads.x[j], roads.y[j], roads.heading[slot], roads.heading[out]
+            laid, work, w, roads.x[j], roads.y[j], roads.heading[slot], roads.heading[out]
         )
     return tables.sweep[at, 0], tables.sweep[at, 1]
 
@@ -219,16 +227,17 @@ def route_moments(
 
     A set that does not exist is NaN.
     """
+    work = scratch(laid)
     out = np.full((route.size, 3, 2, 4), np.nan)
     for t in range(route.size):
         slot = route[t]
         i, j = roads.source[slot], roads.target[slot]
-        edge_moments(laid, w, roads, slot, out[t, 0])
+        edge_moments(laid, work, w, roads, slot, out[t, 0])
         yaw_in = start_yaw if t == 0 else roads.heading[route[t - 1]]
         if not np.isnan(yaw_in):
-            turn_moments(laid, w, roads.x[i], roads.y[i], yaw_in, roads.heading[slot], out[t, 1])
+            turn_moments(laid, work, w, roads.x[i], roads.y[i], yaw_in, roads.heading[slot], out[t, 1])
         if t == route.size - 1 and not np.isnan(goal_yaw):
-            turn_moments(laid, w, roads.x[j], roads.y[j], roads.heading[slot], goal_yaw, out[t, 2])
+            turn_moments(laid, work, w, roads.x[j], roads.y[j], roads.heading[slot], goal_yaw, out[t, 2])
     return out
 
 
@@ -264,6 +273,7 @@ def search_pairs(
     For a goal node the distance is zero; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
     requested. Returns the cost of the route (inf: none), the slots of its edges and the number of expanded states.
     """
+    work = scratch(laid)
     slots = roads.target.size
     g = np.full(slots, np.inf)
     parent = np.full(slots, -1, np.int64)
@@ -282,16 +292,16 @@ def search_pairs(
             if closed[out]:
                 continue
             k = roads.target[out]
-            b, u = edge_risk(laid, w, roads, tables, out)
+            b, u = edge_risk(laid, work, w, roads, tables, out)
             if sweeps:
                 b2, u2 = 0.0, 0.0
                 if slot >= 0:
-                    b2, u2 = sweep_risk(laid, w, roads, tables, slot, out)
+                    b2, u2 = sweep_risk(laid, work, w, roads, tables, slot, out)
                 elif not np.isnan(start_yaw):
-                    b2, u2 = turn_risk(laid, w, roads.x[at], roads.y[at], start_yaw, roads.heading[out])
+                    b2, u2 = turn_risk(laid, work, w, roads.x[at], roads.y[at], start_yaw, roads.heading[out])
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
-                    b2, u2 = turn_risk(laid, w, roads.x[k], roads.y[k], roads.heading[out], goal_yaw)
+                    b2, u2 = turn_risk(laid, work, w, roads.x[k], roads.y[k], roads.heading[out], goal_yaw)
                     b, u = max(b, b2), max(u, u2)
             cost = base + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
             if cost < g[out]:

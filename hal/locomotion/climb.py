@@ -80,14 +80,15 @@ def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt:
         leg = detect_blocked(m, centres, way, dt, p)
         if leg >= 0 and p.climb > 0.0:
             partner = leg + 1 if leg % 2 == 0 else leg - 1
-            m.queued = partner if m.blocked[partner] > 0.5 * p.blocked_time else -1
+            pushed = -way * m.force[partner, 0] > 0.4 * p.blocked_force
+            m.queued = partner if pushed else -1
             begin(m, leg, way, centres, com, p)
         return
     leg = m.leg
     hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
     if m.mode == SHIFT:
         miss = abs(m.shift[0] - m.shift_goal[0]) + abs(m.shift[1] - m.shift_goal[1])
-        if miss < 0.01 and m.timer > p.shift_time:
+        if miss < p.shift_miss and m.timer > p.shift_time:
             m.mode = LIFT
             m.timer = 0.0
             for axis in range(3):

@@ -52,7 +52,9 @@ class VmcParams(NamedTuple):
     """Position gain [Nm/rad] of a wheel that holds its place."""
     speed_ki: float = 4.0
     """Common speed integral [Nm/m]."""
-    accel: float = 1.5
+    rolling: float = 0.91
+    """Ground covered per rolled circumference: the tyre gives and creeps."""
+    accel: float = 2.5
     """Slew of the commanded speed [m/s^2]."""
     alpha: float = 4.0
     """Slew of the commanded yaw rate [rad/s^2]."""
@@ -63,7 +65,7 @@ class VmcParams(NamedTuple):
     """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily."""
     turn_full: float = 0.35
     """Yaw rate [rad/s] from which the axles are pulled in fully."""
-    place_rate: float = 0.30
+    place_rate: float = 0.40
     """Speed of wheel placement relative to the trunk [m/s]."""
 
     # --- contact
@@ -86,7 +88,7 @@ class VmcParams(NamedTuple):
     """How far a wheel may fall behind its place under the trunk [m]."""
     blocked_time: float = 0.12
     """[s]"""
-    triangle: float = 0.24
+    triangle: float = 0.22
     """How far the centre of mass moves from the edge of the support triangle towards its far corner, as a share."""
     shift_bandwidth: float = 18.0
     """Of the critically damped weight shift [rad/s]."""
@@ -94,6 +96,8 @@ class VmcParams(NamedTuple):
     """The same when the climb is over [rad/s]."""
     shift_accel: float = 4.0
     """[m/s^2]"""
+    shift_miss: float = 0.03
+    """Rest of the weight shift [m] at which lifting may begin."""
     shift_time: float = 0.1
     """Shortest time for unloading the wheel [s]."""
     stroke_lift: float = 0.125

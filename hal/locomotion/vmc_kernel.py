@@ -167,6 +167,7 @@ def vmc_tick(
     m.height = -ground
 
     # --- wheel centres relative to base_link, velocity in H; ground speed from rolling
+    radius = WHEEL_RADIUS * p.rolling
     velocity = np.empty((4, 3))
     spin = np.empty(4)
     rise = 0.0
@@ -311,7 +312,7 @@ def vmc_tick(
             out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
             out[OUT_KD, i] = p.calf_kd if joint == 2 else p.leg_kd
         ground_speed = m.vx - turn * points[leg, 1] + rate_x
-        want = ground_speed / WHEEL_RADIUS - spin[leg]
+        want = ground_speed / radius - spin[leg]
         band = limit / p.wheel_kd
         want = clip(want, dq[wheel] - band, dq[wheel] + band)
         friction = FRICTIONLOSS * clip(want / 0.5, -1.0, 1.0) + DAMPING * want

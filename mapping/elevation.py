@@ -81,8 +81,8 @@ class ElevationMap:
     def _buffers(self, n: int) -> None:
         self._i, self._j = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
         self._z, self._var = np.empty(n, dtype=np.float32), np.empty((n, 2), dtype=np.float32)
-        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 4), dtype=np.float32)
-        self._top, self._bottom = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 6), dtype=np.float32)
+        self._slot = np.empty(n, dtype=np.int32)
         self._ends = np.empty((n, 3))
 
     def warm_up(self) -> None:
@@ -150,12 +150,12 @@ class ElevationMap:
         cell = s.locate(self._i[:m], self._j[:m])
         k, overhangs = kernels.reduce_cells(
             cell, self._z, self._var, m, s.mark, p.surface_band, p.clearance,
-            self._which, self._top, self._bottom, self._sums,
+            self._which, self._slot, self._sums,
         )  # fmt: skip
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
         kernels.fuse(
-            self._which, self._top, self._bottom, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
+            self._which, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
             s.touched, 2 * s.shift,
         )  # fmt: skip
         if residuals[1] >= p.drift_min_cells:

@@ -12,6 +12,9 @@ DROP_NAN, DROP_RANGE, DROP_BODY, DROP_CEILING, USED = 0, 1, 2, 3, 4
 """Counters of `project`."""
 CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 """Counters of `fuse`."""
+TOP, BOTTOM, WEIGHT, DEPTH, POINTS, SHARED = 0, 1, 2, 3, 4, 5
+"""Columns of a cell's measurement: highest and lowest point [m]; sums over its surface points: weight, weight times
+height under the top, number, shared variance."""
 
 
 @njit(cache=True)
@@ -76,62 +79,66 @@ def project(
 
 
 @njit(cache=True)
-def reduce_cells(cell, z, var, m, mark, band, clearance, which, top, bottom, sums):  # pragma: no cover
+def reduce_cells(cell, z, var, m, mark, band, clearance, which, slot, sums):  # pragma: no cover
     """One measurement per cell and scan: the mean of the points within `band` under the highest.
 
     A face (wall, box, step) thus keeps its top. Points that hang more than `clearance` above everything else in the
-    cell are an overhang and ignored. `mark` is scratch over the pool (sparse set: no clearing needed).
-    Out: which (k,) pool index; top, bottom (k,) [m]; sums (k,4) f32: weight, weight * (z - top), points, shared
-    variance. Returns k and the number of overhangs.
+    cell are an overhang and ignored. `mark` is scratch over the pool (sparse set: no clearing needed), `slot` over the
+    points. Out: which (k,) pool index; sums (k, 6) f32, see the columns. Returns k and the number of overhangs.
     """
     k = 0
-    spread = np.float32(0.0)
+    zero = np.float32(0.0)
+    spread = zero
     for p in range(m):
         c = cell[p]
         s = mark[c]
+        h = z[p]
         if s < k and which[s] == c:
-            if z[p] > top[s]:
-                top[s] = z[p]
-                spread = max(spread, z[p] - bottom[s])
-            elif z[p] < bottom[s]:
-                bottom[s] = z[p]
-                spread = max(spread, top[s] - z[p])
+            slot[p] = s
+            if h > sums[s, TOP]:
+                sums[s, TOP] = h
+                spread = max(spread, h - sums[s, BOTTOM])
+            elif h < sums[s, BOTTOM]:
+                sums[s, BOTTOM] = h
+                spread = max(spread, sums[s, TOP] - h)
         else:
             mark[c] = k
+            slot[p] = k
             which[k] = c
-            top[k] = z[p]
-            bottom[k] = z[p]
-            sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = np.float32(0.0)
+            sums[k, TOP] = h
+            sums[k, BOTTOM] = h
+            sums[k, WEIGHT] = sums[k, DEPTH] = sums[k, POINTS] = sums[k, SHARED] = zero
             k += 1
     overhangs = 0
     if spread > clearance:
         low = np.full(k, -np.inf)
         above = np.full(k, np.inf)
         for p in range(m):
-            s = mark[cell[p]]
-            if top[s] - bottom[s] > clearance:
-                if z[p] < bottom[s] + clearance:
+            s = slot[p]
+            if sums[s, TOP] - sums[s, BOTTOM] > clearance:
+                if z[p] < sums[s, BOTTOM] + clearance:
                     low[s] = max(low[s], z[p])
                 else:
                     above[s] = min(above[s], z[p])
         for s in range(k):
             if above[s] < np.inf and above[s] - low[s] > clearance:
-                top[s] = low[s]
+                sums[s, TOP] = low[s]
                 overhangs += 1
+    deepest = np.float32(-band)
     for p in range(m):
-        s = mark[cell[p]]
-        d = z[p] - top[s]
-        if d <= 0.0 and d >= -band:
+        s = slot[p]
+        d = z[p] - sums[s, TOP]
+        if zero >= d >= deepest:
             w = np.float32(1.0) / var[p, 0]
-            sums[s, 0] += w
-            sums[s, 1] += w * d
-            sums[s, 2] += np.float32(1.0)
-            sums[s, 3] += var[p, 1]
+            sums[s, WEIGHT] += w
+            sums[s, DEPTH] += w * d
+            sums[s, POINTS] += np.float32(1.0)
+            sums[s, SHARED] += var[p, 1]
     return k, overhangs
 
 
 @njit(cache=True)
-def fuse(which, top, bottom, sums, k, cells, now, rule, counts, residuals, touched, area):  # pragma: no cover
+def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  # pragma: no cover
     """Fuse one measurement per cell into the map (1-D Kalman with two modes per cell).
 
     rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface takes
@@ -147,9 +154,11 @@ def fuse(which, top, bottom, sums, k, cells, now, rule, counts, residuals, touch
     for s in range(k):
         cell = cells[which[s]]
         touched[which[s] >> area] = 1
-        z = np.float64(top[s]) + np.float64(sums[s, 1]) / sums[s, 0]
-        pv = 1.0 / np.float64(sums[s, 0]) + np.float64(sums[s, 3]) / sums[s, 2]
-        n = np.int64(sums[s, 2])
+        top, bottom = np.float64(sums[s, TOP]), np.float64(sums[s, BOTTOM])
+        weight, points = np.float64(sums[s, WEIGHT]), np.float64(sums[s, POINTS])
+        z = top + sums[s, DEPTH] / weight
+        pv = 1.0 / weight + sums[s, SHARED] / points
+        n = np.int64(points)
         counts[CELLS] += 1
         new = cell.source != 2
         if not new:
@@ -185,11 +194,11 @@ def fuse(which, top, bottom, sums, k, cells, now, rule, counts, residuals, touch
             cell.passes = 0
             counts[AGREED] += 1
             continue
-        if dz < 0.0 and top[s] - bottom[s] > face:
+        if dz < 0.0 and top - bottom > face:
             cell.seen = now
             cell.passes = 0
             continue
-        if dz > 0.0 and bottom[s] - h > clearance:
+        if dz > 0.0 and bottom - h > clearance:
             counts[OVERHANG] += 1
             continue
         counts[CONFLICT] += 1

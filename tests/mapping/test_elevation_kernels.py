@@ -87,18 +87,18 @@ def test_reduce_equals_numpy() -> None:
     z = (rng.choice([0.0, 0.3, 2.0], n, p=[0.9, 0.07, 0.03]) + rng.normal(0, 0.03, n)).astype(np.float32)
     var = rng.uniform(1e-5, 1e-3, (n, 2)).astype(np.float32)
     mark = rng.integers(-5, 400, 300).astype(np.int32)  # scratch may hold anything
-    which, sums = np.empty(n, np.int64), np.empty((n, 4), np.float32)
-    top, bottom = np.empty(n, np.float32), np.empty(n, np.float32)
-    k, overhangs = kernels.reduce_cells(cell, z, var, n, mark, 0.05, 0.8, which, top, bottom, sums)
+    which, slot, sums = np.empty(n, np.int64), np.empty(n, np.int32), np.empty((n, 6), np.float32)
+    k, overhangs = kernels.reduce_cells(cell, z, var, n, mark, 0.05, 0.8, which, slot, sums)
     want = reduce_oracle(cell, z, var, 0.05, 0.8)
     assert k == len(want)
     assert overhangs > 0
     for s in range(k):
         t, b, w, mean, count, shared = want[which[s]]
-        assert (top[s], bottom[s], sums[s, 2]) == (t, b, count)
-        assert sums[s, 0] == pytest.approx(w, rel=1e-4)
-        assert top[s] + sums[s, 1] / sums[s, 0] == pytest.approx(mean, abs=1e-5)
-        assert sums[s, 3] / sums[s, 2] == pytest.approx(shared, rel=1e-4)
+        top, bottom, weight, depth, points, common = sums[s]
+        assert (top, bottom, points) == (t, b, count)
+        assert weight == pytest.approx(w, rel=1e-4)
+        assert top + depth / weight == pytest.approx(mean, abs=1e-5)
+        assert common / points == pytest.approx(shared, rel=1e-4)
 
 
 class CellOracle:
@@ -161,13 +161,11 @@ def test_fuse_equals_a_plain_reading_of_the_rules() -> None:
             rng.uniform(1e3, 1e5, 40).astype(np.float32),
             rng.uniform(1e-6, 1e-4, 40).astype(np.float32),
         )
-        sums = np.stack([weight, np.zeros(40), n, shared * n], axis=1).astype(np.float32)
         bottom = (z - extent).astype(np.float32)
-        kernels.fuse(
-            index[pick], z, bottom, sums, 40, store.cells, now, RULE, counts, residuals, store.touched, 6
-        )
+        sums = np.stack([z, bottom, weight, np.zeros(40), n, shared * n], axis=1).astype(np.float32)
+        kernels.fuse(index[pick], sums, 40, store.cells, now, RULE, counts, residuals, store.touched, 6)
         for s, c in enumerate(pick):
-            pv = 1.0 / float(sums[s, 0]) + float(sums[s, 3]) / float(sums[s, 2])
+            pv = 1.0 / float(sums[s, 2]) + float(sums[s, 5]) / float(sums[s, 4])
             cells[c].take(float(z[s]), pv, int(n[s]), float(z[s]), float(bottom[s]), now)
     got = store.cells[index]
     np.testing.assert_allclose(got["height"], [c.h for c in cells], atol=2e-5)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 
 from mapping.odometry_types import OdometryParams
-from tools.bench import _perception_soak
+from tools.bench import _perception_map, _perception_soak
 from tools.bench._perception_odometry import Errors, drive, errors
 from tools.bench.report import Report
 from tools.synthetic import arena_run
@@ -42,6 +42,7 @@ def run(args: list[str]) -> Report:
     report = Report("perception")
     for lidar in options.lidar.split(","):
         _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
+    _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)
     if options.soak > 0.0:
         _perception_soak.rows(report, options.soak)
     return report
@@ -49,7 +50,11 @@ def run(args: list[str]) -> Report:
 
 def _odometry_rows(report: Report, lidar: str, seconds: float, seed: int, joints: bool) -> None:
     scene_run = arena_run(lidar, seed=seed, duration=seconds)
-    tracks = drive(scene_run, ENGINES, OdometryParams(use_joints=joints))
+    maps = {name: _perception_map.EngineMap(scene_run) for name in ENGINES}
+    tracks = drive(
+        scene_run, ENGINES, OdometryParams(use_joints=joints), on_scan=lambda name, scan: maps[name].take(scan)
+    )
+    rmse = {name: m.rmse_mm() for name, m in maps.items()}
     results: dict[str, Errors] = {name: errors(scene_run, track) for name, track in tracks.items()}
     stock = results["stock"]
     none = (None, None)
@@ -59,4 +64,6 @@ def _odometry_rows(report: Report, lidar: str, seconds: float, seed: int, joints
         report.add(f"rpe_mm.{lidar}.{name}", e.rpe_mm, "mm", mm, stock.rpe_mm)
         report.add(f"rpe_deg.{lidar}.{name}", e.rpe_deg, "deg", deg, stock.rpe_deg)
         report.add(f"drift_pct.{lidar}.{name}", e.drift_pct, "%", DRIFT_LIMIT.get(key), stock.drift_pct)
+        limit = _perception_map.ENGINE_LIMIT.get(lidar) if name == "kiss_icp" else None
+        report.add(f"map_rmse_mm.{lidar}.{name}", rmse[name], "mm", limit, rmse["stock"])
         report.add(f"cpu_ms.odometry.{lidar}.{name}", e.cpu_ms, "ms", CPU_LIMIT.get(key), stock.cpu_ms)

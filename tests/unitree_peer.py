@@ -100,6 +100,9 @@ def main() -> int:
     parser.add_argument("--scene", default="flat", help="scene of the simulated robot")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lidar", choices=tuple(CLOUDS), default="xt16")
+    parser.add_argument(
+        "--lidar-step", type=int, default=2, help="keep every n-th firing of the simulated LiDAR"
+    )
     parser.add_argument("--lying", action="store_true", help="start lying instead of in balance stand")
     parser.add_argument("--fault", action="append", default=[], metavar="NAME=VALUE")
     parser.add_argument("--report", action="store_true", help="print the true state as JSON lines")
@@ -108,7 +111,13 @@ def main() -> int:
     for text in options.fault:
         set_fault(faults, text)
     body = (
-        MujocoBody(options.scene, not options.lying, seed=options.seed, lidar=options.lidar)
+        MujocoBody(
+            options.scene,
+            not options.lying,
+            seed=options.seed,
+            lidar=options.lidar,
+            lidar_step=options.lidar_step,
+        )
         if options.body == "mujoco"
         else KinematicBody(not options.lying)
     )

@@ -19,9 +19,12 @@ class MissingExtra(BackendError):
 
 
 def make_backend(
-    interface: str, dry_run: bool = False, domain: int = 0, options: UnitreeOptions | None = None
+    interface: str, dry_run: bool = False, domain: int | None = None, options: UnitreeOptions | None = None
 ) -> UnitreeBackend:
-    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface."""
+    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface.
+
+    domain: DDS domain; None takes the vendor's: 0 on a robot's network, 1 on loopback (a simulated robot).
+    """
     try:
         import cyclonedds.core  # noqa: F401
     except ImportError as error:
@@ -32,4 +35,6 @@ def make_backend(
     from hal.unitree.link import check_interface
 
     check_interface(interface)
+    if domain is None:
+        domain = 1 if interface == "lo" else 0
     return UnitreeBackend(interface, domain, options, dry_run)

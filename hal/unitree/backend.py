@@ -179,6 +179,8 @@ class UnitreeBackend:
                 self._halt()
                 lie = self.options.sit_on_close and self._phase not in (Phase.SITTING, Phase.DAMPED)
                 self._run_now(self._steps.leave(lie))
+                if self._guardian is not None:
+                    self._guardian.beat(moving=False)
         except BackendError as error:
             log.warning("leaving the robot: %s", error)
         finally:

@@ -9,12 +9,13 @@ import numpy as np
 
 from hal import go2w
 from hal.contract import BackendError
-from hal.lidar.caster import OrientedBox, make_caster
+from hal.lidar.caster import make_caster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.modes import Modes
+from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.options import Obstacle, Push, SimOptions
 from hal.mujoco.policy import PolicyController
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
@@ -241,7 +242,7 @@ class MujocoBackend:
 
     def _place_obstacles(self, elapsed: int) -> None:
         t = elapsed / NS
-        shown = tuple(box.appear <= t < box.disappear for box in self.options.obstacles)
+        shown = tuple(present(box, t) for box in self.options.obstacles)
         due = elapsed % LIDAR_SLICE < self._dt
         if shown == self._shown and not (self._moving and any(shown) and due):
             return
@@ -255,13 +256,6 @@ class MujocoBackend:
             )
         if self._lidar is not None:
             self._lidar.set_boxes([box for box in boxes if box is not None])
-
-
-def box_at(box: Obstacle, time: float) -> OrientedBox:
-    """Where the obstacle is `time` [s] after connect."""
-    x, y, z = box.centre
-    age = time - box.appear
-    return OrientedBox((x + box.velocity[0] * age, y + box.velocity[1] * age, z), box.size, box.yaw)
 
 
 def wheels_on_ground(state: LowState) -> tuple[bool, bool, bool, bool]:

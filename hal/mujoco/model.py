@@ -82,12 +82,14 @@ def build(
 
 
 def _looks(spec: mujoco.MjSpec) -> None:
+    # Clipping planes and shadows are sized by the extent, which must not count the obstacles hidden far below.
+    spec.stat.extent = 4.0
     visual = spec.visual
     visual.headlight.ambient[:] = 0.32
     visual.headlight.diffuse[:] = 0.30
     visual.headlight.specular[:] = 0.1
     visual.map.znear = 0.01
-    visual.quality.shadowsize = 4096
+    visual.quality.shadowsize = 2048
     getattr(visual, "global").offwidth = 1920
     getattr(visual, "global").offheight = 1080
     spec.add_texture(
@@ -111,15 +113,6 @@ def _looks(spec: mujoco.MjSpec) -> None:
     ground = spec.add_material(name="ground", texuniform=True, texrepeat=[1.0, 1.0], reflectance=0.0)
     ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "ground"
     ground.specular = 0.05
-    spec.worldbody.add_light(
-        name="sun",
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        pos=[0.0, 0.0, 10.0],
-        dir=[0.35, 0.45, -0.82],
-        diffuse=[0.62, 0.60, 0.56],
-        specular=[0.2, 0.2, 0.2],
-        castshadow=True,
-    )
 
 
 def _terrain(
@@ -213,6 +206,17 @@ def _robot(spec: mujoco.MjSpec, friction: float, payload: float) -> None:
     base.add_freejoint(name="base")
     _set_inertia(base, go2w.BASE, 1.0, 1.0)
     base.add_site(name="imu", pos=go2w.IMU_POSITION)
+    # The sun goes with the robot, so that its shadow map does.
+    base.add_light(
+        name="sun",
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        pos=[-2.0, -2.6, 4.8],
+        dir=[0.35, 0.45, -0.82],
+        diffuse=[0.62, 0.60, 0.56],
+        specular=[0.2, 0.2, 0.2],
+        castshadow=True,
+    )
     _trunk(base)
     if payload > 0.0:
         # High up, where it hurts balance most: a box of batteries on the rails.

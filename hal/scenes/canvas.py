@@ -41,10 +41,22 @@ class Canvas:
         (ax, ay), (bx, by) = start, end
         length = float(np.hypot(bx - ax, by - ay))
         ux, uy = (bx - ax) / length, (by - ay) / length
-        along = (self.x - ax) * ux + (self.y - ay) * uy
-        across = np.abs((self.y - ay) * ux - (self.x - ax) * uy)
         e = 1e-6
-        self.raise_to((along >= -e) & (along <= length + e) & (across <= 0.5 * width + e), top)
+        half = 0.5 * width + e
+        near = self._window(min(ax, bx) - half, max(ax, bx) + half, min(ay, by) - half, max(ay, by) + half)
+        x, y, height = self.x[near], self.y[near], self.height[near]
+        along = (x - ax) * ux + (y - ay) * uy
+        across = np.abs((y - ay) * ux - (x - ax) * uy)
+        where = (along >= -e) & (along <= length + e) & (across <= half)
+        np.copyto(height, np.maximum(height, top), where=where)
+
+    def _window(self, x0: float, x1: float, y0: float, y1: float) -> tuple[slice, slice]:
+        """Rows and columns that hold the rectangle and a cell around it: large scenes are painted piece by piece."""
+        (ox, oy), r = self.origin, self.resolution
+        return (
+            slice(max(int((y0 - oy) / r) - 1, 0), max(int((y1 - oy) / r) + 3, 0)),
+            slice(max(int((x0 - ox) / r) - 1, 0), max(int((x1 - ox) / r) + 3, 0)),
+        )
 
     def block(self, centre: tuple[float, float], size: tuple[float, float], yaw: float, top: float) -> None:
         """A turned block."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import isfinite
 from pathlib import Path
 
 from hal.scenes import rescue
@@ -37,12 +38,30 @@ def load_scene(
     height_range: tuple[float, float] | None = None,
     seed: int | None = None,
     start: Pose | None = None,
+    **unknown: object,
 ) -> Scene:
     """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
 
     `resolution` [m] and `height_range` [m] say how to import a file, `start` where the robot starts on it (see
     `hal.scenes.files.read_scene`). `seed` picks a maze; `maze:7` does the same in one word. Raises SceneError.
     """
+    if unknown:
+        raise SceneError(
+            f"no scene option {', '.join(sorted(unknown))}: there are resolution, height_range, start, seed"
+        )
+    if resolution is not None:
+        (resolution,) = _numbers("resolution", [resolution], 1)
+    if height_range is not None:
+        low, high = _numbers("height_range", height_range, 2)
+        height_range = (low, high)
+    if start is not None:
+        x, y, yaw = _numbers("start", start, 3)
+        start = (x, y, yaw)
+    if seed is not None:
+        (value,) = _numbers("seed", [seed], 1)
+        if value < 0 or value != int(value):
+            raise SceneError(f"seed must be a whole number from 0 on, got {seed}")
+        seed = int(value)
     text = str(name)
     base, _, number = text.partition(":")
     if base == "maze" and not Path(text).is_file():
@@ -64,3 +83,14 @@ def load_scene(
     if seed is not None:
         raise SceneError("a scene from a file has no seed: only maze has")
     return read_scene(Path(text), resolution=resolution, height_range=height_range, start=start)
+
+
+def _numbers(option: str, values: object, count: int) -> list[float]:
+    """Options come from command lines and config files: check before use."""
+    try:
+        numbers = [float(v) for v in values]  # type: ignore[attr-defined]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not all(isfinite(v) for v in numbers):
+        raise SceneError(f"{option} must be {count} finite number{'s' * (count > 1)}, got {values}")
+    return numbers

@@ -49,7 +49,7 @@ class StackConfig(BaseModel):
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
-    scene_options: dict[str, float | list[float]] = Field({}, description="import options of a scene file")
+    scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
     controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
     policy_dir: str = Field("", description="folder of a locomotion policy in rl_sar's layout")
     lidar: Literal["xt16", "mid360", "l1"] = "xt16"

@@ -19,15 +19,17 @@ BASE = "base_link"
 LIDAR = "lidar"
 IMU = "imu"
 
+_names = POINT_DTYPE.names or ()
+_offsets = {name: (POINT_DTYPE.fields or {})[name][1] for name in _names}
 _FIELD_TYPES = {"f4": 7, "u2": 4}
-_FIELDS = [
+_FIELDS: list[Any] = [
     STORE.types["sensor_msgs/msg/PointField"](
         name=name,
-        offset=POINT_DTYPE.fields[name][1],
+        offset=_offsets[name],
         datatype=_FIELD_TYPES[POINT_DTYPE[name].str[1:]],
         count=1,
     )
-    for name in POINT_DTYPE.names or ()
+    for name in _names
 ]
 _XYZ_FIELDS = _FIELDS[:3]
 

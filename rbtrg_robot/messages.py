@@ -54,39 +54,41 @@ def definition(typename: str) -> str:
 
 def make(typename: str, **fields: Any) -> Any:
     """A message of `typename`; fields that are not given get ROS defaults (zero, empty)."""
-    return STORE.types[typename](**{**_defaults(typename), **fields})
+    kind, blanks = _blanks(typename)
+    for name, blank in blanks:
+        if name not in fields:
+            fields[name] = blank() if callable(blank) else blank
+    return kind(**fields)
 
 
 _ZERO = {"bool": False, "string": "", "float32": 0.0, "float64": 0.0}
 _NUMPY = {"octet": np.uint8, "char": np.uint8, "bool": np.bool_}
 
 
-def _defaults(typename: str) -> dict[str, Any]:
-    return {name: _default(desc) for name, desc in STORE.fielddefs[typename][1]}
+@cache
+def _blanks(typename: str) -> tuple[type, list[tuple[str, Any]]]:
+    """The class of a type, and per field its default: a value that cannot change, or what makes a fresh one."""
+    return STORE.types[typename], [(name, _blank(desc)) for name, desc in STORE.fielddefs[typename][1]]
 
 
-def _default(desc: Any) -> Any:
-    kind, detail = desc
-    match int(kind):
-        case 1:  # base type: (name, string limit)
-            return _ZERO.get(detail[0], 0)
-        case 2:  # nested message
-            return make(detail)
-        case 3:  # array: (element, length)
-            (element, inner), length = detail
-            if int(element) == 1 and inner[0] != "string":
-                return np.zeros(length, _NUMPY.get(inner[0], inner[0]))
-            return [_default((element, inner)) for _ in range(length)]
-        case _:  # sequence: (element, limit)
-            (element, inner), _limit = detail
-            if int(element) == 1 and inner[0] != "string":
-                return np.zeros(0, _NUMPY.get(inner[0], inner[0]))
-            return []
+def _blank(desc: Any) -> Any:
+    kind, detail = int(desc[0]), desc[1]
+    if kind == 1:  # base type: (name, string limit)
+        return _ZERO.get(detail[0], 0)
+    if kind == 2:  # nested message
+        return lambda: make(detail)
+    (element, inner), length = detail
+    count = length if kind == 3 else 0  # array: fixed length; sequence: its limit
+    if int(element) == 1 and inner[0] != "string":
+        dtype = np.dtype(_NUMPY.get(inner[0], inner[0]))
+        return lambda: np.zeros(count, dtype)
+    blank = _blank((element, inner))
+    return lambda: [blank() if callable(blank) else blank for _ in range(count)]
 
 
 def array(values: Any, dtype: str) -> np.ndarray:
     """A numeric message field."""
-    return np.asarray(values, dtype=dtype)
+    return np.ascontiguousarray(values, dtype=dtype)
 
 
 def time_msg(stamp: int) -> Any:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import BaseModel, ConfigDict, Field
 
 
@@ -48,7 +50,9 @@ class PlannerParams(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    variant: str = Field("full", description="cost variant of the search")
+    variant: Literal["native", "edge-only", "mean-only", "full"] = Field(
+        "full", description="cost variant of the search"
+    )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
     seed: int = Field(0, description="seed of the graph's samples")
 

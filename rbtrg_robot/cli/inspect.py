@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -42,12 +42,14 @@ def scene_show(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the terrain.")] = None,
     resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
-    height_range: Annotated[float | None, typer.Option(help="Height of white in a .png scene [m].")] = None,
+    height_range: Annotated[
+        tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
+    ] = None,
 ) -> None:
     """Start pose, named goals, extent."""
     from hal.scenes import load_scene
 
-    options = {"resolution": resolution, "height_range": height_range}
+    options: dict[str, Any] = {"resolution": resolution, "height_range": height_range}
     scene = load_scene(name, **{k: v for k, v in options.items() if v is not None})
     if png is not None:
         from hal.scenes.picture import render_scene_png

@@ -45,7 +45,9 @@ def up(
     robot: Annotated[str | None, typer.Option(help="Name of the robot.")] = None,
     port: Annotated[int | None, typer.Option(help="TCP port of the router, loopback.")] = None,
     resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
-    height_range: Annotated[float | None, typer.Option(help="Height of white in a .png scene [m].")] = None,
+    height_range: Annotated[
+        tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
+    ] = None,
 ) -> None:
     """Bring the whole stack up on this machine."""
     if detach:
@@ -57,7 +59,7 @@ def up(
     for name in without or []:
         if name not in BY_NAME:
             raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
-    options: dict[str, float] = {}
+    options: dict[str, Any] = {}
     if resolution is not None:
         options["resolution"] = resolution
     if height_range is not None:

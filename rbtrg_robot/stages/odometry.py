@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -23,11 +24,12 @@ from rbtrg_robot.convert import (
     joint_sample,
     lidar_scan,
     odometry_msg,
+    quaternion,
     rpy_quaternion,
     transform_msg,
-    xyz,
-    xyzw,
+    yaw_of,
 )
+from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.messages import array, header, make
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -54,6 +56,9 @@ class OdometryStage:
         self._start = start
         self._mount = mount
         self._imu = imu
+        self._before: Any = None
+        """Where the robot was before this process was restarted: the new odometry goes on from there."""
+        self._shift = MapFrame()
         self._announced = False
         self._poses = 0
         self._malformed = 0
@@ -79,14 +84,25 @@ class OdometryStage:
                     outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
             elif topic is t.POINTS:
                 self._odometry.add_scan(lidar_scan(message))
-            elif topic is t.ODOM:  # handed over after a restart: go on from where we were
-                pose = message.pose.pose
-                self._odometry.restore(xyz(pose.position), xyzw(pose.orientation))
+            elif topic is t.ODOM:
+                self._before = message.pose.pose
         except LayoutError:
             self._malformed += 1
         for scan in self._odometry.poll():
+            if self._before is not None:
+                self._continue_from(self._before, scan)
+                self._before = None
             outputs += self._scan(scan)
         return outputs
+
+    def _continue_from(self, before: Any, scan: ScanOdometry) -> None:
+        """Both are gravity-aligned, so a heading and a translation make the first pose the last one of before."""
+        q = quaternion(scan.orientation)
+        self._shift.yaw = math.remainder(yaw_of(before.orientation) - yaw_of(q), 2 * math.pi)
+        x, y, _ = self._shift.pose2(scan.position[0], scan.position[1], 0.0)
+        place = before.position
+        self._shift.x, self._shift.y = place.x - x, place.y - y
+        self._shift.z = place.z - scan.position[2]
 
     def tick(self, now: int) -> Outputs:
         """The frames, once."""
@@ -111,13 +127,14 @@ class OdometryStage:
         ]
 
     def _fast(self, fast: FastPose) -> Outputs:
+        if self._before is not None:
+            return []
         self._poses += 1
-        pose = odometry_msg(
-            fast.stamp, fast.position, fast.orientation, fast.linear, fast.angular, fast.covariance
-        )
+        position, orientation = self._shift.pose3(fast.position, fast.orientation)
+        pose = odometry_msg(fast.stamp, position, orientation, fast.linear, fast.angular, fast.covariance)
         outputs: Outputs = [(t.POSE, pose)]
         if self._poses % TF_EVERY == 0:
-            transform = transform_msg(fast.stamp, ODOM, BASE, fast.position, fast.orientation)
+            transform = transform_msg(fast.stamp, ODOM, BASE, position, orientation)
             outputs.append((t.TF, make(t.TF.type, transforms=[transform])))
         return outputs
 
@@ -126,9 +143,8 @@ class OdometryStage:
         return odometry_msg(wheel.stamp, wheel.position, wheel.orientation, wheel.linear, wheel.angular)
 
     def _scan(self, scan: ScanOdometry) -> Outputs:
-        odom = odometry_msg(
-            scan.stamp, scan.position, scan.orientation, scan.linear, scan.angular, scan.covariance
-        )
+        position, orientation = self._shift.pose3(scan.position, scan.orientation)
+        odom = odometry_msg(scan.stamp, position, orientation, scan.linear, scan.angular, scan.covariance)
         counters = {**self._odometry.counters, "malformed": self._malformed}
         health = make(
             t.ODOM_HEALTH.type,

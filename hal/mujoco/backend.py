@@ -270,17 +270,4 @@ def wheels_on_ground(state: LowState) -> tuple[bool, bool, bool, bool]:
     return a, b, c, d
 
 
-def make_backend(config: Any) -> MujocoBackend:
-    """From the stack's configuration (scene, controller, LiDAR, seed, start). Raises BackendError, SceneError, PolicyError."""
-    return MujocoBackend(
-        config.load_scene(),
-        controller=config.controller,
-        policy_dir=config.policy_dir or None,
-        lidar=config.lidar,
-        lidar_mount=config.mount,
-        seed=config.seed,
-        start=config.start_pose(),
-    )
-
-
-__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimOptions", "make_backend"]
+__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimOptions"]

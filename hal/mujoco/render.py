@@ -40,11 +40,11 @@ class View:
     width: int = 854
     height: int = 480
     fps: int = 12
-    distance: float = 2.6
+    distance: float = 2.8
     """[m] from the robot."""
     azimuth: float = 125.0
     """Heading of the camera's view [deg], world."""
-    elevation: float = -22.0
+    elevation: float = -36.0
     """[deg]"""
     follow: float = 0.6
     """Time constant [s] with which the camera follows the robot."""

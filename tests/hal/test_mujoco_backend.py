@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -11,10 +10,11 @@ import numpy as np
 import pytest
 
 from hal.contract import BackendError
-from hal.mujoco.backend import MujocoBackend, Obstacle, Push, make_backend
+from hal.mujoco.backend import MujocoBackend, Obstacle, Push
 from hal.scenes import Scene
 from hal.types import (
     NS,
+    Extrinsics,
     GroundTruth,
     ImuSample,
     JointSample,
@@ -209,17 +209,18 @@ def test_the_clock_may_start_anywhere() -> None:
 
 
 def test_the_lidar_moves_with_the_robot_during_a_sweep() -> None:
-    """A wall ahead must come nearer within one sweep of a driving robot."""
+    """The wall behind a driving robot recedes within one sweep."""
     r = Robot(lidar="xt16", lidar_step=1, noise=False, start=(0.0, 0.0, 0.0))
     r.run(1.5, vx=1.0)
     scan = of(r.run(0.25, vx=1.0), LidarScan)[-1].points
     ring = scan[scan["ring"] == 8]
-    # The sensor is mounted at yaw +90 deg: the robot's forward is the sensor's -y.
-    front = ring[(np.abs(ring["x"]) < 0.6) & (ring["y"] < -1.0)]
-    first, last = front[front["time"] < front["time"].mean()], front[front["time"] > front["time"].mean()]
-    drift = float(np.mean(first["y"])) - float(np.mean(last["y"]))
+    # A sweep starts and ends at the sensor's +y, which is the robot's rear: that wall is seen twice, 0.1 s apart.
+    rear = ring[(np.abs(ring["x"]) < 0.5) & (ring["y"] > 1.0)]
+    first, last = rear[rear["time"] < 0.02], rear[rear["time"] > 0.08]
     gap = float(np.mean(last["time"]) - np.mean(first["time"]))
-    assert drift == pytest.approx(-0.9 * gap, abs=0.5 * gap)
+    assert gap > 0.08
+    drift = float(np.mean(last["y"])) - float(np.mean(first["y"]))
+    assert drift == pytest.approx(0.9 * gap, rel=0.25)
 
 
 # --- obstacles, pushes, payload, friction ----------------------------------------------------------------------------
@@ -412,13 +413,8 @@ def test_bad_use_is_refused_in_words() -> None:
         r.backend.read(10 * NS)
 
 
-def test_a_backend_comes_from_the_stacks_configuration() -> None:
-    config = SimpleNamespace(
-        load_scene=floor, controller="vmc", policy_dir="", lidar="mid360", mount=None, seed=5,
-        start_pose=lambda: (0.5, 0.5, 1.0),
-    )  # fmt: skip
-    backend = make_backend(config)
+def test_capabilities_tell_the_lidar_and_its_mount() -> None:
+    mount = Extrinsics((0.1, 0.0, 0.2), (0.0, 0.1, 0.0))
+    backend = MujocoBackend(floor(), lidar="mid360", lidar_mount=mount, caster="numba")
     assert backend.capabilities.lidar == "mid360"
-    backend.connect()
-    np.testing.assert_allclose(backend.simulation.position[:2], [0.5, 0.5], atol=0.05)
-    assert backend.state().phase is Phase.STANDING
+    assert backend.capabilities.lidar_mount == mount

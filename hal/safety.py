@@ -97,6 +97,10 @@ class SafetyGate:
             self._cause, self._detail = cause, detail
         self._accepted = None
 
+    def forget(self) -> None:
+        """Drop the accepted command: zero velocity until the next fresh one."""
+        self._accepted = None
+
     def resume(self) -> None:
         """Release the latch. The robot moves on the next fresh command; a condition that persists latches again."""
         self._cause, self._detail = None, ""

@@ -84,6 +84,7 @@ class UnitreeBackend:
         self._link = link
         self._rpc = Rpc(link)
         self._telemetry = telemetry = Telemetry(link, self.options)
+        telemetry.warm_up()
         self._mover = Mover(self._rpc, self.options, self.capabilities)
         self._steps = Transitions(self._rpc, telemetry, self.options, self._dry_run)
         try:
@@ -99,6 +100,7 @@ class UnitreeBackend:
         self._stopped = ""
         self._fault = ""
         self._mover.fed(self._clock())
+        self._judge(telemetry, self._now)
 
     def read(self, now: int) -> list[Sample]:
         """Samples since the last call; also runs transitions, watchdog and the repetition of Move."""

@@ -38,8 +38,8 @@ class UnitreeOptions(BaseModel):
         default=0.0, description="[rad] yaw of the LowState IMU in base_link (some units: pi/2)"
     )
     l1_imu_wxyz: bool = Field(default=True, description="the L1 stores its quaternion w, x, y, z")
-    max_vx: float = Field(default=0.6, gt=0, le=3.0, description="[m/s]")
-    max_wz: float = Field(default=0.8, gt=0, le=3.0, description="[rad/s]")
+    max_vx: float = Field(default=0.8, gt=0, le=3.0, description="[m/s]")
+    max_wz: float = Field(default=1.0, gt=0, le=3.0, description="[rad/s]")
     move_rate: float = Field(default=50.0, ge=20, le=50, description="[Hz] Move is repeated at")
     watchdog: float = Field(
         default=0.2, gt=0, le=0.5, description="without a drive call for this long the robot stops"

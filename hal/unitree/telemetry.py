@@ -9,10 +9,10 @@ from collections import Counter
 import numpy as np
 
 from hal import go2w
-from hal.types import NS, Array, ImuSample, JointSample, LidarScan
+from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
-from hal.unitree.cloud import Mount, decode_cloud, decode_imu, sweep
+from hal.unitree.cloud import Mount, RawCloud, decode_cloud, decode_imu, sweep
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 from hal.unitree.options import UnitreeOptions
@@ -66,6 +66,10 @@ class Telemetry:
         self.mount_error: float | None = None
         """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
         self.reboots = 0
+
+    def warm_up(self) -> None:
+        """Compile the cloud kernel before the first sweep has to wait for it."""
+        sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self._mount)
 
     # -- draining --------------------------------------------------------------------------------------------------
 

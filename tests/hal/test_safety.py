@@ -119,6 +119,16 @@ def test_stop_is_zero_at_once_and_holds_until_resume():
     assert out.vx == 0.5
 
 
+def test_forget_is_zero_until_the_next_fresh_command_without_a_latch():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    gate.forget()
+    assert gate.output(now, well(now)).vx == 0.0
+    assert not gate.status().latched
+    out, _ = run(gate, now + TICK, 1.0)
+    assert out.vx == 0.5
+
+
 def test_the_first_cause_stays():
     gate = SafetyGate(CAPS)
     gate.stop(StopCause.PROCESS_LOST, "tracker")

@@ -118,6 +118,7 @@ def test_imu_of_the_l1_is_turned_into_the_trunk():
 def test_a_lying_robot_stands_up_with_unlocked_joints():
     world = World(standing=False)
     world.backend.connect()
+    assert world.phase is Phase.SITTING
     world.run(0.1, vx=0.3)
     assert world.phase is Phase.SITTING
     world.backend.request(ModeRequest.STAND)
@@ -203,7 +204,7 @@ def test_velocities_beyond_the_limits_are_clipped_and_nan_is_zero():
     world = ready()
     world.run(0.5, vx=3.0, wz=-9.0)
     move = [json.loads(r.parameter) for _, _, r in world.sent if r.api == Sport.MOVE][-1]
-    assert move == {"x": 0.6, "y": 0.0, "z": -0.8}
+    assert move == {"x": 0.8, "y": 0.0, "z": -1.0}
     world.run(0.5, vx=math.nan)
     assert abs(world.body.v) < 0.05
     assert "finite" in world.cause

@@ -397,6 +397,17 @@ def test_without_a_path_it_stands_and_clear_brakes():
     assert abs(base.v) < 0.05
 
 
+def test_after_a_pause_it_starts_from_zero():
+    tracker, base = PathTracker(), Base()
+    tracker.set_path(line(3.0), None, 0.5)
+    drive(tracker, base, seconds=2.0)
+    tracker.pause()
+    base.v = 0.0
+    out = tracker.step(int(2.02e9), *base.measured())
+    assert 0.0 < out.vx <= tracker.params.max_accel * 0.04 + 1e-9
+    assert drive(tracker, base, start=102).last.phase is TrackPhase.DONE
+
+
 def test_a_clock_that_stops_or_jumps_never_makes_a_jump_of_speed():
     tracker, base = PathTracker(), Base()
     tracker.set_path(line(3.0), None, 0.5)

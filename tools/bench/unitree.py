@@ -1,0 +1,83 @@
+"""Cost of the robot's messages: decoding LowState and clouds, against the DDS library's own coder."""
+
+from __future__ import annotations
+
+import argparse
+import timeit
+
+import numpy as np
+
+from hal.types import NS
+from hal.unitree import api, cloud, layout
+from hal.unitree.telemetry import rotation
+from tools.bench.report import Report
+
+POINTS = 20_000
+L1_POINT = np.dtype(
+    {
+        "names": ["x", "y", "z", "intensity", "ring", "time"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 16, 20, 24],
+        "itemsize": 32,
+    }
+)
+
+
+def _best(call, number: int, repeat: int = 9) -> float:  # type: ignore[no-untyped-def]
+    """Seconds per call, the fastest of some repeats: the rest is other people's load."""
+    return min(timeit.repeat(call, number=number, repeat=repeat)) / number
+
+
+def _cloud() -> bytes:
+    rng = np.random.default_rng(0)
+    points = np.zeros(POINTS, L1_POINT)
+    for axis in "xyz":
+        points[axis] = rng.normal(scale=4.0, size=POINTS)
+    points["time"] = np.linspace(0.0, 0.1, POINTS)
+    return cloud.encode_cloud(1_700_000_000 * NS, "utlidar_lidar", points)
+
+
+def run(args: list[str]) -> Report:
+    """Decoding a LowState (what odometry and the safety gate read of it), a cloud of 20 k points, and a request."""
+    argparse.ArgumentParser(prog="unitree", description=__doc__).parse_args(args)
+    from hal.unitree import idl
+
+    report = Report("unitree")
+    low = layout.CDR_HEADER + bytes(layout.LOW_STATE_CDR.itemsize)
+
+    def low_state() -> None:
+        record = layout.view(low, layout.LOW_STATE_CDR)
+        motors, imu = record["motor_state"], record["imu_state"]
+        _ = (
+            record["tick"],
+            motors["q"],
+            motors["dq"],
+            motors["tau_est"],
+            imu["gyroscope"],
+            imu["accelerometer"],
+        )
+
+    ours = _best(low_state, 500)
+    theirs = _best(lambda: idl.LowState.__idl__.deserialize(low), 20, 5)
+    report.add("unitree.low_state_decode", 1e6 * ours, "us", limit=5.0, baseline=1e6 * theirs)
+
+    data = _cloud()
+    mount = cloud.Mount(rotation(0.0, 2.88, 0.0), np.array([0.28, 0.0, -0.03]))
+    cloud.sweep(cloud.decode_cloud(data), mount)
+    ours = _best(lambda: cloud.sweep(cloud.decode_cloud(data), mount), 20)
+    theirs = _best(lambda: idl.PointCloud2.__idl__.deserialize(data), 2, 3)
+    report.add("unitree.cloud_20k_to_points", 1e3 * ours, "ms", limit=0.3, baseline=1e3 * theirs)
+
+    request = api.Request(1, api.Sport.MOVE, '{"x": 0.5, "y": 0.0, "z": 0.1}', True)
+    body = idl.RequestMessage.__idl__.deserialize(request.pack())
+    ours = _best(request.pack, 500)
+    theirs = _best(lambda: idl.RequestMessage.__idl__.serialize(body), 50)
+    report.add("unitree.move_encode", 1e6 * ours, "us", baseline=1e6 * theirs)
+
+    record = np.zeros(1, layout.LOW_CMD_CDR)[0]
+    report.add(
+        "unitree.low_command_checksum",
+        1e6 * _best(lambda: layout.checksum(record, layout.LOW_CMD_C), 50),
+        "us",
+    )
+    return report

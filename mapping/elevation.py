@@ -76,6 +76,7 @@ class ElevationMap:
                 p.drift_sigma**2 / 1000.0, p.trust_sigma**2, p.trust_count, 1000.0 * p.conflict_memory,
             ]
         )  # fmt: skip
+        self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
         self._reader = MapReader(self.store, p)
 
     def _buffers(self, n: int) -> None:
@@ -226,21 +227,15 @@ class ElevationMap:
         p, s = self.params, self.store
         if self._rays == 0:
             return 0
-        hit, low = np.empty(_HITS, dtype=np.int64), np.empty(_HITS)
-        many = np.empty(_HITS, dtype=np.int32)
         # neighbouring rays of a dense scan cross the same cells: alternate halves do
         stride = 2 if self._rays > 8000 else 1
         n = trace(
             self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
             p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
-            s.cells, s.touched, s.mark, hit, low, many,
+            s.cells, s.touched, s.mark, *self._looks,
         )  # fmt: skip
-        unseen, now = int(1000 * p.clean_unseen), self._clock(self.stamp)
-        return int(
-            judge(
-                hit, low, many, n, p.clean_passes, unseen, p.trust_count, now, s.cells, s.touched, 2 * s.shift
-            )
-        )
+        rule = p.clean_passes, int(1000 * p.clean_unseen), p.trust_count, p.clearance, self._clock(self.stamp)
+        return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
 
     def _clock(self, stamp: int) -> int:
         """Milliseconds since the first stamp; never runs backwards."""

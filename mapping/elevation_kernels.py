@@ -161,6 +161,9 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
         n = np.int64(points)
         counts[CELLS] += 1
         new = cell.source != 2
+        if new and bottom - cell.upper > clearance:
+            counts[OVERHANG] += 1  # rays passed far below
+            continue
         if not new:
             h = np.float64(cell.height)
             v = np.float64(cell.variance)

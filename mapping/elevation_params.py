@@ -50,7 +50,7 @@ class ElevationParams(BaseModel):
         default=1.0, description="contradictions further apart than this start over [s]"
     )
     min_sigma: float = Field(
-        default=0.006, gt=0.0, description="a cell never gets more certain than this [m]"
+        default=0.003, gt=0.0, description="a cell never gets more certain than this [m]"
     )
     drift_sigma: float = Field(
         default=0.003, ge=0.0, description="how uncertain an unseen cell grows per root second [m]"
@@ -99,7 +99,7 @@ class ElevationParams(BaseModel):
     drift_gain: float = Field(
         default=0.1, ge=0.0, le=1.0, description="share of the mean height residual taken per scan"
     )
-    drift_free: float = Field(default=0.006, ge=0.0, description="mean residuals below this are noise [m]")
+    drift_free: float = Field(default=0.003, ge=0.0, description="mean residuals below this are noise [m]")
     drift_min_cells: int = Field(default=200, description="agreeing cells needed for that")
     # --- deltas
     patch_step: float = Field(

@@ -12,6 +12,8 @@ from numba import njit
 
 RAYS = 2
 """Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
+HANGING_RAYS = 6
+"""Rays of one scan that must pass deep under a surface that is still seen: a beam or a lintel hangs there."""
 
 
 @njit(cache=True)
@@ -104,11 +106,14 @@ def trace(
 
 
 @njit(cache=True)
-def judge(hit, low, many, n, passes_needed, unseen, settled, now, cells, touched, area):  # pragma: no cover
+def judge(
+    hit, low, many, n, passes_needed, unseen, settled, clearance, now, cells, touched, area
+):  # pragma: no cover
     """Remove cells looked through in `passes_needed` clean-ups and unconfirmed for `unseen` [ms].
 
-    The ground that was known before something came to stand there returns if the rays passed above it; else the cell becomes unknown. One look is
-    enough for a stray cell of fewer than `settled` points. Returns the number of cells removed.
+    The ground that was known before something came to stand there returns if the rays passed above it; else the cell
+    becomes unknown. One look is enough for a stray cell of fewer than `settled` points, and for a surface that hangs more than `clearance` [m] over
+    the rays, seen or not. Returns the number of cells removed.
     """
     removed = 0
     for k in range(n):
@@ -117,7 +122,10 @@ def judge(hit, low, many, n, passes_needed, unseen, settled, now, cells, touched
             continue
         if cell.passes < 255:
             cell.passes += 1
-        if now - cell.seen < unseen or (cell.passes < passes_needed and cell.count >= settled):
+        hangs = many[k] >= HANGING_RAYS and cell.height - low[k] > clearance
+        if not hangs and (
+            now - cell.seen < unseen or (cell.passes < passes_needed and cell.count >= settled)
+        ):
             continue
         removed += 1
         touched[hit[k] >> area] = 1
@@ -134,5 +142,5 @@ def judge(hit, low, many, n, passes_needed, unseen, settled, now, cells, touched
         cell.below = np.nan
         cell.count = 0
         cell.source = 0
-        cell.upper = np.inf
+        cell.upper = low[k] if hangs else np.inf
     return removed

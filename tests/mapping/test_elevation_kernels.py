@@ -247,7 +247,7 @@ def test_judge_removes_after_two_looks_and_gives_the_ground_back() -> None:
     low, many = np.full(5, 0.2), np.array([5, 5, 5, 1, 1], np.int32)
 
     def look(now: int, at: np.ndarray) -> int:
-        args = (low[at], many[at], len(at), 2, 500, 3, now, store.cells, store.touched, 6)
+        args = (low[at], many[at], len(at), 2, 500, 3, 0.8, now, store.cells, store.touched, 6)
         return judge(index[at], *args)
 
     everything = np.arange(5)

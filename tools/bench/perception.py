@@ -52,7 +52,10 @@ def _odometry_rows(report: Report, lidar: str, seconds: float, seed: int, joints
     scene_run = arena_run(lidar, seed=seed, duration=seconds)
     maps = {name: _perception_map.EngineMap(scene_run) for name in ENGINES}
     tracks = drive(
-        scene_run, ENGINES, OdometryParams(use_joints=joints), on_scan=lambda name, scan: maps[name].take(scan)
+        scene_run,
+        ENGINES,
+        OdometryParams(use_joints=joints),
+        on_scan=lambda name, scan: maps[name].take(scan),
     )
     rmse = {name: m.rmse_mm() for name, m in maps.items()}
     results: dict[str, Errors] = {name: errors(scene_run, track) for name, track in tracks.items()}

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
 
 from hal.types import Extrinsics
 
+_CHECKED = ConfigDict(extra="forbid")
+Delay = Annotated[float, Field(ge=0.0, le=1.0)]
+"""[s]"""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, config=_CHECKED)
 class Push:
     """A shove on the trunk."""
 
@@ -20,7 +26,7 @@ class Push:
     """[s]"""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=_CHECKED)
 class Obstacle:
     """A box that is not part of the terrain: solid, seen by the LiDAR, may come, move and go."""
 
@@ -37,9 +43,9 @@ class Obstacle:
     """x, y [m/s], world."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, config=_CHECKED)
 class SimOptions:
-    """Defaults give the plain robot with sensor noise and no faults."""
+    """Defaults give the plain robot with sensor noise and no faults. Raises pydantic's ValidationError on bad values."""
 
     controller: Literal["vmc", "policy"] = "vmc"
     policy_dir: str | None = None
@@ -48,13 +54,13 @@ class SimOptions:
     """A name in `hal.lidar.spec.LIDARS`, or None for no LiDAR (physics only, faster)."""
     lidar_mount: Extrinsics | None = None
     """None: the model's usual mount."""
-    lidar_step: int = 1
+    lidar_step: Annotated[int, Field(ge=1)] = 1
     """Keep every n-th firing."""
     caster: Literal["embree", "numba"] = "embree"
     """Ray caster; embree falls back to numba where open3d does not load."""
-    seed: int = 0
+    seed: Annotated[int, Field(ge=0)] = 0
     """Of everything random here."""
-    timestep: float = 0.005
+    timestep: Annotated[float, Field(gt=0.0, le=0.01)] = 0.005
     """Physics step [s]."""
     start: tuple[float, float, float] | None = None
     """x, y [m], yaw [rad]; None: the scene's start."""
@@ -62,22 +68,22 @@ class SimOptions:
     """Start lying on the ground and wait for STAND; else take the stance on connect."""
     start_time: int = 0
     """Source clock at connect [ns]."""
-    friction: float | None = None
+    friction: Annotated[float, Field(gt=0.0)] | None = None
     """Sliding friction of the wheels; None: the scene's."""
-    friction_spread: float = 0.0
+    friction_spread: Annotated[float, Field(ge=0.0)] = 0.0
     """The friction is drawn uniformly within +- this, once per seed."""
-    payload: float = 0.0
+    payload: Annotated[float, Field(ge=0.0, le=20.0)] = 0.0
     """[kg] on top of the trunk."""
     noise: bool = True
     """Sensor errors: IMU, joints, attitude, LiDAR."""
-    command_delay: float = 0.0
+    command_delay: Delay = 0.0
     """[s] from the controller to the motors."""
-    imu_delay: float = 0.0
+    imu_delay: Delay = 0.0
     """[s] from measurement to delivery."""
-    joint_delay: float = 0.0
-    lidar_delay: float = 0.0
+    joint_delay: Delay = 0.0
+    lidar_delay: Delay = 0.0
     """[s] from the end of a sweep to delivery."""
-    battery: float = 1.0
+    battery: Annotated[float, Field(ge=0.0, le=1.0)] = 1.0
     """State of charge at connect [0..1]; drains in two hours."""
     pushes: tuple[Push, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()

@@ -8,9 +8,10 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from hal.contract import BackendError
-from hal.mujoco.backend import MujocoBackend, Obstacle, Push
+from hal.mujoco.backend import MujocoBackend, Obstacle, Push, SimOptions
 from hal.scenes import Scene
 from hal.types import (
     NS,
@@ -21,6 +22,7 @@ from hal.types import (
     LidarScan,
     ModeRequest,
     Phase,
+    PostureCommand,
     RobotState,
     Sample,
     VelocityCommand,
@@ -411,6 +413,56 @@ def test_bad_use_is_refused_in_words() -> None:
         r.backend.drive(VelocityCommand(0, float("nan")))
     with pytest.raises(BackendError, match="clock jumped"):
         r.backend.read(10 * NS)
+
+
+def test_options_come_from_plain_values_and_name_what_is_wrong() -> None:
+    options = SimOptions(payload=2, obstacles=[{"centre": [1, 0, 0.2], "size": [0.2, 0.2, 0.4]}])
+    assert options.obstacles[0] == Obstacle((1.0, 0.0, 0.2), (0.2, 0.2, 0.4))
+    for values, word in (
+        ({"paylod": 2}, "paylod"),
+        ({"timestep": 0.0}, "timestep"),
+        ({"controller": "magic"}, "controller"),
+        ({"pushes": [{"time": 1.0}]}, "force"),
+    ):
+        with pytest.raises(ValidationError, match=word):
+            SimOptions(**values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_sequence_of_requests_leaves_a_defined_state_with_a_reason(seed: int) -> None:
+    """Requests, commands and shoves at random times: no exception, no NaN, always a phase and its cause."""
+    rng = np.random.default_rng(seed)
+    r = Robot(seated=bool(seed % 2))
+    for _ in range(40):
+        action = rng.integers(0, 10)
+        if action < 6:
+            r.backend.request(list(ModeRequest)[action])
+        elif action == 6:
+            force = rng.uniform(-300, 300, 2)
+            r.backend.push((float(force[0]), float(force[1]), 0.0), 0.15)
+        elif action == 7:
+            r.backend.posture(PostureCommand(r.now, float(rng.uniform(0.2, 0.5)), *rng.uniform(-0.3, 0.3, 2)))
+        samples = r.run(float(rng.uniform(0.02, 0.6)), *rng.uniform(-1, 1, 2))
+        for sample in of(samples, JointSample):
+            assert np.isfinite(sample.position).all()
+        assert r.phase in Phase
+        assert r.cause
+    if r.phase in (Phase.READY, Phase.MOVING):
+        assert r.backend.simulation.rotation[2, 2] > 0.5
+    r.backend.request(ModeRequest.DAMP)
+    r.run(0.1)
+    assert r.phase is Phase.DAMPED, "damp works from everywhere"
+
+
+def test_stop_from_full_speed_comes_to_rest_soon() -> None:
+    r = Robot()
+    r.run(2.5, vx=1.0)
+    r.backend.request(ModeRequest.STOP)
+    before = r.backend.simulation.position
+    r.run(2.0, vx=1.0)
+    assert r.phase is Phase.STOPPED
+    assert np.linalg.norm(r.backend.simulation.position - before) < 0.5
+    assert np.linalg.norm(r.backend.simulation.linear_velocity) < 0.05
 
 
 def test_capabilities_tell_the_lidar_and_its_mount() -> None:

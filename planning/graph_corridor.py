@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from planning.graph_risk import F32, edge_risk
-from planning.graph_terrain import LETHAL, UNSEEN
+from planning.graph_terrain import FACE, UNSEEN
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
@@ -67,7 +67,7 @@ def corridor_free(
 ):
     """True if the footprint (length x width) can be moved straight from a to b.
 
-    No lethal cell under it, every cross-section seen to at least `min_coverage` (unseen ground within `blind` of the
+    Not both sides of a step under it, every cross-section seen to at least `min_coverage` (unseen ground within `blind` of the
     start counts as seen), and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground
     outside the map is not seen. `sums` is scratch, (sections, 8) float64.
     """
@@ -95,6 +95,7 @@ def corridor_free(
         return False
     blind2 = blind * blind
     strip = half / 3.0
+    sides = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -102,7 +103,8 @@ def corridor_free(
         c_hi = min(cols - 1, math.floor((high - x0) / res))
         for c in range(c_lo, c_hi + 1):
             flag = flags[r, c]
-            if flag & LETHAL:
+            sides |= flag & FACE
+            if sides == FACE:
                 return False
             ex = x0 + c * res - xa
             ey = y - ya

@@ -18,7 +18,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
 from planning.graph_corridor import MARGIN, SECTION, connect
 from planning.graph_input import GraphParams, Window, merge_windows
-from planning.graph_place import CLEAR, UNKNOWN_RUN, describe_nodes, line_of_sight, place_nodes
+from planning.graph_place import CLEAR, UNKNOWN_RUN, describe_nodes, in_sight, place_nodes
 from planning.graph_risk import F32, nearest_height, window_minmax
 from planning.graph_terrain import halo, update_flags
 
@@ -222,11 +222,8 @@ class Lattice:
             | self.chosen[j, i]
         )
         label = components(len(j), edges)
-        near = np.flatnonzero(np.hypot(xy[:, 0] - start[0], xy[:, 1] - start[1]) <= snap)
         x0, y0 = self.origin
-        near = np.array(
-            [v for v in near if line_of_sight(self.flags, x0, y0, self.res, *start, *xy[v])], dtype=np.int64
-        )
+        near = np.flatnonzero(in_sight(self.flags, x0, y0, self.res, *start, xy, snap))
         roots = label[near] if len(near) else label[np.isin(ids, before)]
         size = np.bincount(label, minlength=1) if len(near) else np.bincount(roots, minlength=1)
         keep = label == (roots[np.argmax(size[roots])] if len(roots) else -1)

@@ -12,12 +12,16 @@ import numpy as np
 from numba import njit
 
 from planning.graph_risk import F32, disc_blocked
-from planning.graph_terrain import LETHAL, UNSEEN
+from planning.graph_terrain import FACE, HIGH, LOW, UNSEEN
 
 CLEAR = 0.60
 """Clearance is measured up to here [m]."""
-CLEAR_LEVELS = (0.45, 0.36, 0.30, 0.25)
+CLEAR_LEVELS = (0.45, 0.36, 0.28)
 """Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
+TRIES = 6
+"""Valid candidates looked at beside an obstacle."""
+TIGHT = 0.33
+"""Nodes with less clearance move to the middle of the passage [m], so that edges along it are parallel to its walls."""
 CORE = 0.5
 """The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
 RAYS = 16
@@ -51,31 +55,49 @@ def candidate(seed, ix, iy, k, samples, side):
 
 
 @njit(cache=True)
-def lethal_distance2(flags, x0, y0, res, x, y, radius):
-    """Squared distance to the nearest lethal cell's centre [m^2], radius^2 if none is nearer."""
+def step_distance2(flags, x0, y0, res, x, y, radius):
+    """Squared distance [m^2] at which a disc covers both sides of a step, and the cell centre that makes it so.
+
+    radius^2 where a disc of `radius` does not.
+    """
     rows, cols = flags.shape
-    best = radius * radius
+    limit = radius * radius
+    high = limit
+    high_x = x
+    high_y = y
+    low = limit
+    low_x = x
+    low_y = y
     r_mid = math.floor((y - y0) / res + 0.5)
     k = math.ceil(radius / res)
     for j in range(2 * k + 1):
-        # rows from the middle outwards, so that the search ends early beside an obstacle
+        # rows from the middle outwards, so that the search narrows early beside an obstacle
         r = r_mid + ((j + 1) // 2 if j % 2 else -(j // 2))
         if r < 0 or r >= rows:
             continue
         dy = y0 + r * res - y
-        rest = best - dy * dy
+        rest = max(high, low) - dy * dy
         if rest <= 0.0:
             continue
         w = math.sqrt(rest)
         for c in range(
             max(0, math.ceil((x - w - x0) / res)), min(cols - 1, math.floor((x + w - x0) / res)) + 1
         ):
-            if flags[r, c] & LETHAL:
+            flag = flags[r, c]
+            if flag & FACE:
                 dx = x0 + c * res - x
                 d = dx * dx + dy * dy
-                if d < best:
-                    best = d
-    return best
+                if flag & HIGH and d < high:
+                    high = d
+                    high_x = x + dx
+                    high_y = y + dy
+                if flag & LOW and d < low:
+                    low = d
+                    low_x = x + dx
+                    low_y = y + dy
+    if high >= low:
+        return high, high_x, high_y
+    return low, low_x, low_y
 
 
 @njit(cache=True)
@@ -98,6 +120,26 @@ def _seen(flags, x0, y0, res, x, y, radius, share, start_x, start_y, blind):
             if 0 <= r < rows and 0 <= c < cols and (near_start or not flags[r, c] & UNSEEN):
                 seen += 1
     return seen >= share * total
+
+
+@njit(cache=True)
+def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
+    """x, y moved away from the nearest step, 2 cm at a time, inside its lattice cell, while that gives clearance."""
+    best, sx, sy = step_distance2(flags, x0, y0, res, x, y, TIGHT)
+    for _ in range(12):
+        if best >= TIGHT * TIGHT or best == 0.0:
+            break
+        d = math.sqrt(best)
+        # not quite to the cell's border, or neighbours could meet there
+        px = min(max(x + 0.02 * (x - sx) / d, low_x + 0.05 * side), low_x + 0.95 * side)
+        py = min(max(y + 0.02 * (y - sy) / d, low_y + 0.05 * side), low_y + 0.95 * side)
+        d2, sx, sy = step_distance2(flags, x0, y0, res, px, py, TIGHT)
+        if d2 <= best:
+            break
+        best = d2
+        x = px
+        y = py
+    return x, y
 
 
 @njit(cache=True)
@@ -124,22 +166,26 @@ def place_nodes(
                 continue
             best_level = levels + 1
             best = -1
+            tried = 0
             for k in range(samples):
                 x, y = candidate(seed, ix0 + i, iy0 + j, k, samples, side)
                 if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
                     continue
                 own = flags[math.floor((y - y0) / res + 0.5), math.floor((x - x0) / res + 0.5)]
-                if own & LETHAL or (own & UNSEEN and (x - start_x) ** 2 + (y - start_y) ** 2 > blind * blind):
+                if own & FACE or (own & UNSEEN and (x - start_x) ** 2 + (y - start_y) ** 2 > blind * blind):
                     continue
-                if lethal_distance2(flags, x0, y0, res, x, y, half_width) < half_width * half_width:
+                if step_distance2(flags, x0, y0, res, x, y, half_width)[0] < half_width * half_width:
                     continue
                 if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
                     continue
-                d2 = lethal_distance2(flags, x0, y0, res, x, y, CLEAR)
+                d2 = step_distance2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0])[0]
                 level = 0
                 while level < levels and d2 < CLEAR_LEVELS[level] ** 2:
                     level += 1
+                tried += 1
                 if level >= best_level:
+                    if tried == TRIES:
+                        break
                     continue
                 if disc_blocked(
                     piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
@@ -148,12 +194,33 @@ def place_nodes(
                     continue
                 best_level = level
                 best = k
-                clearance[j, i] = math.sqrt(d2)
                 where[j, i, 0] = x
                 where[j, i, 1] = y
                 if level == 0:
                     break
             chosen[j, i] = best
+            if best >= 0 and best_level > 0:
+                x, y = _centred(
+                    flags,
+                    x0,
+                    y0,
+                    res,
+                    where[j, i, 0],
+                    where[j, i, 1],
+                    (ix0 + i) * side,
+                    (iy0 + j) * side,
+                    side,
+                )
+                if _seen(
+                    flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind
+                ) and not disc_blocked(
+                    piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
+                    F32(x), F32(y), radius, limit, share, buffer,
+                ):  # fmt: skip
+                    where[j, i, 0] = x
+                    where[j, i, 1] = y
+            if best >= 0:
+                clearance[j, i] = math.sqrt(step_distance2(flags, x0, y0, res, x, y, CLEAR)[0])
 
 
 @njit(cache=True)
@@ -178,7 +245,7 @@ def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
             if r < 0 or c < 0 or r >= rows or c >= cols:
                 run = need
                 break
-            if flags[r, c] & LETHAL:
+            if flags[r, c] & FACE:
                 break
             if flags[r, c] & UNSEEN and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
                 run += 1
@@ -197,12 +264,13 @@ def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
 
 @njit(cache=True)
 def free_headings(flags, x0, y0, res, x, y, length, width):
-    """Bit h is set where the footprint at heading h * 5 deg (the same turned by 180 deg) is clear of lethal cells."""
+    """Bit h is set where the footprint at heading h * 5 deg (the same turned by 180 deg) is on no step."""
     rows, cols = flags.shape
-    free = ALL_HEADINGS
     radius = 0.5 * math.hypot(length, width)
-    if lethal_distance2(flags, x0, y0, res, x, y, radius) >= radius * radius:
-        return free
+    if step_distance2(flags, x0, y0, res, x, y, radius)[0] >= radius * radius:
+        return ALL_HEADINGS
+    high = np.uint64(0)
+    low = np.uint64(0)
     for r in range(
         max(0, math.ceil((y - radius - y0) / res)), min(rows, math.floor((y + radius - y0) / res) + 1)
     ):
@@ -210,15 +278,20 @@ def free_headings(flags, x0, y0, res, x, y, length, width):
         for c in range(
             max(0, math.ceil((x - radius - x0) / res)), min(cols, math.floor((x + radius - x0) / res) + 1)
         ):
-            if not flags[r, c] & LETHAL:
+            flag = flags[r, c]
+            if not flag & FACE:
                 continue
             dx = x0 + c * res - x
             for h in range(HEADINGS):
                 cs = math.cos(h * math.pi / HEADINGS)
                 sn = math.sin(h * math.pi / HEADINGS)
                 if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
-                    free &= ~(np.uint64(1) << np.uint64(h))
-    return free
+                    bit = np.uint64(1) << np.uint64(h)
+                    if flag & HIGH:
+                        high |= bit
+                    if flag & LOW:
+                        low |= bit
+    return ALL_HEADINGS & ~(high & low)
 
 
 @njit(cache=True)
@@ -237,19 +310,28 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
-def line_of_sight(flags, x0, y0, res, xa, ya, xb, yb):
-    """True if no lethal cell lies on the straight line, three cells wide."""
+def in_sight(flags, x0, y0, res, xa, ya, points, reach):
+    """(n,) bool: which points (n, 2) lie within `reach` and the straight line, three cells wide, is on no step."""
     rows, cols = flags.shape
-    d = math.hypot(xb - xa, yb - ya)
-    n = max(1, math.ceil(2.0 * d / res))
-    for s in range(n + 1):
-        c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
-        r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
-        for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
-            for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
-                if flags[r, c] & LETHAL:
-                    return False
-    return True
+    seen = np.zeros(len(points), np.bool_)
+    for v in range(len(points)):
+        xb = points[v, 0]
+        yb = points[v, 1]
+        d = math.hypot(xb - xa, yb - ya)
+        if d > reach:
+            continue
+        n = max(1, math.ceil(2.0 * d / res))
+        sides = 0
+        for s in range(n + 1):
+            c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
+            r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
+            for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
+                for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
+                    sides |= flags[r, c] & FACE
+            if sides == FACE:
+                break
+        seen[v] = sides != FACE
+    return seen
 
 
 @njit(cache=True)

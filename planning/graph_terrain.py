@@ -14,8 +14,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-LETHAL = 1
-"""A step above the limit runs through this cell."""
+HIGH = 1
+"""The cell is the upper side of a step above the limit."""
+LOW = 4
+"""The cell is the lower side of one. Only what covers both sides is on the step: a robot may stand right beside it."""
+FACE = HIGH | LOW
 UNSEEN = 2
 """Part of an unseen patch wider than the gap limit; narrower slits count as seen."""
 
@@ -188,14 +191,46 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
                     continue
                 if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
                     continue
-                # the face is where the height changes most on the way
-                at = 0
+                # the face is where the height changes most on the way, over an unknown stretch if there is one
+                last = 0
+                low = 0
+                high = n
                 most = np.float32(-1.0)
-                for k in range(n):
-                    jump = abs(z[r + (k + 1) * dr, c + (k + 1) * dc] - z[r + k * dr, c + k * dc])
-                    if jump > most:
-                        most = jump
-                        at = k
-                flags[r + at * dr, c + at * dc] |= LETHAL
-                flags[r + (at + 1) * dr, c + (at + 1) * dc] |= LETHAL
+                for k in range(1, n + 1):
+                    here = z[r + k * dr, c + k * dc]
+                    if here == here:
+                        jump = abs(here - z[r + last * dr, c + last * dc])
+                        if jump > most:
+                            most = jump
+                            low = last
+                            high = k
+                        last = k
+                up = z[r + high * dr, c + high * dc] > z[r + low * dr, c + low * dc]
+                flags[r + low * dr, c + low * dc] |= LOW if up else HIGH
+                flags[r + high * dr, c + high * dc] |= HIGH if up else LOW
+                for k in range(low + 1, high):
+                    flags[r + k * dr, c + k * dc] |= FACE
+    _complete_corners(z, trusted, flags, limit)
     return flags
+
+
+@njit(cache=True)
+def _complete_corners(z, trusted, flags, limit):
+    """Mark jumps between neighbours beside marked cells: averaging along the step loses the tips of corners."""
+    rows, cols = z.shape
+    marked = flags & FACE
+    for r in range(1, rows - 2):
+        for c in range(1, cols - 2):
+            for k in range(2):
+                rb = r + k
+                cb = c + 1 - k
+                jump = z[rb, cb] - z[r, c]
+                if not abs(jump) > limit or not (trusted[r, c] or trusted[rb, cb] or abs(jump) > UNSEEN_STEP):
+                    continue
+                near = np.uint8(0)
+                for i in range(r - 1, rb + 2):
+                    for j in range(c - 1, cb + 2):
+                        near |= marked[i, j]
+                if near:
+                    flags[r, c] |= LOW if jump > 0.0 else HIGH
+                    flags[rb, cb] |= HIGH if jump > 0.0 else LOW

@@ -123,20 +123,30 @@ class Terrain:
 
 @njit(cache=True)
 def _dilate(height: np.ndarray, window: int) -> np.ndarray:
-    """Largest value within `window` cells in both directions; the border of that width is left as it is."""
+    """Largest value within `window` cells in both directions, away from a border of that width."""
     rows, cols = height.shape
-    wide = height.copy()
+    out = height.copy()
+    width = 2 * window + 1
+    line = np.empty(max(rows, cols), np.float32)
     for r in range(rows):
-        for d in range(-window, window + 1):
-            for c in range(window, cols - window):
-                h = height[r, c + d]
-                wide[r, c] = h if h > wide[r, c] else wide[r, c]
-    out = wide.copy()
-    for r in range(window, rows - window):
-        for d in range(-window, window + 1):
+        line[:cols] = out[r]
+        # line[c] becomes the maximum of `have` cells from c on; the last shift brings it to `width`.
+        have = 1
+        while have < width:
+            shift = min(have, width - have)
+            for c in range(cols - shift):
+                line[c] = line[c] if line[c] > line[c + shift] else line[c + shift]
+            have += shift
+        out[r, window : cols - window] = line[: cols - 2 * window]
+    have = 1
+    while have < width:
+        shift = min(have, width - have)
+        for r in range(rows - shift):
             for c in range(cols):
-                h = wide[r + d, c]
-                out[r, c] = h if h > out[r, c] else out[r, c]
+                out[r, c] = out[r, c] if out[r, c] > out[r + shift, c] else out[r + shift, c]
+        have += shift
+    for r in range(rows - window - 1, window - 1, -1):
+        out[r] = out[r - window]
     return out
 
 

@@ -86,7 +86,7 @@ class RiskTable:
         key = (body.weight_mean, body.weight_tail)
         if key not in self._tables:
             slots, sweeps = self.roads.target.size, int(self.roads.sweep_ptr[-1])
-            self._tables[key] = Tables(np.full((slots, 2), np.nan), np.full((sweeps, 2), np.nan))
+            self._tables[key] = Tables(*(np.full((n, 2), np.nan) for n in (slots, sweeps, slots)))
         return self._tables[key]
 
     def evaluated(self) -> tuple[int, int]:

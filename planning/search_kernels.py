@@ -1,7 +1,9 @@
 """A* kernels: plain over nodes for the native cost, over ordered pairs of nodes for the body-aware cost.
 
-A state of the pair search is a directed edge (i, j), named by its CSR slot. Pose sets are evaluated when the search
-first needs them and kept in tables, NaN = not evaluated yet. Paper: eq. 3-5.
+A state of the pair search is a directed edge (i, j), named by its CSR slot. Nearly all time goes into evaluating pose
+sets, so the search is lazy: a state first enters the queue with a lower bound of its cost, its pose sets are evaluated
+when it comes up, and it goes back if that made it dearer. The optimum is the same; the bounds are never above the
+true cost. Evaluations are kept in tables, NaN = not evaluated yet. Paper: eq. 3-5.
 """
 
 from __future__ import annotations
@@ -56,46 +58,51 @@ class Tables(NamedTuple):
     """(slots, 2)"""
     sweep: NDArray[np.float64]
     """(sum of degrees over slots, 2)"""
+    low: NDArray[np.float64]
+    """(slots, 2) lower bounds of `edge` from its middle pose."""
 
 
 @njit(cache=True)
-def push(heap_f: np.ndarray, heap_s: np.ndarray, n: int, f: float, s: int) -> int:
-    """Add (f, s) to a binary heap ordered by f, then s; returns the new size."""
+def push(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int, nf: float, ns: int, ne: int) -> int:
+    """Add (nf, ns, ne) to a binary heap ordered by f, then s; returns the new size."""
     i = n
     while i > 0:
         p = (i - 1) >> 1
-        if heap_f[p] < f or (heap_f[p] == f and heap_s[p] <= s):
+        if f[p] < nf or (f[p] == nf and s[p] <= ns):
             break
-        heap_f[i] = heap_f[p]
-        heap_s[i] = heap_s[p]
+        f[i], s[i], e[i] = f[p], s[p], e[p]
         i = p
-    heap_f[i] = f
-    heap_s[i] = s
+    f[i], s[i], e[i] = nf, ns, ne
     return n + 1
 
 
 @njit(cache=True)
-def pop(heap_f: np.ndarray, heap_s: np.ndarray, n: int) -> int:
+def pop(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int) -> int:
     """Remove the root (the caller has read it); returns the new size."""
     n -= 1
-    f = heap_f[n]
-    s = heap_s[n]
+    nf, ns, ne = f[n], s[n], e[n]
     i = 0
     while True:
         c = 2 * i + 1
         if c >= n:
             break
         r = c + 1
-        if r < n and (heap_f[r] < heap_f[c] or (heap_f[r] == heap_f[c] and heap_s[r] < heap_s[c])):
+        if r < n and (f[r] < f[c] or (f[r] == f[c] and s[r] < s[c])):
             c = r
-        if f < heap_f[c] or (f == heap_f[c] and s <= heap_s[c]):
+        if nf < f[c] or (nf == f[c] and ns <= s[c]):
             break
-        heap_f[i] = heap_f[c]
-        heap_s[i] = heap_s[c]
+        f[i], s[i], e[i] = f[c], s[c], e[c]
         i = c
-    heap_f[i] = f
-    heap_s[i] = s
+    f[i], s[i], e[i] = nf, ns, ne
     return n
+
+
+@njit(cache=True)
+def grown(a: np.ndarray) -> np.ndarray:
+    """`a` with room for twice as many."""
+    out = np.empty(2 * a.size, a.dtype)
+    out[: a.size] = a
+    return out
 
 
 @njit(cache=True)
@@ -255,6 +262,93 @@ def reverse_slots(indptr: np.ndarray, source: np.ndarray, target: np.ndarray) ->
 
 
 @njit(cache=True)
+def low_risk(
+    laid: Laid, work: Scratch, w: Weights, roads: Roads, tables: Tables, slot: int
+) -> tuple[float, float]:
+    """B and U of a directed edge if known, else lower bounds from its middle pose.
+
+    One of n poses with scaled features x puts at least x / n into the mean and x / k into the tail.
+    """
+    if not np.isnan(tables.edge[slot, 0]):
+        return tables.edge[slot, 0], tables.edge[slot, 1]
+    if np.isnan(tables.low[slot, 0]):
+        back = roads.reverse[slot]
+        i, j = roads.source[slot], roads.target[slot]
+        n = max(2, int(np.ceil(roads.length[slot] / w.edge_step - 1e-9)) + 1)
+        # The pose must be one of the edge's own: counted from the end that evaluates the edge.
+        t = (n // 2) / (n - 1)
+        t = t if slot < back else 1.0 - t
+        pose = np.empty((1, 3))
+        pose[0, 0] = roads.x[i] + t * (roads.x[j] - roads.x[i])
+        pose[0, 1] = roads.y[i] + t * (roads.y[j] - roads.y[i])
+        pose[0, 2] = roads.heading[slot]
+        f = np.empty((1, 4))
+        features_of(laid, work, pose, f)
+        share = (w.mean / n + w.tail / max(1, (n + 9) // 10)) * (1.0 - 1e-6)
+        b = 0.0
+        for m in range(3):
+            b += share * min(w.clip, f[0, m] / w.scale[m])
+        tables.low[slot, 0] = b
+        tables.low[slot, 1] = share * f[0, 3] / w.scale[3]
+        tables.low[back] = tables.low[slot]
+    return tables.low[slot, 0], tables.low[slot, 1]
+
+
+@njit(cache=True)
+def distance_to_go(
+    laid: Laid,
+    work: Scratch,
+    w: Weights,
+    roads: Roads,
+    tables: Tables,
+    start: int,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+) -> np.ndarray:
+    """(nodes,) lower bound of the cost from each node over an end to the goal: Dijkstra backwards.
+
+    Edges count with what is known of them and without their turns. It stops at the start: what is farther gets the
+    start's value, which is still a consistent bound. inf: no end can be reached.
+    """
+    count = roads.x.size
+    h = np.full(count, np.inf)
+    closed = np.zeros(count, np.bool_)
+    size = 64
+    f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
+    n = 0
+    for i in range(count):
+        if is_end[i]:
+            h[i] = exit_cost[i]
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, h[i], i, 0)
+    while n > 0:
+        i = s[0]
+        n = pop(f, s, e, n)
+        if closed[i]:
+            continue
+        closed[i] = True
+        if i == start:
+            break
+        for out in range(roads.indptr[i], roads.indptr[i + 1]):
+            k = roads.target[out]
+            if closed[k]:
+                continue
+            b, u = low_risk(laid, work, w, roads, tables, out)
+            cost = h[i] + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
+            if cost < h[k]:
+                h[k] = cost
+                if n == f.size:
+                    f, s, e = grown(f), grown(s), grown(e)
+                n = push(f, s, e, n, cost, k, 0)
+    if closed[start]:
+        for i in range(count):
+            if not closed[i]:
+                h[i] = h[start]
+    return h
+
+
+@njit(cache=True)
 def search_pairs(
     laid: Laid,
     w: Weights,
@@ -270,71 +364,111 @@ def search_pairs(
 ) -> tuple[float, np.ndarray, int]:
     """Route over ordered pairs to the end node with the least cost plus planar distance to (gx, gy).
 
-    For a goal node the distance is zero; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
+    For a goal node that distance is zero; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
     requested. Returns the cost of the route (inf: none), the slots of its edges and the number of expanded states.
     """
+    none = np.empty(0, np.int64)
     work = scratch(laid)
+    exit_cost = np.hypot(gx - roads.x, gy - roads.y)
+    h = distance_to_go(laid, work, w, roads, tables, start, is_end, exit_cost)
+    if np.isinf(h[start]):
+        return np.inf, none, 0
     slots = roads.target.size
-    g = np.full(slots, np.inf)
+    best = np.full(slots, np.inf)  # least evaluated cost of each state
     parent = np.full(slots, -1, np.int64)
     closed = np.zeros(slots, np.bool_)
-    heap_f = np.empty(64)
-    heap_s = np.empty(64, np.int64)
+    size = 256
+    f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
+    # Queue entries: where the state was reached from, at what cost, and how far it is evaluated: not at all (0),
+    # its edge (1), its edge and its turns (2).
+    came, base, stage = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int8)
     n = 0
+    entries = 0
     expanded = 0
-    last = -1
     slot = -1
+    at = start
     while True:
-        at = start if slot < 0 else roads.target[slot]
-        base = 0.0 if slot < 0 else g[slot]
+        g = 0.0 if slot < 0 else best[slot]
         expanded += 1
         for out in range(roads.indptr[at], roads.indptr[at + 1]):
             if closed[out]:
                 continue
-            k = roads.target[out]
+            b, u = low_risk(laid, work, w, roads, tables, out)
+            cost = g + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
+            if cost >= best[out]:
+                continue
+            if entries == came.size:
+                came, base, stage = grown(came), grown(base), grown(stage)
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            came[entries], base[entries] = slot, g
+            stage[entries] = 0 if np.isnan(tables.edge[out, 0]) else 1
+            n = push(f, s, e, n, cost + h[roads.target[out]], out, entries)
+            entries += 1
+        # Take the most promising state and evaluate what its cost still lacks, until one is certain.
+        slot = -1
+        while n > 0:
+            bound, out, entry = f[0], s[0], e[0]
+            n = pop(f, s, e, n)
+            if out < 0:  # the way on from an end: nothing in the queue can be cheaper
+                return best[entry], walk_back(parent, entry), expanded
+            if closed[out]:
+                continue
+            origin = came[entry]
+            if stage[entry] == 2:
+                if parent[out] != origin:
+                    continue  # reached more cheaply in the meantime
+                slot = out
+                break
+            at, k = roads.source[out], roads.target[out]
             b, u = edge_risk(laid, work, w, roads, tables, out)
-            if sweeps:
+            fixed = 1.0 + w.native * roads.risk[out]
+            cost = base[entry] + roads.length[out] * (fixed + w.body * b + w.unknown * u)
+            stage[entry] += 1
+            if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
+                stage[entry] = 2
                 b2, u2 = 0.0, 0.0
-                if slot >= 0:
-                    b2, u2 = sweep_risk(laid, work, w, roads, tables, slot, out)
+                if origin >= 0:
+                    b2, u2 = sweep_risk(laid, work, w, roads, tables, origin, out)
                 elif not np.isnan(start_yaw):
                     b2, u2 = turn_risk(laid, work, w, roads.x[at], roads.y[at], start_yaw, roads.heading[out])
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
                     b2, u2 = turn_risk(laid, work, w, roads.x[k], roads.y[k], roads.heading[out], goal_yaw)
                     b, u = max(b, b2), max(u, u2)
-            cost = base + roads.length[out] * (1.0 + w.native * roads.risk[out] + w.body * b + w.unknown * u)
-            if cost < g[out]:
-                g[out] = cost
-                parent[out] = slot
-                if n == heap_f.size:
-                    heap_f = np.concatenate((heap_f, np.empty(n)))
-                    heap_s = np.concatenate((heap_s, np.empty(n, np.int64)))
-                n = push(heap_f, heap_s, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), out)
-        slot = -1
-        while n > 0:
-            s = heap_s[0]
-            n = pop(heap_f, heap_s, n)
-            if not closed[s]:
-                slot = s
-                break
+                cost = base[entry] + roads.length[out] * (fixed + w.body * b + w.unknown * u)
+            elif not sweeps:
+                stage[entry] = 2
+            if cost >= best[out]:
+                continue
+            if stage[entry] == 2:
+                best[out] = cost
+                parent[out] = origin
+            n = push(f, s, e, n, cost + h[k], out, entry)
         if slot < 0:
-            return np.inf, np.empty(0, np.int64), expanded
+            return np.inf, none, expanded
         closed[slot] = True
-        if is_end[roads.target[slot]]:
-            last = slot
-            break
+        at = roads.target[slot]
+        if is_end[at]:
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, best[slot] + exit_cost[at], -1, slot)
+
+
+@njit(cache=True)
+def walk_back(parent: np.ndarray, last: int) -> np.ndarray:
+    """Slots from the start to `last`."""
     count = 0
-    s = last
-    while s >= 0:
+    k = last
+    while k >= 0:
         count += 1
-        s = parent[s]
+        k = parent[k]
     route = np.empty(count, np.int64)
-    s = last
+    k = last
     for i in range(count - 1, -1, -1):
-        route[i] = s
-        s = parent[s]
-    return g[last], route, expanded
+        route[i] = k
+        k = parent[k]
+    return route
 
 
 @njit(cache=True)
@@ -346,15 +480,14 @@ def search_nodes(
     g = np.full(count, np.inf)
     parent = np.full(count, -1, np.int64)
     closed = np.zeros(count, np.bool_)
-    heap_f = np.empty(64)
-    heap_s = np.empty(64, np.int64)
+    f, s, e = np.empty(64), np.empty(64, np.int64), np.empty(64, np.int64)
     goal = -1
     g[start] = 0.0
-    n = push(heap_f, heap_s, 0, 0.0, start)
+    n = push(f, s, e, 0, 0.0, start, 0)
     expanded = 0
     while n > 0:
-        i = heap_s[0]
-        n = pop(heap_f, heap_s, n)
+        i = s[0]
+        n = pop(f, s, e, n)
         if closed[i]:
             continue
         closed[i] = True
@@ -368,10 +501,9 @@ def search_nodes(
             if not closed[k] and cost < g[k]:
                 g[k] = cost
                 parent[k] = out
-                if n == heap_f.size:
-                    heap_f = np.concatenate((heap_f, np.empty(n)))
-                    heap_s = np.concatenate((heap_s, np.empty(n, np.int64)))
-                n = push(heap_f, heap_s, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), k)
+                if n == f.size:
+                    f, s, e = grown(f), grown(s), grown(e)
+                n = push(f, s, e, n, cost + np.hypot(gx - roads.x[k], gy - roads.y[k]), k, 0)
     if goal < 0:
         return np.inf, np.empty(0, np.int64), expanded
     steps = 0
@@ -381,7 +513,7 @@ def search_nodes(
         i = roads.source[parent[i]]
     route = np.empty(steps, np.int64)
     i = goal
-    for s in range(steps - 1, -1, -1):
-        route[s] = parent[i]
+    for k in range(steps - 1, -1, -1):
+        route[k] = parent[i]
         i = roads.source[parent[i]]
     return g[goal], route, expanded

@@ -35,7 +35,7 @@ TYPES: dict[str, Any] = {LOW_STATE: idl.LowState, SPORT_STATE: idl.SportModeStat
 def set_fault(faults: Faults, text: str) -> None:
     """`name=value` with the type the field has."""
     name, _, value = text.partition("=")
-    known = {f.name: getattr(faults, f.name) for f in fields(faults)}
+    known = {f.name: getattr(faults, f.name) for f in fields(faults) if f.name != "refuse"}
     if name not in known:
         raise ValueError(f"unknown fault {name!r}; known: {', '.join(known)}")
     kind = type(known[name])
@@ -104,7 +104,8 @@ def main() -> int:
         "--lidar-step", type=int, default=2, help="keep every n-th firing of the simulated LiDAR"
     )
     parser.add_argument("--lying", action="store_true", help="start lying instead of in balance stand")
-    parser.add_argument("--fault", action="append", default=[], metavar="NAME=VALUE")
+    names = ", ".join(f.name for f in fields(Faults) if f.name != "refuse")
+    parser.add_argument("--fault", action="append", default=[], metavar="NAME=VALUE", help=f"one of: {names}")
     parser.add_argument("--report", action="store_true", help="print the true state as JSON lines")
     options = parser.parse_args()
     faults = Faults()

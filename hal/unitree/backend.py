@@ -36,8 +36,8 @@ _STATE_PERIOD = NS // 25
 """[ns] between RobotState samples while nothing changes."""
 _LYING = (5, 10)
 _DAMPED = 7
-_BALANCE = (1, 2, 3, 9, 11)
-"""Sport modes that accept Move: balance, pose, locomotion, and what newer firmware reports while walking."""
+_BALANCE = (1, 2, 3)
+"""Sport modes that accept Move: balance, pose, locomotion."""
 
 
 class UnitreeBackend:

@@ -7,15 +7,10 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal import go2w
+from hal.lidar.spec import LIDARS
 from hal.types import Capabilities, Extrinsics
 
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
-_MOUNTS = {
-    "l1": go2w.L1_MOUNT,
-    "xt16": go2w.XT16_MOUNT,
-    "mid360": ((0.17, 0.0, 0.12), (0.0, 0.0, 0.0)),  # no authoritative figure: calibrate
-}
 
 
 class UnitreeOptions(BaseModel):
@@ -71,8 +66,7 @@ class UnitreeOptions(BaseModel):
         if self.lidar_mount is not None:
             x, y, z, roll, pitch, yaw = self.lidar_mount
             return Extrinsics((x, y, z), (roll, pitch, yaw))
-        translation, rpy = _MOUNTS.get(self.lidar, ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
-        return Extrinsics(translation, rpy)
+        return LIDARS[self.lidar].mount if self.lidar in LIDARS else Extrinsics((0.0, 0.0, 0.0))
 
     def capabilities(self) -> Capabilities:
         """What the robot may be asked for with these settings: the vendor's own gaits, held well below their limits."""

@@ -48,7 +48,7 @@ class Transitions:
     def stand(self) -> Steps:
         """StandUp, then BalanceStand: StandUp alone leaves the joints locked and Move without effect."""
         yield from self._own_motion()
-        if not (self._telemetry.standing_tall and self._telemetry.mode in (0, 1, 2, 3, 6, 9, 11)):
+        if not (self._telemetry.standing_tall and self._telemetry.mode in (0, 1, 2, 3, 6)):
             yield from self._call(api.SPORT, Sport.STAND_UP, "stand up")
             self._stood_up = True
             yield from self._until(

@@ -28,6 +28,8 @@ class Match:
     """Points registered."""
     overlap: float
     """Share of them that fall into seen parts of the local map [0..1]."""
+    on_planes: int
+    """Points in voxels of the map that have a plane."""
     inliers: float
     """Share of those in voxels with a plane that lie on it (within the gate) [0..1]; 1 where the map has too few planes to tell."""
     residual: float
@@ -68,6 +70,7 @@ class KissParams(BaseModel):
     source_voxel: float = Field(
         default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
+    min_source: int = Field(default=500, ge=0, description="with fewer points the source voxel is halved")
     max_iterations: int = Field(default=20, ge=1)
     surface_sigma: float = Field(
         default=0.008, gt=0, description="systematic error of a registered surface [m]"
@@ -123,7 +126,11 @@ class KissEngine:
         from kiss_icp.voxelization import voxel_down_sample
 
         self._frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
-        source = voxel_down_sample(self._frame, self._params.source_voxel)
+        size = self._params.source_voxel
+        source = voxel_down_sample(self._frame, size)
+        while len(source) < self._params.min_source and size > self._params.map_voxel:
+            size *= 0.5  # open terrain: few returns, all of them needed
+            source = voxel_down_sample(self._frame, size)
         pose = guess
         if self.scans:
             pose = self._registration.align_points_to_map(
@@ -206,6 +213,7 @@ def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
         pose=pose,
         points=len(points),
         overlap=seen / max(len(points), 1),
+        on_planes=planar,
         inliers=inliers / planar if planar >= FEW_PLANES else 1.0,
         residual=float(np.sqrt(total / max(inliers, 1))),
         information=h / max(inliers, FEW_PLANES),

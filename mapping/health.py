@@ -26,15 +26,18 @@ class HealthParams(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    min_on_planes: int = Field(
+        default=30, ge=0, description="points on known surfaces below which registration is not used"
+    )
     min_points: int = Field(
         default=60, ge=10, description="registered points below which a scan says nothing"
     )
     overlap_low: float = Field(default=0.5, description="share of points in seen map: degraded below")
     overlap_lost: float = Field(default=0.2, description="registration is not used below")
     inliers_low: float = Field(
-        default=0.75, description="share of points on the map's surfaces: degraded below"
+        default=0.8, description="share of points on the map's surfaces: degraded below"
     )
-    inliers_lost: float = Field(default=0.45, description="registration is not used below")
+    inliers_lost: float = Field(default=0.6, description="registration is not used below")
     residual_high: float = Field(
         default=0.06, description="RMS distance from the map's surfaces: degraded above [m]"
     )
@@ -123,6 +126,8 @@ class HealthMonitor:
             young = scans < s.young
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
+            elif match.on_planes < s.min_on_planes and not young:
+                bad = f"only {match.on_planes} points on known surfaces"
             elif match.inliers < s.inliers_lost and not young:
                 bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
             elif moved > s.jump:

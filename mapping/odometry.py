@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
 from mapping.deskew import deskew, mount_matrix
 from mapping.engines import Engine, GicpEngine, KissEngine, Match
-from mapping.health import Health, HealthMonitor
+from mapping.health import Health, HealthMonitor, Verdict
 from mapping.inertial import InertialFilter
 from mapping.intake import SampleBuffer, Sweep, TopicClock, clean_scan
 from mapping.odometry_types import FastPose, OdometryParams, ScanOdometry
 from mapping.pose_stream import PoseStream
 from mapping.rotation import rotation, turn
 from mapping.wheel_odometry import WheelOdometry, velocities
+from mapping.wheel_scale import WheelScale
 
 XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
 
@@ -66,6 +67,8 @@ class LidarInertialOdometry:
         self._joint_stamp = -NS
         self._first_scan = 0
         self._sweeps: deque[Sweep] = deque()
+        self._scale = WheelScale()
+        self._rolled = math.nan
         self._notes: list[str] = []
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
 
@@ -130,6 +133,7 @@ class LidarInertialOdometry:
         if sweep.end <= self._filter.stamp:
             self.counters["scan_backward"] += 1
             return None
+        before = self._filter.pose()
         stamps, track = self._predict(sweep.end)
         if sweep.problem:
             return self._dead_reckoned(sweep.problem)
@@ -152,6 +156,7 @@ class LidarInertialOdometry:
                 measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
                 self._filter.update_pose(match.pose, measured)
             self._engine.insert(self._filter.pose())
+        self._learn_scale(before, verdict)
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
@@ -178,7 +183,14 @@ class LidarInertialOdometry:
         velocity, height = None, 0.0
         if self.params.use_joints and len(joints):
             v, _, h = velocities(
-                joint_stamp[-1:], joints[-1:], imu_stamp, imu, np.zeros(3), self._lever, self._wheel_noise
+                joint_stamp[-1:],
+                joints[-1:],
+                imu_stamp,
+                imu,
+                np.zeros(3),
+                self._lever,
+                self._wheel_noise,
+                1.0,
             )
             if math.isfinite(h[0]):
                 velocity, height = v[0], float(h[0])
@@ -197,19 +209,35 @@ class LidarInertialOdometry:
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._clocks[topic].newest is not None and self.params.use_joints):
                 self._notes.append(f"no {name} data")
-        return self._advance(self._filter, end)
+        return self._advance(end)
 
-    def _advance(self, state: InertialFilter, end: int) -> tuple[NDArray[np.int64], Array]:
+    def _advance(self, end: int) -> tuple[NDArray[np.int64], Array]:
+        state = self._filter
         imu_stamp, imu = self._imu.between(state.stamp, end, beyond=1)
         joint_stamp, joints = self._joints.between(state.stamp, end)
+        scale = self._scale.value
         wheel, sigma, _ = velocities(
-            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, self._wheel_noise
+            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, self._wheel_noise, scale
+        )
+        touching = np.isfinite(sigma[:, 0]).all() and len(wheel) >= 3
+        self._rolled = (
+            float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )
         return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
 
+    def _learn_scale(self, before: Array, verdict: Verdict) -> None:
+        """Compare what the wheels rolled since `before` (4, 4) with what the scans say, where they constrain the way ahead."""
+        after = self._filter.pose()
+        if not (verdict.health is Health.GOOD and math.isfinite(self._rolled)):
+            self._scale.forget()
+            return
+        moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
+        self._scale.learn(self._rolled, float(moved))
+        self._stream.scale = self._scale.value
+
     def _coast(self, until: int) -> ScanOdometry:
         """No scan came: move the filter on so that a later one finds it near."""
-        self._advance(self._filter, until)
+        self._advance(until)
         return self._dead_reckoned("no scan")
 
     def _dead_reckoned(self, reason: str) -> ScanOdometry:
@@ -217,7 +245,7 @@ class LidarInertialOdometry:
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
         self._rejoin()
-        nothing = Match(self._filter.pose(), 0, 0.0, 0.0, 0.0, np.zeros((6, 6)))
+        nothing = Match(self._filter.pose(), 0, 0.0, 0, 0.0, 0.0, np.zeros((6, 6)))
         return self._result(
             np.empty((0, 3), np.float32), nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0
         )
@@ -246,7 +274,7 @@ class LidarInertialOdometry:
 
     def _rejoin(self) -> None:
         self._stream.rejoin(self._filter)
-        keep = min(self._filter.stamp, self._stream.dead.stamp)
+        keep = max(min(self._filter.stamp, self._stream.dead.stamp), self._filter.stamp - 5 * NS)
         self._imu.forget(keep)
         self._joints.forget(keep)
 

@@ -31,7 +31,7 @@ class OdometryParams(BaseModel):
     max_points: int = Field(default=60_000, ge=1000, description="a larger scan is thinned")
     threshold: float = Field(default=0.2, gt=0, description="correspondence scale given a prediction [m]")
     tilt_sigma: float = Field(
-        default=2.0, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
+        default=0.5, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
     )
     threshold_lost: float = Field(default=0.5, gt=0, description="the same after a gap or while lost [m]")
     patience: float = Field(

@@ -35,6 +35,8 @@ class PoseStream:
         """`smoothing` [s]: time constant with which scan corrections are faded in. The buffers are the odometry's own."""
         self.fast = InertialFilter(params)
         self.dead = InertialFilter(params)
+        self.scale = 1.0
+        """Driven per rolled distance, as the scans taught."""
         self._smoothing = smoothing
         self._imu, self._joints, self._monitor = imu, joints, monitor
         self._noise = np.array(params.wheel_noise)
@@ -72,6 +74,7 @@ class PoseStream:
         newest = imu[-1] if len(imu) else self.dead.u
         angular = newest[:3] - self.dead.x[10:13]
         leg_velocity(row[:16], row[16:32], row[32:], angular, self._noise, linear, sigma, contact)
+        linear[0] *= self.scale
         at_imu = self.dead.at_imu(linear, angular)
         wheel = np.array([stamp]), at_imu[None, :], sigma[None, :]
         self.dead.advance(stamp, imu_stamp, imu, *wheel)
@@ -107,7 +110,9 @@ class PoseStream:
         self, state: InertialFilter, imu_stamp: NDArray[np.int64], imu: Array, until: int
     ) -> tuple[NDArray[np.int64], Array, Array]:
         stamps, rows = self._joints.between(state.stamp, until)
-        out, sigma, _ = velocities(stamps, rows, imu_stamp, imu, state.x[10:13], state.lever, self._noise)
+        out, sigma, _ = velocities(
+            stamps, rows, imu_stamp, imu, state.x[10:13], state.lever, self._noise, self.scale
+        )
         return stamps, out, sigma
 
     def _faded(self) -> Array:

@@ -147,11 +147,12 @@ def velocities(
     bias: Array,
     lever: Array,
     noise: Array,
+    scale: float,
 ) -> tuple[Array, Array, Array]:
     """`leg_velocity` for a batch, moved to the IMU.
 
     `joints` (m, 48): q, dq, tau; `imu` (n, 6) with stamps ascending (the gyro is interpolated); `bias` (3,) of the gyro;
-    `lever` (3,) IMU in base_link [m]. Returns velocity (m, 3) [m/s], sigma (m, 3), height (m,) [m].
+    `lever` (3,) IMU in base_link [m]; `scale`: driven per rolled distance. Returns velocity (m, 3) [m/s], sigma (m, 3), height (m,) [m].
     """
     m, n = len(joint_stamp), len(imu_stamp)
     out, sigma, height = np.zeros((m, 3)), np.empty((m, 3)), np.empty(m)
@@ -174,6 +175,7 @@ def velocities(
                 gyro[k] = imu[i - 1, k] + share * (imu[i, k] - imu[i - 1, k]) - bias[k]
         j = joints[row]
         height[row] = leg_velocity(j[:16], j[16:32], j[32:], gyro, noise, out[row], sigma[row], contact)
+        out[row, 0] *= scale
         out[row, 0] += gyro[1] * lever[2] - gyro[2] * lever[1]
         out[row, 1] += gyro[2] * lever[0] - gyro[0] * lever[2]
         out[row, 2] += gyro[0] * lever[1] - gyro[1] * lever[0]

@@ -238,3 +238,20 @@ def test_planes_stay_within_their_memory_and_forget_the_far() -> None:
     assert planes.fit(floor, pose, 0.15, 0.05)[2] > 5000
     first = np.eye(4)
     assert planes.fit(rng.uniform(-9, 9, (3000, 3)), first, 0.15, 0.05)[2] == 0
+
+
+def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
+    from mapping.wheel_scale import WheelScale
+
+    scale = WheelScale()
+    rng = np.random.default_rng(9)
+    for _ in range(600):
+        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()))
+    assert scale.value == pytest.approx(0.93, abs=0.01)
+    for _ in range(100):
+        scale.learn(0.05, 0.0)
+    assert scale.value == pytest.approx(0.93, abs=0.01)
+    scale.learn(0.25, 0.4)
+    scale.forget()
+    scale.learn(0.25, 0.25)
+    assert scale.value == pytest.approx(0.93, abs=0.01)

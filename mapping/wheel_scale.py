@@ -1,0 +1,40 @@
+"""How far the robot really goes per metre of wheel: tyres slip a few percent under load, and the scans tell how many."""
+
+from __future__ import annotations
+
+DISTANCE = 0.3
+"""Wheel distance [m] over which one comparison is made."""
+SLIP = 0.05
+"""Standard deviation of the ratio over one comparison: slip comes and goes."""
+WALK = 0.003
+"""Its random walk per comparison."""
+LIMITS = (0.80, 1.15)
+
+
+class WheelScale:
+    """Scalar Kalman filter on the ratio of driven to rolled distance. Only scans that constrain the forward direction count."""
+
+    def __init__(self) -> None:
+        self.value = 1.0
+        self._variance = 0.03**2
+        self._rolled = 0.0
+        self._driven = 0.0
+
+    def learn(self, rolled: float, driven: float) -> None:
+        """Add the distances [m] of one scan interval, along the body's x axis: by the wheels (unscaled) and by the scans."""
+        self._rolled += rolled
+        self._driven += driven
+        if abs(self._rolled) < DISTANCE:
+            return
+        ratio = self._driven / self._rolled
+        self.forget()
+        if not LIMITS[0] - 0.2 < ratio < LIMITS[1] + 0.2:
+            return  # spinning or blocked wheels, not a scale
+        self._variance += WALK * WALK
+        gain = self._variance / (self._variance + SLIP * SLIP)
+        self.value = min(max(self.value + gain * (ratio - self.value), LIMITS[0]), LIMITS[1])
+        self._variance *= 1.0 - gain
+
+    def forget(self) -> None:
+        """Break the comparison: something in it cannot be trusted."""
+        self._rolled = self._driven = 0.0

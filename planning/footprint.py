@@ -378,7 +378,8 @@ def heights_at(terrain: Terrain, xy: NDArray[np.float64]) -> NDArray[np.float64]
 
 
 @njit(cache=True)
-def _steps(laid: Laid, poses: np.ndarray) -> np.ndarray:
+def steps_beneath(laid: Laid, poses: np.ndarray) -> np.ndarray:
+    """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
     height, trusted, stride = laid.height, laid.trusted, laid.stride
     rows = height.size // stride
     out = np.zeros(poses.shape[0])
@@ -402,4 +403,4 @@ def steps_under(
     terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
 ) -> NDArray[np.float64]:
     """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
-    return _steps(terrain.laid(length, width), np.ascontiguousarray(poses, dtype=np.float64))
+    return steps_beneath(terrain.laid(length, width), np.ascontiguousarray(poses, dtype=np.float64))

@@ -3,90 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.body_risk import FEATURES, BodyModel
+from planning.body_risk import BodyModel
 from planning.endpoints import Place, goal_node, position, start_node
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.explain import Route, describe
 from planning.frontier import SAME_FRONTIER, open_frontiers, worth_keeping
 from planning.graph import TraversalGraph
+from planning.plan_types import SETS, VARIANTS, Plan, PlanRequest, Transition, Variant
+from planning.refine import refine
 from planning.risk_table import RiskTable, weights_of
-from planning.search_kernels import route_moments, search_nodes, search_pairs, weigh
+from planning.search_kernels import search_nodes, search_pairs
 
-Variant = Literal["native", "edge-only", "mean-only", "full"]
-VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full")
-SETS = ("edge", "sweep", "terminal sweep")
-
-
-@dataclass(frozen=True, slots=True)
-class PlanRequest:
-    """Where from, where to. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
-
-    start: Place
-    goal: Place
-    start_yaw: float | None = None
-    goal_yaw: float | None = None
-    variant: Variant = "full"
-    allow_frontier: bool = False
-    """For a goal that cannot be reached over known ground, plan to the most promising frontier instead."""
-    previous_frontier: tuple[float, float] | None = None
-    """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
-    seen_frontiers: tuple[tuple[float, float], ...] = ()
-    """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
-
-
-@dataclass(frozen=True, slots=True)
-class Transition:
-    """One edge of the route with the turn before it (and after it, at the goal), and why it costs what it does."""
-
-    nodes: tuple[int, int]
-    length: float
-    """Planar [m]."""
-    risk: float
-    """Native risk r of the edge [-]."""
-    body: float
-    """B [-]."""
-    unknown: float
-    """U [-]."""
-    cost: float
-    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant."""
-    body_from: str
-    """Pose set that decided B: one of `SETS`."""
-    unknown_from: str
-    """Pose set that decided U."""
-    mean: dict[str, dict[str, float]]
-    """Per pose set and feature (`FEATURES`): mean of the scaled values."""
-    tail: dict[str, dict[str, float]]
-    """Per pose set and feature: mean of the largest tenth."""
-
-
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """A route over the graph and its explanation."""
-
-    nodes: tuple[int, ...]
-    """Node indices, start to goal."""
-    cost: float
-    """[m], under the searched variant."""
-    native_cost: float
-    """[m], sum of l (1 + sigma r) of the same route."""
-    length: float
-    """Planar length of the route [m]."""
-    transitions: tuple[Transition, ...]
-    points: NDArray[np.float64] = field(repr=False)
-    """(n, 3) x, y, z of the nodes [m], `map`."""
-    request: PlanRequest
-    reaches_goal: bool = True
-    """False when the plan ends at a frontier, from where the robot has to look again."""
-    frontier: tuple[float, float] | None = None
-    """x, y [m] of that frontier."""
-    expanded: int = 0
-    """States the search expanded."""
+__all__ = [
+    "SETS",
+    "VARIANTS",
+    "Plan",
+    "PlanRequest",
+    "RiskTable",
+    "Transition",
+    "Variant",
+    "plan",
+    "plan_many",
+]
 
 
 def plan(
@@ -221,59 +165,7 @@ def _search(
         )
     if not np.isfinite(cost):
         return None
-    return describe(table, request, body, start, route, cost, expanded, start_yaw, goal_yaw)
-
-
-def describe(
-    table: RiskTable,
-    request: PlanRequest,
-    body: BodyModel,
-    start: int,
-    route: NDArray[np.int64],
-    cost: float,
-    expanded: int,
-    start_yaw: float,
-    goal_yaw: float,
-) -> Plan:
-    """The plan of a route given as CSR slots."""
-    roads, w = table.roads, weights_of(body)
-    moments = route_moments(table.laid, w, roads, route, start_yaw, goal_yaw)
-    transitions = []
-    for slot, sets in zip(route.tolist(), moments, strict=True):
-        length, risk = float(roads.length[slot]), float(roads.risk[slot])
-        present = [k for k in range(3) if not np.isnan(sets[k, 0, 0])]
-        terms = {k: weigh(w, sets[k]) for k in present}
-        if request.variant == "edge-only":
-            terms = {0: terms[0]}
-        by_body = max(terms, key=lambda k: (terms[k][0], -k))
-        by_unknown = max(terms, key=lambda k: (terms[k][1], -k))
-        b, u = terms[by_body][0], terms[by_unknown][1]
-        factor = 1.0 + w.native * risk
-        if request.variant != "native":
-            factor += w.body * b + w.unknown * u
-        transitions.append(
-            Transition(
-                (int(roads.source[slot]), int(roads.target[slot])),
-                length,
-                risk,
-                b,
-                u,
-                length * factor,
-                SETS[by_body],
-                SETS[by_unknown],
-                {SETS[k]: dict(zip(FEATURES, sets[k, 0].tolist(), strict=True)) for k in present},
-                {SETS[k]: dict(zip(FEATURES, sets[k, 1].tolist(), strict=True)) for k in present},
-            )
-        )
-    nodes = (start, *(t.nodes[1] for t in transitions))
-    native = float(np.sum(roads.length[route] * (1.0 + w.native * roads.risk[route])))
-    return Plan(
-        nodes,
-        float(cost),
-        native,
-        float(roads.length[route].sum()),
-        tuple(transitions),
-        table.graph.nodes[list(nodes)],
-        replace(request),
-        expanded=expanded,
-    )
+    found = Route.along(table, start, route, start_yaw, goal_yaw)
+    if request.variant == "refined":
+        found = refine(table, found)
+    return describe(table, request, body, found, expanded)

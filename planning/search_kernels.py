@@ -128,6 +128,8 @@ def set_moments(
 ) -> None:
     """Mean `out[0]` and tail mean `out[1]` (4,) of the scaled features of `n` poses, both ends in (eq. 3).
 
+    `out[2]` is the largest value of each feature as it is, neither scaled nor clipped.
+
     The poses go from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw). The tail is the ceil(n / 10) largest values.
     """
     k = max(1, (n + 9) // 10)
@@ -139,8 +141,10 @@ def set_moments(
         poses[i, 2] = yaw + t * dyaw
     values = np.empty((n, 4))
     features_of(laid, work, poses, values)
+    out[2] = 0.0
     for i in range(n):
         for m in range(4):
+            out[2, m] = max(out[2, m], values[i, m])
             values[i, m] /= w.scale[m]
             if m < 3:
                 values[i, m] = min(w.clip, values[i, m])
@@ -162,7 +166,7 @@ def set_moments(
 
 @njit(cache=True)
 def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
-    """B and U of one pose set from its means and tails (2, 4)."""
+    """B and U of one pose set from its moments."""
     body = 0.0
     for m in range(3):
         body += w.mean * moments[0, m] + w.tail * moments[1, m]
@@ -195,7 +199,7 @@ def edge_risk(
 ) -> tuple[float, float]:
     """B and U of a directed edge, from the table or evaluated now."""
     if np.isnan(tables.edge[slot, 0]):
-        moments = np.empty((2, 4))
+        moments = np.empty((3, 4))
         edge_moments(laid, work, w, roads, slot, moments)
         tables.edge[slot, 0], tables.edge[slot, 1] = weigh(w, moments)
         tables.edge[roads.reverse[slot]] = tables.edge[slot]
@@ -207,7 +211,7 @@ def turn_risk(
     laid: Laid, work: Scratch, w: Weights, x: float, y: float, yaw_in: float, yaw_out: float
 ) -> tuple[float, float]:
     """B and U of a turn in place."""
-    moments = np.empty((2, 4))
+    moments = np.empty((3, 4))
     turn_moments(laid, work, w, x, y, yaw_in, yaw_out, moments)
     return weigh(w, moments)
 
@@ -228,24 +232,37 @@ def sweep_risk(
 
 @njit(cache=True)
 def route_moments(
-    laid: Laid, w: Weights, roads: Roads, route: np.ndarray, start_yaw: float, goal_yaw: float
-) -> np.ndarray:
-    """Moments of every pose set of a route of slots: (transitions, 3, 2, 4), sets edge, sweep, terminal sweep.
+    laid: Laid,
+    w: Weights,
+    xy: np.ndarray,
+    flip: np.ndarray,
+    start_yaw: float,
+    goal_yaw: float,
+    first: int,
+    last: int,
+    out: np.ndarray,
+) -> None:
+    """Moments of every pose set of transitions first..last - 1 of a route through points xy (n, 2).
 
-    A set that does not exist is NaN.
+    `out` is (n - 1, 3, 3, 4): transition, set (edge, sweep before it, terminal sweep), moment, feature; NaN where a
+    set does not exist. `flip` marks edges that are evaluated from their far end, as the search does.
     """
     work = scratch(laid)
-    out = np.full((route.size, 3, 2, 4), np.nan)
-    for t in range(route.size):
-        slot = route[t]
-        i, j = roads.source[slot], roads.target[slot]
-        edge_moments(laid, work, w, roads, slot, out[t, 0])
-        yaw_in = start_yaw if t == 0 else roads.heading[route[t - 1]]
+    for t in range(first, last):
+        out[t] = np.nan
+        x, y = xy[t, 0], xy[t, 1]
+        dx, dy = xy[t + 1, 0] - x, xy[t + 1, 1] - y
+        yaw = np.arctan2(dy, dx)
+        n = max(2, int(np.ceil(np.hypot(dx, dy) / w.edge_step - 1e-9)) + 1)
+        if flip[t]:
+            set_moments(laid, work, w, x + dx, y + dy, np.arctan2(-dy, -dx), -dx, -dy, 0.0, n, out[t, 0])
+        else:
+            set_moments(laid, work, w, x, y, yaw, dx, dy, 0.0, n, out[t, 0])
+        yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) if t > 0 else start_yaw
         if not np.isnan(yaw_in):
-            turn_moments(laid, work, w, roads.x[i], roads.y[i], yaw_in, roads.heading[slot], out[t, 1])
-        if t == route.size - 1 and not np.isnan(goal_yaw):
-            turn_moments(laid, work, w, roads.x[j], roads.y[j], roads.heading[slot], goal_yaw, out[t, 2])
-    return out
+            turn_moments(laid, work, w, x, y, yaw_in, yaw, out[t, 1])
+        if t == xy.shape[0] - 2 and not np.isnan(goal_yaw):
+            turn_moments(laid, work, w, x + dx, y + dy, yaw, goal_yaw, out[t, 2])
 
 
 @njit(cache=True)

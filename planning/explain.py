@@ -1,0 +1,120 @@
+"""Why a route costs what it does: moments of all its pose sets, and the plan that tells them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planning.body_risk import FEATURES, BodyModel
+from planning.footprint import Laid
+from planning.plan_types import SETS, Plan, PlanRequest, Transition
+from planning.risk_table import RiskTable, weights_of
+from planning.search_kernels import Weights, route_moments
+
+
+@dataclass(slots=True)
+class Route:
+    """A sequence of nodes at places that may have been moved."""
+
+    nodes: tuple[int, ...]
+    xy: NDArray[np.float64]
+    """(n, 2) [m]"""
+    risk: NDArray[np.float64]
+    """(n - 1,) native risk of the edges; a moved edge keeps that of the graph's."""
+    flip: NDArray[np.bool_]
+    """(n - 1,) edges that the search evaluates from their far end."""
+    start_yaw: float
+    goal_yaw: float
+    """[rad], NaN = any."""
+    moments: NDArray[np.float64]
+    """(n - 1, 3, 3, 4), see `route_moments`."""
+
+    @classmethod
+    def along(
+        cls, table: RiskTable, start: int, slots: NDArray[np.int64], start_yaw: float, goal_yaw: float
+    ) -> Route:
+        """The route over these directed edges from node `start`."""
+        roads = table.roads
+        nodes = (start, *roads.target[slots].tolist())
+        xy = np.column_stack([roads.x[list(nodes)], roads.y[list(nodes)]])
+        flip = slots > roads.reverse[slots]
+        out = cls(
+            nodes,
+            xy,
+            roads.risk[slots].astype(np.float64),
+            flip,
+            start_yaw,
+            goal_yaw,
+            np.empty((len(slots), 3, 3, 4)),
+        )
+        out.evaluate(table.laid, weights_of(table.body), 0, len(slots))
+        return out
+
+    def evaluate(self, laid: Laid, w: Weights, first: int, last: int) -> None:
+        """Bring the moments of transitions first..last - 1 up to date with `xy`."""
+        route_moments(laid, w, self.xy, self.flip, self.start_yaw, self.goal_yaw, first, last, self.moments)
+
+    @property
+    def length(self) -> NDArray[np.float64]:
+        """(n - 1,) [m]"""
+        return np.hypot(*np.diff(self.xy, axis=0).T)
+
+    def terms(self, w: Weights, sweeps: bool = True) -> NDArray[np.float64]:
+        """(n - 1, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
+        a = w.mean * self.moments[:, :, 0] + w.tail * self.moments[:, :, 1]
+        out = np.stack([a[..., :3].sum(axis=-1), a[..., 3]], axis=-1)
+        if not sweeps:
+            out[:, 1:] = -1.0
+        return np.nan_to_num(out, nan=-1.0)
+
+    def cost(self, w: Weights) -> NDArray[np.float64]:
+        """(n - 1,) [m] of each transition (eq. 5)."""
+        worst = self.terms(w).max(axis=1)
+        return self.length * (1.0 + w.native * self.risk + w.body * worst[:, 0] + w.unknown * worst[:, 1])
+
+
+def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
+    """The plan of a route under the weights of `body`."""
+    w = weights_of(body)
+    length = route.length
+    terms = route.terms(w, sweeps=request.variant != "edge-only")
+    decided = terms.argmax(axis=1)
+    native = 1.0 + w.native * route.risk
+    transitions = []
+    for t in range(len(length)):
+        b, u = float(terms[t, decided[t, 0], 0]), float(terms[t, decided[t, 1], 1])
+        factor = native[t] if request.variant == "native" else native[t] + w.body * b + w.unknown * u
+        sets = [k for k in range(3) if not np.isnan(route.moments[t, k, 0, 0])]
+        mean, tail, peak = (
+            {SETS[k]: dict(zip(FEATURES, route.moments[t, k, m].tolist(), strict=True)) for k in sets}
+            for m in range(3)
+        )
+        transitions.append(
+            Transition(
+                (route.nodes[t], route.nodes[t + 1]),
+                float(length[t]),
+                float(route.risk[t]),
+                b,
+                u,
+                float(length[t] * factor),
+                SETS[decided[t, 0]],
+                SETS[decided[t, 1]],
+                mean,
+                tail,
+                peak,
+            )
+        )
+    points = table.graph.nodes[list(route.nodes)].copy()
+    points[:, :2] = route.xy
+    return Plan(
+        route.nodes,
+        float(sum(t.cost for t in transitions)),
+        float((length * native).sum()),
+        float(length.sum()),
+        tuple(transitions),
+        points,
+        request,
+        expanded=expanded,
+    )

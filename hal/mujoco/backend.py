@@ -12,7 +12,7 @@ from hal.contract import BackendError
 from hal.lidar.caster import make_caster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
-from hal.locomotion.vmc import VmcController
+from hal.locomotion.vmc import VmcController, warm_up
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.modes import Modes
 from hal.mujoco.obstacles import box_at, present
@@ -77,6 +77,7 @@ class MujocoBackend:
         if o.controller == "policy":
             self.controller = PolicyController(o.policy_dir or "")
         else:
+            warm_up()  # before the clock runs: compiling takes seconds
             self.controller = VmcController(period=max(o.timestep, 0.005))
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
         draw = np.random.default_rng(np.random.SeedSequence([o.seed, 0xF12]))

@@ -416,7 +416,8 @@ def test_bad_use_is_refused_in_words() -> None:
 
 
 def test_options_come_from_plain_values_and_name_what_is_wrong() -> None:
-    options = SimOptions(payload=2, obstacles=[{"centre": [1, 0, 0.2], "size": [0.2, 0.2, 0.4]}])
+    obstacles: Any = [{"centre": [1, 0, 0.2], "size": [0.2, 0.2, 0.4]}]
+    options = SimOptions(payload=2, obstacles=obstacles)
     assert options.obstacles[0] == Obstacle((1.0, 0.0, 0.2), (0.2, 0.2, 0.4))
     for values, word in (
         ({"paylod": 2}, "paylod"),

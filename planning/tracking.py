@@ -157,14 +157,16 @@ class PathTracker:
         s_p = line.project(x_p, y_p, s, min(s + _WINDOW, line.length))
         cross_p = _cross(line, s_p, x_p, y_p)
         along_p = left - travel * math.cos(error)
-        if along_p <= 0.02:
+        if along_p <= 0.005:
             self._phase = TrackPhase.FINAL_TURN
             self._settle_since = now
             return self._final(path, now, x, y, yaw, v, wz, dt)
 
         aim = line.at(line.heading, s_p) + math.atan2(-cross_p, p.lookahead) - self._drift
         off = wrap(aim - course_p)
-        if abs(off) > p.turn_threshold:
+        # From rest, turning first costs little and saves the swing out of the corridor that a bend would need.
+        at_rest = self._vx == 0.0 and abs(v) < 0.05
+        if abs(off) > (0.5 if at_rest else 1.0) * p.turn_threshold:
             self._phase = TrackPhase.ALIGNING
         elif self._phase is TrackPhase.ALIGNING and abs(off) < p.turn_release:
             self._phase = TrackPhase.FOLLOWING

@@ -52,9 +52,20 @@ def session_config(endpoint: str, *, router: bool) -> zenoh.Config:
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
         "timestamping": {"enabled": True},
         "transport": {
-            "link": {"tx": {"lease": 2000}},
-            # Queries through shared memory are lost silently when the receiver stalls.
-            "shared_memory": {"transport_optimization": {"messages": ["put"]}},
+            "link": {
+                "tx": {
+                    "lease": 2000,
+                    # A scan is half a megabyte; with the default of two 64 kB batches and 1 ms of patience a busy
+                    # machine loses the first ones.
+                    "queue": {
+                        "size": {"data": 16},
+                        "congestion_control": {"drop": {"wait_before_drop": 20_000}},
+                    },
+                }
+            },
+            # Queries through shared memory are lost silently when the receiver stalls. "init": a lazily made pool
+            # sends the first large messages through the socket.
+            "shared_memory": {"mode": "init", "transport_optimization": {"messages": ["put"]}},
         },
     }
     config["listen" if router else "connect"] = {"endpoints": [endpoint]}

@@ -55,7 +55,9 @@ class StackConfig(BaseModel):
     lidar: Literal["xt16", "mid360", "l1"] = "xt16"
     mount: Extrinsics | None = Field(None, description="LiDAR in base_link; None = the model's usual mount")
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
-    sim: dict[str, Any] = Field({}, description="further options of the simulated robot (hal.mujoco.options)")
+    sim: dict[str, Any] = Field(
+        {"lidar_step": 2}, description="further options of the simulated robot (hal.mujoco.options.SimOptions)"
+    )
     interface: str = Field("", description="network interface of the robot (unitree)")
     dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
     origin: tuple[float, float, float] | None = Field(

@@ -20,7 +20,7 @@ LIDAR = "lidar"
 IMU = "imu"
 
 _names = POINT_DTYPE.names or ()
-_offsets = {name: (POINT_DTYPE.fields or {})[name][1] for name in _names}
+_offsets: dict[str, int] = {name: entry[1] for name, entry in (POINT_DTYPE.fields or {}).items()}
 _FIELD_TYPES = {"f4": 7, "u2": 4}
 _FIELDS: list[Any] = [
     STORE.types["sensor_msgs/msg/PointField"](

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pydantic import ValidationError
 
 from hal.contract import BackendError
+from hal.geofence import GeofenceError
+from hal.mujoco.torchfile import PolicyError
 from hal.scenes import SceneError
 from mapping.patch import MapError
 from rbtrg_robot.bus import BusError
@@ -18,8 +20,10 @@ OPERATOR_ERRORS: tuple[type[Exception], ...] = (
     BackendError,
     BusError,
     ConfigError,
+    GeofenceError,
     LogError,
     MapError,
+    PolicyError,
     SceneError,
     ValidationError,
 )

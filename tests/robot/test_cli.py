@@ -1,0 +1,153 @@
+"""The command line: bad input gives one line that says what to do, the right exit status, and no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.logfile import LogWriter
+from rbtrg_robot.messages import encode, header, make
+from rbtrg_robot.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
+
+
+def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
+    """The command in a runtime folder of its own."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path), "COLUMNS": "200"}
+    return subprocess.run(
+        [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=limit,
+        check=False,
+    )
+
+
+def free_port() -> int:
+    """A port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("up", "--scene", "moon"), "moon"),
+        (("up", "--set", "nonsense.key=1"), "nonsense"),
+        (("up", "--set", "port=12"), "port"),
+        (("up", "--config", "/nowhere/c.yaml"), "/nowhere/c.yaml"),
+        (("up", "--controller", "policy", "--policy", "/nowhere"), "/nowhere"),
+        (("up", "--without", "coffee"), "coffee"),
+        (("up", "--map", "/nowhere/map.npz"), "/nowhere/map.npz"),
+        (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
+        (("status",), "rbtrg-robot up"),
+        (("goal", "1", "2"), "rbtrg-robot up"),
+        (("stop",), "rbtrg-robot up"),
+        (("down",), "rbtrg-robot up"),
+        (("replay", "/nowhere.mcap"), "/nowhere.mcap"),
+        (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),
+        (("topic", "hz", "/coffee"), "coffee"),
+        (("scene", "show", "moon"), "moon"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_1(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
+    done = run(*arguments, tmp_path=tmp_path)
+    assert done.returncode == 1, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("rbtrg-robot: ")
+    assert words in lines[0]
+
+
+def test_a_taken_port_is_told(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        done = run(
+            "up", "--port", port, "--scene", "flat", "--log-dir", str(tmp_path / "l"), tmp_path=tmp_path
+        )
+    assert done.returncode == 1
+    assert "--port" in done.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_truncated_log_plays_and_says_so(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}) as writer:
+        for i in range(2000):
+            stamp = i * 1_000_000
+            data = encode(make(t.IMU.type, header=header(stamp, "base_link")))
+            writer.write(t.IMU, data, stamp, stamp, i + 1)
+            if i % 100 == 0:
+                writer.flush()
+        command = encode(make(t.CMD_VEL.type))
+        writer.write(t.CMD_VEL, command, 1_999_000_000, 0, 1)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    check = run("log", "check", str(path), tmp_path=tmp_path)
+    assert check.returncode == 1
+    assert "recover" in check.stdout
+    info = json.loads(run("log", "info", str(path), "--json", tmp_path=tmp_path).stdout)
+    count = info["topics"]["/imu/data"]["count"]
+    assert 500 < count < 2000
+    fixed = run("log", "recover", str(path), tmp_path=tmp_path)
+    assert fixed.returncode == 0
+    assert (
+        run("log", "check", str(tmp_path / "log_0.recovered.mcap"), tmp_path=tmp_path).stdout
+        == "no problems found\n"
+    )
+    port = str(free_port())
+    played = run("replay", str(path), "--rate", "4", "--port", port, tmp_path=tmp_path)
+    assert played.returncode == 0, played.stderr
+    assert f"replayed {count} messages" in played.stdout
+
+
+def test_replay_never_publishes_what_moves_a_robot(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}) as writer:
+        for topic in (t.CMD_VEL, t.GOAL_REQUEST, t.GOAL_POSE, t.ROBOT_COMMAND, t.PATH_COMMAND, t.ODOM):
+            writer.write(topic, encode(make(topic.type)), 1, 1, 1)
+    played = run("replay", str(path), "--port", str(free_port()), tmp_path=tmp_path)
+    assert "replayed 1 messages" in played.stdout
+    for name in ("/cmd_vel", "/goal/request", "/goal_pose", "/robot/command", "/track/path"):
+        assert f"not replayed: 1 x {name}" in played.stdout
+
+
+def test_config_show_and_schema(tmp_path: Path) -> None:
+    shown = run("config", "show", "--set", "tracker.max_speed=0.3", tmp_path=tmp_path)
+    assert "max_speed: 0.3" in shown.stdout
+    schema = json.loads(run("config", "schema", tmp_path=tmp_path).stdout)
+    assert schema["additionalProperties"] is False
+
+
+def test_scene_show_gives_goals_and_a_picture(tmp_path: Path) -> None:
+    picture = tmp_path / "yard.png"
+    done = run("scene", "show", "yard", "--json", "--png", str(picture), tmp_path=tmp_path)
+    record = json.loads(done.stdout)
+    assert {"platform", "behind_wall", "home"} <= set(record["goals"])
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_one_stack_per_robot_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(NotRunning):
+        read_state("r")
+    lock = RunLock("r")
+    lock.write_state(endpoint="tcp/127.0.0.1:1", domain=0, ready=True)
+    with pytest.raises(AlreadyRunning, match=str(os.getpid())):
+        RunLock("r")
+    assert read_state("r")["ready"] is True
+    RunLock("other").release()
+    lock.release()
+    with pytest.raises(NotRunning):
+        read_state("r")

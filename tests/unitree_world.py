@@ -23,8 +23,10 @@ class World:
         standing: bool = True,
         options: UnitreeOptions = L1,
         body: Any = None,
+        epoch: int = HOST_EPOCH,
         **kwargs: Any,
     ) -> None:
+        self.epoch = epoch
         self.body: Any = body or KinematicBody(standing)
         topic = options.topic() or ""
         self.robot = RobotSide(self.body, faults, lidar=options.lidar, topic=topic)
@@ -42,7 +44,7 @@ class World:
 
     @property
     def now(self) -> int:
-        return HOST_EPOCH + self.elapsed
+        return self.epoch + self.elapsed
 
     # -- link ----------------------------------------------------------------------------------------------------
     def send(self, service: str, request: Request) -> None:

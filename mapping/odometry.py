@@ -316,7 +316,7 @@ class LidarInertialOdometry:
         grid = np.stack(np.meshgrid(np.linspace(-3, 3, 60), np.linspace(-3, 3, 60), [-0.4]), -1).reshape(
             -1, 3
         )
-        for k in range(3):
+        for k in range(12):  # longer than the rest at the start
             points = np.zeros(len(grid), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
             points["x"], points["y"], points["z"] = grid.T
             points["time"] = np.linspace(0.0, 0.09, len(points))

@@ -227,3 +227,15 @@ def test_scan_end_is_the_last_point_in_time() -> None:
     assert sweep is not None
     assert sweep.end == pytest.approx(NS + 90_000_000, abs=10)
     assert sweep.xyz[:, 0].tolist() == [1.0, 2.0]
+
+
+def test_warm_up_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    results: list = []
+    poll = LidarInertialOdometry.poll
+    monkeypatch.setattr(LidarInertialOdometry, "poll", lambda self: results.extend(poll(self)) or results)
+    odometry = LidarInertialOdometry()
+    odometry.warm_up()
+    assert len(results) >= 3
+    assert all(r.health is Health.GOOD for r in results)
+    assert not odometry.initialised
+    assert not odometry.counters

@@ -12,6 +12,9 @@ FLOORS = {"hal": 0, "mapping": 1, "planning": 2, "rbtrg_robot": 3, "tools": 4}
 FILES = [f for floor in FLOORS for f in sorted((ROOT / floor).rglob("*.py"))]
 FORBIDDEN_IN_LIBRARIES = {"zenoh", "mcap", "typer", "rosbags", "rich", "subprocess", "multiprocessing"}
 
+ALLOWED = {"hal/unitree/guardian.py": {"subprocess"}}
+"""A robot that keeps the last velocity for a second can only be stopped by somebody who outlives its driver."""
+
 
 def imported(file: Path) -> set[str]:
     """Top-level names of all absolute imports of a file."""
@@ -34,7 +37,8 @@ def test_imports_only_from_floors_below(file: Path) -> None:
 @pytest.mark.parametrize("floor", ["hal", "mapping", "planning"])
 def test_libraries_know_nothing_of_the_middleware(floor: str) -> None:
     for file in (ROOT / floor).rglob("*.py"):
-        assert not imported(file) & FORBIDDEN_IN_LIBRARIES, file
+        allowed = ALLOWED.get(str(file.relative_to(ROOT)), set())
+        assert not imported(file) & FORBIDDEN_IN_LIBRARIES - allowed, file
 
 
 def test_planning_never_imports_a_simulator() -> None:

@@ -20,8 +20,9 @@ CLEAR_LEVELS = (0.45, 0.36, 0.28)
 """Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
 TRIES = 6
 """Valid candidates looked at beside an obstacle."""
-TIGHT = 0.33
-"""Nodes with less clearance move to the middle of the passage [m], so that edges along it are parallel to its walls."""
+TIGHT = 0.37
+"""Nodes with less clearance than this [m] move away from what is near: to where edges in more
+directions fit, and in a passage to its middle, so that edges along it are parallel to its walls."""
 CORE = 0.5
 """The first half of a cell's candidates lie in its inner part of this width: evenly spaced nodes on open ground."""
 RAYS = 16
@@ -123,9 +124,35 @@ def _seen(flags, x0, y0, res, x, y, radius, share, start_x, start_y, blind):
 
 
 @njit(cache=True)
-def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
-    """x, y moved away from the nearest step, 2 cm at a time, inside its lattice cell, while that gives clearance."""
-    best, sx, sy = step_distance2(flags, x0, y0, res, x, y, TIGHT)
+def _keep_off2(flags, x0, y0, res, x, y, radius, start_x, start_y, blind):
+    """As `step_distance2`, and unseen ground counts like a step: what a node should keep off where it can."""
+    rows, cols = flags.shape
+    best, bx, by = step_distance2(flags, x0, y0, res, x, y, radius)
+    for r in range(
+        max(0, math.ceil((y - radius - y0) / res)), min(rows, math.floor((y + radius - y0) / res) + 1)
+    ):
+        py = y0 + r * res
+        rest = best - (py - y) ** 2
+        if rest <= 0.0:
+            continue
+        w = math.sqrt(rest)
+        for c in range(
+            max(0, math.ceil((x - w - x0) / res)), min(cols - 1, math.floor((x + w - x0) / res)) + 1
+        ):
+            if flags[r, c] & UNSEEN:
+                px = x0 + c * res
+                d2 = (px - x) ** 2 + (py - y) ** 2
+                if d2 < best and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
+                    best = d2
+                    bx = px
+                    by = py
+    return best, bx, by
+
+
+@njit(cache=True)
+def _centred(flags, x0, y0, res, x, y, low_x, low_y, side, start_x, start_y, blind):
+    """x, y moved away from what is nearest, 2 cm at a time, inside its lattice cell, while that gives clearance."""
+    best, sx, sy = _keep_off2(flags, x0, y0, res, x, y, TIGHT, start_x, start_y, blind)
     for _ in range(12):
         if best >= TIGHT * TIGHT or best == 0.0:
             break
@@ -133,7 +160,7 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
         # not quite to the cell's border, or neighbours could meet there
         px = min(max(x + 0.02 * (x - sx) / d, low_x + 0.05 * side), low_x + 0.95 * side)
         py = min(max(y + 0.02 * (y - sy) / d, low_y + 0.05 * side), low_y + 0.95 * side)
-        d2, sx, sy = step_distance2(flags, x0, y0, res, px, py, TIGHT)
+        d2, sx, sy = _keep_off2(flags, x0, y0, res, px, py, TIGHT, start_x, start_y, blind)
         if d2 <= best:
             break
         best = d2
@@ -178,7 +205,7 @@ def place_nodes(
                     continue
                 if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
                     continue
-                d2 = step_distance2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0])[0]
+                d2 = _keep_off2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0], start_x, start_y, blind)[0]
                 level = 0
                 while level < levels and d2 < CLEAR_LEVELS[level] ** 2:
                     level += 1
@@ -201,16 +228,9 @@ def place_nodes(
             chosen[j, i] = best
             if best >= 0 and best_level > 0:
                 x, y = _centred(
-                    flags,
-                    x0,
-                    y0,
-                    res,
-                    where[j, i, 0],
-                    where[j, i, 1],
-                    (ix0 + i) * side,
-                    (iy0 + j) * side,
-                    side,
-                )
+                    flags, x0, y0, res, where[j, i, 0], where[j, i, 1],
+                    (ix0 + i) * side, (iy0 + j) * side, side, start_x, start_y, blind,
+                )  # fmt: skip
                 if _seen(
                     flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind
                 ) and not disc_blocked(

@@ -17,7 +17,7 @@ from hal.unitree.options import UnitreeOptions
 
 PYTHON = os.environ.get("CYCLONEDDS_0_10_PYTHON", "")
 SCRIPT = Path(__file__).parents[1] / "unitree_old_peer.py"
-DOMAIN = 97
+DOMAIN = 180 + os.getpid() % 50
 
 
 def offset(dtype, name: str) -> str:

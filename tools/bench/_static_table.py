@@ -1,0 +1,78 @@
+"""The static study's table as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from planning.search import VARIANTS
+from tools.bench.static import (
+    EXPECTED,
+    METRICS,
+    MODES,
+    PAPER_NATIVE,
+    SCENES,
+    Instance,
+    changed,
+    interval,
+    macro,
+    values,
+)
+
+HEAD = ("length [m]", "max d_fb [m]", "max a_lr [deg]", "max p_int [m]", "untrusted [%]")
+SCALE = (1.0, 1.0, 1.0, 1.0, 100.0)
+
+
+def markdown(instances: Sequence[Instance], missing: Sequence[str]) -> str:
+    """Table 1 per graph, the change against native with its interval, the verdict, and what had no route."""
+    lines = ["# Static study", ""]
+    for graph in MODES:
+        native = values(instances, graph, "native")
+        if not native:
+            lines += [f"## {graph} graph", "", "No instance had a route.", ""]
+            continue
+        counts = ", ".join(f"{s} {len(native[s]) if s in native else 0}" for s in SCENES)
+        lines += [f"## {graph} graph", "", f"Instances: {counts}. Means of the scenes' means.", ""]
+        lines += ["| variant | " + " | ".join(HEAD) + " | changed routes |", "|---" * 7 + "|"]
+        for variant in VARIANTS:
+            mean = macro(values(instances, graph, variant)) * SCALE
+            share = "" if variant == "native" else f"{100 * changed(instances, graph, variant):.0f} %"
+            lines.append(f"| {variant} | " + " | ".join(f"{v:.3f}" for v in mean) + f" | {share} |")
+        lines += ["", "Change against native, paired, with 95 % bootstrap interval:", ""]
+        lines += ["| variant | " + " | ".join(METRICS) + " |", "|---" * 6 + "|"]
+        for variant in VARIANTS[1:]:
+            mine = values(instances, graph, variant)
+            change, (low, high) = macro(mine) / macro(native) - 1.0, interval(mine, native)
+            cells = [
+                f"{100 * c:+.1f} % ({100 * a:+.1f} .. {100 * b:+.1f})"
+                for c, a, b in zip(change, low, high, strict=True)
+            ]
+            lines.append(f"| {variant} | " + " | ".join(cells) + " |")
+        lines.append(
+            "| paper, full | "
+            + " | ".join(f"{100 * EXPECTED[m]:+.1f} %" if m in EXPECTED else "" for m in METRICS)
+            + " |"
+        )
+        lines += ["", _verdict(instances, graph), "", "Full against native per scene:", ""]
+        lines += ["| scene | " + " | ".join(METRICS) + " |", "|---" * 6 + "|"]
+        full = values(instances, graph, "full")
+        for scene, v in native.items():
+            cells = [f"{100 * c:+.1f} %" for c in full[scene].mean(axis=0) / v.mean(axis=0) - 1.0]
+            lines.append(f"| {scene} | " + " | ".join(cells) + " |")
+        lines.append("")
+    paper = ", ".join(f"{m} {v:g} {METRICS[m]}".replace(" -", "") for m, v in PAPER_NATIVE.items())
+    lines += [f"The paper's native means on its own scenes, for orientation: {paper}.", ""]
+    if missing:
+        lines += [f"## Without a route: {len(missing)}", "", *(f"- {m}" for m in missing), ""]
+    return "\n".join(lines)
+
+
+def _verdict(instances: Sequence[Instance], graph: str) -> str:
+    """Which of the paper's reductions are reached on this graph."""
+    native, full = (macro(values(instances, graph, v)) for v in ("native", "full"))
+    words = []
+    for k, metric in enumerate(METRICS):
+        if metric in EXPECTED:
+            got = full[k] / native[k] - 1.0
+            met = "reached" if got <= EXPECTED[metric] else "MISSED"
+            words.append(f"{metric} {100 * got:+.1f} % for {100 * EXPECTED[metric]:+.1f} %: {met}")
+    return "; ".join(words) + "."

@@ -24,8 +24,8 @@ from planning.graph_terrain import halo, update_flags
 
 OFFSETS = np.array([(0, 1), (0, 2)] + [(j, i) for j in (1, 2) for i in range(-2, 3)], dtype=np.int64)
 """(12, 2) row and column steps to the lattice neighbours an edge may lead to, each pair once."""
-REACH = 1.75
-"""Longest edge, in lattice cells: every pair of neighbouring nodes is tried, and most diagonal ones."""
+REACH = 2.0
+"""Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages connected."""
 
 
 class Built(NamedTuple):

@@ -147,7 +147,6 @@ class UnitreeBackend:
             case ModeRequest.RESUME:
                 self._stopped = ""
             case ModeRequest.DAMP:
-                self._abandon()
                 if self._guardian is not None:
                     self._guardian.damp()
                 self._start(self._steps.damp(), "going soft", Phase.STANDING)
@@ -155,6 +154,8 @@ class UnitreeBackend:
                 self._start(self._steps.sit(), "lying down", Phase.STANDING)
             case ModeRequest.STAND | ModeRequest.RECOVER if self._stopped:
                 log.warning("%s refused: the emergency stop is latched, resume first", mode.value)
+            case ModeRequest.STAND if self._transition is None and self._phase in (Phase.READY, Phase.MOVING):
+                pass
             case ModeRequest.STAND:
                 self._fault = ""
                 self._start(self._steps.stand(), "standing up", Phase.STANDING)
@@ -267,6 +268,8 @@ class UnitreeBackend:
             raise BackendError(str(failure)) from failure
 
     def _start(self, steps: Generator[None, None, None], doing: str, phase: Phase) -> None:
+        if self._transition is not None and self._doing == doing:
+            return  # asked again while it is under way
         self._abandon()
         self._transition, self._doing, self._doing_phase = steps, doing, phase
         self._mover.rest(self._now)

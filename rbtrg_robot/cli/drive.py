@@ -1,4 +1,4 @@
-"""`goal`, `cancel`, `stop`, `resume`."""
+"""`goal`, `cancel`, `stop`, `resume`, `posture`."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import sys
 import time
 import uuid
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -19,6 +19,15 @@ EXIT = {
     "cancelled": CANCELLED,
     "preempted": CANCELLED,
 }
+POSTURES = {
+    "stand": ("ready", "moving"),
+    "sit": ("sitting",),
+    "damp": ("damped",),
+    "recover": ("ready", "moving"),
+}
+"""What may be asked for, and the phases that mean it is done."""
+SETTLE = 1.0
+"""Seconds until an answer counts as one to the order and not as the state before."""
 RESEND = 0.5
 ANSWER_LIMIT = 3.0
 """Seconds without any answer from the navigator."""
@@ -30,6 +39,7 @@ def register(app: typer.Typer) -> None:
     app.command()(cancel)
     app.command()(stop)
     app.command()(resume)
+    app.command()(posture)
 
 
 def goal(
@@ -183,6 +193,52 @@ def stop(robot: Robot = "go2w") -> None:
 def resume(robot: Robot = "go2w") -> None:
     """Release the emergency stop."""
     _order(robot, "resume", False)
+
+
+def posture(
+    what: Annotated[Literal["stand", "sit", "damp", "recover"], typer.Argument(help="What to do.")],
+    timeout: Annotated[float, typer.Option(help="Give up after this many seconds.")] = 30.0,
+    robot: Robot = "go2w",
+) -> None:
+    """Stand up, sit down, go soft (damp), or recover from a fall or a fault."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.messages import header, make
+
+    start = time.monotonic()
+    sent, shown, cause = -math.inf, "", ""
+    with connect(robot) as bus:
+        bus.subscribe([t.ROBOT_STATE])
+        bus.advertise(t.ROBOT_COMMAND)
+        while time.monotonic() - start < timeout:
+            if time.monotonic() - sent > RESEND:
+                sent = time.monotonic()
+                order = make(
+                    t.ROBOT_COMMAND.type, header=header(time.time_ns(), ""), mode=what, cause="operator"
+                )
+                bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
+            for received in bus.take(0.05):
+                state = received.decode()
+                cause = f"{state.phase}: {state.cause}"
+                if cause != shown:
+                    shown = cause
+                    print(cause)
+                if state.estop and what in ("stand", "recover"):
+                    print(
+                        "rbtrg-robot: the emergency stop is latched; `rbtrg-robot resume` first",
+                        file=sys.stderr,
+                    )
+                    raise typer.Exit(1)
+                waited = time.monotonic() - start
+                if state.phase in POSTURES[what] and waited > SETTLE:
+                    return
+                if state.phase == "fault" and waited > 4 * SETTLE:
+                    raise typer.Exit(1)
+    print(
+        f"rbtrg-robot: no `{what}` within {timeout:.0f} s ({cause or 'the robot does not answer'})",
+        file=sys.stderr,
+    )
+    raise typer.Exit(1)
 
 
 def _order(robot: str, mode: str, latched: bool) -> None:

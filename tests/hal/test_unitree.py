@@ -131,6 +131,16 @@ def test_a_lying_robot_stands_up_with_unlocked_joints():
     assert world.body.x > 0.3
 
 
+def test_asking_again_does_not_start_a_transition_over():
+    world = World(standing=False)
+    world.backend.connect()
+    for _ in range(100):
+        world.backend.request(ModeRequest.STAND)
+        world.run(0.04)
+    assert world.phase is Phase.READY
+    assert world.apis().count(Sport.STAND_UP) == 1
+
+
 def test_sits_damps_and_comes_back():
     world = ready()
     world.run(1.0, vx=0.3)

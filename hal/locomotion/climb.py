@@ -6,6 +6,8 @@ as far as the leg folds, reaches forward and puts it down on whatever is there.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 
@@ -25,13 +27,19 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     """
     found = -1
     worst = p.blocked_time
+    # A turn pushes wheels back as well: the faster it turns, the more it takes.
+    caution = 1.0 + 4.0 * max(0.0, abs(m.wz) - 0.15)
+    # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
+    caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
+    slowed = way * m.speed < p.blocked_speed * abs(m.vx)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     for leg in range(4):
         back = -way * m.force[leg, 0]
         others = way * (total - m.force[leg, 0]) / 3.0
         behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
-        pushed = back > 0.4 * p.blocked_force and back + others > p.blocked_force
-        if way != 0.0 and (pushed or (behind > p.blocked_lag and back > 5.0)):
+        pushed = back > 0.4 * p.blocked_force * caution and back + others > p.blocked_force * caution
+        lags = behind > p.blocked_lag * caution and back > 5.0 * caution
+        if way != 0.0 and slowed and (pushed or lags):
             m.blocked[leg] += dt
         else:
             m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
@@ -70,7 +78,34 @@ def begin(m, leg: int, way: float, centres: Array, com: Array, p: VmcParams) -> 
 
 
 @njit(cache=True)
-def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt: float, p: VmcParams) -> None:
+def triangle_margin(leg: int, centres: Array, com: Array) -> float:
+    """How far [m] the centre of mass is inside the edge that the triangle of the other three wheels turns to `leg`."""
+    beside = leg + 1 if leg % 2 == 0 else leg - 1
+    along = (leg + 2) % 4
+    ex = centres[along, 0] - centres[beside, 0]
+    ey = centres[along, 1] - centres[beside, 1]
+    length = math.sqrt(ex * ex + ey * ey)
+    side = ex * (com[1] - centres[beside, 1]) - ey * (com[0] - centres[beside, 0])
+    outside = ex * (centres[leg, 1] - centres[beside, 1]) - ey * (centres[leg, 0] - centres[beside, 0])
+    return -side / length if outside > 0.0 else side / length
+
+
+@njit(cache=True)
+def finish(m) -> None:
+    """Back to driving."""
+    m.mode = DRIVE
+    m.queued = -1
+    m.timer = 0.0
+    for axis in range(2):
+        m.shift_goal[axis] = 0.0
+    for i in range(4):
+        m.blocked[i] = 0.0
+
+
+@njit(cache=True)
+def climb_tick(
+    m, centres: Array, com: Array, rot: Array, command_vx: float, yaw_rate: float, dt: float, p: VmcParams
+) -> None:
     """Advance the sequence. `centres` (4, 3): wheel centres, H. Sets `foot`, the wanted wheel centre of the lifted leg, H."""
     m.timer += dt
     way = 0.0
@@ -88,12 +123,16 @@ def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt:
     hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
     if m.mode == SHIFT:
         miss = abs(m.shift[0] - m.shift_goal[0]) + abs(m.shift[1] - m.shift_goal[1])
-        if miss < p.shift_miss and m.timer > p.shift_time:
+        steady = abs(m.speed + m.shift_rate[0]) < p.still and abs(yaw_rate) < 0.3
+        margin = triangle_margin(leg, centres, com)
+        if miss < p.shift_miss and m.timer > p.shift_time and margin > p.shift_margin and steady:
             m.mode = LIFT
             m.timer = 0.0
             for axis in range(3):
                 m.foot[axis] = centres[leg, axis]
             m.lift_x = centres[leg, 0]
+        elif m.timer > 1.0:
+            finish(m)
     elif m.mode == LIFT:
         top = hip_z - p.stroke_lift
         m.foot[2] = min(m.foot[2] + p.lift_rate * dt, top)
@@ -128,9 +167,4 @@ def climb_tick(m, centres: Array, com: Array, rot: Array, command_vx: float, dt:
                 begin(m, m.queued, m.way, centres, com, p)
                 m.queued = -1
             else:
-                m.mode = DRIVE
-                m.timer = 0.0
-                m.shift_goal[0] = 0.0
-                m.shift_goal[1] = 0.0
-                for i in range(4):
-                    m.blocked[i] = 0.0
+                finish(m)

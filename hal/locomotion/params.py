@@ -19,17 +19,17 @@ class VmcParams(NamedTuple):
     """[N/m]"""
     heave_d: float = 60.0
     """[N s/m], on top of the motors' own damping."""
-    roll_k: float = 260.0
+    roll_k: float = 200.0
     """[Nm/rad]"""
     roll_d: float = 6.0
     """[Nm s/rad], on top of the motors' own damping."""
-    pitch_k: float = 260.0
+    pitch_k: float = 200.0
     pitch_d: float = 8.0
-    trim: float = 0.5
+    trim: float = 1.0
     """Rate [1/s] at which load the model does not know (payload) is learnt from the height error."""
     force_max: float = 170.0
     """Highest vertical wheel force asked for [N]."""
-    lookahead: float = 0.010
+    lookahead: float = 0.020
     """Time [s] by which the attitude is extrapolated with the gyro: half of the loop delay to be tolerated."""
 
     # --- legs
@@ -58,8 +58,8 @@ class VmcParams(NamedTuple):
     """Slew of the commanded speed [m/s^2]."""
     alpha: float = 4.0
     """Slew of the commanded yaw rate [rad/s^2]."""
-    yaw_kp: float = 1.5
-    yaw_ki: float = 8.0
+    yaw_kp: float = 2.5
+    yaw_ki: float = 10.0
     """Yaw-rate loop on the gyro, acting on the wheel speed difference [-], [1/s]."""
     turn_pull: float = 0.09
     """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily."""
@@ -84,6 +84,12 @@ class VmcParams(NamedTuple):
     """0 switches it off."""
     blocked_force: float = 30.0
     """Backward force on a wheel, compared with the mean of the others, that means blocked [N]."""
+    blocked_speed: float = 5.0
+    """Share of the wanted speed above which nothing counts as blocked."""
+    brake: float = 200.0
+    """How fast the robot stops to climb [m/s^2]."""
+    still: float = 0.20
+    """Speed [m/s] below which a wheel may be lifted."""
     blocked_lag: float = 0.07
     """How far a wheel may fall behind its place under the trunk [m]."""
     blocked_time: float = 0.12
@@ -98,6 +104,8 @@ class VmcParams(NamedTuple):
     """[m/s^2]"""
     shift_miss: float = 0.03
     """Rest of the weight shift [m] at which lifting may begin."""
+    shift_margin: float = 0.0
+    """How far [m] the centre of mass must be inside the support triangle before the wheel is lifted."""
     shift_time: float = 0.1
     """Shortest time for unloading the wheel [s]."""
     stroke_lift: float = 0.125

@@ -46,6 +46,7 @@ MEMORY = np.dtype(
         ("lift_i", "f8"),  # learnt extra load [N]
         ("slope_x", "f8"),  # ground plane, filtered
         ("slope_y", "f8"),
+        ("grade", "f8", (2,)),  # the same over about a second: the hill, not the obstacle
         ("height", "f8"),  # base_link above the ground plane [m]
         ("hold", "i8"),  # wheels latched in place
         ("latch", "f8", (4,)),  # their rolled angle [rad]
@@ -151,7 +152,7 @@ def vmc_tick(
         m.queued = -1
     m.ticks += 1
     estimate_contacts(m, tau, weight_torque, jac, dt, p)
-    climb_tick(m, centres, com, rot, command[0], dt, p)
+    climb_tick(m, centres, com, rot, command[0], omega[2], dt, p)
     lifted = m.leg if m.mode > SHIFT else -1
 
     # --- ground plane and height
@@ -164,6 +165,8 @@ def vmc_tick(
     alpha = 1.0 if m.ticks == 1 else dt / (dt + p.slope_filter)
     m.slope_x += alpha * (clip(slope_x, -1.0, 1.0) - m.slope_x)
     m.slope_y += alpha * (clip(slope_y, -1.0, 1.0) - m.slope_y)
+    m.grade[0] += dt / 1.0 * (m.slope_x - m.grade[0])
+    m.grade[1] += dt / 1.0 * (m.slope_y - m.grade[1])
     m.height = -ground
 
     # --- wheel centres relative to base_link, velocity in H; ground speed from rolling
@@ -204,12 +207,12 @@ def vmc_tick(
         push[axis] -= a
     before_vx = m.vx
     if climbing:
-        m.vx = 0.0
-        m.wz = 0.0
+        m.vx = slew(m.vx, 0.0, p.brake * dt)
+        m.wz = slew(m.wz, 0.0, 2.0 * p.alpha * dt)
     else:
         m.vx = slew(m.vx, command[0], p.accel * dt)
         m.wz = slew(m.wz, command[1], p.alpha * dt)
-        push[0] += (m.vx - before_vx) / dt
+        push[0] += clip((m.vx - before_vx) / dt, -p.accel, p.accel)
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
@@ -244,7 +247,9 @@ def vmc_tick(
 
     # --- drive
     yaw_error = m.wz - omega[2]
-    stopped = climbing or (abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0)
+    stopped = (climbing and m.vx == 0.0) or (
+        abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0
+    )
     if stopped:
         m.yaw_i = 0.0
     else:
@@ -258,7 +263,7 @@ def vmc_tick(
         m.speed_i *= 1.0 - dt / 0.5
     elif abs(m.vx - m.speed) < 0.3:
         m.speed_i = clip(m.speed_i + p.speed_ki * (m.vx - m.speed) * dt, -2.5, 2.5)
-    still = climbing or (abs(m.speed) < 0.03 and abs(omega[2]) < 0.05)
+    still = (abs(omega[2]) < 0.05 and abs(m.speed) < 0.03) or (climbing and abs(m.speed) < 0.25)
     if stopped and m.hold == 0 and still:
         m.hold = 1
         for leg in range(4):

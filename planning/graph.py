@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph_describe import ALL_HEADINGS
 from planning.graph_input import Changed, GraphParams, Window, changed_windows, checked_start
 from planning.graph_lattice import Lattice
 from planning.graph_native import build_native
-from planning.graph_place import ALL_HEADINGS
 
 __all__ = ["GraphParams", "TraversalGraph"]
 
@@ -43,7 +43,7 @@ class TraversalGraph:
         clearance: (n,) float32 distance to the nearest obstacle cell [m], capped at 0.6; inf where not known
             (native, `from_edges`). At or above the footprint's circumradius the robot may turn in place freely.
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
-            clear of obstacles at the node; `planning.graph_place.turn_is_free` reads it. All set where not known.
+            clear of obstacles at the node; `planning.graph_describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
         node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
         edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
 from planning.graph_corridor import MARGIN, SECTION, connect
+from planning.graph_describe import UNKNOWN_RUN, describe_nodes, in_sight
 from planning.graph_input import GraphParams, Window, merge_windows
-from planning.graph_place import CLEAR, UNKNOWN_RUN, describe_nodes, in_sight, place_nodes
+from planning.graph_place import CLEAR, place_nodes
 from planning.graph_risk import F32, nearest_height, window_minmax
 from planning.graph_terrain import halo, update_flags
 

@@ -8,7 +8,7 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
-from planning.graph_place import turn_is_free
+from planning.graph_describe import turn_is_free
 from tests.planning.graph_scenes import crossing_edges, drivable, random_scene
 
 RES = 0.04

@@ -1,0 +1,146 @@
+"""What the corrected graph knows about a node beside its place: frontier, headings that fit, sight of the robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planning.graph_place import step_distance2
+from planning.graph_terrain import FACE, HIGH, LOW, UNSEEN
+
+RAYS = 16
+HEADINGS = 36
+"""Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
+ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
+UNKNOWN_RUN = 0.20
+"""Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
+
+
+@njit(cache=True)
+def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
+    """True if free ground ends in unseen ground within `ring` of x, y, in two neighbouring directions of sixteen."""
+    rows, cols = flags.shape
+    n = math.ceil((ring + UNKNOWN_RUN) / res)
+    need = math.ceil(UNKNOWN_RUN / res)
+    last = False
+    first = False
+    for a in range(RAYS + 1):
+        if a == RAYS:
+            return last and first
+        dx = math.cos(2.0 * math.pi * a / RAYS) * res
+        dy = math.sin(2.0 * math.pi * a / RAYS) * res
+        run = 0
+        for s in range(1, n + 1):
+            px = x + s * dx
+            py = y + s * dy
+            c = math.floor((px - x0) / res + 0.5)
+            r = math.floor((py - y0) / res + 0.5)
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                run = need
+                break
+            if flags[r, c] & FACE:
+                break
+            if flags[r, c] & UNSEEN and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
+                run += 1
+                if run >= need:
+                    break
+            else:
+                run = 0
+        is_open = run >= need
+        if is_open and last:
+            return True
+        if a == 0:
+            first = is_open
+        last = is_open
+    return False
+
+
+@njit(cache=True)
+def free_headings(flags, x0, y0, res, x, y, length, width):
+    """Bit h is set where the footprint at heading h * 5 deg (the same turned by 180 deg) is on no step."""
+    rows, cols = flags.shape
+    radius = 0.5 * math.hypot(length, width)
+    if step_distance2(flags, x0, y0, res, x, y, radius)[0] >= radius * radius:
+        return ALL_HEADINGS
+    high = np.uint64(0)
+    low = np.uint64(0)
+    for r in range(
+        max(0, math.ceil((y - radius - y0) / res)), min(rows, math.floor((y + radius - y0) / res) + 1)
+    ):
+        dy = y0 + r * res - y
+        for c in range(
+            max(0, math.ceil((x - radius - x0) / res)), min(cols, math.floor((x + radius - x0) / res) + 1)
+        ):
+            flag = flags[r, c]
+            if not flag & FACE:
+                continue
+            dx = x0 + c * res - x
+            for h in range(HEADINGS):
+                cs = math.cos(h * math.pi / HEADINGS)
+                sn = math.sin(h * math.pi / HEADINGS)
+                if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
+                    bit = np.uint64(1) << np.uint64(h)
+                    if flag & HIGH:
+                        high |= bit
+                    if flag & LOW:
+                        low |= bit
+    return ALL_HEADINGS & ~(high & low)
+
+
+@njit(cache=True)
+def turn_is_free(headings, yaw_in, turn):
+    """True if a turn in place by `turn` [rad, signed] from `yaw_in` meets no blocked heading of `headings` (uint64).
+
+    Both ends are left out: they are headings of edges, whose corridors were tested to the full width.
+    """
+    step = math.pi / HEADINGS
+    low = min(yaw_in, yaw_in + turn)
+    high = max(yaw_in, yaw_in + turn)
+    for k in range(math.floor(low / step) + 1, math.ceil(high / step)):
+        if not headings >> np.uint64(k % HEADINGS) & np.uint64(1):
+            return False
+    return True
+
+
+@njit(cache=True)
+def in_sight(flags, x0, y0, res, xa, ya, points, reach):
+    """(n,) bool: which points (n, 2) lie within `reach` and the straight line, three cells wide, is on no step."""
+    rows, cols = flags.shape
+    seen = np.zeros(len(points), np.bool_)
+    for v in range(len(points)):
+        xb = points[v, 0]
+        yb = points[v, 1]
+        d = math.hypot(xb - xa, yb - ya)
+        if d > reach:
+            continue
+        n = max(1, math.ceil(2.0 * d / res))
+        sides = 0
+        for s in range(n + 1):
+            c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
+            r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
+            for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
+                for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
+                    sides |= flags[r, c] & FACE
+            if sides == FACE:
+                break
+        seen[v] = sides != FACE
+    return seen
+
+
+@njit(cache=True)
+def describe_nodes(
+    flags, x0, y0, res, chosen, where, todo, ring, length, width, start_x, start_y, blind, frontier, headings
+):
+    """Set `frontier` and `headings` (ny, nx) of the lattice cells in `todo`."""
+    for j in range(todo.shape[0]):
+        for i in range(todo.shape[1]):
+            if not todo[j, i]:
+                continue
+            frontier[j, i] = False
+            if chosen[j, i] >= 0:
+                x = where[j, i, 0]
+                y = where[j, i, 1]
+                frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind)
+                headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)

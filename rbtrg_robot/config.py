@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
+from hal.mujoco.options import SimOptions
 from hal.safety import GateParams
 from hal.scenes import Scene, load_scene
 from hal.types import Extrinsics
@@ -56,7 +57,8 @@ class StackConfig(BaseModel):
     mount: Extrinsics | None = Field(None, description="LiDAR in base_link; None = the model's usual mount")
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
     sim: dict[str, Any] = Field(
-        {"lidar_step": 2}, description="further options of the simulated robot (hal.mujoco.options.SimOptions)"
+        {"lidar_step": 2},
+        description="further options of the simulated robot (hal.mujoco.options.SimOptions)",
     )
     interface: str = Field("", description="network interface of the robot (unitree)")
     dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
@@ -82,6 +84,12 @@ class StackConfig(BaseModel):
     tracker: TrackerParams = TrackerParams()
     freshness: FreshnessParams = FreshnessParams()
     recorder: RecorderParams = RecorderParams()
+
+    @field_validator("sim")
+    @classmethod
+    def _known_options(cls, value: dict[str, Any]) -> dict[str, Any]:
+        SimOptions(**value)
+        return value
 
     @property
     def simulated(self) -> bool:

@@ -130,13 +130,14 @@ class PlannerStage:
         self, start: tuple[float, float], grid: ElevationGrid, windows: list[tuple[int, int, int, int]]
     ) -> None:
         self._grid = grid
-        if self._graph is None:
-            try:
+        try:
+            if self._graph is None:
                 self._graph = TraversalGraph.build(grid, start, self._graph_params, self._params.seed)
-            except NoRoute:
-                return  # no ground under the robot yet: the next request tries again
-        else:
-            self._graph.update(grid, windows, start)
+            else:
+                self._graph.update(grid, windows, start)
+        except NoRoute:
+            # No ground under the robot in this map (yet): the next update or request begins anew.
+            self._graph = None
 
     def _status(self, now: int) -> Any:
         graph = self._graph

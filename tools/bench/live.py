@@ -1,0 +1,194 @@
+"""A running `up` on the yard, recording on: real-time factor, CPU, memory, latencies, and whether goals are reached.
+
+Five goals in a row, one on the platform and one behind a wall that is not seen from the start. Positions are judged by
+the simulator's truth, which the stack itself never sees.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.scenes import load_scene
+from rbtrg_robot import topics as t
+from rbtrg_robot.bus import Bus, Received
+from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.messages import header, make, stamp_of
+from tools.bench.report import Report
+
+GOALS = ("a", "b", "rough", "platform", "behind_wall")
+GOAL_LIMIT = 150.0
+"""Seconds for one goal."""
+SWEEP = 100_000_000
+"""Duration of a scan [ns]: a map update carries the stamp of its end."""
+MOVING = 0.05
+
+
+@dataclass
+class Watch:
+    """What comes by while the stack drives; times are wall seconds."""
+
+    truth: Any = None
+    status: Any = None
+    factors: list[float] = field(default_factory=list)
+    scans: dict[int, float] = field(default_factory=dict)
+    map_latency: list[float] = field(default_factory=list)
+    plan_latency: list[float] = field(default_factory=list)
+    asked: dict[int, float] = field(default_factory=dict)
+    moved: float = 0.0
+
+    TOPICS = (
+        t.TRUTH,
+        t.GOAL_STATUS,
+        t.ROBOT_STATE,
+        t.POINTS,
+        t.MAP_UPDATE,
+        t.PLAN_REQUEST,
+        t.PLAN,
+        t.CMD_VEL,
+    )
+
+    def take(self, received: Received, goal_id: str) -> None:
+        """One message."""
+        now = time.monotonic()
+        message = received.decode()
+        match received.topic:
+            case t.TRUTH:
+                self.truth = message
+            case t.GOAL_STATUS if message.id == goal_id:
+                self.status = message
+            case t.ROBOT_STATE:
+                self.factors.append(float(message.realtime_factor))
+            case t.POINTS:
+                self.scans[(stamp_of(message) + SWEEP) // SWEEP] = now
+            case t.MAP_UPDATE:
+                begun = self.scans.pop(round(stamp_of(message) / SWEEP), None)
+                if begun is not None:
+                    self.map_latency.append(now - begun)
+            case t.PLAN_REQUEST:
+                self.asked[int(message.sequence)] = now
+            case t.PLAN:
+                begun = self.asked.pop(int(message.sequence), None)
+                if begun is not None:
+                    self.plan_latency.append(now - begun)
+            case t.CMD_VEL:
+                twist = message.twist
+                if not self.moved and abs(twist.linear.x) + abs(twist.angular.z) > MOVING:
+                    self.moved = now
+
+
+def run(args: list[str]) -> Report:
+    """`--goals a,b,...` chooses others, `--keep DIR` keeps the log there."""
+    goals = args[args.index("--goals") + 1].split(",") if "--goals" in args else GOALS
+    report = Report("live")
+    with tempfile.TemporaryDirectory() as scratch:
+        logs = Path(args[args.index("--keep") + 1]) if "--keep" in args else Path(scratch) / "logs"
+        environment = {**os.environ, "XDG_RUNTIME_DIR": scratch}
+        port = _free_port()
+        began = time.monotonic()
+        _command(
+            ["up", "--detach", "--port", str(port), "--log-dir", str(logs), "--scene", "yard"], environment
+        )
+        report.add("start_s", time.monotonic() - began, "s", 12.0)
+        try:
+            with Bus(f"tcp/127.0.0.1:{port}", "bench") as bus:
+                _drive(bus, list(goals), report)
+        finally:
+            began = time.monotonic()
+            _command(["down"], environment)
+            report.add("down_s", time.monotonic() - began, "s", 3.0)
+    return report
+
+
+def _command(arguments: list[str], environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(arguments)} failed: {done.stderr.strip()}")
+
+
+def _drive(bus: Bus, goals: list[str], report: Report) -> None:
+    scene = load_scene("yard")
+    watch = Watch()
+    bus.subscribe(Watch.TOPICS)
+    cpu: list[float] = []
+    memory: dict[str, float] = {}
+    first_motion = []
+    for number, name in enumerate(goals):
+        x, y, yaw = scene.goals[name]
+        goal_id = f"bench{number}"
+        request = make(
+            t.GOAL_REQUEST.type,
+            header=header(time.time_ns(), "map"),
+            id=goal_id,
+            x=x,
+            y=y,
+            yaw=yaw or 0.0,
+            has_yaw=yaw is not None,
+        )
+        sent = resend = time.monotonic()
+        watch.status, watch.moved = None, 0.0
+        bus.publish(t.GOAL_REQUEST, request, time.time_ns())
+        sample = sent + 2.0
+        while time.monotonic() - sent < GOAL_LIMIT:
+            for received in bus.take(0.1):
+                watch.take(received, goal_id)
+            now = time.monotonic()
+            if watch.status is None and now - resend > 1.0:
+                resend = now
+                bus.publish(t.GOAL_REQUEST, request, time.time_ns())
+            if now > sample:
+                sample = now + 2.0
+                processes = json.loads(bus.ask("status") or b"{}").get("processes", [])
+                cpu.append(sum(p["cpu"] for p in processes))
+                for p in processes:
+                    memory[p["process"]] = max(memory.get(p["process"], 0.0), p["memory_mb"])
+            if watch.status is not None and watch.status.state in ("reached", "rejected", "aborted"):
+                break
+        if watch.moved:
+            first_motion.append(watch.moved - sent)
+        reached = watch.status is not None and watch.status.state == "reached"
+        report.add(f"reached.{name}", float(reached), "bool", 1.0, at_least=True)
+        place = watch.truth.pose.pose
+        error = math.hypot(place.position.x - x, place.position.y - y)
+        report.add(f"error_m.{name}", error if reached else math.nan, "m", 0.25)
+        if yaw is not None:
+            turn = math.degrees(abs(math.remainder(yaw_of(place.orientation) - yaw, 2 * math.pi)))
+            report.add(f"error_deg.{name}", turn if reached else math.nan, "deg", 10.0)
+        report.add(f"goal_s.{name}", time.monotonic() - sent, "s")
+    report.add("realtime_factor", float(np.mean(watch.factors)), "-", 0.95, at_least=True)
+    report.add("realtime_factor.min", float(np.min(watch.factors)), "-")
+    report.add("cpu_pct", float(np.mean(cpu)), "% of one core", 200.0)
+    for name, value in memory.items():
+        report.add(f"memory_mb.{name}", value, "MB")
+    for key, values in (
+        ("point_to_map_ms", watch.map_latency),
+        ("map_to_plan_ms", watch.plan_latency),
+        ("goal_to_motion_ms", first_motion),
+    ):
+        report.add(f"{key}.p50", 1000 * float(np.median(values)) if values else math.nan, "ms")
+        report.add(f"{key}.max", 1000 * float(np.max(values)) if values else math.nan, "ms")
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

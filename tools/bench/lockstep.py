@@ -1,0 +1,48 @@
+"""The closed loop in lockstep: how fast it runs, and how well five goals on the yard are reached, by the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.lockstep import Lockstep
+from tools.bench.report import Report
+
+GOALS = "a,b,rough,platform,behind_wall"
+
+
+def run(args: list[str]) -> Report:
+    """`--scene NAME`, `--goals a,b,...`, `--seed N`, `--set a.b=c` (repeatable)."""
+
+    def option(name: str, default: str) -> str:
+        return args[args.index(name) + 1] if name in args else default
+
+    sets = [args[i + 1] for i, a in enumerate(args) if a == "--set"]
+    config = load(None, sets, scene=option("--scene", "yard"), seed=int(option("--seed", "0")))
+    scene = config.load_scene()
+    report = Report("lockstep")
+    with Lockstep(config) as stack:
+        stack.wait_ready()
+        cpu, simulated = time.process_time(), stack.seconds
+        for name in option("--goals", GOALS).split(","):
+            x, y, yaw = scene.goals[name]
+            begun = stack.seconds
+            stack.send_goal(x, y, yaw)
+            status = stack.finish_goal(150.0)
+            stack.run(1.0)
+            place = stack.newest[t.TRUTH].pose.pose
+            reached = status.state == "reached"
+            report.add(f"reached.{name}", float(reached), "bool", 1.0, at_least=True)
+            error = math.hypot(place.position.x - x, place.position.y - y)
+            report.add(f"error_m.{name}", error if reached else math.nan, "m", 0.25)
+            if yaw is not None:
+                turn = math.degrees(abs(math.remainder(yaw_of(place.orientation) - yaw, 2 * math.pi)))
+                report.add(f"error_deg.{name}", turn if reached else math.nan, "deg", 10.0)
+            report.add(f"goal_s.{name}", stack.seconds - begun, "s")
+            report.add(f"replans.{name}", status.replans, "-")
+        spent = time.process_time() - cpu
+        report.add("speed", (stack.seconds - simulated) / spent, "simulated s per CPU s")
+    return report

@@ -18,7 +18,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.goal import GoalState
 from rbtrg_robot.host import Sink, SyncHost
 from rbtrg_robot.logfile import CONFIG, LogWriter
-from rbtrg_robot.messages import decode, header, make, stamp_of
+from rbtrg_robot.messages import decode, header, make, stamp_in
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stage import Stage
 from rbtrg_robot.stages import robot
@@ -46,7 +46,7 @@ def log_sink(writer: LogWriter) -> Sink:
     def write(topic: Topic, payload: bytes, now: int) -> None:
         if topic.recorded:
             sequence[topic] = sequence.get(topic, 0) + 1
-            stamp = stamp_of(decode(payload, topic.type)) or now
+            stamp = stamp_in(payload, topic.type) or now
             writer.write(topic, payload, now, stamp, sequence[topic])
 
     return write

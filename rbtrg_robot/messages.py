@@ -5,6 +5,7 @@ Standard types come from the ROS 2 Jazzy set that rosbags carries; ours from the
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -99,6 +100,21 @@ def time_msg(stamp: int) -> Any:
 def header(stamp: int, frame: str) -> Any:
     """std_msgs/Header; `stamp` in ns of the source clock."""
     return STORE.types["std_msgs/msg/Header"](stamp=time_msg(stamp), frame_id=frame)
+
+
+@cache
+def _starts_with_stamp(typename: str) -> bool:
+    """True where the first field is a header or a time: its eight bytes follow the encapsulation."""
+    _, (kind, detail) = STORE.fielddefs[typename][1][0]
+    return int(kind) == 2 and detail in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+
+
+def stamp_in(data: bytes, typename: str) -> int:
+    """Source stamp [ns] of wire bytes, without decoding them where it stands in front."""
+    if not _starts_with_stamp(typename):
+        return stamp_of(decode(data, typename))
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return int(seconds) * NS + int(nanoseconds)
 
 
 def stamp_of(message: Any) -> int:

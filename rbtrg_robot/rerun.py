@@ -12,7 +12,7 @@ from rbtrg_robot.config import ConfigError, StackConfig
 from rbtrg_robot.host import SyncHost
 from rbtrg_robot.lockstep import build_stages
 from rbtrg_robot.logfile import CONFIG, METADATA, LogWriter, first_of, read_run
-from rbtrg_robot.messages import decode, stamp_of
+from rbtrg_robot.messages import stamp_in
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 
@@ -46,7 +46,7 @@ def rerun(
             if topic.recorded:
                 counts[topic.name] = counts.get(topic.name, 0) + 1
                 sequence[topic] = sequence.get(topic, 0) + 1
-                stamp = stamp_of(decode(payload, topic.type)) or now
+                stamp = stamp_in(payload, topic.type) or now
                 writer.write(topic, payload, now, stamp, sequence[topic])
 
         host = SyncHost(stages, sink)
@@ -56,7 +56,7 @@ def rerun(
             if topic is None or topic in replaced or topic is t.HEARTBEAT or entry.type != topic.type:
                 continue
             if topic is t.CLOCK:
-                now = stamp_of(decode(entry.data, topic.type))
+                now = stamp_in(entry.data, topic.type)
             else:
                 now = host.now if config.simulated else entry.log_time
             if first is None and now:

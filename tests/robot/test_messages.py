@@ -23,6 +23,16 @@ def test_every_topic_has_a_type_that_survives_the_wire(topic: topics.Topic) -> N
     assert messages.definition(topic.type)
 
 
+@pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda t: t.name)
+def test_the_stamp_is_found_in_the_bytes(topic: topics.Topic) -> None:
+    message = make(topic.type)
+    if hasattr(message, "header"):
+        message.header = messages.header(12_345_678_901, "map")
+    elif hasattr(message, "clock"):
+        message.clock = messages.time_msg(12_345_678_901)
+    assert messages.stamp_in(encode(message), topic.type) == messages.stamp_of(message)
+
+
 def test_hashes_are_those_of_ros() -> None:
     known = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
     assert messages.type_hash("sensor_msgs/msg/PointCloud2") == known

@@ -59,7 +59,7 @@ class Tables(NamedTuple):
     sweep: NDArray[np.float64]
     """(sum of degrees over slots, 2)"""
     low: NDArray[np.float64]
-    """(slots, 2) lower bounds of `edge` from its middle pose."""
+    """(slots, 2) lower bounds of `edge` from two of its poses."""
 
 
 @njit(cache=True)
@@ -282,9 +282,9 @@ def reverse_slots(indptr: np.ndarray, source: np.ndarray, target: np.ndarray) ->
 def low_risk(
     laid: Laid, work: Scratch, w: Weights, roads: Roads, tables: Tables, slot: int
 ) -> tuple[float, float]:
-    """B and U of a directed edge if known, else lower bounds from its middle pose.
+    """B and U of a directed edge if known, else lower bounds from two of its poses.
 
-    One of n poses with scaled features x puts at least x / n into the mean and x / k into the tail.
+    Poses with scaled features x and y, out of n, put at least (x + y) / n into the mean and max(x, y) / k into the tail.
     """
     if not np.isnan(tables.edge[slot, 0]):
         return tables.edge[slot, 0], tables.edge[slot, 1]
@@ -292,21 +292,30 @@ def low_risk(
         back = roads.reverse[slot]
         i, j = roads.source[slot], roads.target[slot]
         n = max(2, int(np.ceil(roads.length[slot] / w.edge_step - 1e-9)) + 1)
-        # The pose must be one of the edge's own: counted from the end that evaluates the edge.
-        t = (n // 2) / (n - 1)
-        t = t if slot < back else 1.0 - t
-        pose = np.empty((1, 3))
-        pose[0, 0] = roads.x[i] + t * (roads.x[j] - roads.x[i])
-        pose[0, 1] = roads.y[i] + t * (roads.y[j] - roads.y[i])
-        pose[0, 2] = roads.heading[slot]
-        f = np.empty((1, 4))
-        features_of(laid, work, pose, f)
-        share = (w.mean / n + w.tail / max(1, (n + 9) // 10)) * (1.0 - 1e-6)
+        # The poses must be the edge's own: counted from the end that evaluates the edge.
+        poses = np.empty((2, 3))
+        for m in range(2):
+            t = ((m + 1) * n // 3) / (n - 1)
+            t = t if slot < back else 1.0 - t
+            poses[m, 0] = roads.x[i] + t * (roads.x[j] - roads.x[i])
+            poses[m, 1] = roads.y[i] + t * (roads.y[j] - roads.y[i])
+            poses[m, 2] = roads.heading[slot]
+        f = np.empty((2, 4))
+        features_of(laid, work, poses, f)
+        k = max(1, (n + 9) // 10)
         b = 0.0
-        for m in range(3):
-            b += share * min(w.clip, f[0, m] / w.scale[m])
+        u = 0.0
+        for m in range(4):
+            x0, x1 = f[0, m] / w.scale[m], f[1, m] / w.scale[m]
+            if m < 3:
+                x0, x1 = min(w.clip, x0), min(w.clip, x1)
+            both = x0 + x1 if n > 2 else max(x0, x1)
+            top = max(x0, x1) if k == 1 else both
+            u = (w.mean * both / n + w.tail * top / k) * (1.0 - 1e-6)
+            if m < 3:
+                b += u
         tables.low[slot, 0] = b
-        tables.low[slot, 1] = share * f[0, 3] / w.scale[3]
+        tables.low[slot, 1] = u
         tables.low[back] = tables.low[slot]
     return tables.low[slot, 0], tables.low[slot, 1]
 

@@ -1,0 +1,68 @@
+"""The static study's statistics on made-up instances, and its yardstick on a plan."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.graph import TraversalGraph
+from planning.search import VARIANTS, PlanRequest, plan
+from tools.bench._static_table import markdown
+from tools.bench.static import SCENES, Instance, changed, interval, macro, measure, values
+
+
+def made_up():
+    rng = np.random.default_rng(1)
+    out = []
+    for scene, count in zip(SCENES, (20, 10, 5, 5), strict=True):
+        for k in range(count):
+            base = float(rng.uniform(4, 6))
+            for v in VARIANTS:
+                share = {"native": 1.0, "full": 0.8}.get(v, 0.9)
+                nodes = (0, k, 9) if v == "native" or k % 2 else (0, 8, 9)
+                out.append(
+                    Instance(scene, "native", k, 0, v, nodes, base, base * share, 30 * share, 0.5, 0.1, base)
+                )
+    return out
+
+
+def test_macro_means_weigh_scenes_equally_and_changes_are_paired():
+    instances = made_up()
+    native, full = values(instances, "native", "native"), values(instances, "native", "full")
+    assert macro(native)[2] == pytest.approx(30.0)
+    np.testing.assert_allclose(macro(full) / macro(native), [1.0, 0.8, 0.8, 1.0, 1.0])
+    np.testing.assert_allclose(
+        interval(full, native), np.tile([0.0, -0.2, -0.2, 0.0, 0.0], (2, 1)), atol=1e-9
+    )
+    per_scene = np.mean([native[s][:, 0].mean() for s in SCENES])
+    assert macro(native)[0] == pytest.approx(per_scene)
+    assert changed(instances, "native", "native") == 0.0
+    assert changed(instances, "native", "full") == pytest.approx((9 + 4 + 3 + 3) / 40), (
+        "even k, but for k = 8"
+    )
+
+
+def test_the_table_says_what_is_reached_and_what_is_not():
+    text = markdown(made_up(), ["rescue_steps, native, seed 3, pair 1: no node"])
+    assert "d_fb -20.0 % for -10.0 %: reached" in text
+    assert "p_int +0.0 % for -14.9 %: MISSED" in text
+    assert "No instance had a route." in text
+    assert "seed 3, pair 1: no node" in text
+
+
+def test_the_yardstick_sees_a_step_on_the_route_and_unseen_ground():
+    height = np.zeros((41, 121), np.float32)
+    height[:, 60:] = 0.12
+    trusted = np.ones_like(height, bool)
+    trusted[:, :20] = False
+    grid = ElevationGrid(height, trusted, (0.0, 0.0), 0.05)
+    graph = TraversalGraph.from_edges(
+        np.array([[1.0, 1.0, 0], [5.0, 1.0, 0]]), np.array([[0, 1]]), np.zeros(1)
+    )
+    length, d_fb, a_lr, p_int, untrusted = measure(plan(graph, grid, PlanRequest(0, 1, variant="native")))
+    assert length == pytest.approx(4.0)
+    assert d_fb == pytest.approx(0.12, abs=1e-4)
+    assert a_lr == pytest.approx(0.0, abs=1e-6)
+    assert 0.06 < p_int < 0.12, "while the front band is only partly on the step"
+    assert 0.01 < untrusted < 0.1

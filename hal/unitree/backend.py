@@ -40,6 +40,14 @@ _BALANCE = (1, 2, 3)
 """Sport modes that accept Move: balance, pose, locomotion."""
 
 
+_THERE = {
+    ModeRequest.STAND: (Phase.READY, Phase.MOVING),
+    ModeRequest.RECOVER: (Phase.READY, Phase.MOVING),
+    ModeRequest.SIT: (Phase.SITTING,),
+}
+"""Requests that are fulfilled already."""
+
+
 class UnitreeBackend:
     """A Go2-W on `interface`. See `hal.contract.Backend`; the source clock is the host's wall clock."""
 
@@ -139,6 +147,8 @@ class UnitreeBackend:
     def request(self, mode: ModeRequest) -> None:
         """Start a transition; progress and failure show in `state`."""
         self._connected()
+        if self._transition is None and self._phase in _THERE.get(mode, ()):
+            return  # to lie down again, for one, the robot would have to stand up first
         match mode:
             case ModeRequest.STOP:
                 self._abandon()
@@ -154,8 +164,6 @@ class UnitreeBackend:
                 self._start(self._steps.sit(), "lying down", Phase.STANDING)
             case ModeRequest.STAND | ModeRequest.RECOVER if self._stopped:
                 log.warning("%s refused: the emergency stop is latched, resume first", mode.value)
-            case ModeRequest.STAND if self._transition is None and self._phase in (Phase.READY, Phase.MOVING):
-                pass
             case ModeRequest.STAND:
                 self._fault = ""
                 self._start(self._steps.stand(), "standing up", Phase.STANDING)

@@ -139,6 +139,12 @@ def test_asking_again_does_not_start_a_transition_over():
         world.run(0.04)
     assert world.phase is Phase.READY
     assert world.apis().count(Sport.STAND_UP) == 1
+    for _ in range(100):
+        world.backend.request(ModeRequest.SIT)
+        world.run(0.04)
+    assert world.phase is Phase.SITTING
+    assert world.apis().count(Sport.STAND_UP) == 1, "lying, it must not stand up to lie down"
+    assert world.apis().count(Sport.STAND_DOWN) == 1
 
 
 def test_sits_damps_and_comes_back():

@@ -32,6 +32,7 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
     caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     slowed = way * m.speed < p.blocked_speed * abs(m.vx)
+    flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08 and abs(m.wz) < 0.15
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     for leg in range(4):
         back = -way * m.force[leg, 0]
@@ -41,6 +42,9 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
         lags = behind > p.blocked_lag * caution and back > 5.0 * caution
         if way != 0.0 and slowed and (pushed or lags):
             m.blocked[leg] += dt
+        elif flat and way != 0.0 and back > 5.0 and back + others > 0.5 * p.blocked_force:
+            # Pushed back weakly but for long: on slippery ground the others cannot push harder.
+            m.blocked[leg] += 0.15 * dt
         else:
             m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
         if m.blocked[leg] > worst:

@@ -1,0 +1,150 @@
+"""The virtual model controller: statics against plain numpy, and short drives in simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hal import go2w
+from hal.locomotion.geometry import distribute, inverse3, leg_weight, level_frame
+from hal.locomotion.vmc import VmcController
+from hal.lowlevel import LowState
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope_trial import drive
+
+
+def _simulation(slope: float = 0.0) -> Simulation:
+    x = np.arange(300) * 0.02 - 2.0
+    height = np.broadcast_to(np.tan(slope) * x, (150, 300)).astype(np.float32)
+    return Simulation(height, 0.02, (-2.0, -1.5))
+
+
+def _run(sim: Simulation, controller: VmcController, vx: float, wz: float, seconds: float) -> None:
+    for _ in range(round(seconds / sim.timestep)):
+        sim.apply(controller.step(sim.low_state(), VelocityCommand(0, vx, 0.0, wz), PostureCommand(0)))
+        sim.step()
+
+
+def test_level_frame_removes_heading_and_keeps_up() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+        w, x, y, z = quaternion
+        up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+        rot = level_frame(quaternion)
+        np.testing.assert_allclose(rot @ rot.T, np.eye(3), atol=1e-9)
+        np.testing.assert_allclose(rot @ up, [0, 0, 1], atol=1e-9)
+        assert rot[1, 0] == 0.0  # the trunk's x axis has no sideways part: no heading
+
+
+def test_inverse3_matches_numpy() -> None:
+    a = np.random.default_rng(2).normal(size=(3, 3))
+    np.testing.assert_allclose(inverse3(a), np.linalg.inv(a), rtol=1e-9)
+
+
+def test_leg_weight_matches_the_simulator_s_model() -> None:
+    sim = _simulation()
+    q = go2w.STAND + np.random.default_rng(3).normal(0.0, 0.2, 16)
+    sim.reset(q=go2w.STAND)
+    import mujoco
+
+    data = mujoco.MjData(sim.model)
+    for name, value in zip(go2w.MOTORS, q, strict=True):
+        data.qpos[sim.model.joint(name).qposadr[0]] = value
+    data.qpos[3:7] = np.array([0.98, 0.1, 0.15, 0.0]) / np.linalg.norm([0.98, 0.1, 0.15, 0.0])
+    mujoco.mj_forward(sim.model, data)
+    torque, com = leg_weight(q, level_frame(data.qpos[3:7]))
+    bias = np.array([data.qfrc_bias[sim.model.joint(name).dofadr[0]] for name in go2w.MOTORS[:12]])
+    np.testing.assert_allclose(
+        torque.ravel(), bias, atol=0.1
+    )  # the links' small sideways offsets are left out
+    assert com[2] == pytest.approx(data.subtree_com[0][2] - data.qpos[2], abs=2e-3)
+
+
+def test_distribution_meets_the_wrench_and_the_bounds() -> None:
+    points = np.array([[0.2, -0.19, -0.4], [0.2, 0.19, -0.4], [-0.2, -0.19, -0.4], [-0.2, 0.19, -0.4]])
+    force = np.full(4, 40.0)
+    distribute(points, np.zeros(3), np.array([190.0, 8.0, -6.0]), np.zeros(4), np.full(4, 170.0), force, 200)
+    assert force.sum() == pytest.approx(190.0, abs=2.0)
+    assert points[:, 1] @ force == pytest.approx(8.0, abs=0.5)
+    assert -points[:, 0] @ force == pytest.approx(-6.0, abs=0.5)
+    upper = np.array([0.0, 170.0, 170.0, 170.0])
+    distribute(points, np.zeros(3), np.array([190.0, 0.0, 0.0]), np.zeros(4), upper, force, 200)
+    assert force[0] == 0.0  # a lifted wheel carries nothing
+    assert (force >= 0.0).all()
+
+
+@pytest.mark.parametrize("vx", [0.5, -0.4])
+def test_drives_straight_at_the_commanded_speed(vx: float) -> None:
+    sim, controller = _simulation(), VmcController()
+    sim.reset(x=1.0)
+    _run(sim, controller, vx, 0.0, 1.5)
+    start = sim.position
+    _run(sim, controller, vx, 0.0, 1.0)
+    moved = sim.position - start
+    assert moved[0] == pytest.approx(vx, rel=0.08)
+    assert abs(moved[1]) < 0.02
+    assert controller.ground_speed() == pytest.approx(vx, rel=0.1)
+
+
+def test_turns_in_place_at_the_commanded_rate() -> None:
+    sim, controller = _simulation(), VmcController()
+    sim.reset()
+    _run(sim, controller, 0.0, 0.6, 2.0)
+    before = sim.yaw
+    _run(sim, controller, 0.0, 0.6, 2.0)
+    assert (sim.yaw - before + np.pi) % (2 * np.pi) - np.pi == pytest.approx(1.2, rel=0.08)
+
+
+def test_holds_its_place_level_on_a_slope() -> None:
+    sim, controller = _simulation(np.radians(15.0)), VmcController()
+    sim.reset()
+    _run(sim, controller, 0.0, 0.0, 2.0)
+    start = sim.position
+    _run(sim, controller, 0.0, 0.0, 3.0)
+    assert np.linalg.norm(sim.position - start) < 0.005
+    pitch = -np.arcsin(sim.rotation[2, 0])
+    assert abs(pitch) < 0.12  # the ground is at 0.26 rad
+
+
+def test_contacts_are_those_of_the_simulator() -> None:
+    sim, controller = _simulation(), VmcController()
+    sim.reset()
+    _run(sim, controller, 0.0, 0.0, 1.0)
+    assert controller.contacts() == (True, True, True, True) == sim.wheel_contact()
+    state = sim.low_state()
+    state.tau = np.zeros(16)
+    for _ in range(100):
+        state = LowState(
+            state.time, go2w.STAND, np.zeros(16), np.zeros(16), np.array([1.0, 0, 0, 0]), *[np.zeros(3)] * 2
+        )
+        weight, _ = leg_weight(state.q, np.eye(3))
+        state.tau[:12] = weight.ravel()
+        controller.step(state, VelocityCommand(0), PostureCommand(0))
+    assert controller.contacts() == (False, False, False, False)
+
+
+def test_same_input_gives_the_same_command_after_reset() -> None:
+    sim, controller = _simulation(), VmcController()
+    sim.reset()
+    state = sim.low_state()
+    outputs = []
+    for _ in range(2):
+        controller.reset()
+        for _ in range(20):
+            low = controller.step(state, VelocityCommand(0, 0.5, 0.0, 0.2), PostureCommand(0))
+        outputs.append(np.concatenate([low.q, low.dq, low.tau, low.kp, low.kd]))
+    np.testing.assert_array_equal(outputs[0], outputs[1])
+    assert np.isfinite(outputs[0]).all()
+
+
+@pytest.mark.parametrize(("course", "run"), [("step_up_10", 0), ("ramp_up_20", 1), ("step_down_15", 1)])
+def test_masters_the_course(course: str, run: int) -> None:
+    assert drive(VmcController(), course, run).reason == "passed"
+
+
+def test_a_silly_period_is_refused() -> None:
+    with pytest.raises(ValueError, match="control period"):
+        VmcController(period=0.5)

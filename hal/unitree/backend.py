@@ -313,7 +313,9 @@ class UnitreeBackend:
         if halting and before[0] in (Phase.READY, Phase.MOVING):
             self._halt()
         if self._phase != before[0]:
-            log.info("%s -> %s: %s", before[0].value, self._phase.value, self._cause or "as asked")
+            driving = {before[0], self._phase} == {Phase.READY, Phase.MOVING}
+            level = logging.DEBUG if driving else logging.INFO
+            log.log(level, "%s -> %s: %s", before[0].value, self._phase.value, self._cause)
 
     def _verdict(self, t: Telemetry, now: int) -> tuple[Phase, str]:
         o = self.options
@@ -345,12 +347,14 @@ class UnitreeBackend:
             return Phase.STOPPED, self._stopped
         if t.mode not in _BALANCE:
             return Phase.STANDING, "joints are locked: request stand"
-        if self._mover.moving and (t.speed > 0.05 or t.yaw_rate > 0.1):
-            return Phase.MOVING, self._mover.note or "following velocity"
-        note = self._mover.note or "balance stand, takes velocity"
+        note = self._mover.note
         if ignored > 1.5:
             note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
-        return Phase.READY, note
+        # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
+        seen = t.speed > 0.05 or t.yaw_rate > 0.1 or self._phase is Phase.MOVING
+        if self._mover.moving and seen and ignored < 1.5:
+            return Phase.MOVING, note or "following velocity"
+        return Phase.READY, note or "balance stand, takes velocity"
 
     def _restart_guardian(self) -> None:
         if not self._guarded or (self._guardian is not None and self._guardian.alive()):

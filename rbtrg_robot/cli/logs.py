@@ -310,6 +310,27 @@ def log_recover(
     print(f"{count} messages -> {target}" + (f" (the file was damaged {damage})" if damage else ""))
 
 
+@log_app.command("film")
+def log_film(
+    file: Path,
+    out: Annotated[Path, typer.Argument(help="FILE.mp4, FILE.png (the end), or a folder for frames.")],
+) -> None:
+    """Draw a simulated run from outside."""
+    draw(file, out)
+
+
+def draw(log: Path, out: Path) -> None:
+    """With a progress bar where there is a terminal."""
+    from rich.progress import Progress
+
+    from rbtrg_robot.film import film
+
+    with Progress(disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("film", total=None)
+        poses = film(log, out, lambda done, total: bar.update(task, completed=done, total=total))
+    print(f"{poses} poses -> {out}")
+
+
 def _summary(summary: Any) -> dict[str, Any]:
     return {
         "files": summary.files,

@@ -40,6 +40,9 @@ def up(
     log_dir: Annotated[Path, typer.Option(help="Where runs are logged.")] = Path("logs"),
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no MCAP log.")] = False,
     detach: Annotated[bool, typer.Option("--detach", help="Return when ready, leave it running.")] = False,
+    render: Annotated[
+        Path | None, typer.Option(help="After the run, draw it: FILE.mp4, FILE.png or a folder.")
+    ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
     robot: Annotated[str | None, typer.Option(help="Name of the robot.")] = None,
@@ -83,11 +86,18 @@ def up(
         port=port,
         scene_options=options or None,
     )
+    if render is not None and not (loaded.simulated and loaded.record):
+        raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
     _check(loaded)
     folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
     loaded = loaded.model_copy(update={"log_dir": str(folder)})
     (folder / "config.yaml").write_text(loaded.to_yaml())
-    raise typer.Exit(_supervise(loaded))
+    code = _supervise(loaded)
+    if render is not None and not code:
+        from rbtrg_robot.cli.logs import draw
+
+        draw(folder, render)
+    raise typer.Exit(code)
 
 
 def _check(config: Any) -> None:

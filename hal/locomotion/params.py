@@ -38,6 +38,8 @@ class VmcParams(NamedTuple):
     leg_kd: float = 4.0
     """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
     calf_kd: float = 2.0
+    calf_share: float = 1.0
+    """Share of the calf in holding a wheel's place; 1 makes that force horizontal."""
     stroke_min: float = 0.12
     """Axle below hip [m] where the folded leg's soft stop ends."""
     stroke_max: float = 0.392

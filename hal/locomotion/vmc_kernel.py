@@ -316,6 +316,13 @@ def vmc_tick(
             out[OUT_DQ, i] = inv[joint, 0] * (m.shift_rate[0] + rate_x) + inv[joint, 1] * m.shift_rate[1]
             out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
             out[OUT_KD, i] = p.calf_kd if joint == 2 else p.leg_kd
+        if leg != lifted:
+            # The thigh's spring alone would push along the calf, mostly upwards; the calf's share makes its force horizontal.
+            thigh = 3 * leg + 1
+            ratio = clip(jac[leg, 0, 2] / min(jac[leg, 0, 1], -0.1), -1.0, 1.0)
+            out[OUT_TAU, thigh + 1] += (
+                p.calf_share * clip(p.leg_kp * (out[OUT_Q, thigh] - q[thigh]), -20.0, 20.0) * ratio
+            )
         ground_speed = m.vx - turn * points[leg, 1] + rate_x
         want = ground_speed / radius - spin[leg]
         band = limit / p.wheel_kd

@@ -135,10 +135,11 @@ def run(args: list[str]) -> Report:
         report.add(f"falls.{name}.delay_20", falls, f"of {3 * len(NO_FALL)}", 0.0 if name == "vmc" else None)
     if "track_rmse_m".startswith(options.only) or "yaw_gain".startswith(options.only):
         ride = figure_eight(controller)
-        report.add(f"track_rmse_m.{name}", ride.rmse, "m", 0.06)
+        own = name == "vmc"  # the policy is measured, not ours to tune
+        report.add(f"track_rmse_m.{name}", ride.rmse, "m", 0.06 if own else None)
         report.add(f"track_max_m.{name}", ride.worst, "m")
-        report.add(f"yaw_gain.{name}", ride.yaw_gain, "-", 1.05)
-        report.add(f"yaw_gain_low.{name}", ride.yaw_gain, "-", 0.95, at_least=True)
+        report.add(f"yaw_gain.{name}", ride.yaw_gain, "-", 1.05 if own else None)
+        report.add(f"yaw_gain_low.{name}", ride.yaw_gain, "-", 0.95 if own else None, at_least=True)
     if "hold_m".startswith(options.only):
         report.add(f"hold_m.{name}", hold_on_slope(controller), "m", 0.01)
     if "rtf".startswith(options.only):

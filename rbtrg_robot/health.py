@@ -35,6 +35,8 @@ class TopicHealth:
         """From a heartbeat; `wall` in s, monotonic."""
         if self.history and count < self.history[-1][1]:
             self.history.clear()  # the publisher restarted
+        if self.history and self.history[-1][1] == 0:
+            self.history.clear()  # it has only just begun: silence before that is no low rate
         self.history.append((wall, count))
         while len(self.history) > 2 and wall - self.history[1][0] > WINDOW:
             self.history.pop(0)

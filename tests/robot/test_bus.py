@@ -77,17 +77,19 @@ def test_a_late_joiner_gets_the_latched_message(router: Bus, endpoint: str) -> N
 
 def test_the_death_of_a_process_is_seen(router: Bus, endpoint: str) -> None:
     changes: list[tuple[str, bool]] = []
-    gone = threading.Event()
+    came, gone = threading.Event(), threading.Event()
 
     def changed(process: str, alive: bool) -> None:
         changes.append((process, alive))
-        if (process, alive) == ("a", False):
-            gone.set()
+        if process == "a":
+            (came if alive else gone).set()
 
     router.watch_processes(changed)
     with Bus(endpoint, "a"):
+        assert came.wait(10.0)
         assert "a" in router.processes()
-    assert gone.wait(5.0)
+        assert not gone.is_set()
+    assert gone.wait(10.0)
     assert ("a", True) in changes
 
 

@@ -16,6 +16,10 @@ class NavigatorParams(BaseModel):
     plan_retry: float = Field(2.0, gt=0, description="ask the planner again after [s]")
     input_timeout: float = Field(1.0, gt=0, description="odometry or map older than this halts [s]")
     patience: float = Field(12.0, gt=0, description="give up after inputs were missing for [s]")
+    goal_tolerance: float = Field(
+        0.25, gt=0, description="a path that ends further from the goal does not reach it [m]"
+    )
+    short_retries: int = Field(3, ge=0, description="replans from a path's end that fell short of the goal")
     no_route_retries: int = Field(3, ge=0, description="replans before `no route` is final")
     max_recoveries: int = Field(3, ge=0, description="recoveries before the goal is given up as stuck")
     back_out: float = Field(0.6, gt=0, description="how far to back out when stuck [m]")
@@ -50,7 +54,7 @@ class PlannerParams(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    variant: Literal["native", "edge-only", "mean-only", "full"] = Field(
+    variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="cost variant of the search"
     )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -59,6 +60,7 @@ class NavigatorStage:
         self._planned = 0
         self._route_bad = ""
         self._no_route = 0
+        self._short = 0
         self._avoid: list[float] = []
         self._path: Any = None
         self._path_sent = 0
@@ -123,7 +125,7 @@ class NavigatorStage:
         if self._goal and self._goal.state.active:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
         self._goal = goal
-        self._no_route = 0
+        self._no_route = self._short = 0
         self._avoid = []
         self._plan = None
         self._waiting = False
@@ -239,11 +241,7 @@ class NavigatorStage:
         tracker = self._tracker
         on_path = self._path is not None and tracker is not None and tracker.path_id == self._path.id
         if on_path and tracker.phase == "done":
-            if goal.state is GoalState.RECOVERING or goal.frontier:
-                goal.state = GoalState.MOVING
-                self._replan(goal)
-            else:
-                self._end(GoalState.REACHED, Reason.NONE)
+            self._arrive(goal)
             return
         if goal.state is GoalState.MOVING and self._route_bad:
             goal.detail = self._route_bad
@@ -260,6 +258,21 @@ class NavigatorStage:
             return
         if goal.frontier and now - self._planned > p.replan_period * NS:
             self._replan(goal)
+
+    def _arrive(self, goal: Goal) -> None:
+        """At the end of a path: that is the goal, a frontier, or the last drivable place before the goal."""
+        if goal.state is GoalState.RECOVERING or goal.frontier:
+            goal.state = GoalState.MOVING
+            self._replan(goal)
+            return
+        short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
+        if short <= self._params.goal_tolerance:
+            self._end(GoalState.REACHED, Reason.NONE)
+        elif self._short < self._params.short_retries:
+            self._short += 1  # seen from here the last stretch may be drivable
+            self._replan(goal)
+        else:
+            self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
 
     def _missing(self) -> tuple[Reason, str] | None:
         if self._health == "lost":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ from rbtrg_robot.reasons import Reason
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
 
+AT_FRONTIER = 0.3
+"""This close to a frontier [m] the robot has seen what there is to see from it."""
 REASONS = {
     NoRouteReason.BAD_INPUT: Reason.INVALID,
     NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
@@ -59,6 +62,8 @@ class PlannerStage:
         self._path: Path | None = None
         self._frontier: tuple[float, float] | None = None
         self._frontier_goal = ""
+        self._seen: list[tuple[float, float]] = []
+        """Frontiers of this goal that the robot has looked from: going back there shows nothing new."""
         self._malformed = 0
         self._verdict = (True, "")
         self._checked_version = -1
@@ -165,7 +170,9 @@ class PlannerStage:
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._verdict = None, (True, "")
         if message.goal_id != self._frontier_goal:
-            self._frontier, self._frontier_goal = None, message.goal_id
+            self._frontier, self._frontier_goal, self._seen = None, message.goal_id, []
+        elif self._frontier is not None and math.dist(self._frontier, self._start) < AT_FRONTIER:
+            self._seen.append(self._frontier)
         if self._changed or self._graph is None:
             self._sync()
         base = {
@@ -198,6 +205,7 @@ class PlannerStage:
             variant=self._params.variant,
             allow_frontier=True,
             previous_frontier=self._frontier,
+            seen_frontiers=tuple(self._seen),
         )
         graph = keep_out(self._graph, message.avoid.reshape(-1, 3))
         found = plan(graph, self._grid, request, self._body)

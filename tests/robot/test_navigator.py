@@ -127,10 +127,25 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     assert world.status.risk == 0.4
     assert len(world.last(t.PATH_COMMAND).x) == 11
     world.run(1.0)
+    world.pose = (2.9, 0.1, 0.0)
     world.tracker_phase = "done"
     world.run(0.2)
     assert world.status.state == "reached"
     assert world.last(t.PATH_COMMAND).id == ""
+
+
+def test_a_path_that_ends_short_of_the_goal_is_no_success(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.pose = (2.6, 0.0, 0.0)
+    world.tracker_phase = "done"
+    for _ in range(3):
+        world.run(0.1)
+        assert world.status.state == "moving"
+        world.answer()
+    world.run(0.1)
+    assert (world.status.state, world.status.reason) == ("aborted", "no_route")
+    assert "0.40 m" in world.status.detail
 
 
 @pytest.mark.parametrize(

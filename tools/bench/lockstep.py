@@ -30,8 +30,8 @@ def run(args: list[str]) -> Report:
         for name in option("--goals", GOALS).split(","):
             x, y, yaw = scene.goals[name]
             begun = stack.seconds
-            stack.send_goal(x, y, yaw)
-            status = stack.finish_goal(150.0)
+            stack.send_goal(x, y, yaw, timeout=150.0)
+            status = stack.finish_goal(160.0)
             stack.run(1.0)
             place = stack.newest[t.TRUTH].pose.pose
             reached = status.state == "reached"

@@ -13,7 +13,7 @@ class TrackerParams(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    max_speed: float = Field(default=0.5, gt=0, description="[m/s] whatever the path allows")
+    max_speed: float = Field(default=0.8, gt=0, description="[m/s] whatever the path allows")
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
     max_yaw_rate: float = Field(default=0.8, gt=0, description="[rad/s]")
     max_accel: float = Field(default=0.8, gt=0, description="[m/s^2] slew of the forward speed")

@@ -81,7 +81,7 @@ class StackConfig(BaseModel):
     body: BodyModel = BodyModel()
     planner: PlannerParams = PlannerParams()
     navigator: NavigatorParams = NavigatorParams()
-    tracker: TrackerParams = TrackerParams()
+    tracker: TrackerParams = TrackerParams(max_speed=0.5)
     freshness: FreshnessParams = FreshnessParams()
     recorder: RecorderParams = RecorderParams()
 

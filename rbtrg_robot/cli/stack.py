@@ -88,6 +88,7 @@ def up(
     )
     if render is not None and not (loaded.simulated and loaded.record):
         raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
+    refuse_second(loaded.robot)
     _check(loaded)
     folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
     loaded = loaded.model_copy(update={"log_dir": str(folder)})
@@ -98,6 +99,17 @@ def up(
 
         draw(folder, render)
     raise typer.Exit(code)
+
+
+def refuse_second(robot: str) -> None:
+    """Before anything is written: raises AlreadyRunning with the pid of the stack that is up."""
+    from rbtrg_robot.runfiles import AlreadyRunning, NotRunning, read_state
+
+    try:
+        pid = int(read_state(robot)["pid"])
+    except NotRunning:
+        return
+    raise AlreadyRunning(robot, pid)
 
 
 def _check(config: Any) -> None:

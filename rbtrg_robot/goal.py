@@ -72,12 +72,3 @@ class Goal:
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         """Enter a terminal state."""
         self.state, self.reason, self.detail = state, reason, detail
-
-
-def inside(polygon: tuple[tuple[float, float], ...], x: float, y: float) -> bool:
-    """Is a point in a simple polygon (even-odd rule)?"""
-    hit = False
-    for (x0, y0), (x1, y1) in zip(polygon, (*polygon[1:], polygon[0]), strict=True):
-        if (y0 > y) != (y1 > y) and x < (x1 - x0) * (y - y0) / (y1 - y0) + x0:
-            hit = not hit
-    return hit

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from hal.geofence import Geofence
 from hal.types import NS, Phase
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import yaw_of
 from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.goal import Goal, GoalState, inside
+from rbtrg_robot.goal import Goal, GoalState
 from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
@@ -42,7 +43,7 @@ class NavigatorStage:
 
     def __init__(self, params: NavigatorParams, area: tuple[tuple[float, float], ...] | None = None) -> None:
         self._params = params
-        self._area = area
+        self._area = Geofence.of(area) if area else None
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
@@ -132,7 +133,7 @@ class NavigatorStage:
         self._missing_since = 0
         if not goal.finite:
             self._end(GoalState.REJECTED, Reason.INVALID)
-        elif self._area and not inside(self._area, goal.x, goal.y):
+        elif self._area is not None and self._area.outside(goal.x, goal.y) > 0.0:
             self._end(GoalState.REJECTED, Reason.OUTSIDE)
         elif self._robot is not None and self._robot.estop:
             self._end(GoalState.REJECTED, Reason.ESTOP, "send `rbtrg-robot resume` first")
@@ -159,6 +160,8 @@ class NavigatorStage:
         ):
             return
         self._waiting = False
+        if self._missing_since:
+            return  # asked before the inputs went: a new route is asked for when they are back
         self._planned = self._now
         self._route_bad = ""
         if message.ok:

@@ -60,16 +60,13 @@ def corridor_free(
     width,
     max_tan,
     min_coverage,
-    start_x,
-    start_y,
-    blind,
     sums,
 ):
     """True if the footprint (length x width) can be moved straight from a to b.
 
-    Not both sides of a step under it, every cross-section seen to at least `min_coverage` (unseen ground within `blind` of the
-    start counts as seen), and nowhere steeper than `max_tan` over a wheelbase, pitch and roll together. Ground
-    outside the map is not seen. `sums` is scratch, (sections, 8) float64.
+    Not both sides of a step under it, every cross-section seen to at least `min_coverage`, and nowhere
+    steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
+    `sums` is scratch, (sections, 8) float64.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -93,7 +90,6 @@ def corridor_free(
         or max(xa, xb) + reach_x > x0 + cols * res
     ):
         return False
-    blind2 = blind * blind
     strip = half / 3.0
     sides = 0
     for r in range(r_lo, r_hi + 1):
@@ -112,10 +108,7 @@ def corridor_free(
             i = min(max(i, 0), n - 1)
             sums[i, 0] += 1.0
             if flag & UNSEEN:
-                sx = ex + xa - start_x
-                sy = y - start_y
-                if sx * sx + sy * sy > blind2:
-                    sums[i, 1] += 1.0
+                sums[i, 1] += 1.0
                 continue
             z = height[r, c]
             if z != z:
@@ -178,7 +171,7 @@ def _not_steep(sums, n, limit, track):
 @njit(cache=True)
 def connect(
     height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, min_coverage, start_x, start_y, blind, radius, risk, revision, version,
+    length, width, max_tan, min_coverage, radius, risk, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -219,8 +212,7 @@ def connect(
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
                 if corridor_free(
-                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage,
-                    start_x, start_y, blind, sums,
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage, sums,
                 ):  # fmt: skip
                     risk[j, i, o] = edge_risk(
                         height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False

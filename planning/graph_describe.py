@@ -19,7 +19,7 @@ UNKNOWN_RUN = 0.20
 
 
 @njit(cache=True)
-def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
+def open_frontier(flags, x0, y0, res, x, y, ring):
     """True if free ground ends in unseen ground within `ring` of x, y, in two neighbouring directions of sixteen."""
     rows, cols = flags.shape
     n = math.ceil((ring + UNKNOWN_RUN) / res)
@@ -42,7 +42,7 @@ def open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind):
                 break
             if flags[r, c] & FACE:
                 break
-            if flags[r, c] & UNSEEN and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
+            if flags[r, c] & UNSEEN:
                 run += 1
                 if run >= need:
                     break
@@ -130,9 +130,7 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 
 
 @njit(cache=True)
-def describe_nodes(
-    flags, x0, y0, res, chosen, where, todo, ring, length, width, start_x, start_y, blind, frontier, headings
-):
+def describe_nodes(flags, x0, y0, res, chosen, where, todo, ring, length, width, frontier, headings):
     """Set `frontier` and `headings` (ny, nx) of the lattice cells in `todo`."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):
@@ -142,5 +140,5 @@ def describe_nodes(
             if chosen[j, i] >= 0:
                 x = where[j, i, 0]
                 y = where[j, i, 1]
-                frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring, start_x, start_y, blind)
+                frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring)
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
+from planning.graph_blind import grant_blind
 from planning.graph_corridor import MARGIN, SECTION, connect
 from planning.graph_describe import UNKNOWN_RUN, describe_nodes, in_sight
 from planning.graph_input import GraphParams, Window, merge_windows
@@ -151,13 +152,19 @@ class Lattice:
         xs = (x0 + np.arange(cols) * res).astype(np.float32)
         ys = (y0 + np.arange(rows) * res).astype(np.float32)
         k = math.floor(p.robot_size / res + 0.5) + 1
-        boxes = np.empty((len(windows), 4))
-        for n, (r0, c0, r1, c1) in enumerate(windows):
+        touched: list[Window] = []
+        for r0, c0, r1, c1 in windows:
             grown = (max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad))
             update_flags(
                 self.flags, grid.height, grid.trusted, res, grown, p.max_step, p.max_slope, p.max_gap
             )
-            boxes[n] = (x0 + grown[1] * res, y0 + grown[0] * res, x0 + grown[3] * res, y0 + grown[2] * res)
+            touched.append(grown)
+        granted = grant_blind(self.flags, x0, y0, res, *self.start, p.blind_radius)
+        if granted[0] < granted[2]:
+            touched.append(granted)
+        boxes = np.array(
+            [(x0 + c0 * res, y0 + r0 * res, x0 + c1 * res, y0 + r1 * res) for r0, c0, r1, c1 in touched]
+        )
         before = (self.chosen.copy(), self.where.copy())
         todo = np.zeros(self.chosen.shape, dtype=np.bool_)
         for box in boxes:
@@ -172,7 +179,7 @@ class Lattice:
             place_nodes(
                 grid.height, self.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
                 *self.corner, self.side, self.seed, p.sample_num, todo, F32(p.robot_size), F32(p.height_threshold),
-                F32(p.collision_threshold), 0.5 * p.width, p.min_coverage, *self.start, p.blind_radius,
+                F32(p.collision_threshold), 0.5 * p.width, p.min_coverage,
                 self.chosen, self.where, self.clearance,
             )  # fmt: skip
             self.clearance[self.chosen < 0] = 0.0
@@ -181,7 +188,7 @@ class Lattice:
         rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
         connect(
             grid.height, self.flags, xs, ys, x0, y0, res, self.chosen, self.where, OFFSETS, REACH * self.side, moved,
-            boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.min_coverage, *self.start, p.blind_radius,
+            boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.min_coverage,
             F32(p.robot_size), self.risk, self.edge_revision, version,
         )  # fmt: skip
         todo[:] = moved
@@ -193,7 +200,7 @@ class Lattice:
             self.node_revision[j0:j1, i0:i1] = version
         self.node_revision[moved] = version
         describe_nodes(
-            self.flags, x0, y0, res, self.chosen, self.where, todo, ring, p.length, p.width, *self.start, p.blind_radius,
+            self.flags, x0, y0, res, self.chosen, self.where, todo, ring, p.length, p.width,
             self.frontier, self.headings,
         )  # fmt: skip
         return True

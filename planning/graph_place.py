@@ -96,8 +96,8 @@ def step_distance2(flags, x0, y0, res, x, y, radius):
 
 
 @njit(cache=True)
-def _seen(flags, x0, y0, res, x, y, radius, share, start_x, start_y, blind):
-    """True if at least `share` of the disc is seen; the ground around the start counts as seen."""
+def _seen(flags, x0, y0, res, x, y, radius, share):
+    """True if at least `share` of the disc is seen."""
     rows, cols = flags.shape
     k = math.ceil(radius / res)
     r_mid = math.floor((y - y0) / res + 0.5)
@@ -111,14 +111,13 @@ def _seen(flags, x0, y0, res, x, y, radius, share, start_x, start_y, blind):
             if (px - x) ** 2 + (py - y) ** 2 > radius * radius:
                 continue
             total += 1
-            near_start = (px - start_x) ** 2 + (py - start_y) ** 2 <= blind * blind
-            if 0 <= r < rows and 0 <= c < cols and (near_start or not flags[r, c] & UNSEEN):
+            if 0 <= r < rows and 0 <= c < cols and not flags[r, c] & UNSEEN:
                 seen += 1
     return seen >= share * total
 
 
 @njit(cache=True)
-def _keep_off2(flags, x0, y0, res, x, y, radius, start_x, start_y, blind):
+def _keep_off2(flags, x0, y0, res, x, y, radius):
     """As `step_distance2`, and unseen ground counts like a step: what a node should keep off where it can."""
     rows, cols = flags.shape
     best, bx, by = step_distance2(flags, x0, y0, res, x, y, radius)
@@ -136,7 +135,7 @@ def _keep_off2(flags, x0, y0, res, x, y, radius, start_x, start_y, blind):
             if flags[r, c] & UNSEEN:
                 px = x0 + c * res
                 d2 = (px - x) ** 2 + (py - y) ** 2
-                if d2 < best and (px - start_x) ** 2 + (py - start_y) ** 2 > blind * blind:
+                if d2 < best:
                     best = d2
                     bx = px
                     by = py
@@ -144,9 +143,9 @@ def _keep_off2(flags, x0, y0, res, x, y, radius, start_x, start_y, blind):
 
 
 @njit(cache=True)
-def _centred(flags, x0, y0, res, x, y, low_x, low_y, side, start_x, start_y, blind):
+def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
     """x, y moved away from what is nearest, 2 cm at a time, inside its lattice cell, while that gives clearance."""
-    best, sx, sy = _keep_off2(flags, x0, y0, res, x, y, TIGHT, start_x, start_y, blind)
+    best, sx, sy = _keep_off2(flags, x0, y0, res, x, y, TIGHT)
     for _ in range(12):
         if best >= TIGHT * TIGHT or best == 0.0:
             break
@@ -154,7 +153,7 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side, start_x, start_y, bli
         # not quite to the cell's border, or neighbours could meet there
         px = min(max(x + 0.02 * (x - sx) / d, low_x + 0.05 * side), low_x + 0.95 * side)
         py = min(max(y + 0.02 * (y - sy) / d, low_y + 0.05 * side), low_y + 0.95 * side)
-        d2, sx, sy = _keep_off2(flags, x0, y0, res, px, py, TIGHT, start_x, start_y, blind)
+        d2, sx, sy = _keep_off2(flags, x0, y0, res, px, py, TIGHT)
         if d2 <= best:
             break
         best = d2
@@ -166,7 +165,7 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side, start_x, start_y, bli
 @njit(cache=True)
 def place_nodes(
     height, flags, xs, ys, x0, y0, res, low, high, k_disc, low_r, low_c,
-    ix0, iy0, side, seed, samples, todo, radius, limit, share, half_width, min_coverage, start_x, start_y, blind,
+    ix0, iy0, side, seed, samples, todo, radius, limit, share, half_width, min_coverage,
     chosen, where, clearance,
 ):  # fmt: skip
     """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y), clearance.
@@ -193,13 +192,13 @@ def place_nodes(
                 if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
                     continue
                 own = flags[math.floor((y - y0) / res + 0.5), math.floor((x - x0) / res + 0.5)]
-                if own & FACE or (own & UNSEEN and (x - start_x) ** 2 + (y - start_y) ** 2 > blind * blind):
+                if own & (FACE | UNSEEN):
                     continue
                 if step_distance2(flags, x0, y0, res, x, y, half_width)[0] < half_width * half_width:
                     continue
-                if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind):
+                if not _seen(flags, x0, y0, res, x, y, half_width, min_coverage):
                     continue
-                d2 = _keep_off2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0], start_x, start_y, blind)[0]
+                d2 = _keep_off2(flags, x0, y0, res, x, y, CLEAR_LEVELS[0])[0]
                 level = 0
                 while level < levels and d2 < CLEAR_LEVELS[level] ** 2:
                     level += 1
@@ -223,10 +222,10 @@ def place_nodes(
             if best >= 0 and best_level > 0:
                 x, y = _centred(
                     flags, x0, y0, res, where[j, i, 0], where[j, i, 1],
-                    (ix0 + i) * side, (iy0 + j) * side, side, start_x, start_y, blind,
+                    (ix0 + i) * side, (iy0 + j) * side, side,
                 )  # fmt: skip
                 if _seen(
-                    flags, x0, y0, res, x, y, half_width, min_coverage, start_x, start_y, blind
+                    flags, x0, y0, res, x, y, half_width, min_coverage
                 ) and not disc_blocked(
                     piece, piece_x, piece_y, x0 + low_c * res, y0 + low_r * res, res, low, high, k_disc,
                     F32(x), F32(y), radius, limit, share, buffer,

@@ -20,7 +20,11 @@ LOW = 4
 """The cell is the lower side of one. Only what covers both sides is on the step: a robot may stand right beside it."""
 FACE = HIGH | LOW
 UNSEEN = 2
-"""Part of an unseen patch wider than the gap limit; narrower slits count as seen."""
+"""Part of an unseen patch wider than the gap limit; narrower slits count as seen, and so does granted ground."""
+UNSEEN_ALONE = 8
+"""The same, granted or not."""
+GRANTED = 16
+"""Ground around the start that counts as seen anyway (`planning.graph_blind`)."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
@@ -72,7 +76,21 @@ def update_flags(
                 math.tan(max_slope),
                 _gap_cells(res, max_gap),
             )
-            flags[r0:r1, c0:c1] = block[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
+            _put(flags[r0:r1, c0:c1], block[r0 - ra : r1 - ra, c0 - ca : c1 - ca])
+
+
+@njit(cache=True)
+def _put(flags, block):
+    """Write freshly computed flags; ground that was granted stays so."""
+    rows, cols = flags.shape
+    for r in range(rows):
+        for c in range(cols):
+            flag = block[r, c]
+            if flag & UNSEEN:
+                flag |= UNSEEN_ALONE
+            if flags[r, c] & GRANTED:
+                flag = (flag | GRANTED) & ~UNSEEN
+            flags[r, c] = flag
 
 
 @njit(cache=True)

@@ -144,6 +144,24 @@ def test_the_blind_ring_at_the_start_is_bridged_but_not_more() -> None:
     assert caught.value.reason == "start_not_on_graph"
 
 
+def test_the_blind_ring_is_not_bridged_behind_a_wall() -> None:
+    x, y, z = _flat(8.0, 8.0)
+    wall = (np.abs(x - 4.8) < 0.1) & (y > 2.0) & (y < 6.0)
+    z[wall] = 1.0
+    d = np.hypot(x - 4.0, y - 4.0)
+    seen = (d < 0.4) | (d > 1.7) | ((np.abs(x - 4.72) < 0.05) & (np.abs(y - 4.0) < 3.0))
+    graph = TraversalGraph.build(_grid(z, seen), (4.0, 4.0), GraphParams())
+    assert _reaches(graph, (3.4, 4.0))
+    assert not _reaches(graph, (5.5, 4.0))
+    # a wall that comes into sight later takes back what was granted behind it
+    grown = TraversalGraph.build(_grid(np.where(wall, 0.0, z), seen), (4.0, 4.0), GraphParams())
+    assert _reaches(grown, (5.5, 4.0))
+    changed = wall & seen
+    grown.update(_grid(z, seen), changed)
+    np.testing.assert_array_equal(grown.node_ids, graph.node_ids)
+    np.testing.assert_array_equal(grown.edges, graph.edges)
+
+
 def test_frontiers_are_where_the_unseen_begins() -> None:
     x, _, z = _flat()
     z[:4] = z[-4:] = 1.0

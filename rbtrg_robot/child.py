@@ -1,14 +1,11 @@
-"""Entry of every process the supervisor spawns: `python -m rbtrg_robot.child`, its specification on stdin."""
+"""What runs in every process that the supervisor starts."""
 
 from __future__ import annotations
 
 import base64
-import ctypes
 import faulthandler
 import importlib
-import json
 import logging
-import os
 import signal
 import sys
 import threading
@@ -16,26 +13,16 @@ from typing import Any
 
 FATAL = 78
 """Exit status for what a restart cannot mend (EX_CONFIG)."""
-PR_SET_PDEATHSIG = 1
 
 
-def die_with_parent(sign: signal.Signals, parent: int) -> None:
-    """Have the system send `sign` to this process when its parent ends, however it ends."""
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, sign)
-    if os.getppid() != parent:  # it ended before the line above
-        sys.exit(0)
+def run(spec: dict[str, Any]) -> int:
+    """One process until told to stop; returns its exit status.
 
-
-def main() -> int:
-    """Run one process until told to stop."""
-    spec: dict[str, Any] = json.loads(sys.stdin.read())
+    `spec`: `process` its name, `config` the dumped StackConfig, `restored` {topic: base64 of its newest message}.
+    """
     name: str = spec["process"]
-    # These two end in order (stop the robot, index the log); the others have nothing to lose.
-    graceful = name in ("robot", "recorder")
-    die_with_parent(signal.SIGTERM if graceful else signal.SIGKILL, spec["parent"])
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     faulthandler.enable()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
 
@@ -72,7 +59,3 @@ def main() -> int:
         print(f"fatal: {describe(error)}", file=sys.stderr, flush=True)
         return FATAL
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -13,6 +13,7 @@ from rbtrg_robot.bus import BusError
 from rbtrg_robot.config import ConfigError
 from rbtrg_robot.logfile import LogError
 from rbtrg_robot.runfiles import AlreadyRunning, NotRunning
+from rbtrg_robot.zygote import ZygoteError
 
 OPERATOR_ERRORS: tuple[type[Exception], ...] = (
     AlreadyRunning,
@@ -26,4 +27,5 @@ OPERATOR_ERRORS: tuple[type[Exception], ...] = (
     PolicyError,
     SceneError,
     ValidationError,
+    ZygoteError,
 )

@@ -8,7 +8,6 @@ import logging
 import os
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -27,6 +26,7 @@ from rbtrg_robot.health import HEARTBEAT_LIMIT, Health, expected_topics
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.runfiles import RunLock
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.zygote import Forked, Zygote
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +51,7 @@ class Child:
     """One supervised process."""
 
     row: Process
-    popen: subprocess.Popen[bytes] | None = None
+    forked: Forked | None = None
     started: float = 0.0
     restarts: int = 0
     in_a_row: int = 0
@@ -65,14 +65,15 @@ class Child:
     @property
     def alive(self) -> bool:
         """The process exists."""
-        return self.popen is not None and self.popen.poll() is None
+        return self.forked is not None and self.forked.poll() is None
 
 
 class Supervisor:
-    """Lives in the main thread: a child's parent-death signal fires when the thread that spawned it ends."""
+    """Lives in the main thread: the parent-death signal of the others fires when this thread ends."""
 
-    def __init__(self, config: StackConfig, say: Callable[[str], None]) -> None:
+    def __init__(self, config: StackConfig, zygote: Zygote, say: Callable[[str], None]) -> None:
         self._config = config
+        self._zygote = zygote
         self._say = say
         rows = [p for p in PROCESSES if p.name not in config.without]
         if not config.record:
@@ -161,24 +162,13 @@ class Supervisor:
         }
         spec = {
             "process": name,
-            "parent": os.getpid(),
             "config": self._config.model_dump(mode="json"),
             "restored": restored,
         }
         child.log_path = Path(self._config.log_dir) / f"{name}.log"
-        with child.log_path.open("ab") as output:
-            child.popen = subprocess.Popen(
-                [sys.executable, "-m", "rbtrg_robot.child"],
-                stdin=subprocess.PIPE,
-                stdout=output,
-                stderr=output,
-                process_group=0,  # Ctrl-C reaches the supervisor only, which ends them in order
-            )
-        assert child.popen.stdin is not None
-        with child.popen.stdin as pipe:
-            pipe.write(json.dumps(spec).encode())
+        child.forked = self._zygote.fork(spec, child.log_path)
         child.started = time.monotonic()
-        child.usage = psutil.Process(child.popen.pid)
+        child.usage = psutil.Process(child.forked.pid)
         child.usage.cpu_percent()
 
     def _mend(self) -> None:
@@ -187,17 +177,17 @@ class Supervisor:
             name = child.row.name
             if child.fatal:
                 continue
-            if child.popen is None:
+            if child.forked is None:
                 if now >= child.due:
                     self._spawn(child)
                 continue
-            if child.alive:
+            code = child.forked.poll()
+            if code is None:
                 self._end_if_hung(child, now)
                 continue
-            code = child.popen.returncode
             self._health.forget(name)
             words = last_words(child.log_path)
-            child.popen = None
+            child.forked = None
             if not self._ready and (code == FATAL or child.in_a_row >= 2):
                 raise StartFailed(
                     f"{name} failed to start: {words or f'exit status {code}'} ({child.log_path})"
@@ -222,18 +212,18 @@ class Supervisor:
             silent = now - child.started > START_LIMIT
         else:
             silent = age > HEARTBEAT_LIMIT
-        if silent and child.popen is not None:
+        if silent and child.forked is not None:
             self._say(f"{name} hangs; killing it")
-            child.popen.kill()
-            child.popen.wait()
+            child.forked.kill()
+            child.forked.wait()
 
     def _stop_all(self) -> None:
         """The robot's side first, the recorder last so that the log holds the end."""
-        children = [c for c in self._children.values() if c.popen is not None]
+        children = [c for c in self._children.values() if c.forked is not None]
         recorder = [c for c in children if c.row.name == "recorder"]
         others = [c for c in children if c.row.name != "recorder"]
-        end([c.popen for c in others if c.popen], STOP_LIMIT)
-        end([c.popen for c in recorder if c.popen], LAST_WISH)
+        end([c.forked for c in others if c.forked], STOP_LIMIT)
+        end([c.forked for c in recorder if c.forked], LAST_WISH)
 
     # --- knowledge --------------------------------------------------------------------------------------------
 
@@ -281,7 +271,7 @@ class Supervisor:
             rows.append(
                 {
                     "process": name,
-                    "pid": child.popen.pid if child.popen else None,
+                    "pid": child.forked.pid if child.forked else None,
                     "state": state,
                     "restarts": child.restarts,
                     "cpu": round(child.cpu, 1),
@@ -302,18 +292,18 @@ class Supervisor:
         }
 
 
-def end(popens: list[subprocess.Popen[bytes]], limit: float) -> None:
+def end(forked: list[Forked], limit: float) -> None:
     """SIGTERM, then SIGKILL after `limit` seconds; returns when all are gone."""
-    for popen in popens:
-        if popen.poll() is None:
-            popen.terminate()
+    for process in forked:
+        if process.poll() is None:
+            process.terminate()
     deadline = time.monotonic() + limit
-    for popen in popens:
+    for process in forked:
         try:
-            popen.wait(max(0.0, deadline - time.monotonic()))
+            process.wait(max(0.0, deadline - time.monotonic()))
         except subprocess.TimeoutExpired:
-            popen.kill()
-            popen.wait()
+            process.kill()
+            process.wait()
 
 
 def last_words(path: Path) -> str:

@@ -56,49 +56,52 @@ def up(
     if detach:
         _detach()
         return
-    from rbtrg_robot.config import ConfigError, load
-    from rbtrg_robot.processes import BY_NAME
+    from rbtrg_robot.zygote import Zygote
 
-    for name in without or []:
-        if name not in BY_NAME:
-            raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
-    options: dict[str, Any] = {}
-    if resolution is not None:
-        options["resolution"] = resolution
-    if height_range is not None:
-        options["height_range"] = height_range
-    if controller is None and policy is not None:
-        controller = "policy"
-    loaded = load(
-        config,
-        set_ or (),
-        backend=backend,
-        scene=scene,
-        controller=controller,
-        policy_dir=str(policy) if policy else None,
-        interface=interface,
-        dry_run=dry_run or None,
-        map_file=str(map_file.resolve()) if map_file else None,
-        without=tuple(without) if without else None,
-        seed=seed,
-        record=False if no_record else None,
-        robot=robot,
-        port=port,
-        scene_options=options or None,
-    )
-    if render is not None and not (loaded.simulated and loaded.record):
-        raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
-    refuse_second(loaded.robot)
-    _check(loaded)
-    folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
-    loaded = loaded.model_copy(update={"log_dir": str(folder)})
-    (folder / "config.yaml").write_text(loaded.to_yaml())
-    code = _supervise(loaded)
-    if render is not None and not code:
-        from rbtrg_robot.cli.logs import draw
+    with Zygote() as zygote:  # imports while this process does
+        from rbtrg_robot.config import ConfigError, load
+        from rbtrg_robot.processes import BY_NAME
 
-        draw(folder, render)
-    raise typer.Exit(code)
+        for name in without or []:
+            if name not in BY_NAME:
+                raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
+        options: dict[str, Any] = {}
+        if resolution is not None:
+            options["resolution"] = resolution
+        if height_range is not None:
+            options["height_range"] = height_range
+        if controller is None and policy is not None:
+            controller = "policy"
+        loaded = load(
+            config,
+            set_ or (),
+            backend=backend,
+            scene=scene,
+            controller=controller,
+            policy_dir=str(policy) if policy else None,
+            interface=interface,
+            dry_run=dry_run or None,
+            map_file=str(map_file.resolve()) if map_file else None,
+            without=tuple(without) if without else None,
+            seed=seed,
+            record=False if no_record else None,
+            robot=robot,
+            port=port,
+            scene_options=options or None,
+        )
+        if render is not None and not (loaded.simulated and loaded.record):
+            raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
+        refuse_second(loaded.robot)
+        _check(loaded)
+        folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
+        loaded = loaded.model_copy(update={"log_dir": str(folder)})
+        (folder / "config.yaml").write_text(loaded.to_yaml())
+        code = _supervise(loaded, zygote)
+        if render is not None and not code:
+            from rbtrg_robot.cli.logs import draw
+
+            draw(folder, render)
+        raise typer.Exit(code)
 
 
 def refuse_second(robot: str) -> None:
@@ -138,7 +141,7 @@ def _run_folder(base: Path, label: str) -> Path:
     return folder
 
 
-def _supervise(config: Any) -> int:
+def _supervise(config: Any, zygote: Any) -> int:
     from rbtrg_robot.cli.table import Screen
     from rbtrg_robot.supervisor import StartFailed, Supervisor
 
@@ -149,7 +152,7 @@ def _supervise(config: Any) -> int:
     screen.say(f"robot {config.robot!r}, backend {config.backend}, log in {config.log_dir}")
     try:
         with screen:
-            Supervisor(config, screen.say).run(lambda: bool(stopped), screen.show)
+            Supervisor(config, zygote, screen.say).run(lambda: bool(stopped), screen.show)
     except StartFailed as error:
         print(f"rbtrg-robot: {error}", file=sys.stderr)
         return 1

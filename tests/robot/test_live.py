@@ -129,7 +129,8 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
     assert status["ready"]
     assert {row["state"] for row in status["processes"]} == {"ready"}
     children = psutil.Process(status["pid"]).children(recursive=True)
-    assert len(children) == 7
+    assert {p.pid for p in children} > {row["pid"] for row in status["processes"]}
+    assert len(children) == 8  # and the zygote
 
     with stack.bus() as bus:
         watch = Observer(bus)

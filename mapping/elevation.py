@@ -80,11 +80,11 @@ class ElevationMap:
         self._reader = MapReader(self.store, p)
 
     def _buffers(self, n: int) -> None:
-        self._i, self._j = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-        self._z, self._var = np.empty(n, dtype=np.float32), np.empty((n, 2), dtype=np.float32)
-        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 6), dtype=np.float32)
+        self._cell, self._z = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.float32)
+        self._weight, self._shared = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 8), dtype=np.float32)
         self._slot = np.empty(n, dtype=np.int32)
-        self._ends = np.empty((n, 3))
+        self._ends = np.empty((n, 3), dtype=np.float32)
 
     def warm_up(self) -> None:
         """Compile (or load) every kernel on a throw-away map."""
@@ -132,7 +132,7 @@ class ElevationMap:
         origin = np.asarray(sensor_origin, dtype=np.float64)
         place[2] += self.z_correction
         now = self._clock(stamp)
-        if len(points) > len(self._i):
+        if len(points) > len(self._z):
             self._buffers(2 * len(points))
         noise = np.array(
             [
@@ -142,15 +142,18 @@ class ElevationMap:
                 p.height_sigma if height_sigma is None else height_sigma,
             ]
         )
-        drops = np.zeros(5, dtype=np.int64)
-        m, rays = kernels.project(
-            points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
-            self._i, self._j, self._z, self._var, self._ends, drops,
-        )  # fmt: skip
+        drops = np.zeros(7, dtype=np.int64)
+        absent = np.zeros(2, dtype=np.int64)
         s = self.store
-        cell = s.locate(self._i[:m], self._j[:m])
+        while not kernels.project(
+            points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
+            s.directory, s.first, s.shift,
+            self._cell, self._z, self._weight, self._shared, self._ends, drops, absent,
+        ):  # fmt: skip
+            s.allocate(int(absent[0]), int(absent[1]))
+        m, rays = int(drops[kernels.USED]), int(drops[kernels.RAYS])
         k, overhangs = kernels.reduce_cells(
-            cell, self._z, self._var, m, s.mark, p.surface_band, p.clearance,
+            self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
             self._which, self._slot, self._sums,
         )  # fmt: skip
         out = np.zeros(6, dtype=np.int64)

@@ -13,7 +13,7 @@ from planning.body_risk import BodyModel
 from planning.endpoints import Place, goal_node, position, start_node
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.explain import Route, describe
-from planning.frontier import SAME_FRONTIER, open_frontiers, worth_keeping
+from planning.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
 from planning.graph import TraversalGraph
 from planning.plan_types import SETS, VARIANTS, Plan, PlanRequest, Transition, Variant
 from planning.refine import refine
@@ -117,24 +117,31 @@ def _to_goal(
     ends = np.zeros(len(table.graph.nodes), np.bool_)
     ends[goal] = True
     xy = (float(table.roads.x[goal]), float(table.roads.y[goal]))
-    return _search(table, request, start, ends, xy, start_yaw, goal_yaw)
+    return _search(table, request, start, ends, np.zeros(len(ends)), xy, start_yaw, goal_yaw)
 
 
 def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: float) -> Plan:
-    """The plan to the frontier with the least cost so far plus distance to go (see `planning.frontier`)."""
+    """The plan to the frontier with the least cost so far plus way to go (see `planning.frontier`)."""
     nodes = table.graph.nodes[:, :2]
     goal = position(table.graph, request.goal, "goal")
     ends = open_frontiers(table.graph, start, request.seen_frontiers)
-    best = _search(table, request, start, ends, goal, start_yaw, np.nan)
-    if best is None:
+    if not ends.any():
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
             "the goal cannot be reached over known ground and no frontier is left to look from",
         )
+    to_go = way_to_go(table.grid, nodes, goal)
+    best = _search(table, request, start, ends, to_go, goal, start_yaw, np.nan)
+    if best is None:
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE, "neither the goal nor a frontier can be reached over known ground"
+        )
     if request.previous_frontier is not None:
         near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
-        kept = _search(table, request, start, ends & near, goal, start_yaw, np.nan)
-        if kept is not None and worth_keeping(kept.cost, kept.points[-1], best.cost, best.points[-1], goal):
+        kept = _search(table, request, start, ends & near, to_go, goal, start_yaw, np.nan)
+        if kept is not None and worth_keeping(
+            kept.cost + to_go[kept.nodes[-1]], best.cost + to_go[best.nodes[-1]]
+        ):
             best = kept
     x, y, _ = best.points[-1]
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)))
@@ -145,6 +152,7 @@ def _search(
     request: PlanRequest,
     start: int,
     ends: NDArray[np.bool_],
+    exit_cost: NDArray[np.float64],
     xy: tuple[float, float],
     start_yaw: float,
     goal_yaw: float,
@@ -157,11 +165,20 @@ def _search(
     if ends[start]:
         route, cost, expanded = np.empty(0, np.int64), 0.0, 0
     elif request.variant == "native":
-        cost, route, expanded = search_nodes(w, table.roads, start, ends, *xy)
+        cost, route, expanded = search_nodes(w, table.roads, start, ends, exit_cost, *xy)
     else:
         sweeps = request.variant != "edge-only"
         cost, route, expanded = search_pairs(
-            table.laid, w, table.roads, table.tables(body), start, ends, *xy, start_yaw, goal_yaw, sweeps
+            table.laid,
+            w,
+            table.roads,
+            table.tables(body),
+            start,
+            ends,
+            exit_cost,
+            start_yaw,
+            goal_yaw,
+            sweeps,
         )
     if not np.isfinite(cost):
         return None

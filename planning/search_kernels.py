@@ -382,20 +382,18 @@ def search_pairs(
     tables: Tables,
     start: int,
     is_end: np.ndarray,
-    gx: float,
-    gy: float,
+    exit_cost: np.ndarray,
     start_yaw: float,
     goal_yaw: float,
     sweeps: bool,
 ) -> tuple[float, np.ndarray, int]:
-    """Route over ordered pairs to the end node with the least cost plus planar distance to (gx, gy).
+    """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
-    For a goal node that distance is zero; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
+    That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
     requested. Returns the cost of the route (inf: none), the slots of its edges and the number of expanded states.
     """
     none = np.empty(0, np.int64)
     work = scratch(laid)
-    exit_cost = np.hypot(gx - roads.x, gy - roads.y)
     h = distance_to_go(laid, work, w, roads, tables, start, is_end, exit_cost)
     if np.isinf(h[start]):
         return np.inf, none, 0
@@ -499,9 +497,9 @@ def walk_back(parent: np.ndarray, last: int) -> np.ndarray:
 
 @njit(cache=True)
 def search_nodes(
-    w: Weights, roads: Roads, start: int, is_end: np.ndarray, gx: float, gy: float
+    w: Weights, roads: Roads, start: int, is_end: np.ndarray, exit_cost: np.ndarray, gx: float, gy: float
 ) -> tuple[float, np.ndarray, int]:
-    """The same by the native cost l (1 + sigma r), A* over nodes."""
+    """The same by the native cost l (1 + sigma r), A* over nodes; no exit costs less than the way to (gx, gy) is long."""
     count = roads.x.size
     g = np.full(count, np.inf)
     parent = np.full(count, -1, np.int64)
@@ -513,14 +511,19 @@ def search_nodes(
     expanded = 0
     while n > 0:
         i = s[0]
+        leave = e[0] == 1
         n = pop(f, s, e, n)
+        if leave:
+            goal = i
+            break
         if closed[i]:
             continue
         closed[i] = True
         expanded += 1
         if is_end[i]:
-            goal = i
-            break
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, g[i] + exit_cost[i], i, 1)
         for out in range(roads.indptr[i], roads.indptr[i + 1]):
             k = roads.target[out]
             cost = g[i] + roads.length[out] * (1.0 + w.native * roads.risk[out])

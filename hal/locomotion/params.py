@@ -58,6 +58,8 @@ class VmcParams(NamedTuple):
     """Ground covered per rolled circumference: the tyre gives and creeps."""
     accel: float = 2.5
     """Slew of the commanded speed [m/s^2]."""
+    decel: float = 3.7
+    """The same while braking [m/s^2]; ground with less friction than 0.4 lets the wheels slide."""
     alpha: float = 4.0
     """Slew of the commanded yaw rate [rad/s^2]."""
     yaw_kp: float = 2.5

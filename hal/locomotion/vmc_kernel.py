@@ -8,15 +8,20 @@ import numpy as np
 from numba import njit
 
 from hal.go2w import (
+    ARMATURE,
+    BASE,
     DAMPING,
     FRICTIONLOSS,
+    HIP,
     HIP_X,
     HIP_Y,
     MASS,
     SX,
     SY,
+    THIGH_LINK,
     THIGH_Y,
     TREAD_Y,
+    WHEEL,
     WHEEL_RADIUS,
     wheel_centres,
     wheel_jacobians,
@@ -69,6 +74,11 @@ MEMORY = np.dtype(
     ]
 )
 """What the controller remembers between ticks."""
+
+SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
+"""What the legs carry and push [kg]; shank and wheel follow the ground."""
+DRIVEN = MASS + 4.0 * (WHEEL.inertia[1] + ARMATURE) / WHEEL_RADIUS**2
+"""What the wheel motors accelerate [kg]: the robot and their own rotors."""
 
 OUT_Q, OUT_DQ, OUT_TAU, OUT_KP, OUT_KD = range(5)
 """Rows of the (5, 16) command."""
@@ -206,13 +216,16 @@ def vmc_tick(
         m.shift[axis] += m.shift_rate[axis] * dt
         push[axis] -= a
     before_vx = m.vx
+    halt = abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3
     if climbing:
         m.vx = slew(m.vx, 0.0, p.brake * dt)
         m.wz = slew(m.wz, 0.0, 2.0 * p.alpha * dt)
     else:
-        m.vx = slew(m.vx, command[0], p.accel * dt)
+        # Braking may be harder than driving off: nobody waits for a start.
+        slower = abs(command[0]) < abs(m.vx) or command[0] * m.vx < 0.0
+        m.vx = slew(m.vx, command[0], (p.decel if slower else p.accel) * dt)
         m.wz = slew(m.wz, command[1], p.alpha * dt)
-        push[0] += clip((m.vx - before_vx) / dt, -p.accel, p.accel)
+        push[0] += (m.vx - before_vx) / dt
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
@@ -228,8 +241,8 @@ def vmc_tick(
     wrench[2] = p.pitch_k * clip(pitch_wanted - pitch, -0.25, 0.25) - p.pitch_d * omega[1]
     # The ground pushes the trunk sideways far below its centre of mass; the vertical forces must undo that moment.
     arm = com[2] + m.height
-    wrench[1] -= arm * MASS * push[1]
-    wrench[2] += arm * MASS * push[0]
+    wrench[1] -= arm * SPRUNG * push[1]
+    wrench[2] += arm * SPRUNG * push[0]
     lower = np.zeros(4)
     upper = np.full(4, p.force_max)
     for leg in range(4):
@@ -247,9 +260,7 @@ def vmc_tick(
 
     # --- drive
     yaw_error = m.wz - omega[2]
-    stopped = (climbing and m.vx == 0.0) or (
-        abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3 and m.vx == 0.0 and m.wz == 0.0
-    )
+    stopped = (climbing and m.vx == 0.0) or (halt and m.vx == 0.0 and m.wz == 0.0)
     if stopped:
         m.yaw_i = 0.0
     else:
@@ -276,6 +287,8 @@ def vmc_tick(
     step = p.place_rate * dt
     # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.
     rolling = max(clip(abs(m.speed) / 0.3, 0.1, 1.0), clip(abs(m.wz) / 0.1, 0.0, 1.0))
+    if halt:
+        rolling = 0.1  # axles that hurry back to their places would keep a stopping robot moving
     total_load = max(m.load[0] + m.load[1] + m.load[2] + m.load[3], 50.0)
     for leg in range(4):
         goal_x = -pull * SX[leg] + com[0]
@@ -301,7 +314,7 @@ def vmc_tick(
             t = weight_torque[leg, joint] - jac_c[leg, 2, joint] * m.load[leg]
             t -= (
                 (jac[leg, 0, joint] * push[0] + jac[leg, 1, joint] * push[1])
-                * MASS
+                * SPRUNG
                 * m.load[leg]
                 / total_load
             )
@@ -332,10 +345,14 @@ def vmc_tick(
         out[OUT_KD, wheel] = p.wheel_kd
         if m.hold == 1:
             rolled = q[3 * leg + 1] + q[3 * leg + 2] + pitch
+            m.latch[leg] += rate_x / radius * dt  # a wheel that changes its place under the trunk rolls there
             out[OUT_Q, wheel] = m.latch[leg] - rolled
             out[OUT_KP, wheel] = p.wheel_kp
             out[OUT_TAU, wheel] = hold_torque
         else:
             out[OUT_Q, wheel] = q[wheel]
             out[OUT_KP, wheel] = 0.0
-            out[OUT_TAU, wheel] = hold_torque + friction + m.speed_i * clip(limit / p.wheel_torque, 0.0, 1.0)
+            drive_torque = m.speed_i * clip(limit / p.wheel_torque, 0.0, 1.0)
+            if not climbing:
+                drive_torque += WHEEL_RADIUS * DRIVEN * push[0] * m.load[leg] / total_load
+            out[OUT_TAU, wheel] = hold_torque + friction + drive_torque

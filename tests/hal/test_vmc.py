@@ -11,6 +11,7 @@ from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope_driving import stopping_time
 from tools.bench.envelope_trial import drive
 
 
@@ -107,6 +108,22 @@ def test_holds_its_place_level_on_a_slope() -> None:
     assert np.linalg.norm(sim.position - start) < 0.005
     pitch = -np.arcsin(sim.rotation[2, 0])
     assert abs(pitch) < 0.12  # the ground is at 0.26 rad
+
+
+@pytest.mark.parametrize(
+    ("speed", "yaw_rate", "degrees", "friction", "limit"),
+    [
+        (0.5, 0.0, 0.0, 0.8, 0.16),
+        (0.8, 0.0, 0.0, 0.6, 0.25),
+        (0.5, 0.8, 0.0, 0.8, 0.28),
+        (0.5, 0.0, 15.0, 0.8, 0.22),
+        (-0.5, 0.0, 0.0, 0.4, 0.25),
+    ],
+)
+def test_a_zero_command_brings_it_to_rest_at_once_and_for_good(
+    speed: float, yaw_rate: float, degrees: float, friction: float, limit: float
+) -> None:
+    assert 0.05 < stopping_time(VmcController(), speed, yaw_rate, degrees, friction) < limit
 
 
 def test_contacts_are_those_of_the_simulator() -> None:

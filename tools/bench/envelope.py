@@ -15,7 +15,7 @@ from pathlib import Path
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import Locomotion
 from hal.mujoco.policy import PolicyController
-from tools.bench.envelope_driving import figure_eight, hold_on_slope, real_time_factor
+from tools.bench.envelope_driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope_trial import RUNS, Conditions, drive
 from tools.bench.report import Report
 
@@ -94,6 +94,18 @@ CHANGES = {
     "friction_0.4": Conditions(friction=0.4),
     "speed_0.8": Conditions(speed=0.8),
 }
+STOPS = {
+    "flat_0.3": (0.3,),
+    "flat_0.5": (0.5,),
+    "flat_0.8": (0.8,),
+    "curve_0.5": (0.5, 0.8),
+    "slippery_0.5": (0.5, 0.0, 0.0, 0.4),
+    "down_15_0.5": (0.5, 0.0, 15.0),
+    "up_15_0.5": (0.5, 0.0, -15.0),
+}
+"""Speed [m/s], yaw rate [rad/s], slope down [deg], friction of each stop."""
+STOP_LIMIT = 0.26
+"""[s] from zero command to rest."""
 NO_FALL = (
     *(f"{kind}_{v}" for kind in ("ramp_up", "ramp_down", "cross_slope") for v in (10, 15, 20, 25)),
     *("rough_2", "rough_4", "rough_6"),
@@ -142,6 +154,10 @@ def run(args: list[str]) -> Report:
         report.add(f"yaw_gain_low.{name}", ride.yaw_gain, "-", 0.95 if own else None, at_least=True)
     if "hold_m".startswith(options.only):
         report.add(f"hold_m.{name}", hold_on_slope(controller), "m", 0.01)
+    if "stop_s".startswith(options.only) or options.only.startswith("stop_s"):
+        for label, stop in STOPS.items():
+            seconds = stopping_time(controller, *stop)
+            report.add(f"stop_s.{name}.{label}", seconds, "s", STOP_LIMIT if name == "vmc" else None)
     if "rtf".startswith(options.only):
         both, alone = real_time_factor(controller)
         report.add(f"rtf.{name}", both, "x", 10.0, baseline=alone, at_least=True)

@@ -106,6 +106,32 @@ def hold_on_slope(controller: Locomotion, degrees: int = 20, seconds: float = 30
     return worst
 
 
+def stopping_time(
+    controller: Locomotion, speed: float, yaw_rate: float = 0.0, degrees: float = 0.0, friction: float = 0.8
+) -> float:
+    """Seconds from the first zero command until the trunk is slower than 0.05 m/s for good (watched for 1.5 s).
+
+    The robot drives at `speed` [m/s] along +x, downhill where `degrees` > 0, for the last second with `yaw_rate` [rad/s].
+    """
+    axis = np.arange(round(10.0 / RESOLUTION)) * RESOLUTION - 5.0
+    height = np.broadcast_to(-np.tan(np.radians(degrees)) * axis, (axis.size, axis.size)).astype(np.float32)
+    sim = Simulation(height, RESOLUTION, (-5.0, -5.0), friction=friction, timestep=DT)
+    sim.reset()
+    controller.reset()
+    driven = 2.5
+    moving = 0.0
+    while sim.time < driven + 1.5:
+        wz = float(np.clip(-2.0 * sim.yaw, -0.8, 0.8)) if sim.time < driven - 1.0 else yaw_rate
+        command = VelocityCommand(0, speed, 0.0, wz) if 0.4 < sim.time < driven else VelocityCommand(0)
+        sim.apply(controller.step(sim.low_state(), command, PostureCommand(0)))
+        sim.step()
+        if sim.rotation[2, 2] < TIPPED:
+            return np.inf
+        if sim.time > driven and np.linalg.norm(sim.linear_velocity) >= 0.05:
+            moving = sim.time - driven
+    return moving
+
+
 def real_time_factor(controller: Locomotion, seconds: float = 6.0) -> tuple[float, float]:
     """Simulated over processor time at 5 ms on 500 x 500 cells: physics with the controller, physics alone. Best of three."""
     height, origin = rolling_ground()

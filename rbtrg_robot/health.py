@@ -62,6 +62,7 @@ class Health:
         t.ODOM_HEALTH,
         t.TRACKER_STATE,
         t.MAP_STATUS,
+        t.TF_STATIC,
     )
 
     def __init__(self, simulated: bool) -> None:
@@ -152,7 +153,7 @@ class Health:
             row |= {
                 "x": x,
                 "y": y,
-                "z": pose.position.z,
+                "z": pose.position.z + self._frame.z,
                 "yaw": yaw,
                 "speed": twist.linear.x,
                 "yaw_rate": twist.angular.z,

@@ -11,7 +11,7 @@ from typing import Any
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
-from rbtrg_robot.logfile import CONFIG, LogError, LogWriter, is_intact, recover
+from rbtrg_robot.logfile import CONFIG, LogWriter, is_intact
 from rbtrg_robot.node import Heart
 from rbtrg_robot.params import RecorderParams
 
@@ -31,26 +31,14 @@ class Recorder:
         self._params = params
         self._metadata = metadata
         self._attachments = attachments
-        folder_files = list(folder.glob("log_*.mcap")) if folder.exists() else []
-        for old in folder_files:  # a recorder that was killed left a file without an index
-            if not is_intact(old):
-                self._repair(old)
-        self._number = len(folder_files)
+        older = [path for path in folder.glob("log_*.mcap") if path.stem[4:].isdigit()]
+        for path in older:  # of a recorder that was killed; recording goes on at once, mending can wait
+            if not is_intact(path):
+                log.warning("%s has no index: `rbtrg-robot log recover` makes one", path.name)
+        self._number = 1 + max((int(path.stem[4:]) for path in older), default=-1)
         self._writer = self._open()
         self._opened = time.monotonic()
         self._flushed = self._opened
-
-    @staticmethod
-    def _repair(path: Path) -> None:
-        fixed = path.with_suffix(".recovered")
-        fixed.unlink(missing_ok=True)
-        try:
-            count, damage = recover(path, fixed)
-        except LogError as error:
-            log.warning("%s", error)
-            return
-        fixed.replace(path)
-        log.warning("recovered %d messages of %s (%s)", count, path.name, damage or "no index")
 
     def _open(self) -> LogWriter:
         return LogWriter(self._folder / f"log_{self._number}.mcap", self._metadata, self._attachments)

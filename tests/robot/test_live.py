@@ -180,7 +180,7 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
                 twist = message.twist.twist.linear
                 speeds[stamp_of(message) / 1e9] = math.hypot(twist.x, twist.y)
     # By the log's own clock: from the last command before the tracker's death until the robot stood.
-    last = next(a for a, b in itertools.pairwise(commands) if b - a > 0.6)
+    last, _ = max(itertools.pairwise(commands), key=lambda pair: pair[1] - pair[0])
     assert speeds[min(speeds, key=lambda stamp: abs(stamp - last))] > 0.2
     stood = next(stamp for stamp, speed in speeds.items() if stamp > last and speed < 0.1)
     assert stood - last < 0.6

@@ -6,12 +6,9 @@ the simulator's truth, which the stack itself never sees.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
-import os
-import socket
-import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -24,12 +21,10 @@ from hal.scenes import load_scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus, Received
 from rbtrg_robot.convert import yaw_of
-from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.messages import stamp_of
+from tools.bench._live import GOAL_LIMIT, goal_request, running
 from tools.bench.report import Report
 
-GOALS = ("a", "b", "rough", "platform", "behind_wall")
-GOAL_LIMIT = 150.0
-"""Seconds for one goal."""
 SWEEP = 100_000_000
 """Duration of a scan [ns]: a map update carries the stamp of its end."""
 MOVING = 0.05
@@ -89,43 +84,22 @@ class Watch:
 
 
 def run(args: list[str]) -> Report:
-    """`--goals a,b,...` chooses others, `--keep DIR` keeps the log there."""
-    goals = args[args.index("--goals") + 1].split(",") if "--goals" in args else GOALS
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench live", description=__doc__)
+    parser.add_argument("--goals", default="a,b,rough,platform,behind_wall", help="named goals of the scene")
+    parser.add_argument("--scene", default="yard")
+    parser.add_argument("--keep", type=Path, help="keep the log in this folder")
+    options = parser.parse_args(args)
     report = Report("live")
     with tempfile.TemporaryDirectory() as scratch:
-        logs = Path(args[args.index("--keep") + 1]) if "--keep" in args else Path(scratch) / "logs"
-        environment = {**os.environ, "XDG_RUNTIME_DIR": scratch}
-        port = _free_port()
-        began = time.monotonic()
-        _command(
-            ["up", "--detach", "--port", str(port), "--log-dir", str(logs), "--scene", "yard"], environment
-        )
-        report.add("start_s", time.monotonic() - began, "s", 12.0)
-        try:
-            with Bus(f"tcp/127.0.0.1:{port}", "bench") as bus:
-                _drive(bus, list(goals), report)
-        finally:
-            began = time.monotonic()
-            _command(["down"], environment)
-            report.add("down_s", time.monotonic() - began, "s", 3.0)
+        logs = options.keep or Path(scratch) / "logs"
+        with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
+            _drive(bus, options.scene, options.goals.split(","), report)
     return report
 
 
-def _command(arguments: list[str], environment: dict[str, str]) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    if done.returncode:
-        raise SystemExit(f"{' '.join(arguments)} failed: {done.stderr.strip()}")
-
-
-def _drive(bus: Bus, goals: list[str], report: Report) -> None:
-    scene = load_scene("yard")
+def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
+    scene = load_scene(scene_name)
     watch = Watch()
     bus.subscribe(Watch.TOPICS)
     cpu: list[float] = []
@@ -134,15 +108,7 @@ def _drive(bus: Bus, goals: list[str], report: Report) -> None:
     for number, name in enumerate(goals):
         x, y, yaw = scene.goals[name]
         goal_id = f"bench{number}"
-        request = make(
-            t.GOAL_REQUEST.type,
-            header=header(time.time_ns(), "map"),
-            id=goal_id,
-            x=x,
-            y=y,
-            yaw=yaw or 0.0,
-            has_yaw=yaw is not None,
-        )
+        request = goal_request(goal_id, x, y, yaw)
         sent = resend = time.monotonic()
         watch.status, watch.moved = None, 0.0
         bus.publish(t.GOAL_REQUEST, request, time.time_ns())
@@ -185,10 +151,3 @@ def _drive(bus: Bus, goals: list[str], report: Report) -> None:
     ):
         report.add(f"{key}.p50", 1000 * float(np.median(values)) if values else math.nan, "ms")
         report.add(f"{key}.max", 1000 * float(np.max(values)) if values else math.nan, "ms")
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

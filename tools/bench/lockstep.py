@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import time
 
@@ -11,23 +12,22 @@ from rbtrg_robot.convert import yaw_of
 from rbtrg_robot.lockstep import Lockstep
 from tools.bench.report import Report
 
-GOALS = "a,b,rough,platform,behind_wall"
-
 
 def run(args: list[str]) -> Report:
-    """`--scene NAME`, `--goals a,b,...`, `--seed N`, `--set a.b=c` (repeatable)."""
-
-    def option(name: str, default: str) -> str:
-        return args[args.index(name) + 1] if name in args else default
-
-    sets = [args[i + 1] for i, a in enumerate(args) if a == "--set"]
-    config = load(None, sets, scene=option("--scene", "yard"), seed=int(option("--seed", "0")))
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench lockstep", description=__doc__)
+    parser.add_argument("--goals", default="a,b,rough,platform,behind_wall", help="named goals of the scene")
+    parser.add_argument("--scene", default="yard")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--set", action="append", default=[], help="set one key: a.b=c")
+    options = parser.parse_args(args)
+    config = load(None, options.set, scene=options.scene, seed=options.seed)
     scene = config.load_scene()
     report = Report("lockstep")
     with Lockstep(config) as stack:
         stack.wait_ready()
         cpu, simulated = time.process_time(), stack.seconds
-        for name in option("--goals", GOALS).split(","):
+        for name in options.goals.split(","):
             x, y, yaw = scene.goals[name]
             begun = stack.seconds
             stack.send_goal(x, y, yaw, timeout=150.0)

@@ -1,0 +1,72 @@
+"""What `status` says is true: the pose is in the map frame, rates come from the publishers' own counts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from rbtrg_robot import health as module
+from rbtrg_robot import topics as t
+from rbtrg_robot.convert import MAP, ODOM, transform_msg
+from rbtrg_robot.health import Health
+from rbtrg_robot.messages import array, encode, header, make
+
+
+def take(health: Health, topic: t.Topic, message: Any) -> None:
+    assert topic in Health.WATCHED
+    health.take(topic, encode(message))
+
+
+def beat(count: int, newest: int) -> Any:
+    return make(
+        t.HEARTBEAT.type,
+        header=header(1, ""),
+        process="odometry",
+        pid=1,
+        state="ready",
+        topic=["/odom"],
+        published=array([count], "uint64"),
+        newest=array([newest], "int64"),
+    )
+
+
+def test_pose_is_in_the_map_frame() -> None:
+    health = Health(simulated=True)
+    shift = transform_msg(
+        0, MAP, ODOM, (-4.5, -4.0, 0.3), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
+    )
+    take(health, t.TF_STATIC, make(t.TF_STATIC.type, transforms=[shift]))
+    odom = make(t.ODOM.type, header=header(1, ODOM))
+    odom.pose.pose.position.x, odom.pose.pose.position.z = 2.0, 0.1
+    odom.pose.pose.orientation.w = 1.0
+    take(health, t.ODOM, odom)
+    row = health.robot_row()
+    assert (row["x"], row["y"], row["z"]) == pytest.approx((-4.5, -2.0, 0.4))
+    assert row["yaw"] == pytest.approx(math.pi / 2)
+
+
+def test_a_topic_is_well_at_its_rate_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    health = Health(simulated=False)
+    now = 100.0
+    monkeypatch.setattr(module.time, "monotonic", lambda: now)
+    for count in range(0, 40, 5):
+        take(health, t.HEARTBEAT, beat(count, 0))
+        now += 0.5
+    assert health.topic_row(t.ODOM)["rate"] == pytest.approx(10.0)
+    assert health.topic_row(t.ODOM)["ok"]
+    for _ in range(8):
+        take(health, t.HEARTBEAT, beat(40, 0))
+        now += 0.5
+    assert health.topic_row(t.ODOM)["rate"] < 1.0
+    assert not health.topic_row(t.ODOM)["ok"]
+    assert health.unhealthy_topics((t.ODOM, t.CLOCK)) == ["/odom"]
+
+
+def test_a_forgotten_process_has_no_heartbeat() -> None:
+    health = Health(simulated=False)
+    take(health, t.HEARTBEAT, beat(0, 0))
+    assert health.beat_age("odometry") is not None
+    health.forget("odometry")
+    assert health.beat_age("odometry") is None

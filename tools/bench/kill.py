@@ -1,0 +1,128 @@
+"""`kill -9` of every process in turn while the robot drives: when it stands, when the process is back, what the goal does.
+
+Rest is judged by the simulator's truth and clock; it is asked of the processes whose loss matters for motion.
+The killed robot process is the simulator itself here, so its body is gone until it is back.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.bus import Bus
+from rbtrg_robot.messages import stamp_of
+from rbtrg_robot.processes import PROCESSES
+from tools.bench._live import goal_request, running
+from tools.bench.report import Report
+
+DRIVING, RESTING = 0.4, 0.05
+"""Speeds [m/s] at which the kill is given, and below which the robot is at rest."""
+STEADY = 1.0
+"""Seconds above DRIVING before the kill: the robot cruises by then."""
+AHEAD = 4.0
+"""Distance [m] of the goals."""
+ENDED = ("reached", "rejected", "aborted")
+
+
+def run(args: list[str]) -> Report:
+    """See the module."""
+    names = [row.name for row in PROCESSES]
+    parser = argparse.ArgumentParser(prog="python -m tools.bench kill", description=__doc__)
+    parser.add_argument("--only", nargs="*", choices=names, default=names, metavar="PROCESS")
+    parser.add_argument("--scene", default="flat")
+    parser.add_argument("--keep", type=Path, help="keep the log in this folder")
+    options = parser.parse_args(args)
+    report = Report("kill")
+    with tempfile.TemporaryDirectory() as scratch:
+        logs = options.keep or Path(scratch) / "logs"
+        with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
+            watch = Watch(bus)
+            for row in PROCESSES:
+                if row.name in options.only:
+                    _kill(watch, row.name, row.stops_motion, report)
+    return report
+
+
+class Watch:
+    """The newest of what matters."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        bus.subscribe((t.TRUTH, t.GOAL_STATUS))
+        self.place = (math.nan, math.nan)
+        self.speed = 0.0
+        self.stamp = 0
+        self.goal: Any = None
+
+    def turn(self) -> None:
+        """What came in since the last turn."""
+        for received in self._bus.take(0.01):
+            message = received.decode()
+            if received.topic is t.TRUTH:
+                place, twist = message.pose.pose.position, message.twist.twist.linear
+                self.place, self.speed = (place.x, place.y), math.hypot(twist.x, twist.y)
+                self.stamp = stamp_of(message)
+            elif received.topic is t.GOAL_STATUS:
+                self.goal = message
+
+    def process(self, name: str) -> Any:
+        """Its row of `status`."""
+        rows = json.loads(self._bus.ask("status") or b"{}").get("processes", [])
+        return next((row for row in rows if row["process"] == name), {})
+
+    def drive(self, goal_id: str) -> tuple[float, float]:
+        """Send a goal and return it [m] once the robot drives."""
+        end = time.monotonic() + 30.0
+        while math.isnan(self.place[0]):
+            self.turn()
+        goal = (self.place[0] + (AHEAD if self.place[0] < 0.0 else -AHEAD), self.place[1])
+        resend = 0.0
+        since = math.inf
+        while not time.monotonic() - since > STEADY:
+            since = min(since, time.monotonic()) if self.speed > DRIVING else math.inf
+            if time.monotonic() > end:
+                raise SystemExit(f"the robot did not set off for goal {goal_id}")
+            if time.monotonic() > resend and (self.goal is None or self.goal.id != goal_id):
+                resend = time.monotonic() + 1.0
+                self._bus.publish(t.GOAL_REQUEST, goal_request(goal_id, *goal), time.time_ns())
+            self.turn()
+        return goal
+
+
+def _kill(watch: Watch, name: str, stops_motion: bool, report: Report) -> None:
+    goal = watch.drive(f"kill-{name}")
+    pid = watch.process(name)["pid"]
+    watch.turn()
+    os.kill(pid, signal.SIGKILL)
+    killed, stamp = time.monotonic(), watch.stamp
+    speed, rest, back = watch.speed, math.nan, math.nan
+    look = killed
+    while time.monotonic() - killed < 60.0:
+        watch.turn()
+        if math.isnan(rest) and watch.speed < RESTING:
+            rest = (watch.stamp - stamp) / 1e9
+        if math.isnan(back) and time.monotonic() > look:
+            look = time.monotonic() + 0.1
+            row = watch.process(name)
+            if row.get("state") == "ready" and row["pid"] != pid:
+                back = time.monotonic() - killed
+        if watch.goal.state in ENDED and not math.isnan(back):
+            break
+    report.add(f"speed.{name}", speed, "m/s")
+    if stops_motion:
+        report.add(f"rest_s.{name}", rest, "s", 0.3)
+    report.add(f"back_s.{name}", back, "s", 5.0)
+    reached = watch.goal.state == "reached"
+    told = reached or (watch.goal.state == "aborted" and watch.goal.reason != "")
+    report.add(f"reached.{name}", float(reached), "bool")
+    report.add(f"goal_ended.{name}", float(told), "bool", 1.0, at_least=True)
+    if reached:
+        report.add(f"error_m.{name}", math.dist(watch.place, goal), "m", 0.25)

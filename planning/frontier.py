@@ -85,11 +85,9 @@ def way_to_go(
     straight = np.hypot(x + ox - goal[0], y + oy - goal[1])
     rim = np.ones(shape, np.bool_)
     rim[1:-1, 1:-1] = False
-    row, col = math.floor((goal[1] - oy) / CELL + 0.5), math.floor((goal[0] - ox) / CELL + 0.5)
-    if 0 <= row < shape[0] and 0 <= col < shape[1]:
-        seeds = straight <= 1.5 * CELL  # the goal may stand close to something
-    else:
-        seeds = rim
+    inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
+    # the goal may stand close to something
+    seeds = straight <= 1.5 * CELL if inside else rim
     way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim)
     col = np.clip(np.floor((points[:, 0] - ox) / CELL + 0.5).astype(np.int64), 1, shape[1] - 2)
     row = np.clip(np.floor((points[:, 1] - oy) / CELL + 0.5).astype(np.int64), 1, shape[0] - 2)

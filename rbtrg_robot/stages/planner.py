@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from mapping.grid import ElevationGrid
 from mapping.patch import MapError, MapMirror
 from planning.body_risk import BodyModel
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.frontier import FrontierMemory
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import Path, PathLimits, make_path, still_safe
 from planning.search import Plan, PlanRequest, plan
@@ -23,8 +23,6 @@ from rbtrg_robot.reasons import Reason
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
 
-AT_FRONTIER = 0.3
-"""This close to a frontier [m] the robot has seen what there is to see from it."""
 REASONS = {
     NoRouteReason.BAD_INPUT: Reason.INVALID,
     NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
@@ -60,10 +58,8 @@ class PlannerStage:
         self._status_due = 0
         self._answered: tuple[str, int] = ("", 0)
         self._path: Path | None = None
-        self._frontier: tuple[float, float] | None = None
-        self._frontier_goal = ""
-        self._seen: list[tuple[float, float]] = []
-        """Frontiers of this goal that the robot has looked from: going back there shows nothing new."""
+        self._memory = FrontierMemory()
+        self._memory_goal = ""
         self._malformed = 0
         self._verdict = (True, "")
         self._checked_version = -1
@@ -169,10 +165,9 @@ class PlannerStage:
         self._start = (message.start_x, message.start_y)
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._verdict = None, (True, "")
-        if message.goal_id != self._frontier_goal:
-            self._frontier, self._frontier_goal, self._seen = None, message.goal_id, []
-        elif self._frontier is not None and math.dist(self._frontier, self._start) < AT_FRONTIER:
-            self._seen.append(self._frontier)
+        if message.goal_id != self._memory_goal:
+            self._memory, self._memory_goal = FrontierMemory(), message.goal_id
+        self._memory.at(self._start)
         if self._changed or self._graph is None:
             self._sync()
         base = {
@@ -190,7 +185,7 @@ class PlannerStage:
             return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(error)))]
         self._path = path
         self._checked_version = -1
-        self._frontier = None if found.reaches_goal else (path.points[-1, 0], path.points[-1, 1])
+        self._memory.chosen = found.frontier
         answer = make(t.PLAN.type, **base, **_plan_fields(found, path, message))
         return [(t.PLAN, answer), (t.ROUTE, _path_msg(path, self._now))]
 
@@ -204,8 +199,8 @@ class PlannerStage:
             goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
             variant=self._params.variant,
             allow_frontier=True,
-            previous_frontier=self._frontier,
-            seen_frontiers=tuple(self._seen),
+            previous_frontier=self._memory.chosen,
+            seen_frontiers=tuple(self._memory.seen),
         )
         graph = keep_out(self._graph, message.avoid.reshape(-1, 3))
         found = plan(graph, self._grid, request, self._body)

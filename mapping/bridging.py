@@ -12,77 +12,81 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+WHEELS, OVER, BESIDE = 1, 3, 4
+"""`source` of cells that wheels stood on, of bridged ones, and of bridged ones beside the wheels: no ray comes low there, so
+what goes on from them keeps the looser rule."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
 
 
 @njit(cache=True)
-def _line(height, source, trusted, upper, r, c, dr, dc, rule, pos, out, gap, holes, kind):  # pragma: no cover
-    """Bridge along one line of cells starting at (r, c); see `bridge`."""
-    rows, cols = height.shape
-    n = 0
-    k = 0
-    while 0 <= r + k * dr < rows and 0 <= c + k * dc < cols:
-        if source[r + k * dr, c + k * dc] != 0:
-            pos[n] = k
-            n += 1
-        k += 1
+def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
+    """Steps from (r, c) along (dr, dc) to the first known cell at least `reach` steps off; 0 when none is trusted within
+    `widest` steps."""
+    rows, cols = source.shape
+    for k in range(reach, widest + 1):
+        a, b = r + k * dr, c + k * dc
+        if a < 0 or b < 0 or a >= rows or b >= cols:
+            return 0
+        if source[a, b] != 0:
+            return k if trusted[a, b] else 0
+    return 0
+
+
+@njit(cache=True)
+def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes, kind):  # pragma: no cover
+    """Bridge the n - 1 unknown cells before known cell (r, c), back along (-dr, -dc) to the known cell there; see `bridge`."""
     step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
-    for q in range(n - 1):
-        a, b = pos[q], pos[q + 1]
-        d = (b - a) * step
-        if b - a < 2 or d > rule[6]:
-            continue
-        ra, ca, rb, cb = r + a * dr, c + a * dc, r + b * dr, c + b * dc
-        if not (trusted[ra, ca] and trusted[rb, cb]):
-            continue
-        blind = source[ra, ca] == 1 or source[rb, cb] == 1
-        if not blind and d > rule[1]:
-            continue
-        ha, hb = np.float64(height[ra, ca]), np.float64(height[rb, cb])
-        slope = (hb - ha) / d
-        if abs(slope) > rule[3]:
-            continue
-        small = b - a <= 3
-        fits = abs(hb - ha) <= rule[2] or (small and abs(hb - ha) <= 2.0 * rule[2])
+    d = n * step
+    if d > rule[6]:
+        return
+    ra, ca = r - n * dr, c - n * dc
+    if not (trusted[ra, ca] and trusted[r, c]):
+        return
+    blind = (
+        source[ra, ca] == WHEELS
+        or source[r, c] == WHEELS
+        or source[ra, ca] == BESIDE
+        or source[r, c] == BESIDE
+    )
+    if not blind and d > rule[1]:
+        return
+    ha, hb = np.float64(height[ra, ca]), np.float64(height[r, c])
+    slope = (hb - ha) / d
+    if abs(slope) > rule[3]:
+        return
+    small = n <= 3
+    fits = abs(hb - ha) <= rule[2] or (small and abs(hb - ha) <= 2.0 * rule[2])
+    if not fits:
+        # the same slope goes on before or behind the gap, over at least half its width: a ramp, not a step
+        reach, widest = max(3, (n + 1) // 2), int(rule[1] / step + 1e-9)
+        k = _beyond(source, trusted, ra, ca, -dr, -dc, reach, widest)
+        if k > 0:
+            rest = ha - height[ra - k * dr, ca - k * dc] - slope * k * step
+            fits = abs(rest) <= 0.5 * rule[2]
         if not fits:
-            # the same slope goes on before or behind the gap, over at least half its width: a ramp, not a step
-            reach = max(3, (b - a + 1) // 2)
-            p = q - 1
-            while p >= 0 and a - pos[p] < reach:
-                p -= 1
-            if p >= 0 and (a - pos[p]) * step <= rule[1] and trusted[r + pos[p] * dr, c + pos[p] * dc]:
-                rest = ha - height[r + pos[p] * dr, c + pos[p] * dc] - slope * (a - pos[p]) * step
+            k = _beyond(source, trusted, r, c, dr, dc, reach, widest)
+            if k > 0:
+                rest = height[r + k * dr, c + k * dc] - hb - slope * k * step
                 fits = abs(rest) <= 0.5 * rule[2]
-            p = q + 2
-            while p < n and pos[p] - b < reach:
-                p += 1
-            if (
-                not fits
-                and p < n
-                and (pos[p] - b) * step <= rule[1]
-                and trusted[r + pos[p] * dr, c + pos[p] * dc]
-            ):
-                rest = height[r + pos[p] * dr, c + pos[p] * dc] - hb - slope * (pos[p] - b) * step
-                fits = abs(rest) <= 0.5 * rule[2]
-        if not fits:
-            continue
-        for k in range(a + 1, b):
-            z = ha + slope * (k - a) * step
-            u = upper[r + k * dr, c + k * dc]
-            if u < z - rule[5]:
-                holes[r + k * dr, c + k * dc] = 1
-                fits = False
-            elif not (small or blind or u <= z + rule[4]):
-                fits = False
-        if not fits:
-            continue
-        for k in range(a + 1, b):
-            rk, ck = r + k * dr, c + k * dc
-            if d < gap[rk, ck]:
-                gap[rk, ck] = d
-                kind[rk, ck] = 1 if blind else 2
-                out[rk, ck] = ha + slope * (k - a) * step
+    if not fits:
+        return
+    for k in range(1, n):
+        z = ha + slope * k * step
+        u = upper[ra + k * dr, ca + k * dc]
+        if u < z - rule[5]:
+            holes[ra + k * dr, ca + k * dc] = 1
+            fits = False
+        elif not (small or blind or u <= z + rule[4]):
+            fits = False
+    if not fits:
+        return
+    for k in range(1, n):
+        rk, ck = ra + k * dr, ca + k * dc
+        if d < gap[rk, ck]:
+            gap[rk, ck] = d
+            kind[rk, ck] = BESIDE if blind else OVER
+            out[rk, ck] = ha + slope * k * step
 
 
 @njit(cache=True)
@@ -120,66 +124,83 @@ def trust(height, variance, count, source, v_max, settled, agree):  # pragma: no
 
 
 @njit(cache=True)
-def _all_lines(height, source, trusted, upper, rule, out, gap, holes, kind):  # pragma: no cover
-    rows, cols = height.shape
-    pos = np.empty(rows + cols, dtype=np.int64)
+def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind):  # pragma: no cover
+    """One pass over the cells in memory order: each known cell looks back along its row, column and both diagonals to the
+    last known one."""
+    rows, cols = source.shape
+    far = -(1 << 30)
+    column = np.full(cols, far, dtype=np.int32)  # row of the last known cell
+    falling = np.full(rows + cols, far, dtype=np.int32)
+    rising = np.full(rows + cols, far, dtype=np.int32)
     for r in range(rows):
-        _line(height, source, trusted, upper, r, 0, 0, 1, rule, pos, out, gap, holes, kind)
-        _line(height, source, trusted, upper, r, 0, 1, 1, rule, pos, out, gap, holes, kind)
-        _line(height, source, trusted, upper, r, cols - 1, 1, -1, rule, pos, out, gap, holes, kind)
-    for c in range(cols):
-        _line(height, source, trusted, upper, 0, c, 1, 0, rule, pos, out, gap, holes, kind)
-        if c > 0:
-            _line(height, source, trusted, upper, 0, c, 1, 1, rule, pos, out, gap, holes, kind)
-        if c < cols - 1:
-            _line(height, source, trusted, upper, 0, c, 1, -1, rule, pos, out, gap, holes, kind)
+        last = far
+        for c in range(cols):
+            if source[r, c] == 0:
+                continue
+            f, g = c - r + rows, c + r
+            if c - last > 1 and last != far:
+                _span(height, source, trusted, upper, r, c, 0, 1, c - last, rule, out, gap, holes, kind)
+            n = r - falling[f]
+            if 1 < n <= r:
+                _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind)
+            n = r - rising[g]
+            if 1 < n <= r:
+                _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind)
+            n = r - column[c]
+            if 1 < n <= r:
+                _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind)
+            last = c
+            column[c] = falling[f] = rising[g] = r
 
 
 @njit(cache=True)
-def _drop_rims(result, source, level, depth):  # pragma: no cover
+def _drop_rims(height, source, trusted, level, depth):  # pragma: no cover
     """Unbridge what lies within `depth` unknown cells of a proven hole (`level` 1, scratch): beside its near edge no ray
     comes low enough to tell."""
-    rows, cols = result.shape
-    queue = np.empty((result.size, 2), np.int64)
+    rows, cols = source.shape
+    queue = np.empty((source.size, 2), np.int32)
     n = 0
     for r in range(rows):
         for c in range(cols):
             if level[r, c] == 1:
-                queue[n, 0], queue[n, 1] = r, c
+                queue[n, 0] = r
+                queue[n, 1] = c
                 n += 1
     head = 0
     while head < n:
-        i, j = queue[head]
+        i, j = np.int64(queue[head, 0]), np.int64(queue[head, 1])
         head += 1
-        result[i, j] = np.nan
+        if source[i, j] >= OVER:
+            source[i, j] = 0
+            height[i, j] = np.nan
+            trusted[i, j] = False
         if level[i, j] > depth:
             continue
         for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
-            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0 and source[a, b] == 0:
-                level[a, b] = level[i, j] + 1
-                queue[n, 0], queue[n, 1] = a, b
-                n += 1
+            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0:
+                if source[a, b] == 0 or source[a, b] >= OVER:
+                    level[a, b] = level[i, j] + 1
+                    queue[n, 0] = a
+                    queue[n, 1] = b
+                    n += 1
 
 
 @njit(cache=True)
-def bridge(height, source, trusted, upper, rule):  # pragma: no cover
-    """Heights of bridged cells.
+def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no cover
+    """Bridge in place: height, source (OVER or BESIDE) and trusted of bridged cells.
 
     height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
     trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (all metres).
-    Returns out (rows, cols) f32, NaN where nothing was bridged. Of several bridges over a cell the shortest wins; a
-    bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged
+    out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch. Of several bridges over a cell the shortest wins;
+    a bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged
     cells closes what the eight directions left open.
     """
     rows, cols = height.shape
-    result = np.full((rows, cols), np.nan, dtype=np.float32)
-    h, s, t = height.copy(), source.copy(), trusted.copy()
-    holes = np.zeros((rows, cols), dtype=np.uint8)
-    kind = np.zeros((rows, cols), dtype=np.uint8)
+    kind, holes, level = marks[0], marks[1], marks[2]
+    holes[:] = 0
     for _ in range(2):
-        out = np.full((rows, cols), np.nan, dtype=np.float32)
-        gap = np.full((rows, cols), np.inf, dtype=np.float32)
-        _all_lines(h, s, t, upper, rule, out, gap, holes, kind)
+        gap[:] = np.inf
+        _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind)
         for r in range(rows):
             for c in range(cols):
                 if gap[r, c] == np.inf:
@@ -187,18 +208,17 @@ def bridge(height, source, trusted, upper, rule):  # pragma: no cover
                 n = 0
                 for a in range(max(r - 1, 0), min(r + 2, rows)):
                     for b in range(max(c - 1, 0), min(c + 2, cols)):
-                        n += s[a, b] != 0 or gap[a, b] < np.inf
-                if n >= 6:  # itself included
-                    result[r, c] = out[r, c]
-        _drop_rims(result, source, holes.copy(), int(RIM / rule[0]))
+                        n += source[a, b] != 0 or gap[a, b] < np.inf
+                if n < 6:  # itself included
+                    kind[r, c] = 0
         for r in range(rows):
             for c in range(cols):
-                if s[r, c] == 0 and result[r, c] == result[r, c]:
-                    h[r, c] = result[r, c]
-                    t[r, c] = True
-                    # beside the wheels no ray comes low: keep the looser rule there
-                    s[r, c] = kind[r, c]
-    return result
+                if gap[r, c] < np.inf and kind[r, c] != 0:
+                    height[r, c] = out[r, c]
+                    source[r, c] = kind[r, c]
+                    trusted[r, c] = True
+        level[:] = holes
+        _drop_rims(height, source, trusted, level, int(RIM / rule[0]))
 
 
 def bridge_rule(

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
-from mapping.bridging import bridge, bridge_rule, trust
+from mapping.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation_params import ElevationParams
-from mapping.patch import MapPatch
-from mapping.tiles import BRIDGED, SENT, UNKNOWN, TileStore
+from mapping.patch import PATCH_LAYERS, MapPatch
+from mapping.tiles import BRIDGED, Layers, TileStore
 
-_BLOCK = 8
-"""Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step."""
+_BLOCK = 12
+"""Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
+10 m range touches, so that a driving robot pays for the margin around a block once."""
 
 Box = tuple[int, int, int, int]
 """Lattice row and column of the first cell, rows, columns."""
@@ -25,34 +31,34 @@ class MapReader:
         self._rule = bridge_rule(
             p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap
         )
+        self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
+        self._result = _Scratch(np.float32)
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
 
     def read(self, box: Box, stamp: int, epoch: int) -> MapPatch:
-        """Cells of `box`, bridged. The margin around it covers a bridge and what its slope is judged by."""
-        p, s = self.params, self.store
+        """Cells of `box`, bridged."""
+        layers = {name: layer.copy() for name, layer in zip(PATCH_LAYERS, self._layers(box), strict=True)}
+        return self._patch(box, stamp, epoch, layers)
+
+    def _patch(self, box: Box, stamp: int, epoch: int, layers: dict[str, NDArray[np.float32]]) -> MapPatch:
+        r = self.params.resolution
+        return MapPatch((box[1] * r, box[0] * r), r, stamp, epoch, layers)
+
+    def _layers(self, box: Box) -> NDArray[np.float32]:
+        """(5, rows, cols) as PATCH_LAYERS, valid until the next call. The margin around it covers a bridge and what its
+        slope is judged by."""
+        p, pad = self.params, self._pad
         i0, j0, rows, cols = box
-        pad = self._pad
-        wide = (i0 - pad, j0 - pad, rows + 2 * pad, cols + 2 * pad)
-        cells = s.read(*wide)
-        height, variance, source, upper = (
-            np.ascontiguousarray(cells[n]) for n in ("height", "variance", "source", "upper")
-        )
-        trusted = trust(height, variance, cells["count"], source, p.trust_sigma**2, p.trust_count, p.gate_min)
-        bridged = bridge(height, source, trusted, upper, self._rule)
-        inner = (slice(pad, pad + rows), slice(pad, pad + cols))
-        height, variance, source, upper = height[inner], variance[inner], source[inner], upper[inner]
-        trusted, bridged = trusted[inner], bridged[inner]
-        new = (source == UNKNOWN) & np.isfinite(bridged)
-        height = np.where(new, bridged, height)
-        bound = np.where(np.isfinite(upper), upper, np.float32(np.nan))
-        layers = {
-            "elevation": height,
-            "variance": np.where(new, np.float32(p.trust_sigma**2), variance),
-            "trusted": (trusted | new).astype(np.float32),
-            "upper_bound": np.where(np.isfinite(height), height, bound),
-            "source": np.where(new, BRIDGED, source).astype(np.float32),
-        }
-        return MapPatch((j0 * p.resolution, i0 * p.resolution), p.resolution, stamp, epoch, layers)
+        wide = rows + 2 * pad, cols + 2 * pad
+        height, variance, upper, out, gap = self._floats.take(5, *wide)
+        small = self._bytes.take(5, *wide)
+        count, source, marks = small[0], small[1], small[2:]
+        self.store.read(i0 - pad, j0 - pad, Layers(height, variance, upper, count, source))
+        trusted = trust(height, variance, count, source, p.trust_sigma**2, p.trust_count, p.gate_min)
+        bridge(height, source, trusted, upper, self._rule, out, gap, marks)
+        layers = self._result.take(5, rows, cols)
+        _compose(height, variance, upper, source, trusted, pad, p.trust_sigma**2, layers)
+        return layers
 
     def take_changes(self, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what reads differently from what the last ones said; at most one per row of tiles and block."""
@@ -61,43 +67,55 @@ class MapReader:
         if slots.size == 0:
             return []
         s.touched[:] = 0
-        # bridging carries a change into the neighbour tiles
-        k = -(-self._pad // s.size)
-        around = [(a, b) for a in range(-k, k + 1) for b in range(-k, k + 1)]
-        near = {(int(r) + a, int(c) + b) for r, c in s.tiles[slots] for a, b in around}
-        dirty = sorted(t for t in near if s.slot(*t) >= 0)
+        pad = self._pad  # bridging carries a change that far
         patches = []
-        for block in sorted({(r // _BLOCK, c // _BLOCK) for r, c in dirty}):
-            tiles = np.array([t for t in dirty if (t[0] // _BLOCK, t[1] // _BLOCK) == block])
-            lo, hi = tiles.min(axis=0) * s.size, (tiles.max(axis=0) + 1) * s.size
-            patches += self._changes(
-                (int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])), stamp, epoch
-            )
+        tiles = s.tiles[slots].astype(np.int64)
+        block = (tiles - tiles.min(axis=0)) // _BLOCK
+        for place in np.unique(block, axis=0):
+            inside = tiles[(block == place).all(axis=1)]
+            row, col = inside.min(axis=0) * s.size - pad
+            rows, cols = (inside.max(axis=0) + 1) * s.size + pad - (row, col)
+            patches += self._changes((int(row), int(col), int(rows), int(cols)), stamp, epoch)
         return patches
 
     def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
-        """Patches of what differs from the last ones sent, within a box of whole tiles."""
-        s, step = self.store, self.params.patch_step
-        whole = self.read(box, stamp, epoch)
-        height, upper = whole.layers["elevation"], whole.layers["upper_bound"]
-        now = np.empty(whole.shape, dtype=SENT)
-        now["height"], now["upper"] = height, upper
-        now["state"] = whole.layers["source"] + 16 * whole.layers["trusted"]
-        sent = s.swap_sent(box[0], box[1], None, whole.shape)
-        changed = (now["state"] != sent["state"]) | (np.abs(height - sent["height"]) > step)
-        moved = (np.isfinite(upper) != np.isfinite(sent["upper"])) | (
-            np.abs(upper - sent["upper"]) > 10 * step
-        )
-        changed |= np.isnan(height) & moved
+        """Patches of what differs from the last ones sent, within a box."""
+        whole = self._layers(box)
+        elevation, _, trusted, upper, source = whole
+        state = (source + 16 * trusted).astype(np.uint8)
         patches = []
-        for a in range(0, box[2], s.size):
-            r, c = np.nonzero(changed[a : a + s.size])
-            if r.size == 0:
-                continue
-            where = (slice(a + int(r.min()), a + int(r.max()) + 1), slice(int(c.min()), int(c.max()) + 1))
-            top, left = box[0] + where[0].start, box[1] + where[1].start
-            s.swap_sent(top, left, now[where], now[where].shape)
-            layers = {name: np.ascontiguousarray(layer[where]) for name, layer in whole.layers.items()}
-            origin = (left * whole.resolution, top * whole.resolution)
-            patches.append(MapPatch(origin, whole.resolution, stamp, epoch, layers))
+        for top, bottom, left, right in self.store.differences(
+            box[0], box[1], elevation, upper, state, self.params.patch_step
+        ):
+            cut = whole[:, top:bottom, left:right].copy()
+            part = box[0] + top, box[1] + left, bottom - top, right - left
+            patches.append(self._patch(part, stamp, epoch, dict(zip(PATCH_LAYERS, cut, strict=True))))
         return patches
+
+
+class _Scratch:
+    """Memory that is used again: fresh pages cost more than the work done in them."""
+
+    def __init__(self, dtype: type) -> None:
+        self._flat = np.empty(0, dtype=dtype)
+
+    def take(self, *shape: int) -> NDArray[Any]:
+        """An array of this shape with anything in it."""
+        n = math.prod(shape)
+        if self._flat.size < n:
+            self._flat = np.empty(n, dtype=self._flat.dtype)
+        return self._flat[:n].reshape(shape)
+
+
+@njit(cache=True)
+def _compose(height, variance, upper, source, trusted, pad, sigma2, out):  # pragma: no cover - compiled
+    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`."""
+    for r in range(out.shape[1]):
+        for c in range(out.shape[2]):
+            a, b = r + pad, c + pad
+            h, s, u = height[a, b], source[a, b], upper[a, b]
+            out[0, r, c] = h
+            out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
+            out[2, r, c] = trusted[a, b]
+            out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
+            out[4, r, c] = s if s < OVER else BRIDGED

@@ -7,6 +7,8 @@ integer. A small dense directory maps tile coordinates to pool slots.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -44,6 +46,16 @@ FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
 
 SAVED = ("height", "variance", "below", "upper", "seen", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
+
+
+class Layers(NamedTuple):
+    """Dense read-out of cells, (rows, cols) each; see `CELL`."""
+
+    height: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    upper: NDArray[np.float32]
+    count: NDArray[np.uint8]
+    source: NDArray[np.uint8]
 
 
 class TileStore:
@@ -131,40 +143,32 @@ class TileStore:
         n = self.size * self.size
         return self.cells[slot * n : (slot + 1) * n].reshape(self.size, self.size)
 
-    def read(self, i0: int, j0: int, rows: int, cols: int) -> NDArray[np.void]:
-        """Dense copy (rows, cols) of cells; those of absent tiles are fresh."""
-        out: NDArray = np.full((rows, cols), FRESH, dtype=CELL)
-        for slot, dst, src in self._overlaps(i0, j0, rows, cols):
-            out[dst] = self.tile(slot)[src]
-        return out
+    def read(self, i0: int, j0: int, out: Layers) -> None:
+        """Copy what the cells from (i0, j0) on hold into `out`; those of absent tiles are fresh."""
+        _gather(self.cells, self.directory, self.first, self.shift, i0, j0, *out)
 
-    def swap_sent(
-        self, i0: int, j0: int, block: NDArray[np.void] | None, shape: tuple[int, int]
-    ) -> NDArray[np.void]:
-        """Dense copy (rows, cols) of what was last sent; `block` replaces it when given."""
-        n = self.size * self.size
-        out: NDArray = np.full(shape, FRESH_SENT, dtype=SENT)
-        for slot, dst, src in self._overlaps(i0, j0, *shape):
-            tile = self.sent[slot * n : (slot + 1) * n].reshape(self.size, self.size)
-            out[dst] = tile[src]
-            if block is not None:
-                tile[src] = block[dst]
-        return out
+    def differences(
+        self,
+        i0: int,
+        j0: int,
+        height: NDArray[np.float32],
+        upper: NDArray[np.float32],
+        state: NDArray[np.uint8],
+        step: float,
+    ) -> list[tuple[int, int, int, int]]:
+        """Rectangles (first row, row after the last, first column, column after the last) within a read-out whose corner
+        is cell (i0, j0), that hold every cell which reads differently from what was last sent, at most one per `size` rows.
+        They count as sent from now on.
 
-    def _overlaps(self, i0: int, j0: int, rows: int, cols: int):
-        s = self.size
-        for tr in range(i0 >> self.shift, ((i0 + rows - 1) >> self.shift) + 1):
-            for tc in range(j0 >> self.shift, ((j0 + cols - 1) >> self.shift) + 1):
-                slot = self.slot(tr, tc)
-                if slot < 0:
-                    continue
-                a, b = max(i0, tr * s), min(i0 + rows, (tr + 1) * s)
-                c, d = max(j0, tc * s), min(j0 + cols, (tc + 1) * s)
-                yield (
-                    slot,
-                    (slice(a - i0, b - i0), slice(c - j0, d - j0)),
-                    (slice(a - tr * s, b - tr * s), slice(c - tc * s, d - tc * s)),
-                )
+        A cell differs by its state, by more than `step` [m] in height, or, where the height is unknown, by more than ten
+        steps in the upper bound. Cells of absent tiles never differ.
+        """
+        bands = -(-height.shape[0] // self.size)
+        boxes = np.empty((bands, 4), dtype=np.int64)
+        _differences(
+            self.sent, self.directory, self.first, self.shift, i0, j0, height, upper, state, step, boxes
+        )
+        return [(int(r0), int(r1), int(c0), int(c1)) for r0, r1, c0, c1 in boxes if r1 > r0]
 
     def bounds(self) -> tuple[int, int, int, int] | None:
         """i0, j0, rows, cols of the cells of all tiles, None for an empty store."""
@@ -195,3 +199,81 @@ def _locate(i, j, directory, first, shift, out):  # pragma: no cover - compiled
             return row, col
         out[k] = (np.int64(slot) << area) + ((i[k] & mask) << shift) + (j[k] & mask)
     return _DONE, _DONE
+
+
+@njit(cache=True)
+def _base(directory, first, shift, row, col):  # pragma: no cover - compiled
+    """Pool index of the first cell of a tile, -1 when it is absent."""
+    r, c = row - first[0], col - first[1]
+    if 0 <= r < directory.shape[0] and 0 <= c < directory.shape[1] and directory[r, c] >= 0:
+        return np.int64(directory[r, c]) << (2 * shift)
+    return np.int64(-1)
+
+
+@njit(cache=True)
+def _gather(
+    cells, directory, first, shift, i0, j0, height, variance, upper, count, source
+):  # pragma: no cover - compiled
+    """See `TileStore.read`."""
+    rows, cols = height.shape
+    mask = (1 << shift) - 1
+    for r in range(rows):
+        i = i0 + r
+        c = 0
+        while c < cols:
+            j = j0 + c
+            end = min(cols, c + mask + 1 - (j & mask))
+            base = _base(directory, first, shift, i >> shift, j >> shift)
+            if base < 0:
+                for k in range(c, end):
+                    height[r, k] = variance[r, k] = np.nan
+                    upper[r, k] = np.inf
+                    count[r, k] = source[r, k] = 0
+            else:
+                at = base + ((i & mask) << shift) + (j & mask) - c
+                for k in range(c, end):
+                    cell = cells[at + k]
+                    height[r, k] = cell.height
+                    variance[r, k] = cell.variance
+                    upper[r, k] = cell.upper
+                    count[r, k] = cell.count
+                    source[r, k] = cell.source
+            c = end
+
+
+@njit(cache=True)
+def _differences(
+    sent, directory, first, shift, i0, j0, height, upper, state, step, boxes
+):  # pragma: no cover - compiled
+    """See `TileStore.differences`; an empty box has no rows."""
+    rows, cols = height.shape
+    size = 1 << shift
+    mask = size - 1
+    for band in range(boxes.shape[0]):
+        top, bottom, left, right = rows, 0, cols, 0
+        for write in range(2):  # find the rectangle, then keep it
+            r0, r1 = (top, bottom) if write else (band * size, min((band + 1) * size, rows))
+            for r in range(r0, r1):
+                i = i0 + r
+                c, stop = (left, right) if write else (0, cols)
+                while c < stop:
+                    j = j0 + c
+                    end = min(stop, c + size - (j & mask))
+                    base = _base(directory, first, shift, i >> shift, j >> shift)
+                    at = base + ((i & mask) << shift) + (j & mask) - c
+                    if base >= 0:
+                        for k in range(c, end):
+                            old = sent[at + k]
+                            h, u = height[r, k], upper[r, k]
+                            if write:
+                                old.height, old.upper, old.state = h, u, state[r, k]
+                                continue
+                            differs = state[r, k] != old.state or abs(h - old.height) > step
+                            if not differs and h != h:
+                                was = old.upper
+                                differs = abs(u - was) > 10.0 * step or (u == u) != (was == was)
+                            if differs:
+                                top, bottom = min(top, r), max(bottom, r + 1)
+                                left, right = min(left, k), max(right, k + 1)
+                    c = end
+        boxes[band, 0], boxes[band, 1], boxes[band, 2], boxes[band, 3] = top, bottom, left, right

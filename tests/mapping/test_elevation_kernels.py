@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapping import elevation_kernels as kernels
-from mapping.bridging import bridge, bridge_rule, trust
+from mapping.bridging import OVER, bridge, bridge_rule, trust
 from mapping.filling import fill_unknown, slope_and_step
 from mapping.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 from mapping.visibility import judge, trace
@@ -301,7 +301,11 @@ def bridged(height, upper, *, source=None):
     known = np.isfinite(height)
     source = np.where(known, LIDAR, UNKNOWN).astype(np.uint8) if source is None else source
     rule = bridge_rule(0.04, 0.64, 0.03, 0.47, 0.12, 0.04, 1.4)
-    return bridge(height, source, known, np.asarray(upper, np.float32), rule)
+    filled, kind = height.copy(), source.copy()
+    scratch = np.empty((2, *height.shape), np.float32), np.empty((3, *height.shape), np.uint8)
+    bridge(filled, kind, known.copy(), np.asarray(upper, np.float32), rule, *scratch[0], scratch[1])
+    assert np.array_equal(filled[known], height[known])
+    return np.where(kind >= OVER, filled, np.nan)
 
 
 def strips(profile, gaps, rows=20):

@@ -21,6 +21,7 @@ from hal.mujoco.options import SimOptions
 from hal.safety import GateParams
 from hal.scenes import Scene, load_scene
 from hal.types import Extrinsics
+from hal.unitree.options import UnitreeSettings
 from mapping.elevation_params import ElevationParams
 from mapping.odometry import OdometryParams
 from planning.body_risk import BodyModel
@@ -62,6 +63,8 @@ class StackConfig(BaseModel):
     )
     interface: str = Field("", description="network interface of the robot (unitree)")
     dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
+    unitree: UnitreeSettings = UnitreeSettings()
+    viewer: bool = Field(False, description="show the simulated robot in a window; needs a display (sim)")
     origin: tuple[float, float, float] | None = Field(
         None, description="x, y [m], yaw [rad] of the robot in `map` at start; None = the scene's start"
     )

@@ -20,8 +20,9 @@ from rbtrg_robot.host import Sink, SyncHost
 from rbtrg_robot.logfile import CONFIG, LogWriter
 from rbtrg_robot.messages import decode, header, make, stamp_in
 from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.robot_process import build
 from rbtrg_robot.stage import Stage
-from rbtrg_robot.stages import robot
+from rbtrg_robot.stages.robot import STEP
 from rbtrg_robot.topics import Topic
 
 
@@ -58,8 +59,8 @@ class Lockstep:
     def __init__(self, config: StackConfig, log: LogWriter | None = None) -> None:
         """Stages named in `config.without` are left out."""
         names = [p.name for p in PROCESSES if p.hosted and p.name not in config.without]
-        self.robot = robot.build(config)
-        stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, robot.STEP / NS)}
+        self.robot = build(config)
+        stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}
         stages |= build_stages(config, names)
         self._log = log
         self.host = SyncHost(stages, log_sink(log) if log else None)
@@ -96,11 +97,11 @@ class Lockstep:
 
     def step(self) -> None:
         """5 ms."""
-        self.host.tick(self.host.now + robot.STEP)
+        self.host.tick(self.host.now + STEP)
 
     def run(self, seconds: float) -> None:
         """That long."""
-        for _ in range(round(seconds * NS / robot.STEP)):
+        for _ in range(round(seconds * NS / STEP)):
             self.step()
 
     def run_until(self, condition: Callable[[], bool], timeout: float, what: str = "the condition") -> None:

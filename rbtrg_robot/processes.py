@@ -34,7 +34,7 @@ class Process:
 PROCESSES: tuple[Process, ...] = (
     Process(
         "robot",
-        "rbtrg_robot.stages.robot:main",
+        "rbtrg_robot.robot_process:main",
         0.005,
         cpu=90,
         memory=700,

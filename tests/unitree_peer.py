@@ -2,8 +2,8 @@
 
 By hand, with the simulated robot behind it, and the stack in a second terminal:
 
-    python -m tests.unitree_peer --interface lo --domain 1 --body mujoco --scene yard
-    rbtrg-robot up --backend unitree --interface lo --domain 1
+    python -m tests.unitree_peer --body mujoco --scene yard
+    rbtrg-robot up --backend unitree --interface lo
 
 Faults are given as `--fault deaf=6 --fault busy=8` and changed while it runs by lines on standard input:
 `fault low_silent=1`, `release`, `quit`. With `--report` it prints one JSON line 50 times a second.

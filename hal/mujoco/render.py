@@ -209,10 +209,15 @@ class _Studio:
         return frame[::-1]
 
 
-def launch_viewer(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
-    """MuJoCo's interactive viewer on a running simulation (call its `sync` after steps). Raises RenderError."""
+def require_display() -> None:
+    """Raises RenderError where no window can be opened."""
     if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise RenderError("no display: the viewer needs one; use --render FILE.mp4 instead")
+        raise RenderError("there is no display for --viewer: draw the run afterwards with --render FILE.mp4")
+
+
+def launch_viewer(model: mujoco.MjModel, data: mujoco.MjData) -> Any:
+    """MuJoCo's interactive viewer on a running simulation; call its `sync` after steps. Raises RenderError."""
+    require_display()
     import mujoco.viewer
 
     return mujoco.viewer.launch_passive(model, data)

@@ -19,12 +19,9 @@ class MissingExtra(BackendError):
 
 
 def make_backend(
-    interface: str, dry_run: bool = False, domain: int | None = None, options: UnitreeOptions | None = None
+    interface: str, dry_run: bool = False, options: UnitreeOptions | None = None
 ) -> UnitreeBackend:
-    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface.
-
-    domain: DDS domain; None takes the vendor's: 0 on a robot's network, 1 on loopback (a simulated robot).
-    """
+    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface."""
     try:
         import cyclonedds.core  # noqa: F401
     except ImportError as error:
@@ -35,6 +32,7 @@ def make_backend(
     from hal.unitree.link import check_interface
 
     check_interface(interface)
+    domain = None if options is None else options.domain
     if domain is None:
         domain = 1 if interface == "lo" else 0
     return UnitreeBackend(interface, domain, options, dry_run)

@@ -13,20 +13,16 @@ from hal.types import Capabilities, Extrinsics
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
 
 
-class UnitreeOptions(BaseModel):
-    """How to reach and treat a real Go2-W. Times in seconds."""
+class UnitreeSettings(BaseModel):
+    """How to reach and treat a real Go2-W; which LiDAR it carries stands elsewhere. Times in seconds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    lidar: Literal["l1", "xt16", "mid360", "none"] = Field(
-        default="xt16", description="which LiDAR is mounted"
+    domain: int | None = Field(
+        default=None, ge=0, le=232, description="DDS domain; null: 0 on the robot's network, 1 on loopback"
     )
     lidar_topic: str = Field(
-        default="", description="DDS topic of its PointCloud2; empty takes the usual one"
-    )
-    lidar_mount: tuple[float, float, float, float, float, float] | None = Field(
-        default=None,
-        description="x, y, z [m], roll, pitch, yaw [rad] of the LiDAR in base_link; null: the usual mount",
+        default="", description="DDS topic of the LiDAR's PointCloud2; empty takes the usual one"
     )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
@@ -56,6 +52,18 @@ class UnitreeOptions(BaseModel):
         default=False, description="drive through the robot's obstacle avoidance service"
     )
     sit_on_close: bool = Field(default=True, description="lie down when the backend closes")
+
+
+class UnitreeOptions(UnitreeSettings):
+    """All of it."""
+
+    lidar: Literal["l1", "xt16", "mid360", "none"] = Field(
+        default="xt16", description="which LiDAR is mounted"
+    )
+    lidar_mount: tuple[float, float, float, float, float, float] | None = Field(
+        default=None,
+        description="x, y, z [m], roll, pitch, yaw [rad] of the LiDAR in base_link; null: the usual mount",
+    )
 
     def topic(self) -> str | None:
         """DDS topic of the LiDAR, or None without one."""

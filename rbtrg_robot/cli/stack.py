@@ -43,6 +43,7 @@ def up(
     render: Annotated[
         Path | None, typer.Option(help="After the run, draw it: FILE.mp4, FILE.png or a folder.")
     ] = None,
+    viewer: Annotated[bool, typer.Option("--viewer", help="Show the simulated robot in a window.")] = False,
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
     robot: Annotated[str | None, typer.Option(help="Name of the robot.")] = None,
@@ -81,6 +82,7 @@ def up(
             policy_dir=str(policy) if policy else None,
             interface=interface,
             dry_run=dry_run or None,
+            viewer=viewer or None,
             map_file=str(map_file.resolve()) if map_file else None,
             without=tuple(without) if without else None,
             seed=seed,
@@ -91,6 +93,8 @@ def up(
         )
         if render is not None and not (loaded.simulated and loaded.record):
             raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
+        if loaded.viewer and not loaded.simulated:
+            raise ConfigError("--viewer shows a simulated robot: only with --backend sim")
         refuse_second(loaded.robot)
         _check(loaded)
         folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
@@ -123,6 +127,14 @@ def _check(config: Any) -> None:
             from hal.mujoco.policy import PolicyController
 
             PolicyController(config.policy_dir)
+        if config.viewer:
+            from hal.mujoco.render import RenderError, require_display
+            from rbtrg_robot.config import ConfigError
+
+            try:
+                require_display()
+            except RenderError as error:
+                raise ConfigError(str(error)) from error
     if config.map_file:
         from mapping.elevation import ElevationMap
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -133,5 +135,54 @@ def test_what_cannot_be_drawn_is_said_in_words(tmp_path: Path, monkeypatch: pyte
         huge.write(tmp_path / "a.mp4")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(RenderError, match="no display"):
+    with pytest.raises(RenderError, match="there is no display"):
         launch_viewer(None, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "has_egl", "taken"),
+    [
+        ("", True, "egl"),
+        ("", False, "osmesa"),
+        ("osmesa", True, "osmesa"),
+        ("egl", False, "egl"),
+        ("glfw", False, "osmesa"),
+    ],
+)
+def test_egl_is_taken_or_osmesa_where_there_is_none(
+    wanted: str, has_egl: bool, taken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Context:
+        def __init__(self, kind: str) -> None:
+            self.kind = kind
+
+        def make_current(self) -> None:
+            pass
+
+    for kind in ("egl", "osmesa"):
+        module = types.ModuleType(f"mujoco.{kind}")
+        module.GLContext = lambda width, height, kind=kind: Context(kind)  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, f"mujoco.{kind}", module)
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: "libEGL.so.1" if has_egl else None)
+    assert gl_context(16, 16).kind == taken
+
+
+@pytest.mark.parametrize(("wanted", "other"), [("egl", "osmesa"), ("osmesa", "egl")])
+def test_a_machine_that_cannot_draw_is_told_what_to_install(
+    wanted: str, other: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = types.ModuleType(f"mujoco.{wanted}")
+
+    def broken(width: int, height: int) -> None:
+        raise ImportError("libX.so.8: cannot open\nshared object file")
+
+    module.GLContext = broken  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, f"mujoco.{wanted}", module)
+    monkeypatch.setenv("MUJOCO_GL", wanted)
+    with pytest.raises(RenderError) as told:
+        gl_context(16, 16)
+    text = str(told.value)
+    assert f"cannot draw with {wanted} (libX.so.8: cannot open shared object file)" in text
+    assert "libosmesa6" in text
+    assert text.endswith(f"MUJOCO_GL={other}")

@@ -29,7 +29,8 @@ DRIVER = """
 import sys, time
 from hal.types import VelocityCommand
 from hal.unitree import make_backend
-backend = make_backend("lo", domain=int(sys.argv[1]))
+from hal.unitree.options import UnitreeOptions
+backend = make_backend("lo", options=UnitreeOptions(domain=int(sys.argv[1])))
 backend.connect()
 print("up", flush=True)
 while True:
@@ -137,7 +138,7 @@ def peer(domain: int) -> Iterator[PeerProcess]:
 
 @pytest.fixture
 def backend(domain: int, peer: PeerProcess) -> Iterator[UnitreeBackend]:
-    backend = make_backend("lo", domain=domain, options=UnitreeOptions(sit_on_close=False))
+    backend = make_backend("lo", options=UnitreeOptions(domain=domain, sit_on_close=False))
     backend.connect()
     yield backend
     backend.close()
@@ -171,7 +172,7 @@ def test_close_leaves_no_process_and_lets_the_domain_be_opened_again(
     assert time.monotonic() - start < 3.0
     assert not psutil.pid_exists(guardian)
     assert backend.read(time.time_ns()) == []
-    again = make_backend("lo", domain=domain, options=UnitreeOptions(sit_on_close=False))
+    again = make_backend("lo", options=UnitreeOptions(domain=domain, sit_on_close=False))
     again.connect()
     until(again, Phase.READY)
     again.close()
@@ -224,7 +225,7 @@ def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
 
 def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(domain: int):
     gone = PeerProcess(domain + 50)
-    backend = make_backend("lo", domain=domain + 50, options=UnitreeOptions(sit_on_close=False))
+    backend = make_backend("lo", options=UnitreeOptions(domain=domain + 50, sit_on_close=False))
     backend.connect()
     until(backend, Phase.MOVING, vx=0.5)
     gone.end()
@@ -254,7 +255,7 @@ def test_stop_is_at_rest_within_half_a_second(backend: UnitreeBackend, peer: Pee
 
 
 def test_dry_run_listens_and_sends_nothing(peer: PeerProcess, domain: int):
-    backend = make_backend("lo", dry_run=True, domain=domain)
+    backend = make_backend("lo", dry_run=True, options=UnitreeOptions(domain=domain))
     x = peer.last["x"]
     backend.connect()
     until(backend, Phase.READY)
@@ -266,7 +267,7 @@ def test_dry_run_listens_and_sends_nothing(peer: PeerProcess, domain: int):
 
 
 def test_without_a_robot_the_error_comes_in_time_and_says_what_to_check(domain: int):
-    backend = make_backend("lo", domain=domain + 100, options=UnitreeOptions(connect_timeout=1.0))
+    backend = make_backend("lo", options=UnitreeOptions(domain=domain + 100, connect_timeout=1.0))
     start = time.monotonic()
     with pytest.raises(BackendError, match="is it switched on"):
         backend.connect()

@@ -20,6 +20,7 @@ from rbtrg_robot.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
     """The command in a runtime folder of its own."""
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path), "COLUMNS": "200"}
+    environment = {k: v for k, v in environment.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     return subprocess.run(
         [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
         capture_output=True,
@@ -47,6 +48,10 @@ def free_port() -> int:
         (("up", "--config", "/nowhere/c.yaml"), "/nowhere/c.yaml"),
         (("up", "--controller", "policy", "--policy", "/nowhere"), "/nowhere"),
         (("up", "--without", "coffee"), "coffee"),
+        (("up", "--viewer"), "--render"),
+        (("up", "--backend", "unitree", "--viewer"), "--backend sim"),
+        (("up", "--set", "unitree.move_rate=500"), "unitree.move_rate"),
+        (("posture", "sit"), "rbtrg-robot up"),
         (("up", "--map", "/nowhere/map.npz"), "/nowhere/map.npz"),
         (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
         (("status",), "rbtrg-robot up"),

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
+from hal.contract import BackendError
+from hal.types import Extrinsics
+from hal.unitree.options import UnitreeOptions
 from rbtrg_robot.config import ConfigError, StackConfig, load
+from rbtrg_robot.robot_process import build
 
 
 def test_later_layers_win(tmp_path: Path) -> None:
@@ -53,3 +58,24 @@ def test_a_file_that_is_no_configuration(tmp_path: Path, text: str) -> None:
         load(file)
     with pytest.raises(ConfigError, match="cannot read"):
         load(tmp_path / "none.yaml")
+
+
+def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    got: dict[str, Any] = {}
+
+    def make_backend(interface: str, dry_run: bool, options: UnitreeOptions) -> None:
+        got.update(interface=interface, dry_run=dry_run, options=options)
+        raise BackendError("no robot here")
+
+    monkeypatch.setattr("hal.unitree.make_backend", make_backend)
+    sets = [
+        "backend=unitree", "interface=eth7", "lidar=mid360", "unitree.lidar_topic=rt/mid", "unitree.domain=3",
+        "unitree.imu_yaw=1.57", "unitree.max_vx=0.5", "mount={translation: [0.1, 0, 0.2], rpy: [0, 0.3, 0]}",
+    ]  # fmt: skip
+    with pytest.raises(BackendError, match="no robot here"):
+        build(load(None, sets))
+    assert (got["interface"], got["dry_run"]) == ("eth7", False)
+    options = got["options"]
+    assert (options.topic(), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
+    assert options.mount() == Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))
+    assert options.capabilities().max_vx == 0.5

@@ -10,10 +10,10 @@ import pytest
 
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
 from hal.unitree.options import UnitreeOptions
+from rbtrg_robot import robot_process
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.lockstep import Lockstep
-from rbtrg_robot.stages import robot
 from tests.unitree_robot import MujocoBody
 from tests.unitree_world import World
 
@@ -59,7 +59,7 @@ def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Lockstep, World]]:
         made.append(Wired(config))
         return made[0]
 
-    monkeypatch.setattr(robot, "_simulator", build)
+    monkeypatch.setattr(robot_process, "_simulator", build)
     with Lockstep(load(None, [], scene="flat")) as stack:
         stack.wait_ready(30.0)
         yield stack, made[0].world

@@ -177,12 +177,12 @@ def _drop_rims(height, source, trusted, level, depth):  # pragma: no cover
         if level[i, j] > depth:
             continue
         for a, b in ((i - 1, j), (i + 1, j), (i, j - 1), (i, j + 1)):
-            if 0 <= a < rows and 0 <= b < cols and level[a, b] == 0:
-                if source[a, b] == 0 or source[a, b] >= OVER:
-                    level[a, b] = level[i, j] + 1
-                    queue[n, 0] = a
-                    queue[n, 1] = b
-                    n += 1
+            inside = 0 <= a < rows and 0 <= b < cols
+            if inside and level[a, b] == 0 and (source[a, b] == 0 or source[a, b] >= OVER):
+                level[a, b] = level[i, j] + 1
+                queue[n, 0] = a
+                queue[n, 1] = b
+                n += 1
 
 
 @njit(cache=True)

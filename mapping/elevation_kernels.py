@@ -131,11 +131,11 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
         sums[s, SHARED] += shared[p]
     tall = np.zeros(k, dtype=np.uint8)  # cells that hold more than their surface
     highest = zero
-    for s in range(k):
-        extent = sums[s, TOP] - sums[s, BOTTOM]
+    for t in range(k):
+        extent = sums[t, TOP] - sums[t, BOTTOM]
         highest = extent if extent > highest else highest
-        tall[s] = extent > np.float32(band)
-        sums[s, DEPTH] += sums[s, WEIGHT] * (sums[s, FIRST] - sums[s, TOP])
+        tall[t] = extent > np.float32(band)
+        sums[t, DEPTH] += sums[t, WEIGHT] * (sums[t, FIRST] - sums[t, TOP])
     if highest <= np.float32(band):
         return k, 0
     again = np.empty(m, dtype=np.uint32)  # their points
@@ -155,13 +155,13 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
                 low[s] = h if h > low[s] else low[s]
             else:
                 above[s] = h if h < above[s] else above[s]
-        for s in range(k):
-            if above[s] < np.inf and above[s] - low[s] > clearance:
-                sums[s, TOP] = low[s]
+        for t in range(k):
+            if above[t] < np.inf and above[t] - low[t] > clearance:
+                sums[t, TOP] = low[t]
                 overhangs += 1
-    for s in range(k):
-        if tall[s]:
-            sums[s, WEIGHT] = sums[s, DEPTH] = sums[s, POINTS] = sums[s, SHARED] = zero
+    for t in range(k):
+        if tall[t]:
+            sums[t, WEIGHT] = sums[t, DEPTH] = sums[t, POINTS] = sums[t, SHARED] = zero
     for q in range(n):
         p = again[q]
         s = np.uint32(slot[p])

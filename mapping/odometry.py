@@ -14,7 +14,7 @@ when joints are known at the start, else base_link itself.
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+from collections import Counter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,21 +23,18 @@ from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
 from mapping.deskew import deskew, mount_matrix
 from mapping.engines import Engine, GicpEngine, KissEngine, Match
 from mapping.health import Health, HealthMonitor, Verdict
+from mapping.inbox import Inbox
 from mapping.inertial import InertialFilter
-from mapping.intake import SampleBuffer, Sweep, TopicClock, clean_scan
+from mapping.intake import Sweep
 from mapping.odometry_types import FastPose, OdometryParams, ScanOdometry
 from mapping.pose_stream import PoseStream
-from mapping.rotation import rotation, turn
+from mapping.startup import WINDOW, Before, Startup, put_at, start
 from mapping.wheel_odometry import WheelOdometry, velocities
 from mapping.wheel_scale import WheelScale
 
 XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
 
 ZERO = np.zeros(6)
-SETTLE = 0.5
-"""The robot must have stood still for this long [s] before gravity is taken from its accelerometer,"""
-PATIENCE_AT_START = 3.0
-"""but a robot that does not stand still starts anyway after this long [s]."""
 
 
 class LidarInertialOdometry:
@@ -56,17 +53,11 @@ class LidarInertialOdometry:
         self._mount = mount_matrix(mount)
         self._lever = np.array(params.inertial.imu_position)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._clocks = {
-            "imu": TopicClock("imu", 20, self.counters),
-            "joints": TopicClock("joints", 20, self.counters),
-            "scan": TopicClock("scan", 2, self.counters),
-        }
-        self._imu = SampleBuffer(6, 20_000)
-        self._joints = SampleBuffer(48, 4_000)
+        self._inbox = Inbox(params, self.counters, self._follow_clock)
+        self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
-        self._joint_stamp = -NS
-        self._first_scan = 0
-        self._sweeps: deque[Sweep] = deque()
+        self._startup = Startup()
+        self._before: Before | None = None
         self._scale = WheelScale()
         self._rolled = math.nan
         self._notes: list[str] = []
@@ -75,49 +66,44 @@ class LidarInertialOdometry:
     # --- samples in ---------------------------------------------------------------------------------------------
     def add_imu(self, sample: ImuSample) -> FastPose | None:
         """Take an inertial sample; the pose at its stamp once initialised."""
-        row = _row((sample.gyro, 3), (sample.accel, 3))
-        if row is None or np.abs(row).max() > 1e3:
-            self.counters["imu_not_finite"] += 1
+        row = self._inbox.take_imu(sample)
+        if row is None:
             return None
-        if not self._admit("imu", sample.stamp):
-            return None
-        self._imu.append(int(sample.stamp), row)
         if not self.initialised or sample.stamp - self._filter.stamp > 60 * NS:
             return None
         return self._stream.on_imu(int(sample.stamp), row, self._health, self._reason)
 
     def add_joints(self, sample: JointSample) -> WheelOdometry | None:
         """Take a joint sample (thinned to 50 Hz); wheel-leg odometry at its stamp once initialised."""
-        row = _row((sample.position, 16), (sample.velocity, 16), (sample.effort, 16))
-        if row is None or np.abs(row[16:32]).max() > 1e3:
-            self.counters["joints_not_finite"] += 1
+        row = self._inbox.take_joints(sample)
+        if row is None or not self.initialised:
             return None
-        if not self._admit("joints", sample.stamp):
-            return None
-        stamp = int(sample.stamp)
-        if stamp - self._joint_stamp < 18_000_000 and stamp > self._joint_stamp:
-            return None
-        self._joint_stamp = stamp
-        self._joints.append(stamp, row)
-        return self._stream.on_joints(stamp, row) if self.initialised else None
+        return self._stream.on_joints(int(sample.stamp), row)
 
     def add_scan(self, scan: LidarScan) -> None:
         """Take a scan; `poll` processes it."""
-        if not self._admit("scan", scan.stamp):
-            return
-        p = self.params
-        sweep = clean_scan(scan, p.min_range, p.max_range, p.max_points, 0.5, self.counters)
-        if sweep is not None:
-            self._sweeps.append(sweep)
+        self._inbox.take_scan(scan)
+
+    def resume(self, pose: Array, cloud: NDArray[np.float32]) -> None:
+        """Call before the first sample to go on where another odometry ended: `pose` (4, 4) `odom` <- base_link, and what
+        was seen there, `cloud` (n, 3) base_link [m].
+
+        The first scan is registered to that cloud, so that neither pose nor map jumps by what the robot coasted meanwhile;
+        a robot that was carried further than registration reaches becomes `lost`.
+        """
+        self._before = Before(pose, np.ascontiguousarray(cloud, np.float32))
 
     def poll(self) -> list[ScanOdometry]:
         """Scans whose IMU and joint data have arrived, processed in order; a second without any scan also reports."""
         out: list[ScanOdometry] = []
         while True:
-            if self._sweeps and self._ready(self._sweeps[0].end):
-                result = self._process(self._sweeps.popleft())
+            sweep = self._inbox.next_sweep()
+            if sweep is not None:
+                result = self._process(sweep)
             elif (
-                self.initialised and not self._sweeps and 2 * NS < self._now() - self._filter.stamp < 60 * NS
+                self.initialised
+                and not self._inbox.waiting
+                and 2 * NS < self._inbox.now - self._filter.stamp < 60 * NS
             ):
                 result = self._coast(self._filter.stamp + NS)
             else:
@@ -167,34 +153,21 @@ class LidarInertialOdometry:
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
-        window = NS * 7 // 10
-        imu_stamp, imu = self._imu.between(sweep.end - window, sweep.end)
-        joint_stamp, joints = self._joints.between(sweep.end - window // 10, sweep.end)
+        imu_stamp, imu = self._imu.between(sweep.end - WINDOW, sweep.end)
+        joint_stamp, joints = self._joints.between(sweep.end - NS // 15, sweep.end)
         if len(imu) < 5:
             self.counters["scan_before_imu"] += 1
             if self.counters["scan_before_imu"] < 10:
                 return
-        level = len(imu) >= 20 and _at_rest(imu)
-        # A trunk that still sways shows a wrong gravity, and the local map would keep that tilt for good.
-        self._first_scan = self._first_scan or sweep.end
-        settled = level and imu_stamp[-1] - imu_stamp[0] >= SETTLE * NS
-        if len(imu) and not settled and sweep.end - self._first_scan < PATIENCE_AT_START * NS:
+        if not self._startup.ready(sweep.end, imu_stamp, imu):
             return
-        velocity, height = None, 0.0
-        if self.params.use_joints and len(joints):
-            v, _, h = velocities(
-                joint_stamp[-1:],
-                joints[-1:],
-                imu_stamp,
-                imu,
-                np.zeros(3),
-                self._lever,
-                self._wheel_noise,
-                1.0,
-            )
-            if math.isfinite(h[0]):
-                velocity, height = v[0], float(h[0])
-        self._filter.start(sweep.end, _unrotated(imu_stamp, imu, sweep.end, level), level, velocity, height)
+        joints = joints if self.params.use_joints else joints[:0]
+        start(self._filter, sweep.end, imu_stamp, imu, joint_stamp, joints, self._wheel_noise)
+        if self._before is not None:
+            put_at(self._filter, self._before.pose)
+            self._engine.align(self._before.cloud, self._before.pose, self.params.threshold)
+            self._engine.insert(self._before.pose)
+            self._before = None
         self._stream.start(self._filter)
         self._monitor.start(sweep.end)
         self.initialised = True
@@ -207,7 +180,7 @@ class LidarInertialOdometry:
             if len(stamps):
                 continue
             self.counters[f"scan_without_{topic}"] += 1
-            if topic == "imu" or (self._clocks[topic].newest is not None and self.params.use_joints):
+            if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
                 self._notes.append(f"no {name} data")
         return self._advance(end)
 
@@ -275,39 +248,14 @@ class LidarInertialOdometry:
     def _rejoin(self) -> None:
         self._stream.rejoin(self._filter)
         keep = max(min(self._filter.stamp, self._stream.dead.stamp), self._filter.stamp - 5 * NS)
-        self._imu.forget(keep)
-        self._joints.forget(keep)
+        self._inbox.forget(keep)
 
-    # --- the door -----------------------------------------------------------------------------------------------
-    def _admit(self, topic: str, stamp: int) -> bool:
-        verdict = self._clocks[topic].admit(stamp)
-        if verdict == "jump":
-            self._follow_clock(topic, int(stamp))
-        return verdict != "drop"
-
-    def _follow_clock(self, topic: str, stamp: int) -> None:
-        """The source clock was set: go on at the new time with the pose and the map kept. The other topics follow without asking."""
-        for name, clock in self._clocks.items():
-            if name != topic:
-                clock.newest = stamp - NS // 2
-        self._imu.clear()
-        self._joints.clear()
-        self._joint_stamp = -NS
-        self._sweeps.clear()
+    def _follow_clock(self, stamp: int) -> None:
+        """The source clock was set: go on at the new time with the pose and the map kept."""
         self._filter.move_clock(stamp)
         self._stream.move_clock(stamp)
         self._monitor.start(stamp)
         self._notes.append("source clock was set")
-
-    def _now(self) -> int:
-        return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)
-
-    def _ready(self, end: int) -> bool:
-        topics = ["imu", "joints"] if self.params.use_joints else ["imu"]
-        stamps = [self._clocks[t].newest for t in topics]
-        if all(s is not None and s >= end for s in stamps):
-            return True
-        return self._now() > end + self.params.patience * NS
 
     def warm_up(self) -> None:
         """Compile every kernel."""
@@ -334,40 +282,6 @@ def make_engine(params: OdometryParams) -> Engine:
     if params.engine == "kiss_icp":
         return KissEngine(params.kiss_icp, params.max_range)
     return GicpEngine(params.small_gicp, params.max_range)
-
-
-def _row(*parts: tuple[object, int]) -> Array | None:
-    """The parts as one float row; None when a part has the wrong size or is not finite."""
-    try:
-        arrays = [np.asarray(values, np.float64).reshape(-1) for values, _ in parts]
-    except (TypeError, ValueError):
-        return None
-    if any(len(a) != n for a, (_, n) in zip(arrays, parts, strict=True)):
-        return None
-    row = np.concatenate(arrays)
-    return row if np.isfinite(row).all() else None
-
-
-def _at_rest(imu: Array) -> bool:
-    """True when samples (n, 6) show neither rotation nor vibration: gyro bias and gravity only."""
-    quiet = imu[:, :3].std(axis=0).max() < 0.03 and imu[:, 3:].std(axis=0).max() < 0.4
-    return bool(quiet and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
-
-
-def _unrotated(stamps: NDArray[np.int64], imu: Array, end: int, level: bool) -> Array:
-    """Inertial samples (n, 6) turned by the gyro into the axes of base_link at `end`, so that their mean shows gravity there."""
-    if level or not len(imu):
-        return imu
-    out = imu.copy()
-    q = np.array([0.0, 0.0, 0.0, 1.0])
-    later = end
-    for i in range(len(imu) - 1, -1, -1):
-        dt = (later - int(stamps[i])) * 1e-9
-        turn(q, *(-dt * imu[i, :3]))
-        out[i, 3:] = rotation(q) @ imu[i, 3:]
-        later = int(stamps[i])
-    out[-1, :3] = imu[-1, :3]
-    return out
 
 
 def _rotation_to_body(covariance: Array, pose: Array) -> Array:

@@ -97,7 +97,7 @@ class _Scratch:
     """Memory that is used again: fresh pages cost more than the work done in them."""
 
     def __init__(self, dtype: type) -> None:
-        self._flat = np.empty(0, dtype=dtype)
+        self._flat: NDArray[Any] = np.empty(0, dtype=dtype)
 
     def take(self, *shape: int) -> NDArray[Any]:
         """An array of this shape with anything in it."""

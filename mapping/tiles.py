@@ -54,7 +54,7 @@ class Layers(NamedTuple):
     height: NDArray[np.float32]
     variance: NDArray[np.float32]
     upper: NDArray[np.float32]
-    count: NDArray[np.uint8]
+    points: NDArray[np.uint8]
     source: NDArray[np.uint8]
 
 

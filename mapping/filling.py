@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 def fill_unknown(
     height: NDArray[np.float32], upper_bound: NDArray[np.float32] | None = None
 ) -> NDArray[np.float32]:
-    """Copy of `height` (rows, cols) whose NaN cells hold the height of the nearest known cell [m].
+    """Copy of `height` (rows, cols) whose cells that are not finite hold the height of the nearest known cell [m].
 
     Where `upper_bound` (NaN: none) is lower than that, the bound is taken: a hole whose floor was never seen becomes a
     hole. An array without any known cell comes back as zeros.
@@ -22,44 +22,55 @@ def fill_unknown(
 
 
 @njit(cache=True)
-def _nearest(known):  # pragma: no cover
-    """Row and column of a nearest known cell, by vector propagation (8SED, two sweeps); -1 where none."""
+def _nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column of the nearest known cell for every cell: exact Euclidean, two passes (columns, then rows).
+
+    Ties go to the lower column offset from the left; each pass is linear (lower envelope of parabolas).
+    """
     rows, cols = known.shape
-    big = 1 << 20
-    dr = np.full((rows, cols), big, dtype=np.int32)
-    dc = np.full((rows, cols), big, dtype=np.int32)
-    for r in range(rows):
-        for c in range(cols):
+    near_row = np.full((rows, cols), -1, np.int64)
+    for c in range(cols):
+        last = -1
+        for r in range(rows):
             if known[r, c]:
-                dr[r, c] = 0
-                dc[r, c] = 0
-    for sweep in range(2):
-        sign = 1 - 2 * sweep
-        for rr in range(rows):
-            r = rr if sweep == 0 else rows - 1 - rr
-            # first with the row already done (3 neighbours) and the left, then back with the right
-            for half in range(2):
-                for cc in range(cols):
-                    c = cc if half == 0 else cols - 1 - cc
-                    best = np.int64(dr[r, c]) * dr[r, c] + np.int64(dc[r, c]) * dc[r, c]
-                    if best == 0:
-                        continue
-                    for q in range(4):
-                        if q < 3:
-                            if half == 1:
-                                continue
-                            pr, pc = r - sign, c + q - 1
-                        else:
-                            pr, pc = r, (c - 1 if half == 0 else c + 1)
-                        if pr < 0 or pr >= rows or pc < 0 or pc >= cols or dr[pr, pc] == big:
-                            continue
-                        nr = np.int64(dr[pr, pc]) + (pr - r)
-                        nc = np.int64(dc[pr, pc]) + (pc - c)
-                        d = nr * nr + nc * nc
-                        if d < best:
-                            best = d
-                            dr[r, c], dc[r, c] = nr, nc
-    return dr, dc, big
+                last = r
+            near_row[r, c] = last
+        last = -1
+        for r in range(rows - 1, -1, -1):
+            if known[r, c]:
+                last = r
+            up = near_row[r, c]
+            if last >= 0 and (up < 0 or last - r < r - up):
+                near_row[r, c] = last
+    out_row = np.empty((rows, cols), np.int64)
+    out_col = np.empty((rows, cols), np.int64)
+    apex = np.empty(cols, np.int64)
+    bound = np.empty(cols + 1, np.float64)
+    for r in range(rows):
+        count = 0
+        for c in range(cols):
+            if near_row[r, c] < 0:
+                continue
+            d = float(near_row[r, c] - r)
+            start = -np.inf
+            while count > 0:
+                p = apex[count - 1]
+                e = float(near_row[r, p] - r)
+                start = ((d * d + c * c) - (e * e + p * p)) / (2.0 * (c - p))
+                if start > bound[count - 1]:
+                    break
+                count -= 1
+                start = -np.inf
+            apex[count] = c
+            bound[count] = start
+            count += 1
+        k = 0
+        for c in range(cols):
+            while k + 1 < count and bound[k + 1] < c:
+                k += 1
+            out_col[r, c] = apex[k]
+            out_row[r, c] = near_row[r, apex[k]]
+    return out_row, out_col
 
 
 @njit(cache=True)
@@ -69,17 +80,17 @@ def _fill(height, upper):  # pragma: no cover
     some = False
     for r in range(rows):
         for c in range(cols):
-            known[r, c] = height[r, c] == height[r, c]
+            known[r, c] = np.isfinite(height[r, c])
             some = some or known[r, c]
     out = height.copy()
     if not some:
         out[:] = 0.0
         return out
-    dr, dc, _ = _nearest(known)
+    row, col = _nearest_known(known)
     for r in range(rows):
         for c in range(cols):
             if not known[r, c]:
-                z = height[r + dr[r, c], c + dc[r, c]]
+                z = height[row[r, c], col[r, c]]
                 if upper[r, c] < z:
                     z = upper[r, c]
                 out[r, c] = z

@@ -8,7 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
-from planning.footprint import Terrain, poses_features
+from planning.footprint import poses_features
+from planning.terrain import Terrain
 
 FEATURES = ("d_fb", "a_lr", "p_int", "u")
 """Front-back support difference [m], side tilt [deg], interference [m], unknown share [-]."""

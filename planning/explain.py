@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planning.body_risk import FEATURES, BodyModel
-from planning.footprint import Laid
 from planning.plan_types import SETS, Plan, PlanRequest, Transition
 from planning.risk_table import RiskTable, weights_of
 from planning.search_kernels import Weights, route_moments
+from planning.terrain import Laid
 
 
 @dataclass(slots=True)

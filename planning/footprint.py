@@ -1,253 +1,178 @@
-"""The robot's oriented footprint laid on the elevation grid: samples, corner means and the four pose features.
+"""The robot's oriented footprint laid on the terrain: corner means and the four pose features.
 
 Numba kernels on plain arrays; `planning.body_risk` is their face. Paper: Guo, Zhang, Schwertfeger 2026, eq. 2.
+No NaN comes in: `planning.terrain` has filled every height, and trust is an array of its own.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from mapping.grid import ElevationGrid
-from planning.fill import fill_unknown
-
-
-class Laid(NamedTuple):
-    """Terrain and footprint samples as the kernels take them."""
-
-    height: NDArray[np.float32]
-    """(rows * stride,) [m], padded."""
-    trusted: NDArray[np.uint8]
-    """(rows * stride,) 1 = trusted; 0 in the padding."""
-    seen: NDArray[np.int32]
-    """(rows + 1, stride + 1) trusted cells above and left of a cell corner (summed-area table)."""
-    stride: int
-    """Columns of the padded grid."""
-    ox: float
-    oy: float
-    inv: float
-    """1 / resolution [1/m]."""
-    u: NDArray[np.float32]
-    v: NDArray[np.float32]
-    """(n,) samples along and across the body [cells]: corners FL, FR, BL, BR, then the rest tile by tile."""
-    corner: int
-    """Samples per corner."""
-    tile: NDArray[np.int32]
-    """(t + 1,) where each tile's samples begin."""
-    tile_u: NDArray[np.float32]
-    tile_v: NDArray[np.float32]
-    """(t,) tile centres [cells]."""
-    ceiling: NDArray[np.float32]
-    """(rows * stride,) no sample of a tile centred in a cell is higher [m]."""
-    reach: int
-    """Cells from the centre that no sample leaves."""
-    width: float
-    """Body width [m]."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Terrain:
-    """An elevation grid made ready for footprint samples: filled, padded with untrusted edge values."""
-
-    height: NDArray[np.float32]
-    """(rows, cols) [m], no NaN."""
-    trusted: NDArray[np.uint8]
-    """(rows, cols) 1 = trusted; 0 in the padding."""
-    seen: NDArray[np.int32]
-    """(rows + 1, cols + 1) summed-area table of `trusted`."""
-    origin: tuple[float, float]
-    """x, y [m] of the centre of padded cell [0, 0]."""
-    resolution: float
-    """Cell size [m]."""
-    pad: int
-    """Cells of padding on each side."""
-
-    @classmethod
-    def from_grid(cls, grid: ElevationGrid, margin: float) -> Terrain:
-        """Pad by a little more than twice `margin` [m], the footprint's circumradius.
-
-        A body within `margin` of the grid then lies inside the padding whole, and one farther out touches no
-        trusted cell: no sample ever needs a bounds check.
-        """
-        pad = 2 * int(np.ceil(margin / grid.resolution)) + 3
-        trusted = grid.trusted & np.isfinite(grid.height)
-        height, padded, seen = _pad(fill_unknown(grid.height), trusted, pad)
-        step = pad * grid.resolution
-        x, y = grid.origin
-        return cls(height, padded, seen, (x - step, y - step), grid.resolution, pad)
-
-    def laid(self, length: float, width: float) -> Laid:
-        """Kernel arguments for a body of this length and width [m]."""
-        along = offsets(length, self.resolution) / self.resolution
-        across = offsets(width, self.resolution) / self.resolution
-        u, v = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))
-        limit_u, limit_v = along[-1] / 2 - 1e-6, across[-1] / 2 - 1e-6
-        band = (np.abs(u) >= limit_u) & (np.abs(v) >= limit_v)
-        # Tiles of 4 x 4 cells outside the corners; numbers below 4 are the corners.
-        tile = 4 + np.floor((u - along[0]) / 4).astype(int) * 1000 + np.floor((v - across[0]) / 4).astype(int)
-        kind = np.where(band, 2 * (u < 0) + (v < 0), tile)
-        order = np.argsort(kind, kind="stable")
-        u, v, kind = u[order], v[order], kind[order]
-        corner = int((kind == 0).sum())
-        starts = np.append(np.flatnonzero((np.diff(kind, prepend=-1) != 0) & (kind > 3)), len(kind))
-        size = np.diff(starts)
-        centre_u, centre_v = (np.add.reduceat(a, starts[:-1]) / size for a in (u, v))
-        away = np.hypot(
-            u[4 * corner :] - np.repeat(centre_u, size), v[4 * corner :] - np.repeat(centre_v, size)
-        )
-        # A sample reads cells less than one cell away, its tile's centre lies within half a cell of a cell centre.
-        window = int(np.floor(away.max(initial=0.0) + 1.5))
-        return Laid(
-            self.height.reshape(-1),
-            self.trusted.reshape(-1),
-            self.seen,
-            self.height.shape[1],
-            self.origin[0],
-            self.origin[1],
-            1.0 / self.resolution,
-            u.astype(np.float32),
-            v.astype(np.float32),
-            corner,
-            starts.astype(np.int32),
-            centre_u.astype(np.float32),
-            centre_v.astype(np.float32),
-            _dilate(self.height, window).reshape(-1),
-            int(np.ceil(0.5 * np.hypot(length, width) / self.resolution)) + 1,
-            width,
-        )
-
-
-@njit(cache=True)
-def _dilate(height: np.ndarray, window: int) -> np.ndarray:
-    """Largest value within `window` cells in both directions, away from a border of that width."""
-    rows, cols = height.shape
-    out = height.copy()
-    width = 2 * window + 1
-    line = np.empty(max(rows, cols), np.float32)
-    for r in range(rows):
-        line[:cols] = out[r]
-        # line[c] becomes the maximum of `have` cells from c on; the last shift brings it to `width`.
-        have = 1
-        while have < width:
-            shift = min(have, width - have)
-            for c in range(cols - shift):
-                line[c] = line[c] if line[c] > line[c + shift] else line[c + shift]
-            have += shift
-        out[r, window : cols - window] = line[: cols - 2 * window]
-    have = 1
-    while have < width:
-        shift = min(have, width - have)
-        for r in range(rows - shift):
-            for c in range(cols):
-                out[r, c] = out[r, c] if out[r, c] > out[r + shift, c] else out[r + shift, c]
-        have += shift
-    for r in range(rows - window - 1, window - 1, -1):
-        out[r] = out[r - window]
-    return out
-
-
-@njit(cache=True)
-def _pad(height: np.ndarray, trusted: np.ndarray, pad: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows, cols = height.shape
-    n, m = rows + 2 * pad, cols + 2 * pad
-    out = np.empty((n, m), np.float32)
-    ok = np.zeros((n, m), np.uint8)
-    seen = np.zeros((n + 1, m + 1), np.int32)
-    for r in range(n):
-        src = min(max(r - pad, 0), rows - 1)
-        out[r, :pad] = height[src, 0]
-        out[r, pad : pad + cols] = height[src]
-        out[r, pad + cols :] = height[src, cols - 1]
-        if r == src + pad:
-            for c in range(cols):
-                ok[r, pad + c] = trusted[src, c]
-        total = 0
-        for c in range(m):
-            total += ok[r, c]
-            seen[r + 1, c + 1] = seen[r, c + 1] + total
-    return out, ok, seen
-
-
-def offsets(side: float, resolution: float) -> NDArray[np.float64]:
-    """Evenly spaced sample offsets over one side of the body, both ends in: ceil(side / resolution) + 1 of them."""
-    # The small slack keeps a side that is a whole number of cells from gaining a sample by float rounding.
-    return np.linspace(-side / 2, side / 2, int(np.ceil(side / resolution - 1e-9)) + 1)
+from planning.terrain import ALL, NONE, SOME, Laid, Terrain
 
 
 class Scratch(NamedTuple):
     """Buffers of one pose, made once per call: a kernel that allocates per pose spends its time there."""
 
     cell: NDArray[np.int32]
-    fc: NDArray[np.float32]
-    fr: NDArray[np.float32]
-    corners: NDArray[np.float32]
-    """(4, n) heights of the four cells around each sample."""
+    col: NDArray[np.float32]
+    row: NDArray[np.float32]
+    low: NDArray[np.uint64]
+    high: NDArray[np.uint64]
+    """(n,) pairs of neighbouring heights around each sample, in its row and the next."""
     z: NDArray[np.float32]
-    ok: NDArray[np.uint8]
+    """(n,) heights of the corner samples."""
+    spot: NDArray[np.int32]
+    """(tiles,) cell under each tile's centre."""
 
 
 @njit(cache=True)
 def scratch(laid: Laid) -> Scratch:
     """Buffers for `features_of`."""
-    n = laid.u.size
+    n, tiles = 4 * laid.corner, laid.tile_u.size
+    most = max(n, tiles)
     return Scratch(
-        np.empty(n, np.int32),
+        np.empty(most, np.int32),
+        np.empty(most, np.float32),
+        np.empty(most, np.float32),
+        np.empty(n, np.uint64),
+        np.empty(n, np.uint64),
         np.empty(n, np.float32),
-        np.empty(n, np.float32),
-        np.empty((4, n), np.float32),
-        np.empty(n, np.float32),
-        np.empty(n, np.uint8),
+        np.empty(tiles, np.int32),
     )
 
 
-@njit(cache=True, error_model="numpy")
-def _heights_under(
-    height, anchor, stride, u, v, c, s, col0, row0, first, last, cell, fc, fr, q0, q1, q2, q3, z
-) -> None:
-    """Bilinear heights of samples first..last - 1 into `z`: place, gather, interpolate.
+# Bilinear heights in three kernels: place, load, interpolate. The first and the last run in vector registers, because
+# each loop touches few enough arrays for LLVM to prove that they do not overlap; in one kernel they were slower.
 
-    Three passes, because the first and the last then run in vector registers and the middle one is only loads.
+
+@njit(cache=True, error_model="numpy")
+def _place(stride, u, v, n, c, s, col0, row0, cell, col, row):
+    """Cells of the first `n` samples and where in them they lie: `col` and `row` become fractions.
+
     Cells count from an anchor cell (`col0`, `row0` is the pose from there), so single precision resolves a
     millionth of a cell.
     """
-    for i in range(first, last):
-        col = col0 + (u[i] * c - v[i] * s)
-        row = row0 + (u[i] * s + v[i] * c)
-        ci = np.int32(col)
-        ri = np.int32(row)
-        fc[i] = col - np.float32(ci)
-        fr[i] = row - np.float32(ri)
-        cell[i] = np.int32(ri * stride + ci)
-    one, up = np.uint64(1), np.uint64(stride)
-    for i in range(first, last):
-        k = np.uint64(anchor + cell[i])  # unsigned: no wrap-around test for negative indices
-        q0[i] = height[k]
-        q1[i] = height[k + one]
-        q2[i] = height[k + up]
-        q3[i] = height[k + up + one]
-    for i in range(first, last):
-        low = q0[i] + (q1[i] - q0[i]) * fc[i]
-        high = q2[i] + (q3[i] - q2[i]) * fc[i]
-        z[i] = low + (high - low) * fr[i]
+    for i in range(n):
+        col[i] = col0 + (u[i] * c - v[i] * s)
+    for i in range(n):
+        row[i] = row0 + (u[i] * s + v[i] * c)
+    for i in range(n):
+        cell[i] = np.int32(np.int32(row[i]) * stride + np.int32(col[i]))
+    for i in range(n):
+        col[i] -= np.float32(np.int32(col[i]))
+    for i in range(n):
+        row[i] -= np.float32(np.int32(row[i]))
 
 
 @njit(cache=True, error_model="numpy")
-def _trust_under(trusted, anchor, stride, u, v, c, s, col0, row0, cell, ok) -> int:
-    """Trust of the cell nearest to each sample (halves round up) into `ok`; returns how many are trusted."""
+def _load(pair, anchor, stride, n, cell, low, high):
+    """The two pairs of neighbours around each sample."""
+    up = np.uint64(stride)
+    for i in range(n):
+        k = np.uint64(anchor + cell[i])  # unsigned: no wrap-around test for negative indices
+        low[i] = pair[k]
+        high[i] = pair[k + up]
+
+
+@njit(cache=True, error_model="numpy")
+def _interpolate(low, high, n, col, row, z):
+    for i in range(n):
+        a = low[2 * i] + (low[2 * i + 1] - low[2 * i]) * col[i]
+        b = high[2 * i] + (high[2 * i + 1] - high[2 * i]) * col[i]
+        z[i] = a + (b - a) * row[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _spots(stride, u, v, c, s, col0, row0, col, row, spot):
+    """Cell under each tile's centre, counted from the anchor."""
     half = np.float32(0.5)
     for i in range(u.size):
-        col = col0 + (u[i] * c - v[i] * s)
-        row = row0 + (u[i] * s + v[i] * c)
-        cell[i] = np.int32(np.int32(row + half) * stride + np.int32(col + half))
-    total = 0
+        col[i] = col0 + (u[i] * c - v[i] * s) + half
     for i in range(u.size):
-        ok[i] = trusted[np.uint64(anchor + cell[i])]
-        total += ok[i]
+        row[i] = row0 + (u[i] * s + v[i] * c) + half
+    for i in range(u.size):
+        spot[i] = np.int32(np.int32(row[i]) * stride + np.int32(col[i]))
+
+
+# The few samples of a tile are looked at in one pass without stores, which is faster than vectors.
+
+
+@njit(cache=True, error_model="numpy")
+def _tile_top(height, anchor, stride, u, v, first, last, c, s, col0, row0):
+    """Highest of the samples first..last - 1 [m]."""
+    one, up = np.uint64(1), np.uint64(stride)
+    top = np.float32(-np.inf)
+    for i in range(first, last):
+        k = np.uint64(i)
+        col = col0 + (u[k] * c - v[k] * s)
+        row = row0 + (u[k] * s + v[k] * c)
+        ci, ri = np.int32(col), np.int32(row)
+        fc, fr = col - np.float32(ci), row - np.float32(ri)
+        k = np.uint64(anchor + np.int32(ri * stride + ci))
+        low = height[k] + (height[k + one] - height[k]) * fc
+        high = height[k + up] + (height[k + up + one] - height[k + up]) * fc
+        z = low + (high - low) * fr
+        top = z if z > top else top
+    return top
+
+
+@njit(cache=True, error_model="numpy")
+def _trusted_tile(height, trusted, anchor, stride, u, v, first, last, c, s, col0, row0):
+    """The same of those whose nearest cell (halves round up) is trusted, -inf for none; and how many are."""
+    one, up = np.uint64(1), np.uint64(stride)
+    half = np.float32(0.5)
+    top = np.float32(-np.inf)
+    count = 0
+    for i in range(first, last):
+        k = np.uint64(i)
+        col = col0 + (u[k] * c - v[k] * s)
+        row = row0 + (u[k] * s + v[k] * c)
+        if trusted[np.uint64(anchor + np.int32(np.int32(row + half) * stride + np.int32(col + half)))]:
+            count += 1
+            ci, ri = np.int32(col), np.int32(row)
+            fc, fr = col - np.float32(ci), row - np.float32(ri)
+            k = np.uint64(anchor + np.int32(ri * stride + ci))
+            low = height[k] + (height[k + one] - height[k]) * fc
+            high = height[k + up] + (height[k + up + one] - height[k + up]) * fc
+            z = low + (high - low) * fr
+            top = z if z > top else top
+    return top, count
+
+
+@njit(cache=True, error_model="numpy")
+def _count(trusted, anchor, stride, u, v, first, last, c, s, col0, row0) -> int:
+    """How many of the samples first..last - 1 have a trusted nearest cell."""
+    half = np.float32(0.5)
+    total = 0
+    for i in range(first, last):
+        k = np.uint64(i)
+        col = col0 + (u[k] * c - v[k] * s)
+        row = row0 + (u[k] * s + v[k] * c)
+        total += trusted[np.uint64(anchor + np.int32(np.int32(row + half) * stride + np.int32(col + half)))]
     return total
+
+
+@njit(cache=True, error_model="numpy")
+def _trusted_corner(trusted, anchor, stride, u, v, first, n, c, s, col0, row0, z) -> tuple[float, int]:
+    """Sum and number of the trusted samples of a corner whose heights stand in `z`; the others become -inf there."""
+    half = np.float32(0.5)
+    total = 0.0
+    count = 0
+    for i in range(first, first + n):
+        k = np.uint64(i)
+        col = col0 + (u[k] * c - v[k] * s)
+        row = row0 + (u[k] * s + v[k] * c)
+        if trusted[np.uint64(anchor + np.int32(np.int32(row + half) * stride + np.int32(col + half)))]:
+            count += 1
+            total += z[k]
+        else:
+            z[k] = np.float32(-np.inf)
+    return total, count
 
 
 @njit(cache=True, error_model="numpy")
@@ -265,18 +190,22 @@ def _largest(z, n: int) -> float:
 def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -> None:
     """Features of poses x, y [m], yaw [rad] (n, 3) into `out` (n, 4) (paper eq. 2).
 
-    Support difference [m], side tilt [deg], interference [m], unknown share [-]. Only the highest point under the
-    body matters between the corners, so a tile of samples whose cells are all lower than what was found is skipped.
+    Support difference [m], side tilt [deg], interference [m], unknown share [-]. Only the highest trusted point and
+    the trusted count matter between the corners: the samples of a tile are looked at only where one of its cells is
+    higher than what was found, or only some of its cells are trusted.
     """
     # Everything is taken out of the tuples once: each access in the loop would count references.
-    height, trusted, seen, stride, ox, oy, inv, u, v, k, tile, tile_u, tile_v, ceiling, reach, width = laid
-    cell, fc, fr, corners, z, ok = work
-    q0, q1, q2, q3 = corners[0], corners[1], corners[2], corners[3]
+    height, pair, trusted, seen, ceiling, known, stride, ox, oy, inv, u, v, k = laid[:13]
+    corner_u, corner_v, corner_window, tile, tile_u, tile_v, reach, width = laid[13:]
+    cell, cols_at, rows_at, low2, high2, z, spot = work
+    low, high = low2.view(np.float32), high2.view(np.float32)
     rows = seen.shape[0] - 1
     n = u.size
     side = 2 * reach + 2
+    box = (2 * corner_window + 1) ** 2
     step = np.int32(stride)
     half = np.float32(0.5)
+    mean = np.empty(4)
     for p in range(poses.shape[0]):
         # Where nothing under the body is trusted.
         out[p, 0] = out[p, 1] = out[p, 2] = 0.0
@@ -291,56 +220,68 @@ def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -
         anchor = r0 * stride + c0
         c, s = np.float32(np.cos(poses[p, 2])), np.float32(np.sin(poses[p, 2]))
         col, row = np.float32(col0 - c0), np.float32(row0 - r0)
-        known = n
+        _place(step, u, v, 4 * k, c, s, col, row, cell, cols_at, rows_at)
+        _load(pair, anchor, step, 4 * k, cell, low2, high2)
+        _interpolate(low, high, 4 * k, cols_at, rows_at, z)
+        for m in range(4):
+            total = 0.0
+            for i in range(k // 2):  # two at a time: half the additions that wait for each other
+                total += np.float64(z[np.uint64(m * k + i)]) + np.float64(z[np.uint64(m * k + k // 2 + i)])
+            if k % 2:
+                total += z[m * k + k - 1]
+            mean[m] = total / k
+        count = n
         if window < side * side:
-            known = _trust_under(trusted, anchor, step, u, v, c, s, col, row, cell, ok)
-            if known == 0:
-                continue
-        _heights_under(height, anchor, step, u, v, c, s, col, row, 0, 4 * k, cell, fc, fr, q0, q1, q2, q3, z)
-        s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-        for i in range(k):
-            s0 += z[i]
-            s1 += z[k + i]
-            s2 += z[2 * k + i]
-            s3 += z[3 * k + i]
-        n0 = n1 = n2 = n3 = k
-        if known < n:
-            m0 = m1 = m2 = m3 = 0
-            t0, t1, t2, t3 = 0.0, 0.0, 0.0, 0.0
-            for i in range(k):
-                t0 += z[i] * ok[i]
-                t1 += z[k + i] * ok[k + i]
-                t2 += z[2 * k + i] * ok[2 * k + i]
-                t3 += z[3 * k + i] * ok[3 * k + i]
-                m0 += ok[i]
-                m1 += ok[k + i]
-                m2 += ok[2 * k + i]
-                m3 += ok[3 * k + i]
-            # A corner without a trusted sample keeps the mean of all its heights.
-            s0, n0 = (t0, m0) if m0 > 0 else (s0, k)
-            s1, n1 = (t1, m1) if m1 > 0 else (s1, k)
-            s2, n2 = (t2, m2) if m2 > 0 else (s2, k)
-            s3, n3 = (t3, m3) if m3 > 0 else (s3, k)
-            for i in range(4 * k):
-                z[i] = z[i] if ok[i] else np.float32(-np.inf)
-        front_left, front_right, back_left, back_right = s0 / n0, s1 / n1, s2 / n2, s3 / n3
-        top = max(max(front_left, front_right), max(back_left, back_right))
+            count = 0
+            for m in range(4):
+                west = c0 + int(col + (corner_u[m] * c - corner_v[m] * s) + half) - corner_window
+                south = r0 + int(row + (corner_u[m] * s + corner_v[m] * c) + half) - corner_window
+                east, north = west + 2 * corner_window + 1, south + 2 * corner_window + 1
+                inside = seen[north, east] - seen[south, east] - seen[north, west] + seen[south, west]
+                if inside == box:
+                    count += k
+                elif inside == 0:
+                    z[m * k : m * k + k] = np.float32(-np.inf)
+                else:
+                    total, here = _trusted_corner(trusted, anchor, step, u, v, m * k, k, c, s, col, row, z)
+                    count += here
+                    # A corner without a trusted sample keeps the mean of all its heights.
+                    mean[m] = total / here if here > 0 else mean[m]
+        top = max(max(mean[0], mean[1]), max(mean[2], mean[3]))
         highest = max(top, _largest(z, 4 * k))
-        for t in range(tile_u.size):
-            at_c = np.int32(col + (tile_u[t] * c - tile_v[t] * s) + half)
-            at_r = np.int32(row + (tile_u[t] * s + tile_v[t] * c) + half)
-            if ceiling[np.uint64(anchor + at_r * stride + at_c)] <= highest:
+        _spots(step, tile_u, tile_v, c, s, col, row, cols_at, rows_at, spot)
+        if window == side * side:
+            for t in range(tile_u.size):
+                if ceiling[np.uint64(anchor + spot[t])] > highest:
+                    peak = _tile_top(height, anchor, step, u, v, tile[t], tile[t + 1], c, s, col, row)
+                    highest = max(highest, peak)
+        else:
+            for t in range(tile_u.size):
+                at = np.uint64(anchor + spot[t])
+                kind, first, last = known[at], tile[t], tile[t + 1]
+                if kind == NONE:
+                    continue
+                if ceiling[at] <= highest:
+                    here = last - first
+                    if kind == SOME:
+                        here = _count(trusted, anchor, step, u, v, first, last, c, s, col, row)
+                elif kind == ALL:
+                    peak = _tile_top(height, anchor, step, u, v, first, last, c, s, col, row)
+                    here = last - first
+                    highest = max(highest, peak)
+                else:
+                    peak, here = _trusted_tile(
+                        height, trusted, anchor, step, u, v, first, last, c, s, col, row
+                    )
+                    highest = max(highest, peak)
+                count += here
+            if count == 0:
                 continue
-            a, b = tile[t], tile[t + 1]
-            _heights_under(height, anchor, step, u, v, c, s, col, row, a, b, cell, fc, fr, q0, q1, q2, q3, z)
-            for i in range(a, b):
-                if z[i] > highest and (known == n or ok[i]):
-                    highest = z[i]
-        out[p, 0] = abs((front_left + front_right) - (back_left + back_right)) * 0.5
-        side_drop = abs((front_left + back_left) - (front_right + back_right)) * 0.5
+        out[p, 0] = abs((mean[0] + mean[1]) - (mean[2] + mean[3])) * 0.5
+        side_drop = abs((mean[0] + mean[2]) - (mean[1] + mean[3])) * 0.5
         out[p, 1] = np.degrees(np.arctan2(side_drop, width))
         out[p, 2] = highest - top
-        out[p, 3] = 1.0 - known / n
+        out[p, 3] = 1.0 - count / n
 
 
 @njit(cache=True)
@@ -349,32 +290,6 @@ def poses_features(laid: Laid, poses: np.ndarray) -> np.ndarray:
     out = np.empty((poses.shape[0], 4))
     features_of(laid, scratch(laid), poses, out)
     return out
-
-
-@njit(cache=True)
-def _heights(height: np.ndarray, ox: float, oy: float, inv: float, xy: np.ndarray) -> np.ndarray:
-    rows, cols = height.shape
-    out = np.empty(xy.shape[0])
-    for i in range(xy.shape[0]):
-        col = min(max((xy[i, 0] - ox) * inv, 0.0), cols - 1.0)
-        row = min(max((xy[i, 1] - oy) * inv, 0.0), rows - 1.0)
-        c, r = min(int(col), cols - 2), min(int(row), rows - 2)
-        fc, fr = col - c, row - r
-        low = height[r, c] * (1.0 - fc) + height[r, c + 1] * fc
-        high = height[r + 1, c] * (1.0 - fc) + height[r + 1, c + 1] * fc
-        out[i] = low * (1.0 - fr) + high * fr
-    return out
-
-
-def heights_at(terrain: Terrain, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) bilinear ground height [m] at x, y (n, 2)."""
-    return _heights(
-        terrain.height,
-        terrain.origin[0],
-        terrain.origin[1],
-        1.0 / terrain.resolution,
-        np.ascontiguousarray(xy),
-    )
 
 
 @njit(cache=True)

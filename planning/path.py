@@ -18,10 +18,11 @@ from planning.body_risk import (
     terrain_of,
     turn_angle,
 )
-from planning.footprint import Terrain, heights_at, steps_under
+from planning.footprint import steps_under
 from planning.graph import TraversalGraph
 from planning.search import Plan
 from planning.spline import curve, distance_to_polyline, reach_limits
+from planning.terrain import Terrain, heights_at
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.footprint import Laid, Scratch, features_of, scratch
+from planning.footprint import Scratch, features_of, scratch
+from planning.terrain import Laid
 
 
 class Weights(NamedTuple):

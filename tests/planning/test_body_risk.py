@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plan_worlds import GOLDEN, flat, golden_world, rough
 
+from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
 from planning.body_risk import BodyModel, aggregate, edge_poses, pose_features, sweep_poses, turn_angle
 from planning.errors import PlanningError
-from planning.fill import fill_unknown
 
 BODY = BodyModel()
 

@@ -1,4 +1,4 @@
-"""`topic`, `replay`, `log`."""
+"""`replay`, `log`."""
 
 from __future__ import annotations
 
@@ -13,134 +13,15 @@ from typing import Annotated, Any
 import typer
 
 Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
-LogFile = Annotated[Path | None, typer.Option("--log", help="A log instead of the running stack.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
 
-topic_app = typer.Typer(help="Look at topics, live or in a log.", no_args_is_help=True)
 log_app = typer.Typer(help="Look at, check and repair logs.", no_args_is_help=True)
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
-    app.add_typer(topic_app, name="topic")
     app.add_typer(log_app, name="log")
     app.command()(replay)
-
-
-def _topic(name: str) -> Any:
-    from rbtrg_robot import topics as t
-    from rbtrg_robot.config import ConfigError
-
-    found = t.BY_NAME.get(name if name.startswith("/") else f"/{name}")
-    if found is None:
-        raise ConfigError(f"there is no topic {name!r}; `rbtrg-robot topic list` shows them")
-    return found
-
-
-@topic_app.command("list")
-def topic_list(log: LogFile = None) -> None:
-    """All topics: type, nominal rate, who publishes; or what a log holds."""
-    from rbtrg_robot import topics as t
-
-    if log is not None:
-        from rbtrg_robot.logstats import summarize
-
-        for name, s in sorted(summarize(log).topics.items()):
-            print(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
-        return
-    for x in t.TOPICS:
-        rate = f"{x.rate:g} Hz" if x.rate else "event"
-        print(f"{x.name:28s} {x.type:38s} {rate:>7s} {x.owner or '-':10s} {x.doc}")
-
-
-@topic_app.command("hz")
-def topic_hz(
-    name: str,
-    log: LogFile = None,
-    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 5.0,
-    robot: Robot = "go2w",
-) -> None:
-    """Rate of a topic."""
-    rate, _ = _measure(name, log, seconds, robot)
-    print(f"{rate:.2f} Hz")
-
-
-@topic_app.command("bw")
-def topic_bw(
-    name: str,
-    log: LogFile = None,
-    seconds: Annotated[float, typer.Option(help="How long to listen.")] = 5.0,
-    robot: Robot = "go2w",
-) -> None:
-    """Bandwidth of a topic."""
-    _, bandwidth = _measure(name, log, seconds, robot)
-    print(f"{bandwidth / 1000:.1f} kB/s")
-
-
-def _measure(name: str, log: Path | None, seconds: float, robot: str) -> tuple[float, float]:
-    """(messages, bytes) per second."""
-    from dataclasses import replace
-
-    wanted = _topic(name)
-    if log is not None:
-        from rbtrg_robot.logstats import summarize
-
-        found = summarize(log).topics.get(wanted.name)
-        if found is None:
-            print(f"{wanted.name} is not in {log}", file=sys.stderr)
-            raise typer.Exit(1)
-        return found.rate, found.rate * found.bytes / found.count
-    from rbtrg_robot.cli.link import connect
-
-    count = size = 0
-    with connect(robot) as bus:
-        bus.subscribe([replace(wanted, depth=10_000)])
-        bus.take(2.0)  # the first one starts the clock
-        began = time.monotonic()
-        while time.monotonic() - began < seconds:
-            for received in bus.take(0.1):
-                count += 1
-                size += len(received.payload)
-        elapsed = time.monotonic() - began
-    if not count:
-        print(f"{wanted.name} is silent", file=sys.stderr)
-        raise typer.Exit(1)
-    return count / elapsed, size / elapsed
-
-
-@topic_app.command("echo")
-def topic_echo(
-    name: str,
-    log: LogFile = None,
-    count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many; 0 = never.")] = 0,
-    robot: Robot = "go2w",
-) -> None:
-    """Print messages of a topic."""
-    from rbtrg_robot.messages import decode
-    from rbtrg_robot.show import as_text
-
-    wanted = _topic(name)
-    shown = 0
-    if log is not None:
-        from rbtrg_robot.logfile import read_run
-
-        for entry in read_run(log):
-            if entry.topic == wanted.name:
-                print(as_text(decode(entry.data, entry.type)), "---", sep="\n")
-                shown += 1
-                if count and shown >= count:
-                    return
-        return
-    from rbtrg_robot.cli.link import connect
-
-    with connect(robot) as bus:
-        bus.subscribe([wanted])
-        while not count or shown < count:
-            for received in bus.take(0.2):
-                print(as_text(received.decode()), "---", sep="\n", flush=True)
-                shown += 1
-                if count and shown >= count:
-                    return
 
 
 def replay(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, inspect, logs, stack
+from rbtrg_robot.cli import drive, inspect, logs, stack, topic
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -39,6 +39,7 @@ def _options(
 stack.register(app)
 drive.register(app)
 logs.register(app)
+topic.register(app)
 inspect.register(app)
 
 

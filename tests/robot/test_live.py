@@ -147,6 +147,10 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
         assert math.dist(watch.place, (x + 4.0, y)) < 0.25
     assert stack.processes()["tracker"]["restarts"] == 1
 
+    rate = stack.run("topic", "hz", "/odom", "--seconds", "2")
+    assert rate.returncode == 0
+    assert "Hz" in rate.stdout
+
     stop = stack.run("stop")
     assert stop.returncode == 0, stop.stderr
     assert stack.status()["robot"]["estop"] is True
@@ -194,20 +198,27 @@ def test_when_up_is_killed_nothing_survives_it_and_the_log_does(stack: Stack) ->
     supervisor = psutil.Process(stack.status()["pid"])
     children = supervisor.children(recursive=True)
     recorder = stack.processes()["recorder"]["pid"]
-    os.kill(recorder, signal.SIGKILL)
     with stack.bus() as bus:
         watch = Observer(bus)
-        watch.until(lambda: watch.stamp > 0, 20.0)
-        began = watch.stamp
-        watch.until(lambda: watch.stamp > began + 3_000_000_000, 60.0)
-    supervisor.kill()
+        watch.until(lambda: watch.stamp > 3_000_000_000, 20.0)
+        os.kill(recorder, signal.SIGKILL)
+        kills = [watch.stamp]
+        watch.until(lambda: watch.stamp > kills[0] + 5_000_000_000, 60.0)
+        supervisor.kill()
+        kills.append(watch.stamp)
     _gone, alive = psutil.wait_procs(children, timeout=5.0)
     assert not alive
     logs = sorted(stack.log().glob("log_*.mcap"))
     assert len(logs) == 2
-    for log in logs:
+    for log, killed in zip(logs, kills, strict=True):
+        readable = log
         if not is_intact(log):
             assert stack.run("log", "recover", str(log)).returncode == 0
+            readable = log.with_suffix(".recovered.mcap")
+        with AnyReader([readable]) as reader:
+            truth = [c for c in reader.connections if c.topic == "/ground_truth/odom"]
+            newest = max(stamp_of(reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages(truth))
+        assert killed - newest < 1_100_000_000  # a flush every second of the wall clock
     again = stack.run("status")
     assert again.returncode == 1
     assert "rbtrg-robot up" in again.stderr

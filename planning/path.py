@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from planning.body_risk import (
     turn_angle,
 )
 from planning.footprint import steps_under
-from planning.graph import TraversalGraph
+from planning.graph import SNAP_DISTANCE, TraversalGraph
 from planning.search import Plan
 from planning.spline import curve, distance_to_polyline, reach_limits
 from planning.terrain import Terrain, heights_at
@@ -151,16 +152,15 @@ def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits)
 def _join(
     end: Array, xy: list[Array], yaw: float | None, terrain: Terrain, body: BodyModel, limits: PathLimits
 ) -> list[Array]:
-    """`xy` with `end` before it, in place of the first node where going there only makes a detour."""
+    """`xy` with `end` before it, in place of those first nodes where going there only makes a detour."""
     body = _dense(body, limits)
-    if len(xy) > 1:
-        around = np.concatenate([_leg(end, xy[0], body), _leg(xy[0], xy[1], body)])
-        direct = _leg(end, xy[1], body)
-        if yaw is not None and len(direct):
-            around = np.concatenate([sweep_poses(end[0], end[1], yaw, around[0, 2], body), around])
-            direct = np.concatenate([sweep_poses(end[0], end[1], yaw, direct[0, 2], body), direct])
+    for k in range(1, len(xy)):
+        if np.hypot(*(xy[k - 1] - end)) > SNAP_DISTANCE:
+            break
+        around = _way([end, *xy[: k + 1]], yaw, body)
+        direct = _way([end, xy[k]], yaw, body)
         if _excess(direct, around, terrain, body, limits) <= _SLACK:
-            return [end, *xy[1:]]
+            return [end, *xy[k:]]
     return [end, *xy]
 
 
@@ -176,6 +176,20 @@ def _passable(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimit
     return bool(
         step <= limits.max_step and max(pitch, roll) <= limits.max_slope and features[:, 3].max() <= 0.5
     )
+
+
+def _way(stops: list[Array], yaw: float | None, body: BodyModel) -> Array:
+    """(n, 3) poses of driving straight from stop to stop, with the turns between, from heading `yaw` (None: any)."""
+    out = [np.empty((0, 3))]
+    for a, b in pairwise(stops):
+        leg = _leg(a, b, body)
+        if not len(leg):
+            continue
+        if yaw is not None:
+            out.append(sweep_poses(a[0], a[1], yaw, leg[0, 2], body))
+        out.append(leg)
+        yaw = float(leg[0, 2])
+    return np.concatenate(out)
 
 
 def _leg(a: Array, b: Array, body: BodyModel) -> Array:

@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.types import Array
+from mapping.rotation import rotation, turn
 from mapping.voxel_planes import VoxelPlanes
 
 EngineName = Literal["kiss_icp", "small_gicp"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+REFINEMENTS = 3
+"""Point to plane steps after KISS-ICP."""
+REFINE_DAMPING = 2e-3
+"""Share of facing surface below which a direction is not refined."""
 FEW_PLANES = 50
 """Points on planes below which their statistics say nothing."""
 
@@ -98,7 +103,8 @@ class GicpParams(BaseModel):
 
 
 class KissEngine:
-    """KISS-ICP's native registration and map, our planes beside them for the quality it does not report."""
+    """KISS-ICP's native registration and map; our planes beside them for the last millimetres, where point to point sticks to
+    the rings of earlier scans, and for the quality it does not report."""
 
     name: EngineName = "kiss_icp"
 
@@ -140,6 +146,7 @@ class KissEngine:
                 max_correspondance_distance=3.0 * threshold,
                 kernel=threshold,
             )
+            pose = _refine(self._planes, source, np.ascontiguousarray(pose))
         return _quality(self._planes, source, np.ascontiguousarray(pose))
 
     def insert(self, pose: Array) -> None:
@@ -204,6 +211,25 @@ class GicpEngine:
         self._planes.clear()
         self._points = np.empty((0, 3))
         self.scans = 0
+
+
+def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
+    """Point to plane steps from `pose` (4, 4): point to point draws a scan towards the rings of the scans before. Directions
+    that no plane faces stay as they are."""
+    for _ in range(REFINEMENTS):
+        h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
+        if inliers < FEW_PLANES:
+            break
+        step = -np.linalg.solve(h / inliers + REFINE_DAMPING * np.eye(6), b / inliers)
+        if not np.abs(step).max() < 0.2:
+            break
+        moved = np.eye(4)
+        turned = np.array([0.0, 0.0, 0.0, 1.0])
+        turn(turned, *step[3:])
+        moved[:3, :3] = rotation(turned) @ pose[:3, :3]
+        moved[:3, 3] = pose[:3, 3] + step[:3]
+        pose = moved
+    return pose
 
 
 def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:

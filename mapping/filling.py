@@ -77,13 +77,15 @@ def _nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _fill(height, upper):  # pragma: no cover
     rows, cols = height.shape
     known = np.empty((rows, cols), dtype=np.bool_)
-    some = False
+    count = 0
     for r in range(rows):
         for c in range(cols):
             known[r, c] = np.isfinite(height[r, c])
-            some = some or known[r, c]
+            count += known[r, c]
     out = height.copy()
-    if not some:
+    if count == known.size:
+        return out
+    if count == 0:
         out[:] = 0.0
         return out
     row, col = _nearest_known(known)

@@ -12,6 +12,13 @@ from pydantic import BaseModel, ConfigDict, Field
 from hal.types import Array
 from mapping.engines import Match
 
+INDEPENDENT = 60
+"""Points of a scan whose errors are independent."""
+SLIDING = 0.8
+"""Standard deviation of a registration along a direction that nothing constrains [m]."""
+NORMAL_NOISE = 0.002
+"""Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
+
 
 class Health(StrEnum):
     """State of localisation. `lost` must stop motion; `degraded` warns: the pose holds, its margin is thin."""
@@ -117,7 +124,9 @@ class HealthMonitor:
         difference = np.concatenate(
             [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
         )
-        off = math.sqrt(float(difference @ np.linalg.solve(covariance + prior, difference)))
+        # one scan may be off by what all its points share: that is no disagreement
+        spread = INDEPENDENT * covariance + prior
+        off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         bad, weak = "", ""
         if match.points < s.min_points:
@@ -157,15 +166,20 @@ class HealthMonitor:
 def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
     """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
 
-    Registration errors are systematic (map, discretisation), they do not average over points: the mean information counts, not its sum.
+    Errors of the map and of its discretisation are shared by neighbouring points: a scan counts as `INDEPENDENT` points, however
+    many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
+    towards where the last one was, and the normals that seem to face them are noise.
     """
     h = match.information
-    spread = np.diag([1e-4] * 3 + [1e-3] * 3)
-    scale = math.hypot(sigma, 0.2 * match.residual)
-    covariance = scale * scale * np.linalg.inv(h + spread)
-    position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + spread[3:, 3:], h[3:, :3])
+    scale2 = (sigma**2 + (0.2 * match.residual) ** 2) / INDEPENDENT
+    free = scale2 / SLIDING**2
+    covariance = scale2 * np.linalg.inv(h + np.diag([free] * 3 + [1e-3] * 3))
+    position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
-    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(max(values[0], 0.0))
+    values = np.maximum(values, 0.0)
+    facing = np.maximum(values - NORMAL_NOISE, 0.0)
+    covariance[:3, :3] += vectors @ np.diag(scale2 / (facing + free) - scale2 / (values + free)) @ vectors.T
+    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(values[0])
 
 
 def _sigma(covariance: Array) -> float:

@@ -17,6 +17,8 @@ SETTLE = 0.5
 """The robot must have stood still for this long [s] before gravity is taken from its accelerometer,"""
 PATIENCE_AT_START = 3.0
 """but a robot that does not stand still starts anyway after this long [s]."""
+SWAY = 0.005
+"""Change of the mean turn rate within the window that is no rest [rad/s]."""
 WINDOW = NS * 7 // 10
 """Samples that are looked at [ns]."""
 MOVED, TURNED = 0.3, 0.2
@@ -94,7 +96,11 @@ def resting(imu: Array) -> bool:
     if len(imu) < 20:
         return False
     quiet = imu[:, :3].std(axis=0).max() < 0.03 and imu[:, 3:].std(axis=0).max() < 0.4
-    return bool(quiet and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
+    # A bias stays what it is, the last of a sway fades: taken for a bias, 1 deg/s of it tilts the map by a degree.
+    half = len(imu) // 2
+    first, second = imu[:half, :3].mean(axis=0), imu[half:, :3].mean(axis=0)
+    steady = np.abs(first - second).max() < SWAY
+    return bool(quiet and steady and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
 
 
 def _unrotated(stamps: NDArray[np.int64], imu: Array, end: int, level: bool) -> Array:

@@ -225,3 +225,38 @@ def test_without_an_imu_it_still_answers_and_says_so(recorded: tuple[SyntheticRu
     assert all(s.health is not Health.GOOD for s in out.scans)
     assert all("IMU" in s.reason for s in out.scans)
     assert np.isfinite([s.position for s in out.scans]).all()
+
+
+def test_spinning_wheels_do_not_carry_the_pose_away(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    run, samples = recorded
+    start = samples[0].stamp + 4 * NS
+    spun = []
+    for s in samples:
+        if isinstance(s, JointSample) and start <= s.stamp < start + 2 * NS:
+            rate = s.velocity.copy()
+            rate[12:] += 5.0  # 0.43 m/s too fast, sample after sample
+            s = JointSample(s.stamp, s.position, rate, s.effort)
+        spun.append(s)
+    out = Driven(spun)
+    assert max(error(run, out.scans, 10, i)[0] for i in range(11, len(out.scans))) < 0.02
+    assert rpe(run, out.scans, 10)[0] < 8.0
+
+
+def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    """The trunk still settles by 0.7 deg while the odometry starts: tilt and heading must not run away from there on."""
+    run, samples = recorded
+    first, rate = samples[0].stamp, 0.06
+    swaying = []
+    for s in samples:
+        if isinstance(s, ImuSample):
+            t = (s.stamp - first) / NS
+            pitch = rate * max(0.4 - t, 0.0) ** 2  # fades out, at level when the drive begins
+            gyro = s.gyro + [0.0, -2.0 * rate * max(0.4 - t, 0.0), 0.0]
+            s = ImuSample(s.stamp, gyro, s.accel + [-9.81 * pitch, 0.0, 0.0])
+        swaying.append(s)
+    out = Driven(swaying)
+    assert out.scans[-1].health is Health.GOOD
+    tilt = [error(run, out.scans, 0, i)[1] for i in range(1, len(out.scans))]
+    assert np.degrees(max(tilt)) < 0.6
+    bias = np.mean([s.gyro[1] for s in samples if isinstance(s, ImuSample) and s.stamp < first + NS])
+    assert abs(out.odometry._filter.x[11] - bias) < 0.003

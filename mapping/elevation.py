@@ -20,7 +20,7 @@ from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
 from mapping.grid import ElevationGrid
 from mapping.ground import support_patch
-from mapping.map_io import load_into, save_store
+from mapping.map_io import load_into, restore_store, save_store
 from mapping.patch import MapError, MapPatch
 from mapping.poses import checked_pose
 from mapping.readout import MapReader
@@ -264,6 +264,18 @@ class ElevationMap:
         self.reset()
         self.store = self._reader.store = store
         return known
+
+    def restore(self, patch: MapPatch) -> int:
+        """Take over what a reader still has of this map after the map itself was lost; returns the known cells.
+
+        Height, variance, trust and upper bounds come back; counts and the memory of what stood there do not. What was
+        bridged is bridged again. Raises MapError for another resolution.
+        """
+        if abs(patch.resolution - self.params.resolution) > 1e-9:
+            raise MapError(f"the copy has cells of {patch.resolution} m, the map {self.params.resolution} m")
+        now = self._clock(patch.stamp)
+        self._fresh = False
+        return restore_store(self.store, patch, self.params.trust_count, now)
 
     # ------------------------------------------------------------------ reading
 

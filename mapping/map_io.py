@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.patch import MapError
-from mapping.tiles import LIDAR, SAVED, UNKNOWN, TileStore
+from mapping.patch import MapError, MapPatch
+from mapping.tiles import CELL, CONTACT, FRESH, LIDAR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
 VERSION = 1
@@ -45,6 +45,31 @@ def save_store(store: TileStore, path: Path, resolution: float) -> None:
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def restore_store(store: TileStore, patch: MapPatch, settled: int, now: int) -> int:
+    """Write the cells of a read-out back into a store, as seen at `now` [ms] by `settled` points; returns how many are known.
+
+    They count as sent: the reader they came from has them.
+    """
+    layers = patch.layers
+    height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
+    known = (source == CONTACT) | (source == LIDAR)
+    row, col = np.nonzero(known | np.isfinite(upper))
+    at = row, col
+    cell = store.locate((row + patch.cell[0]).astype(np.int64), (col + patch.cell[1]).astype(np.int64))
+    new: NDArray[Any] = np.full(len(row), FRESH, dtype=CELL)
+    new["upper"] = np.where(known[at], np.inf, upper[at])
+    new["height"] = np.where(known[at], height[at], np.nan)
+    new["variance"] = np.where(known[at], layers["variance"][at], np.nan)
+    new["source"] = np.where(known[at], source[at], UNKNOWN)
+    new["count"] = np.where(source[at] == LIDAR, settled, 0)
+    new["seen"] = now
+    store.cells[cell] = new
+    state = (source + 16 * layers["trusted"]).astype(np.uint8)
+    store.differences(*patch.cell, height, upper, state, 0.0)
+    store.touched[np.unique(cell >> (2 * store.shift))] = 1
+    return int(known.sum())
 
 
 def load_into(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:

@@ -42,11 +42,25 @@ class SyncHost:
                     raise WiringError(f"{topic.name} is published by {owner[topic]} and {name}")
                 owner[topic] = name
         self._pending: deque[tuple[Topic, bytes]] = deque()
+        self._dead: set[str] = set()
         self.now = 0
 
     def stage(self, name: str) -> Any:
         """A stage by name, for tests that look inside."""
         return self._stages[name]
+
+    def kill(self, name: str) -> None:
+        """A stage dies: it hears and says nothing until `revive`."""
+        self._dead.add(name)
+
+    def revive(self, name: str, stage: Stage, restored: Mapping[Topic, bytes]) -> None:
+        """A fresh stage takes the place of a dead one and is handed messages from before, as a restarted process is."""
+        self._stages[name].close()
+        self._stages[name] = stage
+        self._dead.discard(name)
+        for topic, payload in restored.items():
+            self._collect(name, stage.on(topic, messages.decode(payload, topic.type)))
+        self._drain()
 
     def listen(self, sink: Sink) -> None:
         """Call `sink` for every message from now on."""
@@ -65,7 +79,7 @@ class SyncHost:
         """Move the clock to `now` [ns] and tick every stage whose period has come."""
         self.now = now
         for name, stage in self._stages.items():
-            if now >= self._due[name]:
+            if now >= self._due[name] and name not in self._dead:
                 period = self._period[name]
                 self._due[name] = (now // period + 1) * period
                 self._collect(name, stage.tick(now))
@@ -88,6 +102,8 @@ class SyncHost:
                 continue
             message = messages.decode(payload, topic.type)
             for name in consumers:
+                if name in self._dead:
+                    continue
                 self._collect(name, self._stages[name].on(topic, message))
 
     def close(self) -> None:

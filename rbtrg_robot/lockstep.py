@@ -19,11 +19,11 @@ from rbtrg_robot.goal import GoalState
 from rbtrg_robot.host import Sink, SyncHost
 from rbtrg_robot.logfile import CONFIG, LogWriter
 from rbtrg_robot.messages import decode, header, make, stamp_in
-from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.robot_process import build
 from rbtrg_robot.stage import Stage
 from rbtrg_robot.stages.robot import STEP
-from rbtrg_robot.topics import Topic
+from rbtrg_robot.topics import Qos, Topic
 
 
 class LockstepTimeout(AssertionError):
@@ -63,6 +63,9 @@ class Lockstep:
         stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}
         stages |= build_stages(config, names)
         self._log = log
+        self._config = config
+        self._kept: dict[Topic, bytes] = {}
+        """Newest messages that a restarted process is handed."""
         self.host = SyncHost(stages, log_sink(log) if log else None)
         self.newest: dict[Topic, Any] = {}
         self.statuses: list[Any] = []
@@ -72,6 +75,20 @@ class Lockstep:
         for name in names:
             self.robot.alive(name, True)
 
+    def kill(self, name: str) -> None:
+        """The process dies; the robot notices as it would live."""
+        self.host.kill(name)
+        self.robot.alive(name, False)
+
+    def restart(self, name: str) -> None:
+        """A killed process comes back, with what the supervisor and the latched topics hand to it."""
+        stage, _ = build_stages(self._config, [name])[name]
+        latched = [topic for topic in stage.inputs if topic.qos is Qos.LATCHED]
+        handed = dict.fromkeys([*BY_NAME[name].restores, *latched])
+        kept = {topic: self._kept[topic] for topic in handed if topic in self._kept}
+        self.host.revive(name, stage, kept)
+        self.robot.alive(name, True)
+
     @staticmethod
     def open_log(config: StackConfig, path: Any) -> LogWriter:
         """A log for this host: no wall clock, no machine in it, so the same run gives the same bytes."""
@@ -79,6 +96,8 @@ class Lockstep:
         return LogWriter(path, metadata, {CONFIG: config.to_yaml().encode()})
 
     def _note(self, topic: Topic, payload: bytes, _now: int) -> None:
+        if topic in _RESTORED or topic.qos is Qos.LATCHED:
+            self._kept[topic] = payload
         if topic in _NOTED:
             message = decode(payload, topic.type)
             self.newest[topic] = message
@@ -181,6 +200,7 @@ class Lockstep:
         self.close()
 
 
+_RESTORED = frozenset(topic for row in PROCESSES for topic in row.restores)
 _NOTED = frozenset(
     {
         t.GOAL_STATUS,

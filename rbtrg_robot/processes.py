@@ -50,7 +50,7 @@ PROCESSES: tuple[Process, ...] = (
         memory=500,
         loss="no pose: robot stops at once",
         stops_motion=True,
-        restores=(t.ODOM,),
+        restores=(t.ODOM, t.CLOUD),
     ),
     Process(
         "elevation",
@@ -60,7 +60,7 @@ PROCESSES: tuple[Process, ...] = (
         memory=500,
         loss="blind: robot stops at once",
         stops_motion=True,
-        restores=(),
+        restores=(t.MAP_STATUS,),
     ),
     Process(
         "planner",

@@ -159,6 +159,16 @@ MAP_FULL = Topic(
     2,
     recorded=False,
 )
+MAP_MIRROR = Topic(
+    "/elevation_map/mirror",
+    "grid_map_msgs/msg/GridMap",
+    0,
+    Qos.STATE,
+    "planner",
+    "the planner's copy of the map, for an elevation process that was started again",
+    2,
+    recorded=False,
+)
 MAP_REQUEST = Topic(
     "/elevation_map/request", "rbtrg_msgs/msg/MapRequest", 0, Qos.STATE, "", "full or save", 4
 )

@@ -13,7 +13,7 @@ from mapping.contacts import wheel_contacts
 from mapping.elevation import ElevationMap, ElevationParams
 from mapping.patch import MapError
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import LayoutError, cloud_points, joint_sample, patch_msg, xyz, xyzw
+from rbtrg_robot.convert import LayoutError, cloud_points, joint_sample, map_patch, patch_msg, xyz, xyzw
 from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import ElevationStageParams
@@ -22,6 +22,8 @@ from rbtrg_robot.topics import Topic
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
+RESTORE_PATIENCE = 3_000_000_000
+"""How long a restarted process waits for the planner's copy of the map [ns]."""
 TRUSTED_SENT = 16
 """`state` of a cell that the last update called trusted."""
 
@@ -29,7 +31,7 @@ TRUSTED_SENT = 16
 class ElevationStage:
     """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
 
-    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST)
+    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_MIRROR)
     outputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS)
 
     def __init__(
@@ -49,6 +51,9 @@ class ElevationStage:
         self._detail = ""
         self._status_due = 0
         self._malformed = 0
+        self._restoring = False
+        """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
+        self._patience = 0
 
     def warm_up(self) -> None:
         """Compile the kernels."""
@@ -71,14 +76,22 @@ class ElevationStage:
                 self._frame.take(message)
             elif topic is t.MAP_REQUEST:
                 return self._request(message)
-        except LayoutError:
+            elif topic is t.MAP_STATUS:
+                self._restoring = message.known_cells > 0 or message.restoring
+                self.map.epoch = max(self.map.epoch, message.epoch)
+                self.map.z_correction = message.height_correction
+            elif topic is t.MAP_MIRROR and self._restoring:
+                self._restore(message)
+        except (LayoutError, MapError):
             self._malformed += 1
             return []
         return self._join()
 
     def _join(self) -> Outputs:
         outputs: Outputs = []
-        if not self._frame.known:  # where the robot started must be known before anything is mapped
+        if (
+            self._restoring or not self._frame.known
+        ):  # where the robot started must be known before anything is mapped
             return outputs
         for stamp in sorted(self._poses.keys() & self._clouds.keys()):
             joints = self._joints_at(stamp)
@@ -134,8 +147,19 @@ class ElevationStage:
         self._status_due = 0
         return []
 
+    def _restore(self, mirror: Any) -> None:
+        known = self.map.restore(map_patch(mirror, self.map.epoch))
+        self._restoring = False
+        self._detail = f"restarted; {known} cells came back from the planner"
+        self._status_due = 0
+
     def tick(self, now: int) -> Outputs:
         """Status twice a second."""
+        if self._restoring:
+            self._patience = self._patience or now + RESTORE_PATIENCE
+            if now > self._patience:
+                self._restoring = False
+                self._detail = "restarted; the map of before is lost: the planner did not answer"
         if now < self._status_due:
             return []
         self._status_due = now + 500_000_000
@@ -149,6 +173,8 @@ class ElevationStage:
             known_cells=np.count_nonzero(store.cells["source"]),
             trusted_cells=np.count_nonzero(store.sent["state"] >= TRUSTED_SENT),
             resolution=self.map.params.resolution,
+            height_correction=self.map.z_correction,
+            restoring=self._restoring,
             detail=self._detail,
         )
         return [(t.MAP_STATUS, status)]

@@ -10,6 +10,7 @@ import numpy as np
 from hal.types import Extrinsics
 from mapping.odometry import LidarInertialOdometry
 from mapping.odometry_types import FastPose, ScanOdometry
+from mapping.rotation import rotation
 from mapping.wheel_odometry import WheelOdometry
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import (
@@ -20,6 +21,7 @@ from rbtrg_robot.convert import (
     ODOM,
     LayoutError,
     cloud_msg,
+    cloud_points,
     imu_sample,
     joint_sample,
     lidar_scan,
@@ -27,10 +29,12 @@ from rbtrg_robot.convert import (
     quaternion,
     rpy_quaternion,
     transform_msg,
+    xyz,
+    xyzw,
     yaw_of,
 )
 from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import array, header, make
+from rbtrg_robot.messages import array, header, make, stamp_of
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
 
@@ -58,6 +62,7 @@ class OdometryStage:
         self._imu = imu
         self._before: Any = None
         """Where the robot was before this process was restarted: the new odometry goes on from there."""
+        self._before_stamp = 0
         self._shift = MapFrame()
         self._announced = False
         self._poses = 0
@@ -85,7 +90,9 @@ class OdometryStage:
             elif topic is t.POINTS:
                 self._odometry.add_scan(lidar_scan(message))
             elif topic is t.ODOM:
-                self._before = message.pose.pose
+                self._before, self._before_stamp = message.pose.pose, stamp_of(message)
+            elif topic is t.CLOUD:
+                self._resume(message)
         except LayoutError:
             self._malformed += 1
         for scan in self._odometry.poll():
@@ -94,6 +101,16 @@ class OdometryStage:
                 self._before = None
             outputs += self._scan(scan)
         return outputs
+
+    def _resume(self, cloud: Any) -> None:
+        """What was seen at the last pose lets the first scan find its place; without it what the robot coasted is lost."""
+        if self._before is None or stamp_of(cloud) != self._before_stamp:
+            return
+        pose = np.eye(4)
+        pose[:3, :3] = rotation(xyzw(self._before.orientation))
+        pose[:3, 3] = xyz(self._before.position)
+        self._odometry.resume(pose, cloud_points(cloud))
+        self._before = None
 
     def _continue_from(self, before: Any, scan: ScanOdometry) -> None:
         """Both are gravity-aligned, so a heading and a translation make the first pose the last one of before."""

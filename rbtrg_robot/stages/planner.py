@@ -16,7 +16,7 @@ from planning.graph import GraphParams, TraversalGraph
 from planning.path import Path, PathLimits, make_path, still_safe
 from planning.search import Plan, PlanRequest, plan
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import MAP, LayoutError, map_patch, point, yaw_quaternion
+from rbtrg_robot.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
 from rbtrg_robot.messages import STORE, array, header, make
 from rbtrg_robot.params import PlannerParams
 from rbtrg_robot.reasons import Reason
@@ -38,7 +38,7 @@ class PlannerStage:
     """See the module."""
 
     inputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
-    outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST)
+    outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
 
     def __init__(
         self, params: PlannerParams, graph_params: GraphParams, body: BodyModel, limits: PathLimits
@@ -54,6 +54,9 @@ class PlannerStage:
         self._changed: list[tuple[int, int, int, int]] = []
         self._updated = 0
         self._start: tuple[float, float] | None = None
+        self._first: tuple[float, float] | None = None
+        """Where the first graph began: only there ground is taken for granted."""
+        self._retries = 0
         self._now = 0
         self._status_due = 0
         self._answered: tuple[str, int] = ("", 0)
@@ -84,6 +87,8 @@ class PlannerStage:
             self._take_patch(message)
         elif topic is t.MAP_STATUS:
             self._epoch = int(message.epoch)
+            if message.restoring and self._mirror.layers:
+                return [(t.MAP_MIRROR, patch_msg(self._mirror.patch()))]
         elif topic is t.PLAN_REQUEST:
             return self._answer(message)
         return []
@@ -133,7 +138,9 @@ class PlannerStage:
         self._grid = grid
         try:
             if self._graph is None:
-                self._graph = TraversalGraph.build(grid, start, self._graph_params, self._params.seed)
+                seed = self._params.seed + self._retries
+                self._graph = TraversalGraph.build(grid, start, self._graph_params, seed, self._first)
+                self._first = self._graph.granted_xy
             else:
                 self._graph.update(grid, windows, start)
         except NoRoute:
@@ -179,11 +186,14 @@ class PlannerStage:
             found, path = self._plan(message)
         except NoRoute as none:
             reason = REASONS[none.reason]
+            if reason is Reason.NO_ROUTE and self._graph is not None:
+                # A passage hardly wider than the robot may hold no edge of this graph: the next try samples anew.
+                self._graph, self._retries = None, self._retries + 1
             return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(none)))]
         except PlanningError as error:
             reason = Reason.INVALID
             return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(error)))]
-        self._path = path
+        self._path, self._retries = path, 0
         self._checked_version = -1
         self._memory.chosen = found.frontier
         answer = make(t.PLAN.type, **base, **_plan_fields(found, path, message))
@@ -202,24 +212,9 @@ class PlannerStage:
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),
         )
-        graph = keep_out(self._graph, message.avoid.reshape(-1, 3))
+        graph = self._graph.avoiding(message.avoid.reshape(-1, 3)) if len(message.avoid) else self._graph
         found = plan(graph, self._grid, request, self._body)
         return found, make_path(found, self._grid, self._body, self._limits)
-
-
-def keep_out(graph: TraversalGraph, discs: np.ndarray[Any, Any]) -> TraversalGraph:
-    """The graph without what touches the discs, x, y, radius [m] each, (k, 3)."""
-    if not len(discs):
-        return graph
-    edges = graph.edges
-    a, b = graph.nodes[edges[:, 0], :2], graph.nodes[edges[:, 1], :2]
-    keep = np.ones(len(edges), bool)
-    for x, y, radius in discs:
-        ab, ac = b - a, np.array([x, y]) - a
-        along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
-        keep &= np.hypot(*(ac - along[:, None] * ab).T) > radius
-    risk = graph.risk[np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr)) < graph.indices]
-    return TraversalGraph.from_edges(graph.nodes, edges[keep], risk[keep], graph.frontier)
 
 
 def _plan_fields(found: Plan, path: Path, message: Any) -> dict[str, Any]:

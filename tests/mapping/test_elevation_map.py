@@ -9,6 +9,8 @@ from mapping.elevation import ElevationMap
 from mapping.elevation_params import ElevationParams
 from mapping.patch import MapError, MapMirror
 from mapping.tiles import BRIDGED, CONTACT, LIDAR
+from tools.bench._perception_map import Mapper, registered
+from tools.synthetic import arena_run
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 HEIGHT = 0.40
@@ -163,3 +165,29 @@ def test_a_reset_starts_a_new_epoch_for_readers() -> None:
         mirror.apply(patch)
     assert mirror.epoch == before + 1
     assert np.isfinite(mirror.layers["elevation"]).sum() == 1
+
+
+def test_a_lost_map_comes_back_from_a_reader() -> None:
+    run = arena_run("xt16", duration=4.0)
+    mapper = Mapper(run)
+    mirror = MapMirror()
+    for scan in registered(run):
+        mapper.take(scan)
+        for patch in mapper.map.take_patches():
+            mirror.apply(patch)
+    lost = mapper.map.full()
+    again = ElevationMap(mapper.map.params)
+    assert again.restore(mirror.patch()) > 5000
+    sent = again.take_patches()
+    for patch in sent:  # what reads differently after all goes to the reader again
+        mirror.apply(patch)
+    found = again.full()
+    assert found.layers["elevation"].shape == lost.layers["elevation"].shape
+    was, now = lost.layers["trusted"] > 0.5, found.layers["trusted"] > 0.5
+    assert (was & now).sum() > 0.97 * was.sum()
+    both = was & now
+    off = np.abs(found.layers["elevation"][both] - lost.layers["elevation"][both])
+    assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
+    assert sum(np.prod(p.shape) for p in sent) < 0.5 * lost.layers["elevation"].size
+    with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
+        ElevationMap(ElevationParams(resolution=0.05)).restore(lost)

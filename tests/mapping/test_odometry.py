@@ -251,8 +251,8 @@ def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[S
         if isinstance(s, ImuSample):
             t = (s.stamp - first) / NS
             pitch = rate * max(0.4 - t, 0.0) ** 2  # fades out, at level when the drive begins
-            gyro = s.gyro + [0.0, -2.0 * rate * max(0.4 - t, 0.0), 0.0]
-            s = ImuSample(s.stamp, gyro, s.accel + [-9.81 * pitch, 0.0, 0.0])
+            gyro = s.gyro + np.array([0.0, -2.0 * rate * max(0.4 - t, 0.0), 0.0])
+            s = ImuSample(s.stamp, gyro, s.accel + np.array([-9.81 * pitch, 0.0, 0.0]))
         swaying.append(s)
     out = Driven(swaying)
     assert out.scans[-1].health is Health.GOOD

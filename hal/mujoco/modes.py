@@ -19,11 +19,13 @@ import numpy as np
 from hal import go2w
 from hal.lowlevel import Locomotion, LowCommand, LowState
 from hal.mujoco.motion import Keyframe, Motion, damped, level_stance, up
-from hal.mujoco.righting import Righting
+from hal.mujoco.righting import UPRIGHT, Righting
 from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
 
 STAND_TIMEOUT = 6.0
 """[s] from the start of getting up to a checked stance."""
+RECOVER_TIMEOUT = 24.0
+"""[s] from the request to the last try of turning over."""
 SIT_TIMEOUT = 6.0
 """[s] from the request to seated."""
 STANCE_TIME = 0.5
@@ -56,6 +58,7 @@ class Modes:
         self._moved = -np.inf
         self._damped = damped()
         self._pending: ModeRequest | None = None
+        self._recover_until = -np.inf
 
     # --- asked from outside ----------------------------------------------------------------------------------------
     def drive(self, velocity: VelocityCommand) -> None:
@@ -121,15 +124,24 @@ class Modes:
                 self._refuse("sit", f"robot is {self.phase.value}")
         elif on_wheels or self.phase is Phase.STANDING:
             return  # already there
-        elif mode is ModeRequest.STAND and self.phase is Phase.FAULT:
+        else:
+            self._recover_until = state.time + RECOVER_TIMEOUT if mode is ModeRequest.RECOVER else -np.inf
+            self._rise(mode, state)
+
+    def _rise(self, mode: ModeRequest, state: LowState) -> None:
+        """STAND or RECOVER of a robot that is not on its wheels."""
+        if mode is ModeRequest.STAND and self.phase is Phase.FAULT:
             self._refuse("stand", "request recover to leave a fault")
-        elif up(state) > FALLEN_UP:
+        elif up(state) > UPRIGHT:
             self._get_up(state, f"{mode.value} requested: getting up")
         elif mode is ModeRequest.STAND:
             self._refuse("stand", "the robot lies on its side or back; request recover")
         else:
-            self._enter(Phase.STANDING, "recover requested: turning onto its belly", self._right)
-            self._righting = Righting(state)
+            self._turn_over(state, "recover requested: turning onto its belly")
+
+    def _turn_over(self, state: LowState, cause: str) -> None:
+        self._enter(Phase.STANDING, cause, self._right)
+        self._righting = Righting(state, self._recover_until)
 
     def _refuse(self, what: str, why: str) -> None:
         self.cause = f"{self.cause.split('; ')[0]}; {what} refused: {why}"
@@ -145,6 +157,9 @@ class Modes:
             self._tilted_since = state.time
         elif state.time - self._tilted_since >= FALLEN_TIME:
             tilt = np.degrees(np.arccos(np.clip(up(state), -1.0, 1.0)))
+            if self.phase is Phase.STANDING and state.time < self._recover_until:
+                self._turn_over(state, f"fell again (tilt {tilt:.0f} deg): turning onto its belly")
+                return
             self.fault(f"fallen: tilt {tilt:.0f} deg; clear the place and request recover")
 
     # --- what the motors do ----------------------------------------------------------------------------------------
@@ -209,6 +224,7 @@ class Modes:
             self._stance_since = state.time
         if state.time - self._stance_since >= STANCE_TIME:
             self._enter(Phase.READY, "standing", self._walk)
+            self._recover_until = -np.inf
             self._moved = -np.inf
         elif state.time > self._deadline:
             self.fault(f"did not come to rest on its wheels within {STAND_TIMEOUT:.0f} s; request recover")

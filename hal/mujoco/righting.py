@@ -12,14 +12,17 @@ import numpy as np
 
 from hal import go2w
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.motion import up
 from hal.types import Array
 
 UPRIGHT = 0.85
 """Cosine of the tilt from which the robot may get up."""
 ON_BACK = -0.6
 """Cosine of the tilt below which it lies on its back."""
-TIMEOUT = 24.0
-"""[s]"""
+NEARLY_UPRIGHT = 0.9
+"""Cosine of the tilt above which the wheels are braked."""
+FREE, BRAKED = 0.2, 4.0
+"""Damping of the wheels [Nms/rad]."""
 
 Frame = tuple[float, float, Array]
 """Duration [s], stiffness [Nm/rad], leg pose (16,) [rad]."""
@@ -28,16 +31,15 @@ Frame = tuple[float, float, Array]
 class Righting:
     """See the module. `step` once per control tick until `upright` or `failed`."""
 
-    def __init__(self, state: LowState) -> None:
-        self._start = self._since = state.time
+    def __init__(self, state: LowState, until: float) -> None:
+        """`until`: no new try after this time [s]."""
+        self._since, self._until = state.time, until
         self.upright = False
         self.failed = False
         self._frames: list[Frame] = []
         self._from = state.q.copy()
         self._tries = 0
         kd = np.full(16, 4.0)
-        # Free wheels slide along the ground instead of holding the trunk back.
-        kd[go2w.WHEELS] = 0.2
         self._command = LowCommand(state.q.copy(), np.zeros(16), np.zeros(16), np.zeros(16), kd)
 
     def step(self, state: LowState) -> LowCommand:
@@ -52,18 +54,20 @@ class Righting:
         s = s * s * (3.0 - 2.0 * s)
         self._command.q[:12] = (1.0 - s) * self._from[:12] + s * target[:12]
         self._command.kp[:12] = stiffness
+        # Free wheels slide along the ground instead of holding the trunk back; once it is nearly upright they would roll downhill.
+        self._command.kd[go2w.WHEELS] = FREE if up(state) < NEARLY_UPRIGHT else BRAKED
         return self._command
 
     def _plan(self, state: LowState) -> list[Frame]:
         """What to do next, from the attitude."""
         w, x, y, z = state.quaternion.tolist()
-        left_up, trunk_up = 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
-        self.upright = trunk_up > UPRIGHT
-        self.failed = not self.upright and state.time - self._start > TIMEOUT
+        left_up, height = 2.0 * (y * z + w * x), up(state)
+        self.upright = height > UPRIGHT
+        self.failed = not self.upright and state.time > self._until
         self._tries += 1
         if self.upright or self.failed:
             return [(0.3, 120.0, go2w.FOLDED)]
-        if trunk_up > ON_BACK:
+        if height > ON_BACK:
             return lever_over(low=-1.0 if left_up > 0.0 else 1.0)
         return throw_over(side=1.0 if self._tries % 2 == 0 else -1.0)
 

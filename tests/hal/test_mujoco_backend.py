@@ -332,6 +332,34 @@ def test_recover_turns_a_fallen_robot_over_and_stands_it_up(roll: float) -> None
     assert np.linalg.norm(r.backend.simulation.position[:2] - place) > 0.4
 
 
+@pytest.mark.parametrize(("seed", "gets_up"), [(6, True), (10, True), (16, False)])
+def test_recover_on_a_slope_of_15_degrees_stands_or_asks_for_hands(seed: int, gets_up: bool) -> None:
+    """From random attitudes it gets up in three of four; where it slides down for ever it must end and say so."""
+    n = 601
+    height = np.tile(np.tan(np.radians(15.0)) * (np.arange(n) - 300) * 0.05, (n, 1)).astype(np.float32)
+    scene = Scene("slope", height, 0.05, (-15.0, -15.0), (0.0, 0.0, 0.0), {})
+    rng = np.random.default_rng(seed)
+    place, quaternion = rng.uniform(-0.5, 0.5, 2), rng.normal(size=4)
+    r = Robot(scene, noise=False)
+    sim = r.backend.simulation
+    sim.data.qpos[:2] = place
+    sim.data.qpos[2] = sim.ground(*place) + 0.55
+    sim.data.qpos[3:7] = quaternion / np.linalg.norm(quaternion)
+    sim.data.qvel[:] = 0.0
+    mujoco.mj_forward(sim.model, sim.data)
+    r.backend.request(ModeRequest.DAMP)
+    r.run(2.0)
+    r.backend.request(ModeRequest.RECOVER)
+    r.run(0.1)
+    assert r.phase is Phase.STANDING
+    for _ in range(70):
+        r.run(0.5)
+        if r.phase is not Phase.STANDING:
+            break
+    assert r.phase is (Phase.READY if gets_up else Phase.FAULT), r.cause
+    assert gets_up or "put it on its wheels, then request recover" in r.cause
+
+
 def test_a_robot_that_cannot_turn_over_says_so() -> None:
     """Wedged between two walls on its back, it must give up and ask for help."""
     walls = (

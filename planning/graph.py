@@ -6,6 +6,7 @@ published figures, its defects included; `mode="corrected"` (the default) is for
 
 from __future__ import annotations
 
+import copy
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -63,10 +64,17 @@ class TraversalGraph:
     node_revision: NDArray[np.int64]
     edge_revision: NDArray[np.int64]
 
-    def __init__(self, params: GraphParams, seed: int, start_xy: tuple[float, float] | None) -> None:
+    def __init__(
+        self,
+        params: GraphParams,
+        seed: int,
+        start_xy: tuple[float, float] | None,
+        granted_xy: tuple[float, float] | None = None,
+    ) -> None:
         self.params = params
         self.seed = int(seed)
         self.start_xy = start_xy
+        self.granted_xy = start_xy if granted_xy is None else granted_xy
         self.version = 0
         self._lattice: Lattice | None = None
         self._next_id = 0
@@ -80,8 +88,12 @@ class TraversalGraph:
         start_xy: tuple[float, float],
         params: GraphParams | None = None,
         seed: int = 0,
+        granted_xy: tuple[float, float] | None = None,
     ) -> TraversalGraph:
         """The graph of all terrain reachable from `start_xy` [m]. Same arguments, same graph.
+
+        Unseen ground in sight within `blind_radius` of `granted_xy` is taken for granted: where the robot stood first
+        (None: at `start_xy`). Whoever builds a graph anew on the way passes the place of the first.
 
         Raises:
             NoRoute: the grid has no trusted cell, or the start is off the map or on no valid ground.
@@ -89,7 +101,7 @@ class TraversalGraph:
         """
         params = params or GraphParams()
         start = checked_start(grid, start_xy)
-        graph = cls(params, seed, start)
+        graph = cls(params, seed, start, granted_xy)
         if params.mode == "native":
             graph._build_native(grid)
         elif not graph._refresh(grid, ()):
@@ -157,8 +169,9 @@ class TraversalGraph:
     def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
         """Recompute the lattice in `windows` and publish what is reachable; False if nothing was there to do."""
         assert self.start_xy is not None
+        assert self.granted_xy is not None
         if self._lattice is None:
-            self._lattice = Lattice(self.params, self.seed, self.start_xy)
+            self._lattice = Lattice(self.params, self.seed, self.granted_xy)
         before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
         if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
             return False
@@ -221,6 +234,25 @@ class TraversalGraph:
         best = int(np.argmin(d2))
         return best if d2[best] <= max_distance**2 else None
 
+    def avoiding(self, discs: NDArray[np.floating]) -> TraversalGraph:
+        """This graph, for a query, without the edges that touch any of the discs (k, 3): x, y, radius [m]."""
+        source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
+        a, b = self.nodes[source, :2], self.nodes[self.indices, :2]
+        keep = np.ones(len(source), dtype=np.bool_)
+        for x, y, radius in discs:
+            ab, ac = b - a, np.array([x, y]) - a
+            along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
+            keep &= np.hypot(*(ac - along[:, None] * ab).T) > radius
+        out = copy.copy(self)
+        out._lattice = None
+        out.indptr = np.concatenate([[0], np.cumsum(np.bincount(source[keep], minlength=len(self.nodes)))])
+        out.indices, out.risk, out.edge_revision = (
+            self.indices[keep],
+            self.risk[keep],
+            self.edge_revision[keep],
+        )
+        return out
+
     # -- keeping it up to date ----------------------------------------------------------------------------------
 
     def update(
@@ -256,6 +288,7 @@ class TraversalGraph:
             "params": self.params.model_dump(),
             "seed": self.seed,
             "start": self.start_xy,
+            "granted": self.granted_xy,
             "version": self.version,
         }
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -272,12 +305,11 @@ class TraversalGraph:
                     raise PlanningError(
                         f"{path}: graph format {header['format']}, this program reads {FORMAT}"
                     )
-                start = (
-                    None
-                    if header["start"] is None
-                    else (float(header["start"][0]), float(header["start"][1]))
+                start, granted = (
+                    None if xy is None else (float(xy[0]), float(xy[1]))
+                    for xy in (header["start"], header.get("granted"))
                 )
-                graph = cls(GraphParams(**header["params"]), header["seed"], start)
+                graph = cls(GraphParams(**header["params"]), header["seed"], start, granted)
                 for name in _ARRAYS:
                     setattr(graph, name, data[name])
                 graph.version = int(header["version"])

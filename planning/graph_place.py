@@ -20,7 +20,7 @@ CLEAR_LEVELS = (0.45, 0.36, 0.28)
 """Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
 TRIES = 6
 """Valid candidates looked at beside an obstacle."""
-TIGHT = 0.37
+TIGHT = 0.45
 """Nodes with less clearance than this [m] move away from what is near: to where edges in more
 directions fit, and in a passage to its middle, so that edges along it are parallel to its walls."""
 CORE = 0.5

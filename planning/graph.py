@@ -7,7 +7,6 @@ published figures, its defects included; `mode="corrected"` (the default) is for
 from __future__ import annotations
 
 import copy
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,13 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph_describe import ALL_HEADINGS
+from planning.graph_file import read_graph, write_graph
 from planning.graph_input import Changed, GraphParams, Window, changed_windows, checked_start
 from planning.graph_lattice import Lattice
 from planning.graph_native import build_native
 
 __all__ = ["GraphParams", "TraversalGraph"]
 
-FORMAT = 1
-"""Version of the npz layout; `load` refuses others."""
 SNAP_DISTANCE = 0.50
 """Endpoints farther than this from every node [m] are not on the graph."""
 
@@ -284,41 +282,20 @@ class TraversalGraph:
     def save(self, path: str | Path) -> None:
         """Write the graph as npz. The suffix is not changed."""
         header = {
-            "format": FORMAT,
             "params": self.params.model_dump(),
             "seed": self.seed,
             "start": self.start_xy,
             "granted": self.granted_xy,
             "version": self.version,
         }
-        arrays = {name: getattr(self, name) for name in _ARRAYS}
-        with Path(path).open("wb") as file:
-            np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
+        write_graph(path, header, self.__dict__)
 
     @classmethod
     def load(cls, path: str | Path) -> TraversalGraph:
-        """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it."""
-        try:
-            with np.load(path, allow_pickle=False) as data:
-                header = json.loads(str(data["header"]))
-                if header["format"] != FORMAT:
-                    raise PlanningError(
-                        f"{path}: graph format {header['format']}, this program reads {FORMAT}"
-                    )
-                start, granted = (
-                    None if xy is None else (float(xy[0]), float(xy[1]))
-                    for xy in (header["start"], header.get("granted"))
-                )
-                graph = cls(GraphParams(**header["params"]), header["seed"], start, granted)
-                for name in _ARRAYS:
-                    setattr(graph, name, data[name])
-                graph.version = int(header["version"])
-        except (KeyError, json.JSONDecodeError) as error:
-            raise PlanningError(f"{path} is not a traversal graph file: {error}") from error
+        """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it. Raises PlanningError."""
+        header, params, arrays = read_graph(path)
+        graph = cls(params, header["seed"], header["start"], header["granted"])
+        graph.__dict__.update(arrays)
+        graph.version = int(header["version"])
+        graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
         return graph
-
-
-_ARRAYS = (
-    "nodes", "indptr", "indices", "risk", "frontier", "clearance", "free_headings", "node_ids",
-    "node_revision", "edge_revision",
-)  # fmt: skip

@@ -22,8 +22,9 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from hal.unitree.connect import open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
-from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, DryRunLink, Link
+from hal.unitree.link import DryRunLink, Link
 from hal.unitree.mover import Mover
 from hal.unitree.options import UnitreeOptions
 from hal.unitree.rpc import Rpc
@@ -86,7 +87,7 @@ class UnitreeBackend:
         """Find the robot, check who owns its motors, take the remote role. Raises BackendError."""
         if self._telemetry is not None:
             return
-        link = self._link if self._link is not None else self._open_link()
+        link = self._link or open_link(self._interface, self._domain, self.options)
         if self._dry_run:
             link = DryRunLink(link)
         self._link = link
@@ -98,7 +99,8 @@ class UnitreeBackend:
         try:
             if self._guarded:
                 self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
-            self._wait_for_robot(telemetry)
+            where = f"on {self._interface!r}, DDS domain {self._domain}"
+            wait_for_robot(telemetry, self.options, where, self._clock, self._sleep)
             self._run_now(self._steps.take_control())
             if self._guardian is not None:
                 self._guardian.wait_ready(self.options.connect_timeout)
@@ -216,47 +218,10 @@ class UnitreeBackend:
 
     # -- inside ----------------------------------------------------------------------------------------------------
 
-    def _open_link(self) -> Link:
-        from hal.unitree import idl
-
-        topics: list[tuple[str, object, int]] = [
-            (LOW_STATE, idl.LowState, 256),
-            (SPORT_STATE, idl.SportModeState, 64),
-        ]
-        if self.options.lidar == "l1":
-            topics.append((L1_IMU, idl.Imu, 128))
-        cloud = self.options.topic()
-        if cloud is not None:
-            topics.append((cloud, idl.PointCloud2, 4))
-        return DdsLink(self._interface, self._domain, topics)
-
     def _connected(self) -> Telemetry:
         if self._telemetry is None:
             raise BackendError("not connected: call connect() first")
         return self._telemetry
-
-    def _wait_for_robot(self, telemetry: Telemetry) -> None:
-        deadline = self._clock() + round(self.options.connect_timeout * NS)
-        while True:
-            now = self._clock()
-            telemetry.read(now)
-            if telemetry.low_age(now) < self.options.state_timeout and telemetry.sport is not None:
-                return
-            if now > deadline:
-                break
-            self._sleep(0.01)
-        where = (
-            f"on {self._interface!r}, DDS domain {self._domain}, within {self.options.connect_timeout:.0f} s"
-        )
-        if telemetry.low is None:
-            raise BackendError(
-                f"no LowState from the robot {where}: is it switched on, is the cable in, is this the robot's network "
-                "(192.168.123.0/24), and is the domain right (0 on the robot)?"
-            )
-        if telemetry.sport is not None:
-            raise BackendError(f"LowState stopped arriving {where}: check cable and robot")
-        # A robot whose motion service was released sends no sportmodestate; taking control selects it again.
-        log.warning("no sportmodestate %s: trying to select the motion service", where)
 
     def _run_now(self, steps: Generator[None, None, None]) -> None:
         """Drive a transition to its end, waiting. Only in connect and close."""

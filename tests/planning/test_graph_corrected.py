@@ -9,7 +9,7 @@ from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.graph_describe import turn_is_free
-from tests.planning.graph_scenes import crossing_edges, drivable, random_scene
+from tests.planning.graph_scenes import Scene, crossing_edges, drivable, random_scene
 
 RES = 0.04
 PARAMS = GraphParams(blind_radius=0.0)
@@ -206,11 +206,33 @@ def test_a_map_without_trusted_cells_is_a_typed_error() -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_on_random_ground_no_swept_footprint_covers_a_wall_a_ledge_or_a_pit(seed: int) -> None:
     scene = random_scene(seed, res=0.02 if seed % 4 == 0 else 0.04, noise=0.005)
-    # with gaps allowed, the tip of a pit's corner counts as one
+    # with gaps allowed, a remnant of a pit beside a wall counts as one
     params = GraphParams(blind_radius=0.0, max_gap=0.0)
     graph = TraversalGraph.build(scene.grid, scene.start, params, seed)
     assert len(graph.edges) > 300
     assert crossing_edges(graph, scene, shrink=0.0, step=0.12) == []
+
+
+@pytest.mark.parametrize("res", [0.02, 0.04])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_corners_of_a_wide_pit_are_no_gap(seed: int, res: float) -> None:
+    rng = np.random.default_rng(seed)
+    x, y, z = _flat(5.0, 5.0, res)
+    label = np.zeros(z.shape, int)
+    for k, (cx, cy) in enumerate([(1.2, 1.2), (1.2, 3.8), (3.8, 1.2), (3.8, 3.8), (2.5, 2.5)]):
+        a = rng.uniform(0, np.pi)
+        u = (x - cx) * np.cos(a) + (y - cy) * np.sin(a)
+        v = -(x - cx) * np.sin(a) + (y - cy) * np.cos(a)
+        pit = (
+            np.abs(u) + np.abs(v) < rng.uniform(0.3, 0.5) if k % 2 else (np.abs(u) < 0.4) & (np.abs(v) < 0.25)
+        )
+        label[pit] = k + 1
+        z[pit] -= 0.5
+    z += 0.005 * rng.standard_normal(z.shape)
+    grid = _grid(z, res=res)
+    graph = TraversalGraph.build(grid, (2.5, 0.7), PARAMS, seed)
+    assert len(graph.edges) > 150
+    assert crossing_edges(graph, Scene(grid, label, (2.5, 0.7)), shrink=0.0, step=0.12) == []
 
 
 @pytest.mark.parametrize("seed", range(4))

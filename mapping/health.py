@@ -20,6 +20,9 @@ NORMAL_NOISE = 0.002
 """Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
 
 
+CARRIED = "; if the robot was carried, bring it back or start the stack anew"
+
+
 class Health(StrEnum):
     """State of localisation. `lost` must stop motion; `degraded` warns: the pose holds, its margin is thin."""
 
@@ -63,6 +66,10 @@ class HealthParams(BaseModel):
     gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
     gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
     sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
+    overlap_again: float = Field(
+        default=0.8, description="after a gap registration is not used below: somewhere else it fits half"
+    )
+    gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
     recover: int = Field(default=3, ge=1, description="fitting scans in a row that end `lost`")
 
 
@@ -74,7 +81,9 @@ class Verdict:
     reason: str
     """Plain words; empty when good."""
     use: bool
-    """The pose may correct the filter and the scan may enter the local map."""
+    """The pose may correct the filter."""
+    insert: bool
+    """The scan may enter the local map: never while lost, or one wrong fit would make the next ones fit."""
     covariance: Array
     """(6, 6) of the registered pose: position in `odom` [m], rotation about base_link in `odom` axes [rad]."""
     degenerate: Array
@@ -128,11 +137,12 @@ class HealthMonitor:
         spread = INDEPENDENT * covariance + prior
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
-        bad, weak = "", ""
+        bad, weak, again = "", "", False
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
         elif scans:
             young = scans < s.young
+            again = not young and (self.lost or self.gap(stamp) > s.gap_again)
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.on_planes < s.min_on_planes and not young:
@@ -141,6 +151,8 @@ class HealthMonitor:
                 bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
             elif moved > s.jump:
                 bad = f"registration jumped by {moved:.2f} m"
+            elif again and not self._fits_again(match):
+                bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
             elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.inliers < s.inliers_low:
@@ -152,15 +164,27 @@ class HealthMonitor:
             elif off > s.disagreement:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
         if bad:
+            bad += CARRIED if again else ""
             health, reason = self.without_match(stamp, _sigma(prior), bad)
-            return Verdict(health, reason, False, covariance, direction, share)
+            return Verdict(health, reason, False, False, covariance, direction, share)
         self._last_fit = stamp
         self._fits += 1
         if self.lost and self._fits < s.recover:
-            return Verdict(Health.LOST, "scans fit again, confirming", True, covariance, direction, share)
+            reason = "scans fit again, confirming"
+            return Verdict(Health.LOST, reason, True, False, covariance, direction, share)
         self.lost = False
         health = Health.DEGRADED if weak else Health.GOOD
-        return Verdict(health, weak, True, covariance, direction, share)
+        return Verdict(health, weak, True, True, covariance, direction, share)
+
+    def _fits_again(self, match: Match) -> bool:
+        """A scan after a gap fits as well as one of a robot that knows where it is. Level ground fits everywhere: in a
+        wrong place up to 0.7 of a scan overlaps and up to 0.9 of that lies on surfaces, 5 to 9 cm off them."""
+        s = self.params
+        return (
+            match.overlap >= s.overlap_again
+            and match.inliers >= s.inliers_low
+            and match.residual <= s.residual_high
+        )
 
 
 def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:

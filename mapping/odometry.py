@@ -134,13 +134,13 @@ class LidarInertialOdometry:
             cloud, predicted, self.params.threshold_lost if wide else self.params.threshold
         )
         verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
-        if verdict.use:
-            if scans:
-                measured = _rotation_to_body(verdict.covariance, match.pose)
-                # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
-                # scan to scan: gravity has the last word there.
-                measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
-                self._filter.update_pose(match.pose, measured)
+        if verdict.use and scans:
+            measured = _rotation_to_body(verdict.covariance, match.pose)
+            # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
+            # scan to scan: gravity has the last word there.
+            measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+            self._filter.update_pose(match.pose, measured)
+        if verdict.insert:
             self._engine.insert(self._filter.pose())
         self._learn_scale(before, verdict)
         self._health, self._reason = verdict.health, verdict.reason

@@ -15,6 +15,7 @@ from mapping.odometry_types import FastPose, ScanOdometry
 from mapping.rotation import rotation, rotation_vector
 from mapping.wheel_odometry import WheelOdometry
 from tools.synthetic import SyntheticRun, arena_run
+from tools.synthetic_motion import Motion
 
 SECONDS = 9.0
 PARAMS = OdometryParams()
@@ -260,3 +261,33 @@ def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[S
     assert np.degrees(max(tilt)) < 0.6
     bias = np.mean([s.gyro[1] for s in samples if isinstance(s, ImuSample) and s.stamp < first + NS])
     assert abs(out.odometry._filter.x[11] - bias) < 0.003
+
+
+@pytest.mark.parametrize("place", [(0.8, 0.0, 0.3), (-2.0, 1.5, 2.5), (1.0, -2.0, -1.2)])
+def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
+    recorded: tuple[SyntheticRun, list[Sample]], place: tuple[float, float, float]
+) -> None:
+    """Six seconds without scans, then the view from somewhere else: level ground fits there too, and must not do."""
+    run, samples = recorded
+    end = samples[0].stamp + 4 * NS
+    samples = [s for s in samples if s.stamp < end]
+    position, orientation = run.truth(samples[-1].stamp)
+    heading = rotation(orientation[0])
+    yaw = float(np.arctan2(heading[1, 0], heading[0, 0]))
+    x, y = position[0, :2] + place[:2]
+    there = replace(
+        run,
+        motion=Motion(kind="standstill", start=(x, y, yaw + place[2])),
+        start_stamp=end + 6 * NS,
+        duration=1.5,
+    )
+    last = [s for s in samples if isinstance(s, JointSample)][-1]
+    blind: list[Sample] = []
+    for stamp in range(end, there.start_stamp, NS // 200):
+        blind.append(ImuSample(stamp, np.zeros(3), np.array([0.0, 0.0, 9.81])))
+        blind.append(JointSample(stamp, last.position, np.zeros(16), last.effort))
+    out = Driven([*samples, *blind, *(s for s in there.samples() if not isinstance(s, GroundTruth))])
+    seen = [s for s in out.scans if s.stamp > there.start_stamp]
+    assert len(seen) > 10
+    assert all(s.health is Health.LOST for s in seen)
+    assert all("bring it back" in s.reason for s in seen[1:])

@@ -101,9 +101,9 @@ class HealthMonitor:
         self._last_fit = 0
         self._fits = 0
 
-    def start(self, stamp: int) -> None:
-        """Localisation begins at `stamp` [ns]."""
-        self.lost, self._last_fit, self._fits = False, stamp, 0
+    def start(self, stamp: int, lost: bool = False) -> None:
+        """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
+        self.lost, self._last_fit, self._fits = lost, stamp, 0
 
     def gap(self, stamp: int) -> float:
         """Time without a usable scan [s]."""
@@ -142,7 +142,7 @@ class HealthMonitor:
             bad = f"only {match.points} points in the scan"
         elif scans:
             young = scans < s.young
-            again = not young and (self.lost or self.gap(stamp) > s.gap_again)
+            again = self.lost or (self.gap(stamp) > s.gap_again and not young)
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.on_planes < s.min_on_planes and not young:

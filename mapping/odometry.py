@@ -167,9 +167,9 @@ class LidarInertialOdometry:
             put_at(self._filter, self._before.pose)
             self._engine.align(self._before.cloud, self._before.pose, self.params.threshold)
             self._engine.insert(self._before.pose)
-            self._before = None
         self._stream.start(self._filter)
-        self._monitor.start(sweep.end)
+        self._monitor.start(sweep.end, lost=self._before is not None)
+        self._before = None
         self.initialised = True
         self._rejoin()
 

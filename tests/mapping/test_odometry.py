@@ -36,6 +36,9 @@ class Driven:
         self.scans: list[ScanOdometry] = []
         self.fast: list[FastPose] = []
         self.wheels: list[WheelOdometry] = []
+        self.feed(samples)
+
+    def feed(self, samples: list[Sample]) -> None:
         for sample in samples:
             if isinstance(sample, ImuSample):
                 fast = self.odometry.add_imu(sample)
@@ -291,3 +294,34 @@ def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     assert len(seen) > 10
     assert all(s.health is Health.LOST for s in seen)
     assert all("bring it back" in s.reason for s in seen[1:])
+
+
+@pytest.mark.parametrize(("moved", "found"), [(0.15, True), (2.5, False)])
+def test_a_second_odometry_goes_on_from_the_last_scan_of_the_first(
+    recorded: tuple[SyntheticRun, list[Sample]], moved: float, found: bool
+) -> None:
+    """The process died and the robot coasted, or was carried, before it was back."""
+    run, samples = recorded
+    end = samples[0].stamp + 4 * NS
+    first = Driven([s for s in samples if s.stamp < end])
+    last = first.scans[-1]
+    position, orientation = run.truth(last.stamp)
+    heading = rotation(orientation[0])[:, 0]
+    x, y = position[0, :2] + moved * heading[:2]
+    start = (x, y, float(np.arctan2(heading[1], heading[0])) + 0.1)
+    there = replace(
+        run, motion=Motion(kind="standstill", start=start), start_stamp=end + 3 * NS, duration=2.0
+    )
+    second = Driven([])
+    second.odometry.resume(matrix(last), last.cloud)
+    second.feed([s for s in there.samples() if not isinstance(s, GroundTruth)])
+    final = second.scans[-1]
+    if not found:
+        assert final.health is Health.LOST
+        assert "bring it back" in final.reason
+        return
+    assert final.health is Health.GOOD
+    wanted = np.linalg.inv(true(run, last.stamp)) @ true(there, final.stamp)
+    off = np.linalg.inv(wanted) @ np.linalg.inv(matrix(last)) @ matrix(final)
+    assert np.linalg.norm(off[:3, 3]) < 0.02
+    assert np.degrees(np.linalg.norm(rotation_vector(off[:3, :3]))) < 0.5

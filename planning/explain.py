@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from planning.body_risk import FEATURES, BodyModel
 from planning.plan_types import SETS, Plan, PlanRequest, Transition
+from planning.pose_sets import Weights, route_moments
 from planning.risk_table import RiskTable, weights_of
-from planning.search_kernels import Weights, route_moments
 from planning.terrain import Laid
 
 

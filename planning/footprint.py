@@ -14,9 +14,12 @@ from numpy.typing import NDArray
 
 from planning.terrain import ALL, NONE, SOME, Laid, Terrain
 
+MOST_POSES = 64
+"""Poses of a set for which a buffer is kept; longer ones get their own."""
+
 
 class Scratch(NamedTuple):
-    """Buffers of one pose, made once per call: a kernel that allocates per pose spends its time there."""
+    """Buffers, made once per call: a kernel that allocates per pose or set spends much of its time there."""
 
     cell: NDArray[np.int32]
     col: NDArray[np.float32]
@@ -28,6 +31,14 @@ class Scratch(NamedTuple):
     """(n,) heights of the corner samples."""
     spot: NDArray[np.int32]
     """(tiles,) cell under each tile's centre."""
+    mean: NDArray[np.float64]
+    """(4,) mean heights of the corners."""
+    poses: NDArray[np.float64]
+    """(MOST_POSES, 3), for who makes a pose set."""
+    values: NDArray[np.float64]
+    """(MOST_POSES, 4), for its features."""
+    moments: NDArray[np.float64]
+    """(3, 4), for its moments."""
 
 
 @njit(cache=True)
@@ -43,6 +54,10 @@ def scratch(laid: Laid) -> Scratch:
         np.empty(n, np.uint64),
         np.empty(n, np.float32),
         np.empty(tiles, np.int32),
+        np.empty(4),
+        np.empty((MOST_POSES, 3)),
+        np.empty((MOST_POSES, 4)),
+        np.empty((3, 4)),
     )
 
 
@@ -188,7 +203,7 @@ def _largest(z, n: int) -> float:
 
 @njit(cache=True, error_model="numpy")
 def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -> None:
-    """Features of poses x, y [m], yaw [rad] (n, 3) into `out` (n, 4) (paper eq. 2).
+    """Features of the first n poses x, y [m], yaw [rad] (>= n, 3) into `out` (n, 4) (paper eq. 2).
 
     Support difference [m], side tilt [deg], interference [m], unknown share [-]. Only the highest trusted point and
     the trusted count matter between the corners: the samples of a tile are looked at only where one of its cells is
@@ -197,7 +212,7 @@ def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -
     # Everything is taken out of the tuples once: each access in the loop would count references.
     height, pair, trusted, seen, ceiling, known, stride, ox, oy, inv, u, v, k = laid[:13]
     corner_u, corner_v, corner_window, tile, tile_u, tile_v, reach, width = laid[13:]
-    cell, cols_at, rows_at, low2, high2, z, spot = work
+    cell, cols_at, rows_at, low2, high2, z, spot, mean = work[:8]
     low, high = low2.view(np.float32), high2.view(np.float32)
     rows = seen.shape[0] - 1
     n = u.size
@@ -205,8 +220,7 @@ def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -
     box = (2 * corner_window + 1) ** 2
     step = np.int32(stride)
     half = np.float32(0.5)
-    mean = np.empty(4)
-    for p in range(poses.shape[0]):
+    for p in range(out.shape[0]):
         # Where nothing under the body is trusted.
         out[p, 0] = out[p, 1] = out[p, 2] = 0.0
         out[p, 3] = 1.0

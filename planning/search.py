@@ -18,7 +18,8 @@ from planning.graph import TraversalGraph
 from planning.plan_types import SETS, VARIANTS, Plan, PlanRequest, Transition, Variant
 from planning.refine import refine
 from planning.risk_table import RiskTable, weights_of
-from planning.search_kernels import search_nodes, search_pairs
+from planning.search_kernels import search_pairs
+from planning.search_native import search_nodes
 
 __all__ = [
     "SETS",
@@ -54,7 +55,10 @@ def plan(
     if found is None and request.allow_frontier:
         found = _to_frontier(table, request, start, start_yaw)
     if found is None:
-        raise NoRoute(NoRouteReason.NO_ROUTE, "start and goal are on the graph but not connected")
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "start and goal are on the graph but not connected, or only by turns for which there is no room",
+        )
     return found
 
 
@@ -168,18 +172,11 @@ def _search(
         cost, route, expanded = search_nodes(w, table.roads, start, ends, exit_cost, *xy)
     else:
         sweeps = request.variant != "edge-only"
-        cost, route, expanded = search_pairs(
-            table.laid,
-            w,
-            table.roads,
-            table.tables(body),
-            start,
-            ends,
-            exit_cost,
-            start_yaw,
-            goal_yaw,
-            sweeps,
+        tables = table.tables(body)
+        cost, route, expanded, turns = search_pairs(
+            table.laid, w, table.roads, tables, start, ends, exit_cost, start_yaw, goal_yaw, sweeps
         )
+        table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
         return None
     found = Route.along(table, start, route, start_yaw, goal_yaw)

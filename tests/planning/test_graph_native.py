@@ -12,7 +12,7 @@ from planning import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.graph_native import _draw
 from planning.graph_risk import disc_blocked, edge_risk, top_two_z, window_minmax
-from tools.bench.planning_oracle import NativeOracle
+from tools.bench._planning_oracle import NativeOracle
 
 GOLDEN = Path(__file__).resolve().parents[3] / "shared" / "golden"
 

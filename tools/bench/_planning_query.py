@@ -1,8 +1,11 @@
-"""Planning times of queries: full variant, nothing cached. `planning` prints these rows with its own.
+"""Planning times of queries, full variant; `planning` prints these rows with its own.
 
-Least CPU time of this thread over repeats. Baselines, from the same run, are plain numpy (`plain_features`): its time
-per sample, and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of
-the states it expands.
+Least CPU time of this thread over repeats. `query_ms` finds nothing cached: it makes the risk table and evaluates what
+it needs. `replan_ms` does the same after 2 % of the cells changed, once from nothing (its baseline) and once with the
+table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's
+ceiling made needless to look at. Baselines, from the same run, are plain numpy (`plain_features`): its time per sample,
+and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the states
+it expands.
 """
 
 from __future__ import annotations
@@ -17,10 +20,10 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.body_risk import BodyModel, terrain_of
 from planning.footprint import poses_features
-from planning.graph import TraversalGraph
+from planning.graph import GraphParams, TraversalGraph
 from planning.risk_table import RiskTable
 from planning.search import PlanRequest, plan
-from tools.bench.planning import dense_map, rough_terrain
+from tools.bench._planning_worlds import dense_map
 from tools.bench.report import Report
 
 BODY = BodyModel()
@@ -78,25 +81,56 @@ def eager_poses(table: RiskTable, states: int) -> float:
     roads = table.roads
     degree = np.diff(roads.indptr)
     slot = np.repeat(np.arange(len(roads.target)), degree[roads.target])
-    out = np.arange(len(slot)) - roads.sweep_ptr[slot] + roads.indptr[roads.target[slot]]
+    row = np.concatenate([[0], np.cumsum(degree[roads.target])])
+    out = np.arange(len(slot)) - row[slot] + roads.indptr[roads.target[slot]]
     turn = np.abs((roads.heading[out] - roads.heading[slot] + np.pi) % (2 * np.pi) - np.pi)
     per_turn = np.ceil(turn / np.radians(BODY.sweep_step)).mean() + 1
     per_edge = np.ceil(roads.length / BODY.edge_step).mean() + 1
     return float(states * degree.mean() * per_turn + min(states, len(roads.target) / 2) * per_edge)
 
 
-def rows(report: Report, large_graph: TraversalGraph, large_grid: ElevationGrid) -> None:
+def _pairs(nodes: int) -> list[PlanRequest]:
+    """Random start-goal pairs among so many nodes."""
+    rng = np.random.default_rng(7)
+    out: list[PlanRequest] = []
+    while len(out) < PAIRS:
+        a, b = (int(v) for v in rng.integers(0, nodes, 2))
+        if a != b:
+            out.append(PlanRequest(a, b))
+    return out
+
+
+def _replan(report: Report) -> None:
+    """The same pairs of places after each of 60 map updates, with and without the table from before."""
+    full, start, _, seed = dense_map()
+    grid = partly_unseen(full)
+    graph = TraversalGraph.build(grid, start, GraphParams(), seed)
+    rng = np.random.default_rng(11)
+    side = round(np.sqrt(0.02) * grid.shape[0])
+    table = RiskTable(graph, grid, BODY)
+    fresh, carried = [], []
+    for _ in range(60):
+        r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
+        height = grid.height.copy()
+        height[r : r + side, c : c + side] += np.float32(0.03)
+        grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+        graph.update(grid, [(r, c, r + side, c + side)])
+        request = PlanRequest(0, len(graph.nodes) - 1)
+        fresh.append(_timed(lambda g=grid, q=request: plan(graph, g, q, BODY)))  # type: ignore[misc]
+        before = time.thread_time()
+        table = RiskTable(graph, grid, BODY, table)
+        plan(graph, grid, request, BODY, table)
+        carried.append(time.thread_time() - before)
+    report.add("replan_ms", 1e3 * float(np.median(carried)), "ms", baseline=1e3 * float(np.median(fresh)))
+
+
+def rows(report: Report, large: RiskTable) -> None:
     """Add the rows of 200 random pairs on the 8 m dense map and of one query across the large one."""
     full, start, params, seed = dense_map()
     graph = TraversalGraph.build(full, start, params, seed)
     grid = partly_unseen(full)
     rng = np.random.default_rng(7)
-    count = len(graph.nodes)
-    requests: list[PlanRequest] = []
-    while len(requests) < PAIRS:
-        a, b = (int(v) for v in rng.integers(0, count, 2))
-        if a != b:
-            requests.append(PlanRequest(a, b))
+    requests = _pairs(len(graph.nodes))
     plan(graph, grid, requests[0], BODY)
     times = [min(_timed(lambda r=r: plan(graph, grid, r, BODY)) for _ in range(3)) for r in requests]  # type: ignore[misc]
     states = [plan(graph, grid, r, BODY).expanded for r in requests[::10]]
@@ -117,23 +151,15 @@ def rows(report: Report, large_graph: TraversalGraph, large_grid: ElevationGrid)
     report.add("query_ms.p95", 1e3 * float(np.percentile(times, 95)), "ms", limit=40.0)
     samples = laid.u.size
     report.add("sample_ns", 1e9 * fast / samples, "ns", limit=1.5, baseline=1e9 * plain / samples)
-    x0, y0, x1, y1 = large_grid.extent
-    ends = [
-        int(np.argmin(np.hypot(*(large_graph.nodes[:, :2] - corner).T)))
-        for corner in (np.array([x0, y0]), np.array([x1, y1]))
-    ]
-    across = min(
-        _timed(lambda: plan(large_graph, large_grid, PlanRequest(ends[0], ends[1]), BODY)) for _ in range(2)
+    _replan(report)
+    x0, y0, x1, y1 = large.grid.extent
+    nodes = large.graph.nodes[:, :2]
+    ends = [int(np.argmin(np.hypot(*(nodes - corner).T))) for corner in ((x0, y0), (x1, y1))]
+    across = PlanRequest(ends[0], ends[1])
+    report.add(
+        "large.query_s", _timed(lambda: plan(large.graph, large.grid, across, BODY, large)), "s", limit=0.5
     )
-    report.add("large.query_s", across, "s", limit=0.5)
-
-
-def run(args: list[str]) -> Report:
-    """Only the query rows."""
-    report = Report("planning_query")
-    large_grid = rough_terrain(100.0, 0.05, 3)
-    rows(report, TraversalGraph.build(large_grid, (1.0, 1.0)), large_grid)
-    return report
+    report.add("large.query_cold_s", _timed(lambda: plan(large.graph, large.grid, across, BODY)), "s")
 
 
 def _timed(work: Callable[[], object]) -> float:

@@ -2,15 +2,16 @@
 
 The graph's nodes are samples; a few centimetres beside them the ground is often better. Inner points move in small
 steps, one at a time, as long as the accumulated transition cost falls. The route stays on ground that was free and
-seen: no higher face under the body than the robot may climb (or than was there before), no more unknown ground under
-any pose of a transition than before, never more than 1.02 times as long, and never worse than the searched route in
-the largest support difference, side tilt or interference.
+seen: no higher face under the body, turns included, than the robot may climb (or than was there before), no more
+unknown ground under any pose of a transition than before, never more than 1.02 times as long, and never worse than the
+searched route in the largest support difference, side tilt or interference.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from planning.body_risk import edge_poses, sweep_poses
 from planning.explain import Route
 from planning.footprint import steps_beneath
 from planning.risk_table import RiskTable, weights_of
@@ -60,9 +61,7 @@ def refine(table: RiskTable, route: Route) -> Route:
                         and (
                             np.nanmax(route.moments[first:last, :, 2, 3], axis=1) <= unknown[first:last]
                         ).all()
-                        and (
-                            _faces(table, route, first, min(i + 1, last)) <= limit[first : min(i + 1, last)]
-                        ).all()
+                        and (_faces(table, route, first, last) <= limit[first:last]).all()
                     ):
                         best, best_xy = route.cost(w)[first:last].sum(), route.xy[i].copy()
                 route.xy[i] = best_xy
@@ -83,12 +82,14 @@ def _peaks(route: Route) -> np.ndarray:
 
 
 def _faces(table: RiskTable, route: Route, first: int, last: int) -> np.ndarray:
-    """(last - first,) highest face under the body along each edge [m]."""
+    """(last - first,) highest face under the body along each edge and in the turn before it [m]."""
     out = np.empty(last - first)
     for t in range(first, last):
-        a, b = route.xy[t], route.xy[t + 1]
-        n = max(2, int(np.ceil(np.hypot(*(b - a)) / table.body.edge_step)) + 1)
-        yaw = np.arctan2(b[1] - a[1], b[0] - a[0])
-        poses = np.column_stack([np.linspace(a[0], b[0], n), np.linspace(a[1], b[1], n), np.full(n, yaw)])
+        poses = edge_poses(route.xy[t], route.xy[t + 1], table.body)
+        if t > 0:
+            dx, dy = route.xy[t] - route.xy[t - 1]
+            x, y = route.xy[t]
+            turn = sweep_poses(x, y, float(np.arctan2(dy, dx)), float(poses[0, 2]), table.body)
+            poses = np.concatenate([turn, poses])
         out[t - first] = steps_beneath(table.laid, poses).max()
     return out

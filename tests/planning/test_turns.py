@@ -1,0 +1,121 @@
+"""Turns in place only where there is room: routes swept by the footprint, and the rules at start and goal."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from graph_scenes import LENGTH, WIDTH, Scene, random_scene
+
+from mapping.grid import ElevationGrid
+from planning.body_risk import BodyModel, sweep_poses
+from planning.errors import NoRoute
+from planning.graph import GraphParams, TraversalGraph
+from planning.graph_describe import ALL_HEADINGS
+from planning.risk_table import RiskTable
+from planning.search import Plan, PlanRequest, Variant, plan
+from planning.turns import may_turn_off, may_turn_to
+
+BODY = BodyModel()
+SHRINK = 0.03
+"""Half a heading step of 5 deg moves a corner 0.018 m, and a face lies up to half a cell from where its cells are [m]."""
+
+
+def straddles(scene: Scene, pose: np.ndarray, step: float) -> bool:
+    """True if the footprint, a little smaller, covers both sides of a break higher than `step`."""
+    res = scene.grid.resolution
+    r0, c0 = (max(0, int((v - 0.45) / res)) for v in (pose[1], pose[0]))
+    window = np.s_[r0 : r0 + int(0.9 / res) + 2, c0 : c0 + int(0.9 / res) + 2]
+    z, label = scene.grid.height[window], scene.label[window]
+    y, x = np.mgrid[0 : z.shape[0], 0 : z.shape[1]]
+    dx, dy = (x + c0) * res - pose[0], (y + r0) * res - pose[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    under = (np.abs(dx * c + dy * s) <= 0.5 * LENGTH - SHRINK) & (
+        np.abs(dy * c - dx * s) <= 0.5 * WIDTH - SHRINK
+    )
+    face_c = (label[:, 1:] != label[:, :-1]) & (np.abs(np.diff(z, axis=1)) > step)
+    face_r = (label[1:] != label[:-1]) & (np.abs(np.diff(z, axis=0)) > step)
+    return bool((face_c & under[:, 1:] & under[:, :-1]).any() or (face_r & under[1:] & under[:-1]).any())
+
+
+def turns_of(found: Plan) -> list[np.ndarray]:
+    """Poses of the turns at the inner points of a route."""
+    xy = found.points[:, :2]
+    yaw = [float(np.arctan2(*(b - a)[::-1])) for a, b in pairwise(xy)]
+    return [sweep_poses(*xy[k + 1], yaw[k], yaw[k + 1], BODY) for k in range(len(yaw) - 1)]
+
+
+def bad_turns(
+    scene: Scene, graph: TraversalGraph, table: RiskTable, variant: Variant, pairs: int
+) -> tuple[int, int]:
+    """Turns of routes between tight nodes, and how many of them sweep over a break."""
+    rng = np.random.default_rng(9)
+    tight = np.flatnonzero(graph.free_headings != ALL_HEADINGS)
+    turns = bad = 0
+    for a, b in rng.choice(tight, (pairs, 2)).tolist():
+        try:
+            found = plan(graph, scene.grid, PlanRequest(a, b, variant=variant), table.body, table)
+        except NoRoute:
+            continue
+        for poses in turns_of(found):
+            turns += 1
+            bad += any(straddles(scene, pose, GraphParams().max_step + 0.02) for pose in poses)
+    return turns, bad
+
+
+def test_on_random_ground_no_turn_of_a_route_sweeps_a_wall_a_ledge_or_a_pit() -> None:
+    careless = BodyModel(weight_body=0.0, weight_unknown=0.0)  # whose costs do not keep it from anything
+    unguarded = 0
+    for seed in range(5):
+        scene = random_scene(seed)
+        graph = TraversalGraph.build(scene.grid, scene.start, GraphParams(), seed)
+        for body, variant, pairs in ((BODY, "refined", 4), (careless, "full", 20)):
+            turns, bad = bad_turns(scene, graph, RiskTable(graph, scene.grid, body), variant, pairs)  # type: ignore[arg-type]
+            assert turns > 3 * pairs
+            assert bad == 0
+        table = RiskTable(graph, scene.grid, careless)
+        table.roads = table.roads._replace(room=np.full(len(graph.nodes), ALL_HEADINGS))
+        unguarded += bad_turns(scene, graph, table, "full", 20)[1]
+    assert unguarded > 0, "without the limit some turn does"
+
+
+def corridor(width: float) -> tuple[ElevationGrid, TraversalGraph]:
+    """A straight passage along x between walls."""
+    y = np.arange(0.0, 3.0, 0.025)
+    height = np.tile(np.where(np.abs(y - 1.5) > 0.5 * width, 1.0, 0.0)[:, None], (1, 240)).astype(np.float32)
+    grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.025)
+    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(), 0)
+
+
+def test_in_a_narrow_passage_the_robot_drives_on_but_does_not_turn_round() -> None:
+    grid, graph = corridor(0.70)
+    ends = [graph.nearest_node((x, 1.5)) for x in (1.0, 3.0, 5.0)]
+    assert None not in ends
+    left, middle, right = (int(v) for v in ends if v is not None)
+    assert plan(graph, grid, PlanRequest(middle, right, 0.0), BODY).length == pytest.approx(2.0, abs=0.3)
+    assert plan(graph, grid, PlanRequest(middle, left, np.pi), BODY).length == pytest.approx(2.0, abs=0.3)
+    for request in (PlanRequest(middle, left, 0.0), PlanRequest(middle, right, 0.0, np.pi / 2)):
+        with pytest.raises(NoRoute, match="turns"):
+            plan(graph, grid, request, BODY)
+    wide_grid, wide = corridor(1.4)
+    a, b = wide.nearest_node((3.0, 1.5)), wide.nearest_node((1.0, 1.5))
+    assert plan(wide, wide_grid, PlanRequest(a, b, 0.0, 0.0), BODY).length < 2.6  # type: ignore[arg-type]
+
+
+def test_a_robot_may_turn_out_of_a_blocked_heading_but_not_into_one() -> None:
+    room = np.uint64(ALL_HEADINGS)
+    for k in (9, 10, 11):  # 45, 50 and 55 deg
+        room &= ~(np.uint64(1) << np.uint64(k))
+    deg = np.radians
+    assert may_turn_off(room, deg(50), deg(60))
+    assert may_turn_off(room, deg(50), deg(-50))
+    assert may_turn_off(room, deg(50 + 180), deg(40))
+    assert not may_turn_off(room, deg(20), deg(60))
+    assert not may_turn_off(room, deg(50), deg(200)), "out of the blocked ones and half round into them"
+    assert may_turn_to(room, deg(0), deg(35))
+    assert not may_turn_to(room, deg(0), deg(43)), "the heading next to the end is blocked"
+    assert not may_turn_to(room, deg(0), deg(50))
+    assert may_turn_to(room, deg(50), 0.0)
+    assert may_turn_to(room, deg(90), deg(-25))
+    assert not may_turn_to(room, deg(90), deg(-33))

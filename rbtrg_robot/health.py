@@ -114,7 +114,7 @@ class Health:
         seen = self.topics.get(topic.name)
         rate = seen.rate if seen else 0.0
         age = (self.source_now - seen.newest) / 1e9 if seen and seen.newest else None
-        if topic.rate == 0 or (topic is t.CLOCK and not self._simulated):
+        if topic.rate == 0 or (topic in (t.CLOCK, t.TRUTH) and not self._simulated):
             ok = True
         else:
             share = RATE_SHARE

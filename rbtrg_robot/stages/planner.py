@@ -14,6 +14,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.frontier import FrontierMemory
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import Path, PathLimits, make_path, still_safe
+from planning.risk_table import RiskTable
 from planning.search import Plan, PlanRequest, plan
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
@@ -51,6 +52,7 @@ class PlannerStage:
         self._epoch = 0
         self._graph: TraversalGraph | None = None
         self._grid: ElevationGrid | None = None
+        self._table: RiskTable | None = None
         self._changed: list[tuple[int, int, int, int]] = []
         self._updated = 0
         self._start: tuple[float, float] | None = None
@@ -73,10 +75,10 @@ class PlannerStage:
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         stage._grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
-        for seed_row in ((40, 40, 50, 50), (45, 45, 50, 50)):
-            stage._refresh((2.0, 2.0), stage._grid, [seed_row])
         request = make(t.PLAN_REQUEST.type, start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0)
-        stage._answer(request)
+        for changed in ((40, 40, 50, 50), (45, 45, 50, 50)):  # twice: the second carries evaluations over
+            stage._refresh((2.0, 2.0), stage._grid, [changed])
+            stage._answer(request)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -213,7 +215,9 @@ class PlannerStage:
             seen_frontiers=tuple(self._memory.seen),
         )
         graph = self._graph.avoiding(message.avoid.reshape(-1, 3)) if len(message.avoid) else self._graph
-        found = plan(graph, self._grid, request, self._body)
+        if self._table is None or not self._table.fits(graph, self._grid, self._body):
+            self._table = RiskTable(graph, self._grid, self._body, self._table)
+        found = plan(graph, self._grid, request, self._body, self._table)
         return found, make_path(found, self._grid, self._body, self._limits)
 
 

@@ -22,16 +22,6 @@ def block_maxima(height: NDArray[np.float32]) -> NDArray[np.float32]:
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _next_plane(o: float, d: float, index: int) -> float:
-    """Ray parameter at which a coordinate leaves the unit interval [index, index + 1]."""
-    if d > 0.0:
-        return (index + 1 - o) / d
-    if d < 0.0:
-        return (index - o) / d
-    return np.inf
-
-
 @njit(cache=True, nogil=True)
 def _gap(height: NDArray[np.float32], r: int, c: int, u: float, v: float, z: float, lower: bool) -> float:
     """Height of a point above one triangle of cell (r, c). The diagonal runs from (r, c) to (r+1, c+1)."""
@@ -55,36 +45,49 @@ def _march(
     dy: float,
     dz: float,
     t_max: float,
+    top: float,
 ) -> float:
-    """Distance to the surface along one ray; x, y in cells, z in metres, t in metres. inf for a miss."""
+    """Distance to the surface along one ray; x, y in cells, z in metres, t in metres; `top`: above all of the surface [m]. inf
+    for a miss."""
+    # Conditional expressions instead of `min` and `max`, and one division per axis: both halve the time.
     rows, cols = height.shape
     t0 = 0.0
     t1 = t_max
-    for o, d, top in ((ox, dx, cols - 1.0), (oy, dy, rows - 1.0)):
+    if dz > 0.0 and oz + dz * t1 > top:  # nothing stands higher
+        t1 = (top - oz) / dz
+    inv_x = 1.0 / dx if dx != 0.0 else np.inf
+    inv_y = 1.0 / dy if dy != 0.0 else np.inf
+    for o, d, inv, edge in ((ox, dx, inv_x, cols - 1.0), (oy, dy, inv_y, rows - 1.0)):
         if d == 0.0:
-            if o < 0.0 or o > top:
+            if o < 0.0 or o > edge:
                 return np.inf
         else:
-            a = -o / d
-            b = (top - o) / d
-            t0 = max(t0, min(a, b))
-            t1 = min(t1, max(a, b))
+            a = -o * inv
+            b = (edge - o) * inv
+            low = a if a < b else b
+            high = b if a < b else a
+            t0 = low if low > t0 else t0
+            t1 = high if high < t1 else t1
     if t0 >= t1:
         return np.inf
     # Which side of the surface the ray is on is carried from cell to cell: a crossing that falls between two
     # cells by rounding is then found in the second one instead of being stepped through.
     known = False
     above = True
-    x = ox + dx * t0
-    y = oy + dy * t0
-    bc = min(max(int(x / BLOCK), 0), blocks.shape[1] - 1)
-    br = min(max(int(y / BLOCK), 0), blocks.shape[0] - 1)
+    step_c = 1 if dx > 0.0 else -1
+    step_r = 1 if dy > 0.0 else -1
+    next_c = 1 if dx > 0.0 else 0  # the cell border that a ray leaves through
+    next_r = 1 if dy > 0.0 else 0
+    bc = min(max(int((ox + dx * t0) / BLOCK), 0), blocks.shape[1] - 1)
+    br = min(max(int((oy + dy * t0) / BLOCK), 0), blocks.shape[0] - 1)
     t = t0
     while t < t1:
-        tx = _next_plane(ox / BLOCK, dx / BLOCK, bc)
-        ty = _next_plane(oy / BLOCK, dy / BLOCK, br)
-        t_out = min(tx, ty, t1)
-        if min(oz + dz * t, oz + dz * t_out) > blocks[br, bc]:
+        tx = ((bc + next_c) * BLOCK - ox) * inv_x if dx != 0.0 else np.inf
+        ty = ((br + next_r) * BLOCK - oy) * inv_y if dy != 0.0 else np.inf
+        t_out = tx if tx < ty else ty
+        t_out = t_out if t_out < t1 else t1
+        lowest = oz + dz * (t if dz > 0.0 else t_out)
+        if lowest > blocks[br, bc]:
             known = True
             above = True
         else:
@@ -96,12 +99,15 @@ def _march(
             r = min(max(int(oy + dy * t), r_low), r_high)
             s = t
             while s < t_out:
-                sx = _next_plane(ox, dx, c)
-                sy = _next_plane(oy, dy, r)
-                e = min(sx, sy, t_out)
-                e = max(e, s)
-                top = max(max(height[r, c], height[r, c + 1]), max(height[r + 1, c], height[r + 1, c + 1]))
-                if min(oz + dz * s, oz + dz * e) > top:
+                sx = (c + next_c - ox) * inv_x if dx != 0.0 else np.inf
+                sy = (r + next_r - oy) * inv_y if dy != 0.0 else np.inf
+                e = sx if sx < sy else sy
+                e = e if e < t_out else t_out
+                e = e if e > s else s
+                h0 = height[r, c] if height[r, c] > height[r, c + 1] else height[r, c + 1]
+                h1 = height[r + 1, c] if height[r + 1, c] > height[r + 1, c + 1] else height[r + 1, c + 1]
+                lowest = oz + dz * (s if dz > 0.0 else e)
+                if lowest > (h0 if h0 > h1 else h1):
                     known = True
                     above = True
                 else:
@@ -128,23 +134,23 @@ def _march(
                                 return a + (b - a) * fa / (fa - fb)
                         a = b
                 if sx <= sy:
-                    c += 1 if dx > 0.0 else -1
+                    c += step_c
                     if c < c_low or c > c_high:
                         break
                 else:
-                    r += 1 if dy > 0.0 else -1
+                    r += step_r
                     if r < r_low or r > r_high:
                         break
                 s = e
         if tx <= ty:
-            bc += 1 if dx > 0.0 else -1
+            bc += step_c
             if bc < 0 or bc >= blocks.shape[1]:
                 break
         else:
-            br += 1 if dy > 0.0 else -1
+            br += step_r
             if br < 0 or br >= blocks.shape[0]:
                 break
-        t = max(t, t_out)
+        t = t_out if t_out > t else t
     return np.inf
 
 
@@ -162,6 +168,7 @@ def cast_surface(
     """Range (n,) [m] to the triangulated surface, inf for a miss."""
     n = origins.shape[0]
     out = np.empty(n, np.float32)
+    top = blocks.max() + 1e-3
     scale = 1.0 / resolution
     for i in range(n):
         out[i] = _march(
@@ -174,6 +181,7 @@ def cast_surface(
             directions[i, 1] * scale,
             float(directions[i, 2]),
             t_max,
+            top,
         )
     return out
 

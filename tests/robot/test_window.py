@@ -37,9 +37,9 @@ def test_the_window_draws_25_times_a_second_until_it_is_closed(monkeypatch: pyte
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     window = Window(SimpleNamespace(simulation=SimpleNamespace(model="model", data="data")))
     assert given == ["model", "data"]
-    for _ in range(200):  # one second of the robot's loop
+    for _ in range(1000):  # one second of the robot's loop
         window.show()
-        now[0] += 0.005
+        now[0] += 0.001
     assert 24 <= handle.synced <= 26
     handle.open = False  # the user closes it
     drawn = handle.synced

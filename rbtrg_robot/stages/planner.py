@@ -70,15 +70,15 @@ class PlannerStage:
         self._checked_version = -1
 
     def warm_up(self) -> None:
-        """Plan once on made-up ground."""
+        """Plan on made-up ground."""
         stage = PlannerStage(self._params, self._graph_params, self._body, self._limits)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         stage._grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
-        request = make(t.PLAN_REQUEST.type, start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0)
-        for changed in ((40, 40, 50, 50), (45, 45, 50, 50)):  # twice: the second carries evaluations over
+        # A goal on the map, then one off it: the second carries evaluations over and looks for a frontier.
+        for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
             stage._refresh((2.0, 2.0), stage._grid, [changed])
-            stage._answer(request)
+            stage._answer(make(t.PLAN_REQUEST.type, start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
 
     def close(self) -> None:
         """Nothing to release."""

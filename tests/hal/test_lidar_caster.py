@@ -1,10 +1,14 @@
 """The ray casters against plain geometry and against each other."""
 
+import sys
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from hal.lidar.caster import (
     CasterError,
+    EmbreeCaster,
     NumbaCaster,
     OrientedBox,
     Surface,
@@ -142,6 +146,69 @@ def test_embree_and_numba_agree_within_a_millimetre() -> None:
     hit = np.isfinite(a) & np.isfinite(b)
     error = np.abs(a[hit] - b[hit])
     assert np.percentile(error, 99.9) < 1e-3
+
+
+class FakeTensor:
+    """`open3d.core.Tensor` as the caster uses it."""
+
+    def __init__(self, array: np.ndarray) -> None:
+        self.array = np.asarray(array)
+
+    def numpy(self) -> np.ndarray:
+        return self.array
+
+
+class FakeScene:
+    """`open3d.t.geometry.RaycastingScene` of open3d 0.20 in plain numpy (Möller and Trumbore)."""
+
+    def __init__(self, nthreads: int = 0, device: object = None) -> None:
+        assert nthreads == 1
+
+    def add_triangles(self, vertex_positions: FakeTensor, triangle_indices: FakeTensor) -> int:
+        assert vertex_positions.array.dtype == np.float32
+        assert triangle_indices.array.dtype == np.uint32
+        self.corners = vertex_positions.array[triangle_indices.array].astype(float)  # (m, 3, 3)
+        return 0
+
+    def cast_rays(self, rays: FakeTensor, nthreads: int = 0) -> dict[str, FakeTensor]:
+        assert nthreads == 1
+        assert rays.array.dtype == np.float32
+        a, b, c = self.corners.transpose(1, 0, 2)
+        hit = []
+        for ray in rays.array.astype(float):
+            o, d = ray[:3], ray[3:]
+            p = np.cross(d, c - a)
+            det = (p * (b - a)).sum(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                u = ((o - a) * p).sum(axis=1) / det
+                q = np.cross(o - a, b - a)
+                v, t = q @ d / det, (q * (c - a)).sum(axis=1) / det
+            inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
+            hit.append(t[inside].min(initial=np.inf))
+        return {"t_hit": FakeTensor(np.array(hit, np.float32))}
+
+
+def test_with_open3d_its_caster_gets_the_triangles_that_numba_sees(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = SimpleNamespace(
+        core=SimpleNamespace(Tensor=FakeTensor),
+        t=SimpleNamespace(geometry=SimpleNamespace(RaycastingScene=FakeScene)),
+    )
+    monkeypatch.setitem(sys.modules, "open3d", fake)
+    surface = rough(5)
+    caster, message = make_caster(surface.height, surface.resolution, surface.origin)
+    assert isinstance(caster, EmbreeCaster)
+    assert message == "LiDAR uses open3d's ray caster"
+    assert isinstance(
+        make_caster(surface.height, surface.resolution, surface.origin, prefer="numba")[0], NumbaCaster
+    )
+    origins, directions = rays(6, 400)
+    a, b = caster.cast(origins, directions), NumbaCaster(surface).cast(origins, directions)
+    assert a.dtype == np.float32
+    both = np.isfinite(a) & np.isfinite(b)
+    assert both.sum() > 50
+    assert (np.isfinite(a) != np.isfinite(b)).sum() <= 2  # a ray exactly over an edge may go either way
+    np.testing.assert_allclose(a[both], b[both], atol=1e-3)
+    assert caster.cast(origins[:0], directions[:0]).shape == (0,)
 
 
 def test_the_lidar_sees_the_same_triangles_as_the_physics() -> None:

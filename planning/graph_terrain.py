@@ -42,18 +42,12 @@ BLOCK = 256
 
 def halo(res: float, max_gap: float) -> int:
     """Cells around a changed cell whose flags it may change."""
-    gap = _gap_cells(res, max_gap)
-    return 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * gap + _tip_cells(gap) + 3
+    return 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * _gap_cells(res, max_gap) + 3
 
 
 def _gap_cells(res: float, max_gap: float) -> int:
     """Side of the square that must not fit into what is to be bridged [cells]."""
     return math.floor(max_gap / res + 0.5) + 1
-
-
-def _tip_cells(gap: int) -> int:
-    """How far the tip of a pit's corner, in which a square of `gap` cells does not fit, may reach [cells]."""
-    return gap // 2 + 1
 
 
 def update_flags(
@@ -152,7 +146,6 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
     # Closing: what is narrower than the gap limit is bridged.
     z = _running(_running(height, gap, True, True), gap, False, False)
     limit = max_step + STEP_TOLERANCE
-    _restore_tips(z, height, gap, limit)
     diff = np.empty((rows, cols), np.float32)
     mean = np.empty((rows, cols), np.float32)
     for direction in range(4):
@@ -237,36 +230,6 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
                     flags[r + k * dr, c + k * dc] |= FACE
     _complete_corners(z, trusted, flags, limit)
     return flags
-
-
-@njit(cache=True)
-def _restore_tips(z, height, gap, limit):
-    """Undo in `z` the bridging of a wide pit's corners: they are no gap of their own, the robot has to go around."""
-    rows, cols = z.shape
-    cells = [(0, 0) for _ in range(0)]
-    for r in range(rows):
-        for c in range(cols):
-            if z[r, c] - height[r, c] > limit:
-                cells.append((r, c))
-    for _ in range(gap // 2 + 1):
-        restored = [(0, 0) for _ in range(0)]
-        left = [(0, 0) for _ in range(0)]
-        for r, c in cells:
-            of_pit = False
-            for i in range(max(0, r - 1), min(rows, r + 2)):
-                for j in range(max(0, c - 1), min(cols, c + 2)):
-                    floor = z[i, j] - height[i, j] <= limit
-                    if floor and abs(height[i, j] - height[r, c]) <= limit:
-                        of_pit = True
-            if of_pit:
-                restored.append((r, c))
-            else:
-                left.append((r, c))
-        if len(restored) == 0:
-            break
-        for r, c in restored:
-            z[r, c] = height[r, c]
-        cells = left
 
 
 @njit(cache=True)

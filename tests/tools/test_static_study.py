@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,19 @@ def test_the_table_says_what_is_reached_and_what_is_not():
     assert "p_int +0.0 % for -14.9 %: MISSED" in text
     assert "No instance had a route." in text
     assert "seed 3, pair 1: no node" in text
+
+
+def test_native_routes_through_walls_are_counted_and_left_out():
+    instances = [
+        replace(i, p_int=0.9, length=0.5 * i.length)
+        if i.scene == SCENES[0] and i.variant == "native" and i.seed < 5
+        else i
+        for i in made_up()
+    ]
+    text = markdown(instances, [])
+    assert "On 5 of 40 instances the native route has something over 0.5 m high under the body" in text
+    assert "On the other instances full against native: length +0.0 %, d_fb -20.0 %" in text
+    assert "On 0 of 40 instances" in markdown(made_up(), [])
 
 
 def test_the_yardstick_sees_a_step_on_the_route_and_unseen_ground():

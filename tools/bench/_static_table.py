@@ -82,12 +82,14 @@ def _through(instances: Sequence[Instance], graph: str) -> str:
     kept = [s for s in native if not walls[s].all()]
     if not count or not kept:
         return text + "."
+    why = "a wall it grazes in a turn"
+    if graph == "native":
+        why += ", or a thin one it drives through, for the disc test does not see it"
     n = macro({s: native[s][~walls[s]] for s in kept})
     f = macro({s: full[s][~walls[s]] for s in kept})
     rest = ", ".join(f"{m} {100 * c:+.1f} %" for m, c in zip(METRICS, f / n - 1.0, strict=True))
     return (
-        f"{text}: a thin wall it drives through (the native disc test does not see one) or a wall it grazes in a turn. "
-        f"Such a route is shorter than any the robot can drive, and what full adds in length is mostly the way around. "
+        f"{text}: {why}. Such a route is shorter than any the robot can drive, and full adds the way around. "
         f"On the other instances full against native: {rest} (they are chosen by native's result: where the change comes "
         f"from, not how large it is)."
     )

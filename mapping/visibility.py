@@ -12,6 +12,8 @@ from numba import njit
 
 RAYS = 2
 """Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
+COMPANY = 0.05
+"""Ground under something that left agrees with the ground around it within this [m]."""
 HANGING_RAYS = 6
 """Rays of one scan that must pass deep under a surface that is still seen: a beam or a lintel hangs there."""
 
@@ -106,6 +108,23 @@ def trace(
 
 
 @njit(cache=True)
+def _has_company(cells, index, below, shift):  # pragma: no cover
+    """Whether three of the neighbours in the tile know this height [m] too, now or from before. Ground goes on; what was
+    seen first of a face, its foot, is a line."""
+    size = 1 << shift
+    i, j = (index >> shift) & (size - 1), index & (size - 1)
+    n = 0
+    for a in range(max(i - 1, 0), min(i + 2, size)):
+        for b in range(max(j - 1, 0), min(j + 2, size)):
+            other = cells[index + ((a - i) << shift) + (b - j)]
+            if (a != i or b != j) and (
+                abs(other.height - below) <= COMPANY or abs(other.below - below) <= COMPANY
+            ):
+                n += 1
+    return n >= 3
+
+
+@njit(cache=True)
 def judge(
     hit, low, many, n, passes_needed, unseen, settled, clearance, now, cells, touched, area
 ):  # pragma: no cover
@@ -132,7 +151,7 @@ def judge(
         cell.passes = 0
         cell.streak = 0
         cell.alt = np.nan
-        if cell.below < low[k]:
+        if cell.below < low[k] and _has_company(cells, hit[k], cell.below, area >> 1):
             cell.height = cell.below
             cell.below = np.nan
             cell.seen = now

@@ -93,10 +93,6 @@ class LidarSimulator:
         self._pattern = None
         self._sweep: _Sweep | None = None
         self._last: tuple[int, Array, Array] | None = None
-        # Fresh pointing errors for every ray would take a quarter of the time: each sweep takes a random stretch of these.
-        size = 2 * spec.rays if self._noise and spec.angle_sigma > 0.0 else 0
-        table = np.random.Generator(np.random.SFC64(self._seed))
-        self._pointing = table.standard_normal((size, 3), dtype=np.float32)
         self._warm_up()
 
     def _warm_up(self) -> None:
@@ -150,10 +146,8 @@ class LidarSimulator:
         n = len(nominal)
         beams = np.empty_like(nominal)
         if self._noise and self.spec.angle_sigma > 0.0:
-            first = int(random.integers(n))
-            turn_beams(
-                nominal, self._pointing[first : first + n], self.spec.angle_sigma, self._rotation, beams
-            )
+            error = random.standard_normal(nominal.shape, dtype=np.float32)
+            turn_beams(nominal, error, self.spec.angle_sigma, self._rotation, beams)
         else:
             turn_beams(nominal, nominal, 0.0, self._rotation, beams)
         return _Sweep(

@@ -246,11 +246,14 @@ def test_trace_equals_brute_force_over_all_cells() -> None:
 
 def test_judge_removes_after_two_looks_and_gives_the_ground_back() -> None:
     store = TileStore(8)
+    around = store.locate(np.repeat([1, 2], 5), np.tile(np.arange(5), 2))
+    store.cells["source"][around], store.cells["height"][around] = LIDAR, 0.0  # ground beside all of them
     index = store.locate(np.zeros(5, np.int64), np.arange(5))
     store.cells["source"][index] = LIDAR
     store.cells["height"][index], store.cells["variance"][index] = 0.5, 1e-4
     store.cells["count"][index] = [9, 9, 9, 1, 9]
     store.cells["below"][index[1]] = 0.01  # ground known before
+    store.cells["below"][index[0]] = 0.11  # the foot of it, seen before the rest: nothing around is that high
     store.cells["below"][index[2]] = (
         0.30  # an earlier, lower view of the same thing: the rays passed under it
     )

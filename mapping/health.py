@@ -20,6 +20,8 @@ NORMAL_NOISE = 0.002
 """Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
 
 
+FITS_AGAIN = 0.9, 0.04
+"""Share of points on surfaces and RMS distance from them [m] of a scan that fits beyond doubt."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
 
 
@@ -67,7 +69,7 @@ class HealthParams(BaseModel):
     gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
     sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
     overlap_again: float = Field(
-        default=0.8, description="after a gap registration is not used below: somewhere else it fits half"
+        default=0.6, description="after a gap registration is not used below: somewhere else it fits half"
     )
     gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
     recover: int = Field(default=3, ge=1, description="fitting scans in a row that end `lost`")
@@ -182,8 +184,8 @@ class HealthMonitor:
         s = self.params
         return (
             match.overlap >= s.overlap_again
-            and match.inliers >= s.inliers_low
-            and match.residual <= s.residual_high
+            and match.inliers >= FITS_AGAIN[0]
+            and match.residual <= FITS_AGAIN[1]
         )
 
 

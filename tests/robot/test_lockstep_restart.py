@@ -65,10 +65,10 @@ def test_the_goal_goes_on_after_a_restart(process: str) -> None:
                 and not stack.newest[t.MAP_STATUS].restoring
                 and stack.newest[t.MAP_STATUS].trusted_cells > 0
             ),
-            3.0,
+            5.0,
             "readiness again",
         )
-        assert error(stack) < 0.03  # the robot coasted 0.1 m while nobody watched
+        assert error(stack) < 0.05  # the robot coasted 0.1 m while nobody watched
         after = stack.newest[t.MAP_STATUS]
         assert after.trusted_cells > 0.9 * before.trusted_cells
         assert after.known_cells > 0.7 * before.known_cells  # stray cells never reached the planner

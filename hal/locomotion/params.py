@@ -69,10 +69,6 @@ class VmcParams(NamedTuple):
     """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily."""
     turn_full: float = 0.35
     """Yaw rate [rad/s] from which the axles are pulled in fully."""
-    turn_lean: float = 0.25
-    """Lean [rad] beyond the wanted one at which turning has stopped; it slows down from 0.4 of that."""
-    place_kp: float = 5.0
-    """Speed of a wheel towards its place under the trunk while turning on the spot, per distance [1/s]."""
     place_rate: float = 0.40
     """Speed of wheel placement relative to the trunk [m/s]."""
 

@@ -206,14 +206,6 @@ def vmc_tick(
     m.speed += dt / (dt + 0.03) * (speed / total - m.speed)
 
     # --- commands
-    ground_pitch = -math.atan(m.slope_x)
-    ground_roll = math.atan(m.slope_y)
-    pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.level_pitch, p.level_pitch)
-    roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.level_roll, p.level_roll)
-    # A wheel caught on an edge while turning on the spot tips the trunk: turn on only as far as it stays level.
-    spot = clip((0.2 - abs(command[0])) / 0.1, 0.0, 1.0)
-    lean = max(abs(roll_wanted - roll), abs(pitch_wanted - pitch))
-    steady = 1.0 - spot * clip((lean - 0.4 * p.turn_lean) / (0.6 * p.turn_lean), 0.0, 1.0)
     climbing = m.mode != DRIVE
     push = np.zeros(2)  # wanted horizontal acceleration of the trunk
     w = p.shift_bandwidth if climbing else p.shift_back
@@ -232,9 +224,13 @@ def vmc_tick(
         # Braking may be harder than driving off: nobody waits for a start.
         slower = abs(command[0]) < abs(m.vx) or command[0] * m.vx < 0.0
         m.vx = slew(m.vx, command[0], (p.decel if slower else p.accel) * dt)
-        m.wz = slew(m.wz, command[1] * steady, p.alpha * dt)
+        m.wz = slew(m.wz, command[1], p.alpha * dt)
         push[0] += (m.vx - before_vx) / dt
     height = command[2]
+    ground_pitch = -math.atan(m.slope_x)
+    ground_roll = math.atan(m.slope_y)
+    pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.level_pitch, p.level_pitch)
+    roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.level_roll, p.level_roll)
 
     # --- trunk wrench and its distribution on the wheels
     error = clip(height - m.height, -0.08, 0.08)
@@ -287,11 +283,7 @@ def vmc_tick(
         m.hold = 0
 
     # --- wheel placement under the trunk
-    # A short wheelbase skids round easily, but on the spot an edge under the wheels tips it: there the axles are pulled in
-    # only on a hillside, where a long one sticks, and a wheel that an edge holds rolls back to its place.
-    turning = clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
-    grade = math.sqrt(m.grade[0] * m.grade[0] + m.grade[1] * m.grade[1])
-    pull = p.turn_pull * turning * max(1.0 - spot, clip((grade - 0.11) / 0.065, 0.0, 1.0))
+    pull = p.turn_pull * clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
     step = p.place_rate * dt
     # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.
     rolling = max(clip(abs(m.speed) / 0.3, 0.1, 1.0), clip(abs(m.wz) / 0.1, 0.0, 1.0))
@@ -299,8 +291,10 @@ def vmc_tick(
         rolling = 0.1  # axles that hurry back to their places would keep a stopping robot moving
     total_load = max(m.load[0] + m.load[1] + m.load[2] + m.load[3], 50.0)
     for leg in range(4):
+        goal_x = -pull * SX[leg] + com[0]
         before = m.place[leg, 0]
-        goal_x = before if climbing else com[0] - pull * SX[leg]
+        if climbing:
+            goal_x = before
         m.place[leg, 0] = slew(before, goal_x, step * rolling)
         m.place[leg, 1] = slew(m.place[leg, 1], com[1], step)
         rate_x = (m.place[leg, 0] - before) / dt
@@ -342,9 +336,7 @@ def vmc_tick(
             out[OUT_TAU, thigh + 1] += (
                 p.calf_share * clip(p.leg_kp * (out[OUT_Q, thigh] - q[thigh]), -20.0, 20.0) * ratio
             )
-        ground_speed = (
-            m.vx - turn * points[leg, 1] + rate_x + spot * turning * clip(p.place_kp * error_x, -0.4, 0.4)
-        )
+        ground_speed = m.vx - turn * points[leg, 1] + rate_x
         want = ground_speed / radius - spin[leg]
         band = limit / p.wheel_kd
         want = clip(want, dq[wheel] - band, dq[wheel] + band)

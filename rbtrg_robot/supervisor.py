@@ -126,8 +126,8 @@ class Supervisor:
             self._snapshot = json.dumps(self.status()).encode()
         if not self._ready and self._well():
             self._ready = True
-            self._write_state(lock)
             self._say(f"ready after {time.monotonic() - self.began:.1f} s")
+            self._write_state(lock)  # after the word: who waits for the state prints what was said
 
     def _write_state(self, lock: RunLock) -> None:
         lock.write_state(

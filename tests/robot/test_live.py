@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,8 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
-from rbtrg_robot.logfile import is_intact
-from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.logfile import is_intact, read_run
+from rbtrg_robot.messages import decode, header, make, stamp_of
 
 pytestmark = pytest.mark.timeout(420)
 START_LIMIT = 240.0
@@ -139,7 +140,6 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
         watch.send("far", x + 4.0, y)
         watch.until(lambda: watch.speed > 0.3, 60.0)
         victim = stack.processes()["tracker"]["pid"]
-        killed = watch.stamp / 1e9
         os.kill(victim, signal.SIGKILL)
         watch.until(lambda: watch.speed < 0.08, 30.0)
         watch.until(lambda: watch.speed > 0.3 or watch.goal in ("reached", "aborted"), 60.0)
@@ -172,21 +172,19 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
     assert not alive
     log = stack.log() / "log_0.mcap"
     assert is_intact(log)
-    with AnyReader([log]) as reader:
-        counts = {c.topic: 0 for c in reader.connections}
-        commands: list[float] = []
-        speeds: dict[float, float] = {}
-        for connection, _, raw in reader.messages():
-            message: Any = reader.deserialize(raw, connection.msgtype)
-            counts[connection.topic] += 1
-            if connection.topic == "/cmd_vel":
-                commands.append(stamp_of(message) / 1e9)
-            elif connection.topic == "/ground_truth/odom":
-                twist = message.twist.twist.linear
-                speeds[stamp_of(message) / 1e9] = math.hypot(twist.x, twist.y)
-    # By the log's own clock: from the last command before the tracker's death until the robot stood.
-    near = [pair for pair in itertools.pairwise(commands) if pair[1] > killed > pair[0] - 1.5]
-    last, _ = max(near, key=lambda pair: pair[1] - pair[0])
+    counts: Counter[str] = Counter()
+    commands: list[tuple[int, float]] = []
+    speeds: dict[float, float] = {}
+    for entry in read_run(log):
+        counts[entry.topic] += 1
+        if entry.topic == t.CMD_VEL.name:
+            commands.append((entry.sequence, stamp_of(decode(entry.data, entry.type)) / 1e9))
+        elif entry.topic == t.TRUTH.name:
+            message: Any = decode(entry.data, entry.type)
+            twist = message.twist.twist.linear
+            speeds[stamp_of(message) / 1e9] = math.hypot(twist.x, twist.y)
+    # By the log's own clock, from the last command of the tracker that died: the next one counts from 1 again.
+    (last,) = [before for (_, before), (count, _) in itertools.pairwise(commands) if count == 1]
     stood = next(stamp for stamp, speed in speeds.items() if stamp > last and speed < 0.1)
     assert stood - last < 0.6
     for name in ("/lidar/points", "/odom", "/elevation_map/update", "/plan", "/goal/request", "/cmd_vel"):

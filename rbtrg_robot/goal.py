@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from rbtrg_robot import topics as t
+from rbtrg_robot.messages import header, make
 from rbtrg_robot.reasons import Reason
 
 
@@ -64,6 +66,12 @@ class Goal:
         yaw = message.yaw if message.has_yaw else None
         return cls(message.id, message.x, message.y, yaw, now, message.timeout)
 
+    @classmethod
+    def from_status(cls, message: Any, now: int) -> Goal:
+        """As a navigator that is gone told it last."""
+        yaw = message.yaw if message.has_yaw else None
+        return cls(message.id, message.x, message.y, yaw, now)
+
     @property
     def finite(self) -> bool:
         """All numbers are numbers."""
@@ -72,3 +80,39 @@ class Goal:
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         """Enter a terminal state."""
         self.state, self.reason, self.detail = state, reason, detail
+
+    def status(self, now: int, distance_left: float) -> Any:
+        """rbtrg_msgs/GoalStatus in frame `map`; `now` [ns], `distance_left` along the path [m]."""
+        return make(
+            t.GOAL_STATUS.type,
+            header=header(now, "map"),
+            id=self.id,
+            state=self.state.value,
+            reason=self.reason.value,
+            detail=self.detail,
+            x=self.x,
+            y=self.y,
+            yaw=self.yaw or 0.0,
+            has_yaw=self.yaw is not None,
+            distance_left=distance_left if self.state is GoalState.MOVING else 0.0,
+            replans=self.replans,
+            recoveries=self.recoveries,
+            risk=self.risk,
+            frontier=self.frontier,
+        )
+
+
+def goal_request(
+    stamp: int, goal_id: str, x: float, y: float, yaw: float | None = None, **fields: Any
+) -> Any:
+    """rbtrg_msgs/GoalRequest for a place [m] and heading [rad] in frame `map`; `stamp` [ns]."""
+    return make(
+        t.GOAL_REQUEST.type,
+        header=header(stamp, "map"),
+        id=goal_id,
+        x=x,
+        y=y,
+        yaw=yaw or 0.0,
+        has_yaw=yaw is not None,
+        **fields,
+    )

@@ -15,7 +15,7 @@ from typing import Any, Self
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.goal import GoalState
+from rbtrg_robot.goal import GoalState, goal_request
 from rbtrg_robot.host import Sink, SyncHost
 from rbtrg_robot.logfile import CONFIG, LogWriter
 from rbtrg_robot.messages import decode, header, make, stamp_in
@@ -155,19 +155,7 @@ class Lockstep:
     def send_goal(self, x: float, y: float, yaw: float | None = None, timeout: float = 0.0) -> str:
         """Returns the goal's id."""
         goal_id = f"goal-{uuid.uuid5(uuid.NAMESPACE_OID, f'{self.now}/{x}/{y}').hex[:12]}"
-        self.host.inject(
-            t.GOAL_REQUEST,
-            make(
-                t.GOAL_REQUEST.type,
-                header=header(self.now, "map"),
-                id=goal_id,
-                x=float(x),
-                y=float(y),
-                yaw=float(yaw or 0.0),
-                has_yaw=yaw is not None,
-                timeout=timeout,
-            ),
-        )
+        self.host.inject(t.GOAL_REQUEST, goal_request(self.now, goal_id, x, y, yaw, timeout=timeout))
         return goal_id
 
     def command(self, mode: str, cause: str = "") -> None:

@@ -6,7 +6,8 @@ import math
 import sys
 import time
 import uuid
-from typing import Annotated, Any, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -29,6 +30,8 @@ POSTURES = {
 SETTLE = 1.0
 """Seconds until an answer counts as one to the order and not as the state before."""
 RESEND = 0.5
+REPEAT_ORDER = 0.1
+"""Seconds between two sendings of a goal, of an order to the robot."""
 ANSWER_LIMIT = 3.0
 """Seconds without any answer from the navigator."""
 
@@ -54,7 +57,7 @@ def goal(
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.messages import header, make
+    from rbtrg_robot.goal import goal_request
     from rbtrg_robot.runfiles import read_state
 
     x, y, goal_yaw, name = _target(target, read_state(robot))
@@ -66,17 +69,7 @@ def goal(
     goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
-        request = make(
-            t.GOAL_REQUEST.type,
-            header=header(time.time_ns(), "map"),
-            id=goal_id,
-            x=x,
-            y=y,
-            yaw=goal_yaw or 0.0,
-            has_yaw=goal_yaw is not None,
-            name=name,
-            timeout=timeout,
-        )
+        request = goal_request(time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout)
         raise typer.Exit(_follow(bus, goal_id, request, wait=wait, timeout=timeout))
 
 
@@ -187,12 +180,12 @@ def cancel(robot: Robot = "go2w") -> None:
 
 def stop(robot: Robot = "go2w") -> None:
     """Emergency stop: zero velocity at once, latched until `resume`."""
-    _order(robot, "stop", True)
+    _latch(robot, "stop", True)
 
 
 def resume(robot: Robot = "go2w") -> None:
     """Release the emergency stop."""
-    _order(robot, "resume", False)
+    _latch(robot, "resume", False)
 
 
 def posture(
@@ -201,48 +194,33 @@ def posture(
     robot: Robot = "go2w",
 ) -> None:
     """Stand up, sit down, go soft (damp), or recover from a fall or a fault."""
-    from rbtrg_robot import topics as t
-    from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.messages import header, make
-
     start = time.monotonic()
-    sent, shown, cause = -math.inf, "", ""
-    with connect(robot) as bus:
-        bus.subscribe([t.ROBOT_STATE])
-        bus.advertise(t.ROBOT_COMMAND)
-        while time.monotonic() - start < timeout:
-            if time.monotonic() - sent > RESEND:
-                sent = time.monotonic()
-                order = make(
-                    t.ROBOT_COMMAND.type, header=header(time.time_ns(), ""), mode=what, cause="operator"
-                )
-                bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
-            for received in bus.take(0.05):
-                state = received.decode()
-                cause = f"{state.phase}: {state.cause}"
-                if cause != shown:
-                    shown = cause
-                    print(cause)
-                if state.estop and what in ("stand", "recover"):
-                    print(
-                        "rbtrg-robot: the emergency stop is latched; `rbtrg-robot resume` first",
-                        file=sys.stderr,
-                    )
-                    raise typer.Exit(1)
-                waited = time.monotonic() - start
-                if state.phase in POSTURES[what] and waited > SETTLE:
-                    return
-                if state.phase == "fault" and waited > 4 * SETTLE:
-                    raise typer.Exit(1)
-    print(
-        f"rbtrg-robot: no `{what}` within {timeout:.0f} s ({cause or 'the robot does not answer'})",
-        file=sys.stderr,
-    )
-    raise typer.Exit(1)
+    shown = ""
+    for state in _order(robot, what, timeout):
+        cause = f"{state.phase}: {state.cause}"
+        if cause != shown:
+            shown = cause
+            print(cause)
+        if state.estop and what in ("stand", "recover"):
+            _fail("the emergency stop is latched; `rbtrg-robot resume` first")
+        waited = time.monotonic() - start
+        if state.phase in POSTURES[what] and waited > SETTLE:
+            return
+        if state.phase == "fault" and waited > 4 * SETTLE:
+            raise typer.Exit(1)
+    _fail(f"no `{what}` within {timeout:.0f} s ({shown or 'the robot does not answer'})")
 
 
-def _order(robot: str, mode: str, latched: bool) -> None:
-    """Repeat the order until the robot confirms it."""
+def _latch(robot: str, mode: str, latched: bool) -> None:
+    for state in _order(robot, mode, ANSWER_LIMIT):
+        if bool(state.estop) == latched:
+            print(f"stopped: {state.estop_cause}" if latched else "resumed")
+            return
+    _fail(f"the robot does not confirm `{mode}`; use the hardware stop")
+
+
+def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
+    """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState)."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.messages import header, make
@@ -250,19 +228,19 @@ def _order(robot: str, mode: str, latched: bool) -> None:
     with connect(robot) as bus:
         bus.subscribe([t.ROBOT_STATE])
         bus.advertise(t.ROBOT_COMMAND)
-        deadline = time.monotonic() + ANSWER_LIMIT
+        deadline = time.monotonic() + limit
         sent = -math.inf
         while time.monotonic() < deadline:
-            if time.monotonic() - sent > 0.1:
+            if time.monotonic() - sent > REPEAT_ORDER:
                 sent = time.monotonic()
                 order = make(
                     t.ROBOT_COMMAND.type, header=header(time.time_ns(), ""), mode=mode, cause="operator"
                 )
                 bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
             for received in bus.take(0.05):
-                state = received.decode()
-                if bool(state.estop) == latched:
-                    print(f"stopped: {state.estop_cause}" if latched else "resumed")
-                    return
-    print(f"rbtrg-robot: the robot does not confirm `{mode}`; use the hardware stop", file=sys.stderr)
+                yield received.decode()
+
+
+def _fail(text: str) -> NoReturn:
+    print(f"rbtrg-robot: {text}", file=sys.stderr)
     raise typer.Exit(1)

@@ -15,6 +15,7 @@ from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.goal import Goal, GoalState
 from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.plan_query import PlanQuery
 from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
 from rbtrg_robot.reasons import Reason
 from rbtrg_robot.stage import Outputs
@@ -22,6 +23,9 @@ from rbtrg_robot.topics import Topic
 
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 """Reasons that refuse a goal when its first plan meets them; later they abort it."""
+PLANNER_SILENT = "the planner is silent"
+LOOK_AGAIN = 1.0
+"""Seconds from a failed plan to the next try."""
 
 
 class NavigatorStage:
@@ -53,12 +57,8 @@ class NavigatorStage:
         self._health_reason = ""
         self._robot: Any = None
         self._tracker: Any = None
-        self._sequence = 0
-        self._asked = 0
-        self._first_asked = 0
-        self._waiting = False
+        self._query = PlanQuery()
         self._plan: Any = None
-        self._planned = 0
         self._route_bad = ""
         self._no_route = 0
         self._short = 0
@@ -104,9 +104,8 @@ class NavigatorStage:
         elif topic is t.PLAN:
             self._take_plan(message)
         elif topic is t.ROUTE_STATUS:
-            if self._waiting or message.sequence != self._sequence:
-                return self._out
-            self._route_bad = "" if message.valid else message.detail or "the map changed"
+            if self._query.is_about_route(message):
+                self._route_bad = "" if message.valid else message.detail or "the map changed"
         elif topic is t.GOAL_STATUS:
             self._restore(message)
         return self._out
@@ -129,7 +128,7 @@ class NavigatorStage:
         self._no_route = self._short = 0
         self._avoid = []
         self._plan = None
-        self._waiting = False
+        self._query.drop()
         self._missing_since = 0
         if not goal.finite:
             self._end(GoalState.REJECTED, Reason.INVALID)
@@ -145,24 +144,15 @@ class NavigatorStage:
     def _restore(self, message: Any) -> None:
         # After a crash nobody knows how far the goal had come: say so instead of driving on.
         if self._goal is None and message.state in [s.value for s in GoalState if s.active]:
-            yaw = message.yaw if message.has_yaw else None
-            self._goal = Goal(message.id, message.x, message.y, yaw, self._now)
+            self._goal = Goal.from_status(message, self._now)
             self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the navigator restarted")
 
     def _take_plan(self, message: Any) -> None:
         goal = self._goal
-        if (
-            not goal
-            or not goal.state.active
-            or message.goal_id != goal.id
-            or message.sequence != self._sequence
-            or not self._waiting
-        ):
+        if not goal or not goal.state.active or not self._query.answers(self._now, goal, message):
             return
-        self._waiting = False
         if self._missing_since:
             return  # asked before the inputs went: a new route is asked for when they are back
-        self._planned = self._now
         self._route_bad = ""
         if message.ok:
             self._no_route = 0
@@ -184,9 +174,8 @@ class NavigatorStage:
             self._end(GoalState.ABORTED, reason, message.detail)
             return
         # Noise can close a passage for a moment: stand and look again before giving up.
-        self._halt()
+        self._stand(goal, message.detail)
         goal.state = GoalState.PLANNING
-        goal.detail = message.detail
 
     # --- clock ------------------------------------------------------------------------------------------------
 
@@ -217,8 +206,7 @@ class NavigatorStage:
             reason, detail = missing
             if not self._missing_since:
                 self._missing_since = now
-                self._halt()
-                goal.detail = detail
+                self._stand(goal, detail)
             if now - self._missing_since > p.patience * NS:
                 self._end(GoalState.ABORTED, reason, detail)
             return None
@@ -227,14 +215,16 @@ class NavigatorStage:
             goal.detail = ""
             self._plan = None
             return self._ask()
-        if self._waiting:
-            if now - self._first_asked > p.patience * NS:
+        if self._query.open:
+            if self._query.waited(now) > p.patience:
                 return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
-            if now - self._asked > p.plan_retry * NS:
+            if self._query.silence(now) > p.plan_retry:
+                if goal.state is GoalState.MOVING:
+                    self._stand(goal, PLANNER_SILENT)
                 self._ask(again=True)
             return None
         if goal.state is GoalState.PLANNING:
-            if now - self._planned > 1.0 * NS:
+            if self._query.age(now) > LOOK_AGAIN:
                 self._replan(goal)
             return None
         return self._follow(goal)
@@ -247,19 +237,17 @@ class NavigatorStage:
             self._arrive(goal)
             return
         if goal.state is GoalState.MOVING and self._route_bad:
-            goal.detail = self._route_bad
-            self._halt()
+            self._stand(goal, self._route_bad)
             self._replan(goal)
             return
         if now - self._seen.get(t.ROUTE_STATUS, now) > p.plan_retry * NS:
-            self._halt()
-            goal.detail = "the planner is silent"
+            self._stand(goal, PLANNER_SILENT)
             self._replan(goal)
             return
         if self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             self._recover(goal)
             return
-        if goal.frontier and now - self._planned > p.replan_period * NS:
+        if goal.frontier and self._query.age(now) > p.replan_period:
             self._replan(goal)
 
     def _arrive(self, goal: Goal) -> None:
@@ -325,28 +313,10 @@ class NavigatorStage:
         goal = self._goal
         if goal is None or self._pose is None:
             return
-        if not again:
-            self._sequence += 1
-            self._first_asked = self._now
         if self._plan is None:
             goal.state = GoalState.PLANNING
-        self._waiting = True
-        self._asked = self._now
-        request = make(
-            t.PLAN_REQUEST.type,
-            header=header(self._now, "map"),
-            goal_id=goal.id,
-            sequence=self._sequence,
-            start_x=self._pose[0],
-            start_y=self._pose[1],
-            start_yaw=self._pose[2],
-            goal_x=goal.x,
-            goal_y=goal.y,
-            goal_yaw=goal.yaw or 0.0,
-            has_goal_yaw=goal.yaw is not None,
-            avoid=np.array(self._avoid, np.float64),
-        )
-        self._out.append((t.PLAN_REQUEST, request))
+        ask = self._query.repeat if again else self._query.ask
+        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._avoid)))
 
     def _drive(self, plan: Any) -> None:
         self._progress.reset()
@@ -359,6 +329,10 @@ class NavigatorStage:
         self._progress.reset()
         self._plan = None
         self._send(id="")
+
+    def _stand(self, goal: Goal, why: str) -> None:
+        goal.detail = why
+        self._halt()
 
     def _send(self, **fields: Any) -> None:
         self._path = make(t.PATH_COMMAND.type, header=header(self._now, "map"), **fields)
@@ -376,7 +350,7 @@ class NavigatorStage:
     def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         assert self._goal is not None
         self._goal.end(state, reason, detail)
-        self._waiting = False
+        self._query.drop()
         self._halt()
         self._status()
 
@@ -386,24 +360,7 @@ class NavigatorStage:
         if goal is None:
             status = make(t.GOAL_STATUS.type, header=header(self._now, "map"), state=GoalState.IDLE.value)
         else:
-            left = self._tracker.distance_left if self._tracker and goal.state is GoalState.MOVING else 0.0
-            status = make(
-                t.GOAL_STATUS.type,
-                header=header(self._now, "map"),
-                id=goal.id,
-                state=goal.state.value,
-                reason=goal.reason.value,
-                detail=goal.detail,
-                x=goal.x,
-                y=goal.y,
-                yaw=goal.yaw or 0.0,
-                has_yaw=goal.yaw is not None,
-                distance_left=left,
-                replans=goal.replans,
-                recoveries=goal.recoveries,
-                risk=goal.risk,
-                frontier=goal.frontier,
-            )
+            status = goal.status(self._now, self._tracker.distance_left if self._tracker else 0.0)
         self._out.append((t.GOAL_STATUS, status))
 
 

@@ -186,5 +186,5 @@ class OdometryStage:
 def build(config: Any) -> OdometryStage:
     """From the stack's configuration."""
     mount = config.lidar_mount()
-    odometry = LidarInertialOdometry(config.odometry, mount, config.lidar)
+    odometry = LidarInertialOdometry(config.odometry, mount)
     return OdometryStage(odometry, mount, config.imu_mount(), config.start_pose())

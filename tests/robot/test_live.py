@@ -22,8 +22,9 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
+from rbtrg_robot.goal import goal_request
 from rbtrg_robot.logfile import is_intact, read_run
-from rbtrg_robot.messages import decode, header, make, stamp_of
+from rbtrg_robot.messages import decode, stamp_of
 
 pytestmark = pytest.mark.timeout(420)
 START_LIMIT = 240.0
@@ -101,7 +102,7 @@ class Observer:
 
     def send(self, goal_id: str, x: float, y: float) -> None:
         """Until it is answered."""
-        request = make(t.GOAL_REQUEST.type, header=header(time.time_ns(), "map"), id=goal_id, x=x, y=y)
+        request = goal_request(time.time_ns(), goal_id, x, y)
         self.goal = ""
         end = time.monotonic() + 30.0
         while self.goal in ("", "idle"):

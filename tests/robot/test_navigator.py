@@ -277,6 +277,21 @@ def test_a_planner_that_dies_while_driving_halts(world: World) -> None:
     assert len(world.last(t.PATH_COMMAND).x) == 0
 
 
+def test_a_planner_that_dies_while_a_better_route_is_asked_for_halts(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    requests = world.count(t.PLAN_REQUEST)
+    while world.count(t.PLAN_REQUEST) == requests:
+        world.run(0.1)
+    assert len(world.last(t.PATH_COMMAND).x) == 11  # it drives on while it asks
+    world.silent.add(t.ROUTE_STATUS)
+    world.run(2.5)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    assert world.status.detail == "the planner is silent"
+    world.answer()
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
 def test_a_route_that_went_bad_halts_and_replans(world: World) -> None:
     world.goal()
     world.answer()

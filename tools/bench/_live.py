@@ -11,13 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
-from rbtrg_robot.messages import header, make
 from tools.bench.report import Report
-
-GOAL_LIMIT = 150.0
-"""Seconds for one goal."""
 
 
 @contextmanager
@@ -35,20 +30,6 @@ def running(report: Report, folder: Path, logs: Path, *arguments: str) -> Iterat
         began = time.monotonic()
         _command(["down"], environment)
         report.add("down_s", time.monotonic() - began, "s", 3.0)
-
-
-def goal_request(goal_id: str, x: float, y: float, yaw: float | None = None) -> object:
-    """A goal in `map` [m, rad] that gives up after `GOAL_LIMIT`."""
-    return make(
-        t.GOAL_REQUEST.type,
-        header=header(time.time_ns(), "map"),
-        id=goal_id,
-        x=x,
-        y=y,
-        yaw=yaw or 0.0,
-        has_yaw=yaw is not None,
-        timeout=GOAL_LIMIT,
-    )
 
 
 def _command(arguments: list[str], environment: dict[str, str]) -> None:

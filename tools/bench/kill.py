@@ -18,9 +18,10 @@ from typing import Any
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
+from rbtrg_robot.goal import goal_request
 from rbtrg_robot.messages import stamp_of
 from rbtrg_robot.processes import PROCESSES
-from tools.bench._live import goal_request, running
+from tools.bench._live import running
 from tools.bench.report import Report
 
 DRIVING, RESTING = 0.4, 0.05
@@ -92,7 +93,9 @@ class Watch:
                 raise SystemExit(f"the robot did not set off for goal {goal_id}")
             if time.monotonic() > resend and (self.goal is None or self.goal.id != goal_id):
                 resend = time.monotonic() + 1.0
-                self._bus.publish(t.GOAL_REQUEST, goal_request(goal_id, *goal), time.time_ns())
+                self._bus.publish(
+                    t.GOAL_REQUEST, goal_request(time.time_ns(), goal_id, *goal), time.time_ns()
+                )
             self.turn()
         return goal
 

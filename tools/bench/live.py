@@ -21,13 +21,16 @@ from hal.scenes import load_scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus, Received
 from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.goal import goal_request
 from rbtrg_robot.messages import stamp_of
-from tools.bench._live import GOAL_LIMIT, goal_request, running
+from tools.bench._live import running
 from tools.bench.report import Report
 
 SWEEP = 100_000_000
 """Duration of a scan [ns]: a map update carries the stamp of its end."""
 MOVING = 0.05
+GOAL_LIMIT = 150.0
+"""Seconds for one goal."""
 
 
 @dataclass
@@ -108,7 +111,7 @@ def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
     for number, name in enumerate(goals):
         x, y, yaw = scene.goals[name]
         goal_id = f"bench{number}"
-        request = goal_request(goal_id, x, y, yaw)
+        request = goal_request(time.time_ns(), goal_id, x, y, yaw, timeout=GOAL_LIMIT)
         sent = resend = time.monotonic()
         watch.status, watch.moved = None, 0.0
         bus.publish(t.GOAL_REQUEST, request, time.time_ns())

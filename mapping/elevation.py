@@ -23,6 +23,7 @@ from mapping.ground import support_patch
 from mapping.map_io import load_into, restore_store, save_store
 from mapping.patch import MapError, MapPatch
 from mapping.poses import checked_pose
+from mapping.prior import PriorCheck
 from mapping.readout import MapReader
 from mapping.tiles import CONTACT, UNKNOWN, TileStore
 from mapping.visibility import judge, trace
@@ -67,6 +68,7 @@ class ElevationMap:
         self._fresh = True
         self._rays = 0
         self._sensor = np.zeros(3)
+        self._prior: PriorCheck | None = None
         self._buffers(1024)
         self._limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope])
         self._body = np.array(p.body_box)
@@ -105,6 +107,7 @@ class ElevationMap:
         self.z_correction = 0.0
         self.scans = 0
         self._rays = 0
+        self._prior = None
         self._fresh = True
 
     def fuse(
@@ -156,6 +159,15 @@ class ElevationMap:
             self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
             self._which, self._slot, self._sums,
         )  # fmt: skip
+        if self._prior is not None and not self._prior.done:
+            which, sums = self._which[:k], self._sums[:k]
+            higher = self._prior.level(s.cells, which, sums)
+            if higher != 0.0:  # the prior map counts from another start: take its level
+                self.z_correction -= higher
+                return self.fuse(
+                    points, position, orientation, stamp, sensor_origin, attitude_sigma, height_sigma
+                )
+            self._prior.take(s.cells, which, sums)
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
         kernels.fuse(
@@ -257,13 +269,20 @@ class ElevationMap:
     def load_prior(self, path: Path) -> int:
         """Start from a map file (see `mapping.map_io`); returns its known cells. Readers see a new epoch.
 
+        The first scan takes the map's level, the first few tell whether it fits at all: see `warning`.
         Raises MapError and leaves the present map as it is when the file cannot be used.
         """
         store = TileStore(self.params.tile_cells)
         known = load_into(store, path, self.params.resolution, self.params.trust_count)
         self.reset()
         self.store = self._reader.store = store
+        self._prior = PriorCheck()
         return known
+
+    @property
+    def warning(self) -> str:
+        """What an operator should know of the map, in plain words; empty when all is well."""
+        return self._prior.warning if self._prior is not None else ""
 
     def restore(self, patch: MapPatch) -> int:
         """Take over what a reader still has of this map after the map itself was lost; returns the known cells.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.patch import MapError, MapPatch
-from mapping.tiles import CELL, CONTACT, FRESH, LIDAR, SAVED, UNKNOWN, TileStore
+from mapping.tiles import CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
 VERSION = 1
@@ -131,7 +131,7 @@ def _load_own(
             cells = store.cells[slot * n : (slot + 1) * n]
             for field in SAVED:
                 cells[field] = data[field][k].reshape(-1)
-            cells["seen"] = 0
+            cells["seen"] = PRIOR
             store.touched[slot] = 1
         return int(np.count_nonzero(data["source"] != UNKNOWN))
     known = data["source"] == LIDAR
@@ -199,7 +199,7 @@ def _enter_points(
     index = np.unique(index)
     cells = store.cells[index]
     cells["height"], cells["variance"] = top[index], PRIOR_SIGMA**2
-    cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, 0
+    cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, PRIOR
     store.cells[index] = cells
     store.touched[np.unique(index >> (2 * store.shift))] = 1
     return len(index)

@@ -38,13 +38,16 @@ there before something came to stand on it; upper [m]: lowest ray that passed ov
 and alt_seen [ms since the map's first scan]: last agreement with either height; count: points that agreed; source;
 streak: scans in a row that said `alt`; passes: clean-ups that looked through the cell."""
 
+PRIOR = -1
+"""`seen` of a cell that comes from a prior map and was not seen since."""
+
 FRESH = np.array([(np.nan, np.nan, np.nan, np.nan, np.inf, 0, 0, 0, UNKNOWN, 0, 0)], dtype=CELL)[0]
 
 SENT = np.dtype([("height", "<f4"), ("upper", "<f4"), ("state", "u1")])
 """What the last delta said about a cell."""
 FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
 
-SAVED = ("height", "variance", "below", "upper", "seen", "count", "source")
+SAVED = ("height", "variance", "below", "upper", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
 
 

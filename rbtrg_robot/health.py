@@ -161,6 +161,9 @@ class Health:
         health = self.newest.get(t.ODOM_HEALTH)
         if health is not None:
             row |= {"localization": health.health, "localization_reason": health.reason}
+        elevation = self.newest.get(t.MAP_STATUS)
+        if elevation is not None:
+            row["map_warning"] = elevation.warning
         goal = self.newest.get(t.GOAL_STATUS)
         if goal is not None:
             row["goal"] = {

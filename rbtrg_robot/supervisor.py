@@ -88,6 +88,7 @@ class Supervisor:
         self._usage_due = 0.0
         self._goal_said = ""
         self._estop_said = False
+        self._map_said = ""
         self.began = time.monotonic()
 
     # --- life -------------------------------------------------------------------------------------------------
@@ -251,6 +252,9 @@ class Supervisor:
         elif topic is t.ROBOT_STATE and bool(message.estop) != self._estop_said:
             self._estop_said = bool(message.estop)
             self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
+        elif topic is t.MAP_STATUS and message.warning != self._map_said:
+            self._map_said = message.warning
+            self._say(f"map: {message.warning or 'well again'}")
 
     def _answer(self) -> bytes:
         with self._lock:

@@ -64,6 +64,8 @@ def robot_line(robot: dict[str, Any]) -> str:
         words.append(f"{robot['speed']:.2f} m/s")
     if robot.get("localization", "good") != "good":
         words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
+    if robot.get("map_warning"):
+        words.append(f"MAP: {robot['map_warning']}")
     words.append(f"real-time factor {robot['realtime_factor']:.2f}")
     return ", ".join(words)
 

@@ -175,6 +175,7 @@ class ElevationStage:
             resolution=self.map.params.resolution,
             height_correction=self.map.z_correction,
             restoring=self._restoring,
+            warning=self.map.warning,
             detail=self._detail,
         )
         return [(t.MAP_STATUS, status)]

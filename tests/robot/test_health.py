@@ -70,3 +70,18 @@ def test_a_forgotten_process_has_no_heartbeat() -> None:
     assert health.beat_age("odometry") is not None
     health.forget("odometry")
     assert health.beat_age("odometry") is None
+
+
+def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
+    from rbtrg_robot.cli.table import robot_line
+
+    health = Health(simulated=True)
+    take(
+        health,
+        t.ROBOT_STATE,
+        make(t.ROBOT_STATE.type, header=header(1, ""), phase="ready", realtime_factor=1.0),
+    )
+    for warning in ("the prior map does not fit", ""):
+        take(health, t.MAP_STATUS, make(t.MAP_STATUS.type, header=header(1, "map"), warning=warning))
+        assert health.robot_row()["map_warning"] == warning
+        assert ("MAP: the prior map does not fit" in robot_line(health.robot_row())) == bool(warning)

@@ -73,7 +73,6 @@ class ElevationParams(BaseModel):
     )
     # --- clean-up
     clean_range: float = Field(default=6.0, description="rays are traced this far [m]")
-    clean_every: int = Field(default=3, ge=1, description="scans between two clean-ups")
     clean_margin: float = Field(
         default=0.04, description="a ray must pass this far below a surface to look through it [m]"
     )

@@ -59,9 +59,6 @@ class Engine(Protocol):
     def insert(self, pose: Array) -> None:
         """Add the cloud of the last `align` to the local map at `pose` (4, 4)."""
 
-    def reset(self) -> None:
-        """Forget the local map."""
-
 
 class KissParams(BaseModel):
     """KISS-ICP, driven frame by frame."""
@@ -155,12 +152,6 @@ class KissEngine:
         self._planes.insert(self._frame, np.ascontiguousarray(pose))
         self.scans += 1
 
-    def reset(self) -> None:
-        """See Engine."""
-        self._map.clear()
-        self._planes.clear()
-        self.scans = 0
-
 
 class GicpEngine:
     """small_gicp: distribution to distribution, plane-aware by construction."""
@@ -168,11 +159,16 @@ class GicpEngine:
     name: EngineName = "small_gicp"
 
     def __init__(self, params: GicpParams, max_range: float) -> None:
+        import small_gicp
+
         self._params = params
         self.sigma = params.surface_sigma
         self._max_range = max_range
         self._planes = VoxelPlanes(0.4, max_range)
-        self.reset()
+        self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
+        self._map.set_lru(horizon=params.horizon, clear_cycle=10)
+        self._points = np.empty((0, 3))
+        self.scans = 0
 
     def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
         """See Engine."""
@@ -201,16 +197,6 @@ class GicpEngine:
         self._map.insert(self._cloud, pose)
         self._planes.insert(self._points, np.ascontiguousarray(pose))
         self.scans += 1
-
-    def reset(self) -> None:
-        """See Engine."""
-        import small_gicp
-
-        self._map = small_gicp.GaussianVoxelMap(self._params.voxel_size)
-        self._map.set_lru(horizon=self._params.horizon, clear_cycle=10)
-        self._planes.clear()
-        self._points = np.empty((0, 3))
-        self.scans = 0
 
 
 def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:

@@ -68,7 +68,6 @@ class InertialFilter:
         self.x[9] = 1.0
         self.p = np.eye(15)
         self.u = np.zeros(6)
-        self.refused = 0
         self.lever = np.array(params.imu_position)
         self._noise = np.array(
             [params.gyro_noise, params.accel_noise, params.gyro_bias_walk, params.accel_bias_walk]
@@ -122,13 +121,12 @@ class InertialFilter:
         """Propagate to `end` [ns]; see `run`. Returns the track: stamps (k,) and IMU poses (k, 10) from the old to the new stamp."""
         rows = len(imu_stamp) + 2
         stamps, track = np.empty(rows, np.int64), np.empty((rows, 10))
-        rows, refused = run(
+        rows = run(
             self.x, self.p, self.u, self.stamp, end,
             imu_stamp, imu, wheel_stamp, wheel, wheel_sigma,
             self._noise, self.WHEEL_GATE, stamps, track,
         )  # fmt: skip
         self.stamp = max(end, self.stamp)
-        self.refused += refused
         return stamps[:rows], track[:rows]
 
     def update_pose(self, pose: Array, covariance: Array) -> None:

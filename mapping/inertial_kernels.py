@@ -148,17 +148,16 @@ def run(
     gate: float,
     track_stamp: NDArray[np.int64],
     track: Array,
-) -> tuple[int, int]:
+) -> int:
     """Advance x, p and the input u (6,) from `start` to `end` [ns] over the samples in between, in stamp order.
 
     `imu_stamp` (n,) int64 ascending > start, the last one may lie beyond `end` (it is interpolated); `imu` (n, 6);
     `wheel_stamp` (m,), `wheel` (m, 3), `wheel_sigma` (m, 3): velocities, each applied at the first step end at or after its stamp. Poses
-    x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to the track and wheel components refused.
+    x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to the track.
     """
     now = start
     w = 0
     rows = 0
-    refused = 0
     mid = np.empty(6)
     n = len(imu_stamp)
     track_stamp[rows] = now
@@ -182,7 +181,7 @@ def run(
         if i < n and imu_stamp[i] <= now:
             i += 1
         while w < len(wheel_stamp) and wheel_stamp[w] <= now:
-            refused += 3 - update_velocity(x, p, wheel[w], wheel_sigma[w], gate)
+            update_velocity(x, p, wheel[w], wheel_sigma[w], gate)
             w += 1
         if rows < len(track_stamp):
             track_stamp[rows] = now
@@ -191,7 +190,7 @@ def run(
         else:  # never more rows than samples; the last one is the end
             track_stamp[rows - 1] = now
             track[rows - 1] = x[:10]
-    return rows, refused
+    return rows
 
 
 @njit(cache=True)

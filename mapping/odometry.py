@@ -40,11 +40,9 @@ ZERO = np.zeros(6)
 class LidarInertialOdometry:
     """Feed samples in, `poll` for finished scans. One thread."""
 
-    def __init__(
-        self, params: OdometryParams = OdometryParams(), mount: Extrinsics = XT16_MOUNT, lidar: str = "xt16"
-    ) -> None:
+    def __init__(self, params: OdometryParams = OdometryParams(), mount: Extrinsics = XT16_MOUNT) -> None:
+        """`mount`: LiDAR in base_link."""
         self.params = params
-        self.lidar = lidar
         self.counters: Counter[str] = Counter()
         self.initialised = False
         self._engine = make_engine(params)

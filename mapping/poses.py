@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.patch import MapError
+from mapping.rotation import rotation
 
 
 def checked_pose(
@@ -19,11 +20,4 @@ def checked_pose(
     norm = float(np.linalg.norm(q))
     if norm < 0.5:
         raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
-    x, y, z, w = q / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    ), place
+    return rotation(q / norm), place

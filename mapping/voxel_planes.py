@@ -228,11 +228,6 @@ class VoxelPlanes:
         self._plane = np.zeros((CAPACITY, 5))
         self._used = 0
 
-    def clear(self) -> None:
-        """Forget everything."""
-        self._keys[:] = -1
-        self._used = 0
-
     def insert(self, points: Array, pose: Array) -> None:
         """Add points (n, 3) [m], body frame, at `pose` (4, 4)."""
         radius = self.radius

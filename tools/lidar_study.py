@@ -26,6 +26,7 @@ from mapping.elevation import ElevationMap
 from mapping.odometry import LidarInertialOdometry
 from mapping.odometry_types import OdometryParams, ScanOdometry
 from mapping.rotation import rotation
+from rbtrg_robot.params import ElevationStageParams
 from tools.synthetic import SyntheticRun
 from tools.synthetic_motion import Motion
 from tools.synthetic_scenes import FEATURES, corridor, feature_scene
@@ -33,6 +34,7 @@ from tools.synthetic_scenes import FEATURES, corridor, feature_scene
 BINS = np.array([0.4, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
 """Distance ahead of base_link [m]."""
 STEP = 0.04
+CLEAN_EVERY = ElevationStageParams().clean_every
 LEVEL = Motion(kind="straight", pitch=radians(1.0), roll=radians(1.0), bob=0.003)
 SHAKEN = Motion(kind="straight")
 MID360_LEVEL = Extrinsics((0.16, 0.0, 0.13))
@@ -64,7 +66,7 @@ class Stack:
 
     def __init__(self, run: SyntheticRun, engine: str) -> None:
         params = OdometryParams().model_copy(update={"engine": engine})
-        self.odometry = LidarInertialOdometry(params, run.extrinsics, run.lidar.name)
+        self.odometry = LidarInertialOdometry(params, run.extrinsics)
         self.odometry.warm_up()
         self.map = ElevationMap()
         self.map.warm_up()
@@ -90,7 +92,7 @@ class Stack:
             if self._joints is not None:
                 below = wheel_centres(self._joints.position) - np.array([0.0, 0.0, WHEEL_RADIUS])
                 self.map.fuse_ground(below, r.position, r.orientation, r.stamp)
-            if self.map.scans % self.map.params.clean_every == 0:
+            if self.map.scans % CLEAN_EVERY == 0:
                 self.map.clean()
             self.cpu.append(time.thread_time() - begin)
         return results

@@ -19,6 +19,7 @@ from mapping.odometry_types import ScanOdometry
 from mapping.patch import MapPatch
 from mapping.rotation import rotation, turn
 from mapping.tiles import LIDAR
+from rbtrg_robot.params import ElevationStageParams
 from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run, clearing_run, feature_run
 from tools.synthetic_scenes import FEATURES, OBSTACLE
@@ -27,6 +28,8 @@ RMSE_LIMIT = {"xt16": 5.0, "mid360": 10.0}
 """True poses, gyro deskew [mm]."""
 ENGINE_LIMIT = {"xt16": 20.0, "mid360": 35.0}
 """Default engine [mm]."""
+CLEAN_EVERY = ElevationStageParams().clean_every
+"""Scans between two clean-ups, as the stack runs."""
 FINE = 0.02
 """Cell size of the error figures [m]."""
 MARGIN = 0.06
@@ -99,7 +102,7 @@ class Mapper:
         if isinstance(scan, Registered):
             self.map.fuse_ground(scan.contacts, scan.position, scan.orientation, scan.stamp)
         self.scans += 1
-        if self.scans % self.map.params.clean_every == 0:
+        if self.scans % CLEAN_EVERY == 0:
             start = time.thread_time()
             self.map.clean()
             self.cleanup.append(time.thread_time() - start)

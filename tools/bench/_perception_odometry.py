@@ -89,9 +89,7 @@ def drive(
     """Stream `run` once through all `engines` (`kiss_icp`, `small_gicp`, `stock`)."""
     params = params or OdometryParams()
     ours = {
-        name: LidarInertialOdometry(
-            params.model_copy(update={"engine": name}), run.extrinsics, run.lidar.name
-        )
+        name: LidarInertialOdometry(params.model_copy(update={"engine": name}), run.extrinsics)
         for name in engines
         if name in ENGINES
     }

@@ -24,7 +24,7 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
     cells that were trusted after the first third and are unknown at the end [%].
     """
     run = soak_run(lidar, minutes=minutes, azimuth_step=azimuth_step)
-    odometry = LidarInertialOdometry(OdometryParams(), run.extrinsics, lidar)
+    odometry = LidarInertialOdometry(OdometryParams(), run.extrinsics)
     odometry.warm_up()
     elevation = ElevationMap(ElevationParams())
     elevation.warm_up()

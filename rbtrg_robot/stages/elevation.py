@@ -3,19 +3,36 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hal.go2w import MOTORS
 from hal.types import Extrinsics, JointSample
 from mapping.contacts import wheel_contacts
 from mapping.elevation import ElevationMap, ElevationParams
 from mapping.patch import MapError
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import LayoutError, cloud_points, joint_sample, map_patch, patch_msg, xyz, xyzw
+from rbtrg_robot.convert import (
+    BASE,
+    MAP,
+    ODOM,
+    LayoutError,
+    cloud_msg,
+    cloud_points,
+    joint_msg,
+    joint_sample,
+    map_patch,
+    odometry_msg,
+    patch_msg,
+    transform_msg,
+    xyz,
+    xyzw,
+)
 from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.messages import decode, encode, header, make, stamp_of
 from rbtrg_robot.params import ElevationStageParams
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -42,6 +59,7 @@ class ElevationStage:
     ) -> None:
         self.map = elevation
         self._params = params
+        self._mount = mount
         self._sensor = np.asarray(mount.translation, np.float64)
         self._poses: OrderedDict[int, Any] = OrderedDict()
         self._clouds: OrderedDict[int, Any] = OrderedDict()
@@ -56,8 +74,11 @@ class ElevationStage:
         self._patience = 0
 
     def warm_up(self) -> None:
-        """Compile the kernels."""
+        """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
+        stage = ElevationStage(ElevationMap(self.map.params), self._params, self._mount)
+        for topic, message in _rehearsal():
+            stage.on(topic, decode(encode(message), topic.type))
 
     def close(self) -> None:
         """Nothing to release."""
@@ -179,6 +200,17 @@ class ElevationStage:
             detail=self._detail,
         )
         return [(t.MAP_STATUS, status)]
+
+
+def _rehearsal() -> Iterator[tuple[Topic, Any]]:
+    """One scan as the wire brings it: what comes from there is read-only, and numba compiles for that apart."""
+    turned = (0.0, 0.0, 0.0, 1.0)
+    points = np.array([[2.0, 0.1 * k, -0.4] for k in range(8)], np.float32)
+    still = np.zeros(len(MOTORS))
+    yield t.TF_STATIC, make(t.TF_STATIC.type, transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
+    yield t.JOINTS, joint_msg(JointSample(0, still, still, still))
+    yield t.CLOUD, cloud_msg(0, BASE, points)
+    yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))
 
 
 def build(config: Any) -> ElevationStage:

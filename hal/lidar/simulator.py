@@ -146,7 +146,7 @@ class LidarSimulator:
         n = len(nominal)
         beams = np.empty_like(nominal)
         if self._noise and self.spec.angle_sigma > 0.0:
-            error = random.standard_normal(nominal.shape, dtype=np.float32)
+            error = random.random(nominal.shape, dtype=np.float32)
             turn_beams(nominal, error, self.spec.angle_sigma, self._rotation, beams)
         else:
             turn_beams(nominal, nominal, 0.0, self._rotation, beams)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hal.lidar.beams import measure, moving_rays
+from hal.lidar.beams import measure, moving_rays, turn_beams
 from hal.lidar.caster import NumbaCaster, OrientedBox, Surface
 from hal.lidar.simulator import QUANTUM, LidarSimulator, LidarTimeError, rotation_rpy
 from hal.lidar.spec import LIDARS
@@ -234,3 +234,19 @@ def wxyz(rpy: np.ndarray) -> np.ndarray:
             cr * cp * sy - sr * sp * cy,
         ]
     )
+
+
+def test_pointing_errors_have_the_specified_spread() -> None:
+    random = np.random.default_rng(2)
+    nominal = np.tile(np.array([[0.6, 0.0, 0.8]], np.float32), (20_000, 1))
+    rotation = rotation_rpy((0.1, -0.4, 2.0))
+    out = np.empty_like(nominal)
+    turn_beams(nominal, random.random(nominal.shape, dtype=np.float32), 0.002, rotation, out)
+    assert np.linalg.norm(out, axis=1) == pytest.approx(1.0, abs=1e-6)
+    back = out @ rotation
+    aside, across = back @ [0.0, 1.0, 0.0], back @ [0.8, 0.0, -0.6]
+    assert aside.std() == pytest.approx(0.002, rel=0.03)
+    assert across.std() == pytest.approx(0.002, rel=0.03)
+    assert abs(aside.mean()) < 5e-5
+    turn_beams(nominal, nominal, 0.0, rotation, out)
+    assert np.abs(out @ rotation - nominal).max() < 1e-6

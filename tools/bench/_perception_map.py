@@ -28,8 +28,8 @@ RMSE_LIMIT = {"xt16": 5.0, "mid360": 10.0}
 """True poses, gyro deskew [mm]."""
 ENGINE_LIMIT = {"xt16": 20.0, "mid360": 35.0}
 """Default engine [mm]."""
-CLEAN_EVERY = ElevationStageParams().clean_every
-"""Scans between two clean-ups, as the stack runs."""
+STAGE = ElevationStageParams()
+"""How often the stack cleans up and publishes."""
 FINE = 0.02
 """Cell size of the error figures [m]."""
 MARGIN = 0.06
@@ -87,6 +87,7 @@ class Mapper:
     fusion: list[float] = field(default_factory=list)
     """Thread time per scan [s]."""
     cleanup: list[float] = field(default_factory=list)
+    deltas: list[float] = field(default_factory=list)
     scans: int = 0
 
     def __post_init__(self) -> None:
@@ -102,10 +103,14 @@ class Mapper:
         if isinstance(scan, Registered):
             self.map.fuse_ground(scan.contacts, scan.position, scan.orientation, scan.stamp)
         self.scans += 1
-        if self.scans % CLEAN_EVERY == 0:
+        if self.scans % STAGE.clean_every == 0:
             start = time.thread_time()
             self.map.clean()
             self.cleanup.append(time.thread_time() - start)
+        if self.scans % STAGE.publish_every == 1:
+            start = time.thread_time()
+            self.map.take_patches()
+            self.deltas.append(time.thread_time() - start)
 
 
 @dataclass(slots=True)
@@ -171,25 +176,27 @@ def rows(report: Report, lidars: list[str], seconds: float, seed: int) -> None:
         rmse = flat_rmse_mm(run.scene, fine.map.full())
         report.add(f"map_rmse_mm.{lidar}.truth", rmse, "mm", RMSE_LIMIT.get(lidar))
         if lidar == "xt16":
-            fusion, cleanup = cost_ms(run)
+            fusion, cleanup, deltas = cost_ms(run)
             report.add("cpu_ms.fusion", fusion, "ms", 1.0)
             report.add("cpu_ms.cleanup", cleanup, "ms", 15.0)
+            report.add("cpu_ms.deltas", deltas, "ms")
     report.add("cleared_s", cleared_s(seed), "s", 1.5)
     for name in FEATURES:
         report.add(f"seen.{name}", float(seen(name, seed)), "1", 1.0, at_least=True)
 
 
-def cost_ms(run: SyntheticRun, scans: int = 90, repeats: int = 5) -> tuple[float, float]:
-    """Thread time of fusion and clean-up [ms]: median over scans of the best of `repeats` (the machine is shared)."""
+def cost_ms(run: SyntheticRun, scans: int = 90, repeats: int = 5) -> tuple[float, float, float]:
+    """Thread time of fusion, clean-up and of working out the deltas [ms]: median over scans of the best of `repeats` (the machine is shared)."""
     taken = [scan for scan, _ in zip(registered(run), range(scans), strict=False)]
-    fusion, cleanup = [], []
+    fusion, cleanup, deltas = [], [], []
     for _ in range(repeats):
         mapper = Mapper(run)
         for scan in taken:
             mapper.take(scan)
         fusion.append(mapper.fusion)
         cleanup.append(mapper.cleanup)
-    return tuple(1e3 * float(np.median(np.min(times, axis=0))) for times in (fusion, cleanup))  # type: ignore[return-value]
+        deltas.append(mapper.deltas)
+    return tuple(1e3 * float(np.median(np.min(times, axis=0))) for times in (fusion, cleanup, deltas))  # type: ignore[return-value]
 
 
 def cleared_s(seed: int) -> float:

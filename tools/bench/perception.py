@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 
 from mapping.odometry_types import OdometryParams
-from tools.bench import _perception_map, _perception_soak
+from tools.bench import _perception_lidar, _perception_map, _perception_soak
 from tools.bench._perception_odometry import Errors, drive, errors
 from tools.bench.report import Report
 from tools.synthetic import arena_run
@@ -43,6 +43,7 @@ def run(args: list[str]) -> Report:
     for lidar in options.lidar.split(","):
         _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
     _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)
+    _perception_lidar.rows(report, options.lidar.split(","))
     if options.soak > 0.0:
         _perception_soak.rows(report, options.soak)
     return report

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from planning.graph_risk import F32, edge_risk
-from planning.graph_terrain import FACE, UNSEEN
+from planning.graph_terrain import FACE, HOLE, TIP, UNSEEN
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
@@ -59,12 +59,14 @@ def corridor_free(
     length,
     width,
     max_tan,
+    max_gap,
     min_coverage,
     sums,
 ):
     """True if the footprint (length x width) can be moved straight from a to b.
 
-    Not both sides of a step under it, every cross-section seen to at least `min_coverage`, and nowhere
+    Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
+    `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
     steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
     `sums` is scratch, (sections, 8) float64.
     """
@@ -92,6 +94,7 @@ def corridor_free(
         return False
     strip = half / 3.0
     sides = 0
+    holes = False
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -102,6 +105,9 @@ def corridor_free(
             sides |= flag & FACE
             if sides == FACE:
                 return False
+            if flag & TIP:
+                return False
+            holes |= flag & HOLE > 0
             ex = x0 + c * res - xa
             ey = y - ya
             i = int((ex * ux + ey * uy + front) / SECTION)
@@ -125,7 +131,33 @@ def corridor_free(
     for i in range(n):
         if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
             return False
+    if holes and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
+        return False
     return _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip)
+
+
+@njit(cache=True)
+def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
+    """True if some line along the travel, within `half` of it, is over a hole for more than `max_gap`."""
+    rows, cols = flags.shape
+    step = 0.5 * res
+    most = math.floor((max_gap + res) / step)
+    n = math.ceil((high - low) / step)
+    tracks = math.ceil(2.0 * half / res)
+    for t in range(tracks + 1):
+        across = -half + 2.0 * half * t / tracks
+        run = 0
+        for s in range(n + 1):
+            along = low + s * step
+            c = math.floor((xa + along * ux - across * uy - x0) / res + 0.5)
+            r = math.floor((ya + along * uy + across * ux - y0) / res + 0.5)
+            if 0 <= r < rows and 0 <= c < cols and flags[r, c] & HOLE:
+                run += 1
+                if run > most:
+                    return True
+            else:
+                run = 0
+    return False
 
 
 @njit(cache=True)
@@ -171,7 +203,7 @@ def _not_steep(sums, n, limit, track):
 @njit(cache=True)
 def connect(
     height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, min_coverage, radius, risk, revision, version,
+    length, width, max_tan, max_gap, min_coverage, radius, risk, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -212,7 +244,8 @@ def connect(
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
                 if corridor_free(
-                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, min_coverage, sums,
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
+                    min_coverage, sums,
                 ):  # fmt: skip
                     risk[j, i, o] = edge_risk(
                         height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False

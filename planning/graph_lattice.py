@@ -175,7 +175,7 @@ class Lattice:
             rb = min(rows, math.ceil(((self.corner[1] + j1) * self.side - y0) / res) + 2 * k)
             ca = max(0, math.floor(((self.corner[0] + i0) * self.side - x0) / res) - 2 * k)
             cb = min(cols, math.ceil(((self.corner[0] + i1) * self.side - x0) / res) + 2 * k)
-            low, high = window_minmax(grid.height[ra:rb, ca:cb], k)
+            low, high = window_minmax(np.ascontiguousarray(grid.height[ra:rb, ca:cb]), k)
             place_nodes(
                 grid.height, self.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
                 *self.corner, self.side, self.seed, p.sample_num, todo, F32(p.robot_size), F32(p.height_threshold),
@@ -188,7 +188,7 @@ class Lattice:
         rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
         connect(
             grid.height, self.flags, xs, ys, x0, y0, res, self.chosen, self.where, OFFSETS, REACH * self.side, moved,
-            boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.min_coverage,
+            boxes, around, rank, p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage,
             F32(p.robot_size), self.risk, self.edge_revision, version,
         )  # fmt: skip
         todo[:] = moved

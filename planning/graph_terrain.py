@@ -25,6 +25,10 @@ UNSEEN_ALONE = 8
 """The same, granted or not."""
 GRANTED = 16
 """Ground around the start that counts as seen anyway (`planning.graph_blind`)."""
+HOLE = 32
+"""Below what it is bridged at by more than the step limit: driven across, not along (`graph_corridor`)."""
+TIP = 64
+"""Bridged, but the tip of a wide pit's corner: nothing of the robot goes over it."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
@@ -35,6 +39,8 @@ STEP_TOLERANCE = 0.015
 kerb of exactly the limit is not blocked here and there."""
 OUTLIER = 0.06
 """One cell alone may be this far off [m] (scan returns at edges are, by 3-5 cm)."""
+WIDE = 2.4
+"""A pit in which a square of so many times the gap limit fits is wide: at 0.1 m more than two posts of a stepfield."""
 UNSEEN_STEP = 0.40
 """Steps between two cells that are both not trusted count from here [m]: filled-in heights meet in false steps."""
 BLOCK = 256
@@ -42,7 +48,9 @@ BLOCK = 256
 
 def halo(res: float, max_gap: float) -> int:
     """Cells around a changed cell whose flags it may change."""
-    return 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * _gap_cells(res, max_gap) + 3
+    gap = _gap_cells(res, max_gap)
+    step = 2 * round(BASE / res) + round(0.5 * LATERAL / res) + 2 * gap + 3
+    return max(step, 5 * gap + 2)
 
 
 def _gap_cells(res: float, max_gap: float) -> int:
@@ -75,6 +83,7 @@ def update_flags(
                 max_step,
                 math.tan(max_slope),
                 _gap_cells(res, max_gap),
+                round(WIDE * max_gap / res),
             )
             _put(flags[r0:r1, c0:c1], block[r0 - ra : r1 - ra, c0 - ca : c1 - ca])
 
@@ -120,21 +129,22 @@ def _running(values, m, largest, forward):
 
 @njit(cache=True)
 def _unseen(trusted, m):
-    """1 where an m x m square of untrusted cells covers the cell."""
+    """1.0 where an m x m square of untrusted cells covers the cell, else 0.0; none reaches over the border."""
     rows, cols = trusted.shape
-    hole = np.zeros((rows, cols), np.uint8)
+    square = np.zeros((rows, cols), np.float32)
+    side = np.zeros(cols + 1, np.int32)  # of the largest such square that ends at each cell of this row
     for r in range(rows):
+        above_left = 0
         for c in range(cols):
-            hole[r, c] = 0 if trusted[r, c] else 1
-    eroded = _running(hole, m, False, True)
-    # a square that would reach over the border is not seen as one
-    eroded[max(0, rows - m + 1) :, :] = 0
-    eroded[:, max(0, cols - m + 1) :] = 0
-    return _running(eroded, m, True, False)
+            above = side[c + 1]
+            side[c + 1] = 0 if trusted[r, c] else min(min(above, above_left), side[c]) + 1
+            above_left = above
+            square[r, c] = side[c + 1] >= m
+    return _running(square, m, True, True)
 
 
 @njit(cache=True)
-def cell_flags(height, trusted, res, max_step, max_tan, gap):
+def cell_flags(height, trusted, res, max_step, max_tan, gap, pit):
     """Flags (rows, cols) uint8 of a map or a piece of one. Cells nearer than `halo` to a cut border are not reliable."""
     rows, cols = height.shape
     flags = np.zeros((rows, cols), np.uint8)
@@ -146,6 +156,12 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
     # Closing: what is narrower than the gap limit is bridged.
     z = _running(_running(height, gap, True, True), gap, False, False)
     limit = max_step + STEP_TOLERANCE
+    holes = False
+    for r in range(rows):
+        for c in range(cols):
+            if z[r, c] - height[r, c] > limit:
+                flags[r, c] |= HOLE
+                holes = True
     diff = np.empty((rows, cols), np.float32)
     mean = np.empty((rows, cols), np.float32)
     for direction in range(4):
@@ -229,7 +245,51 @@ def cell_flags(height, trusted, res, max_step, max_tan, gap):
                 for k in range(low + 1, high):
                     flags[r + k * dr, c + k * dc] |= FACE
     _complete_corners(z, trusted, flags, limit)
+    if holes:
+        wide = _running(_running(height, pit, True, True), pit, False, False)
+        _mark_tips(z, wide, height, flags, gap, limit)
     return flags
+
+
+@njit(cache=True)
+def _mark_tips(z, wide, height, flags, gap, limit):
+    """Mark the bridged tips of a wide pit's corners: the robot has to go around them, as around the pit.
+
+    A pit is wide (`WIDE`) when a larger closing, `wide`, leaves a floor in it; the holes of a stepfield are not, and their
+    neighbours may be crossed. Of what is bridged, that within a gap's width of the floor is a tip; beyond it a crack
+    leads away, which may be crossed too.
+    """
+    rows, cols = z.shape
+    cells = [(0, 0) for _ in range(0)]
+    for r in range(rows):
+        for c in range(cols):
+            if flags[r, c] & HOLE:
+                cells.append((r, c))
+    tip = np.zeros((rows, cols), np.bool_)
+    reach = 2 * gap
+    for k in range(gap):
+        found = [(0, 0) for _ in range(0)]
+        for r, c in cells:
+            if tip[r, c]:
+                continue
+            level = z[r, c] - limit
+            of_pit = False
+            for i in range(max(0, r - 1), min(rows, r + 2)):
+                for j in range(max(0, c - 1), min(cols, c + 2)):
+                    if tip[i, j]:
+                        of_pit = True
+                    elif k == 0 and not flags[i, j] & HOLE and height[i, j] < level:
+                        for a in range(max(0, i - reach), min(rows, i + reach + 1)):
+                            for b in range(max(0, j - reach), min(cols, j + reach + 1)):
+                                if wide[a, b] < level:
+                                    of_pit = True
+            if of_pit:
+                found.append((r, c))
+        if len(found) == 0:
+            break
+        for r, c in found:
+            tip[r, c] = True
+            flags[r, c] |= TIP
 
 
 @njit(cache=True)

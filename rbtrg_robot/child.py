@@ -28,8 +28,8 @@ def run(spec: dict[str, Any]) -> int:
 
     from rbtrg_robot.bus import Bus, BusError
     from rbtrg_robot.config import StackConfig
-    from rbtrg_robot.errors import OPERATOR_ERRORS
-    from rbtrg_robot.node import Node, describe
+    from rbtrg_robot.errors import OPERATOR_ERRORS, describe
+    from rbtrg_robot.node import Node
     from rbtrg_robot.processes import BY_NAME
     from rbtrg_robot.topics import BY_NAME as TOPIC_BY_NAME
 

@@ -163,9 +163,11 @@ def commit() -> str:
     return found.stdout.strip() if found.returncode == 0 else ""
 
 
-def load(file: Path | None = None, sets: Iterable[str] = (), **flags: Any) -> StackConfig:
-    """Merge the layers. `flags` that are None do not count. Raises ConfigError."""
-    values: dict[str, Any] = {}
+def load(
+    file: Path | None = None, sets: Iterable[str] = (), *, base: dict[str, Any] | None = None, **flags: Any
+) -> StackConfig:
+    """Merge the layers: `base`, then `file`, `sets`, `flags` (those that are None do not count). Raises ConfigError."""
+    values = base or {}
     if file is not None:
         try:
             loaded = yaml.safe_load(file.read_text())
@@ -176,7 +178,7 @@ def load(file: Path | None = None, sets: Iterable[str] = (), **flags: Any) -> St
             raise ConfigError(f"{file} is not YAML: {line}") from error
         if not isinstance(loaded, dict | None):
             raise ConfigError(f"{file} must hold `key: value` lines")
-        values = loaded or {}
+        _merge(values, loaded or {})
     for item in sets:
         key, sign, text = item.partition("=")
         if not sign or not key:
@@ -190,6 +192,32 @@ def load(file: Path | None = None, sets: Iterable[str] = (), **flags: Any) -> St
         return StackConfig.model_validate(values)
     except ValidationError as error:
         raise ConfigError(explain(error)) from error
+
+
+def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
+    """The configuration a log was made with, and its keys that this version does not have, left out of it."""
+    values: dict[str, Any] = yaml.safe_load(attached) or {}
+    unknown: list[str] = []
+    try:
+        StackConfig.model_validate(values)
+    except ValidationError as error:
+        for wrong in error.errors():
+            if wrong["type"] == "extra_forbidden":
+                *path, key = wrong["loc"]
+                group = values
+                for part in path:
+                    group = group[str(part)]
+                del group[str(key)]
+                unknown.append(".".join(str(part) for part in wrong["loc"]))
+    return values, unknown
+
+
+def _merge(values: dict[str, Any], over: dict[str, Any]) -> None:
+    for key, value in over.items():
+        if isinstance(value, dict) and isinstance(values.get(key), dict):
+            _merge(values[key], value)
+        else:
+            values[key] = value
 
 
 def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:

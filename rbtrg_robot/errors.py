@@ -10,7 +10,7 @@ from hal.mujoco.torchfile import PolicyError
 from hal.scenes import SceneError
 from mapping.patch import MapError
 from rbtrg_robot.bus import BusError
-from rbtrg_robot.config import ConfigError
+from rbtrg_robot.config import ConfigError, explain
 from rbtrg_robot.logfile import LogError
 from rbtrg_robot.runfiles import AlreadyRunning, NotRunning
 from rbtrg_robot.zygote import ZygoteError
@@ -29,3 +29,11 @@ OPERATOR_ERRORS: tuple[type[Exception], ...] = (
     ValidationError,
     ZygoteError,
 )
+
+
+def describe(error: BaseException) -> str:
+    """One line for an operator."""
+    if isinstance(error, ValidationError):
+        return explain(error)
+    lines = str(error).strip().splitlines()
+    return lines[0] if lines else type(error).__name__

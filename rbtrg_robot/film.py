@@ -6,12 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from hal.mujoco.render import Film, RenderError
 from hal.types import GroundTruth
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.config import ConfigError, load, of_log
 from rbtrg_robot.convert import joint_sample, xyz, xyzw
 from rbtrg_robot.logfile import CONFIG, first_of, read_run
 from rbtrg_robot.messages import decode, stamp_of
@@ -22,7 +21,7 @@ def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = Non
 
     Raises LogError, and ConfigError when nothing can be drawn (or the log is not of a simulated robot).
     """
-    config = StackConfig.model_validate(yaml.safe_load(first_of(log).attachments.get(CONFIG, b"{}")) or {})
+    config = load(base=of_log(first_of(log).attachments.get(CONFIG, b""))[0])
     if not config.simulated:
         raise ConfigError(f"{log} is not the log of a simulated robot: there is no scene to draw")
     made = Film(config.load_scene())

@@ -6,6 +6,7 @@ the message was recorded, `publish_time` its source clock; both in ns. rosbag2, 
 
 from __future__ import annotations
 
+import fcntl
 import os
 import struct
 from collections.abc import Iterator, Mapping
@@ -76,6 +77,7 @@ class LogWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             # Unbuffered: what a flush wrote must survive the death of this process.
             self._file = path.open("wb", buffering=0)
+            fcntl.flock(self._file, fcntl.LOCK_EX)  # tells `is_being_written`; gone with this process
         except OSError as error:
             raise LogError(f"cannot write {path}: {error.strerror}; choose another --log-dir") from error
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
@@ -263,6 +265,16 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
             for record in records:
                 writer.copy(*record)
         return writer.messages, contents.damage
+
+
+def is_being_written(path: Path) -> bool:
+    """A LogWriter has it open."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
 
 
 def is_intact(path: Path) -> bool:

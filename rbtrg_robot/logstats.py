@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rbtrg_robot.logfile import METADATA, Entry, LogContents, log_files, read_log
+from rbtrg_robot.logfile import METADATA, Entry, LogContents, is_being_written, log_files, read_log
 from rbtrg_robot.topics import BY_NAME
 
 
@@ -57,6 +57,8 @@ class LogSummary:
     metadata: dict[str, str]
     topics: dict[str, TopicStatistics]
     damage: list[str]
+    unfinished: list[str]
+    """Files that are being written: their end is no damage."""
     wall_seconds: float
 
     def problems(self) -> list[str]:
@@ -79,6 +81,7 @@ def summarize(path: Path) -> LogSummary:
     """One pass over a run. Raises LogError."""
     topics: dict[str, TopicStatistics] = {}
     damage: list[str] = []
+    unfinished: list[str] = []
     metadata: dict[str, str] = {}
     first = last = 0
     files = log_files(path)
@@ -88,9 +91,11 @@ def summarize(path: Path) -> LogSummary:
             topics.setdefault(entry.topic, TopicStatistics(entry.type)).add(entry)
             first = first or entry.log_time
             last = max(last, entry.log_time)
-        if contents.damage:
+        if is_being_written(file):
+            unfinished.append(file.name)
+        elif contents.damage:
             damage.append(f"{file.name} ends {contents.damage}; `rbtrg-robot log recover` repairs it")
         elif not contents.indexed:
             damage.append(f"{file.name} has no index")
         metadata = metadata or contents.metadata.get(METADATA, {})
-    return LogSummary([f.name for f in files], metadata, topics, damage, (last - first) / 1e9)
+    return LogSummary([f.name for f in files], metadata, topics, damage, unfinished, (last - first) / 1e9)

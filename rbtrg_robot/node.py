@@ -6,7 +6,6 @@ import logging
 import os
 import time
 from collections.abc import Callable
-from typing import Any
 
 from rbtrg_robot import messages, topics
 from rbtrg_robot.bus import Bus
@@ -113,9 +112,3 @@ class Node:
     def _publish(self, outputs: Outputs) -> None:
         for topic, message in outputs:
             self._bus.publish(topic, message, messages.stamp_of(message) or self.now)
-
-
-def describe(error: BaseException) -> str:
-    """One line for an operator."""
-    text: Any = str(error).strip().splitlines()
-    return text[0] if text else type(error).__name__

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import yaml
-
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.config import ConfigError, load, of_log
 from rbtrg_robot.host import SyncHost
 from rbtrg_robot.lockstep import build_stages
 from rbtrg_robot.logfile import CONFIG, METADATA, LogWriter, first_of, read_run
@@ -18,21 +16,31 @@ from rbtrg_robot.topics import Topic
 
 
 def rerun(
-    log: Path, names: list[str], out: Path, progress: Callable[[float], None] = lambda _seconds: None
+    log: Path,
+    names: list[str],
+    out: Path,
+    *,
+    file: Path | None = None,
+    sets: Sequence[str] = (),
+    progress: Callable[[float], None] = lambda _seconds: None,
+    say: Callable[[str], None] = lambda _text: None,
 ) -> dict[str, int]:
     """Feed `log` through the named stages; write inputs and new outputs to `out`.
 
-    The stages get the configuration the log was made with. What they publish replaces what the log holds on those
-    topics. `progress(seconds)` hears how much of the source clock is done. Returns messages per topic.
-    Raises ConfigError for a name that is no stage, LogError.
+    The stages get the configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). What they
+    publish replaces what the log holds on those topics. `progress(seconds)` hears how much of the source clock is done,
+    `say` what the operator should know. Returns messages per topic.
+    Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError.
     """
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
         if name not in possible:
             raise ConfigError(f"--rerun {name}: choose from {', '.join(possible)}")
     contents = first_of(log)
-    saved = yaml.safe_load(contents.attachments.get(CONFIG, b"{}")) or {}
-    config = StackConfig.model_validate(saved)
+    base, unknown = of_log(contents.attachments.get(CONFIG, b""))
+    if unknown:
+        say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
+    config = load(file, sets, base=base)
     metadata = contents.metadata.get(METADATA, {}) | {"rerun": ",".join(names)}
     stages = build_stages(config, names)
     for stage, _period in stages.values():
@@ -40,7 +48,7 @@ def rerun(
     replaced = {topic for stage, _ in stages.values() for topic in stage.outputs}
     counts: dict[str, int] = {}
     sequence: dict[Topic, int] = {}
-    with LogWriter(out, metadata, {CONFIG: contents.attachments.get(CONFIG, b"")}) as writer:
+    with LogWriter(out, metadata, {CONFIG: config.to_yaml().encode()}) as writer:
 
         def sink(topic: Topic, payload: bytes, now: int) -> None:
             if topic.recorded:

@@ -6,8 +6,12 @@ import fcntl
 import json
 import os
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
+
+LOOKING = 0.2
+"""Longest time [s] for which the lock may be held by processes that only look."""
 
 
 class AlreadyRunning(RuntimeError):
@@ -40,16 +44,25 @@ class RunLock:
         """Raises AlreadyRunning."""
         self._state = run_dir() / f"{robot}.json"
         self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            self._file.seek(0)
-            pid = int(self._file.read() or 0)
-            self._file.close()
-            raise AlreadyRunning(robot, pid) from None
+        patience = time.monotonic() + LOOKING
+        while not self._taken():
+            # `read_state` of somebody who only looks holds it for microseconds.
+            if time.monotonic() > patience:
+                self._file.seek(0)
+                pid = int(self._file.read() or 0)
+                self._file.close()
+                raise AlreadyRunning(robot, pid)
+            time.sleep(0.01)
         self._file.truncate(0)
         self._file.write(str(os.getpid()))
         self._file.flush()
+
+    def _taken(self) -> bool:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
 
     def write_state(self, **state: Any) -> None:
         """Replace the state file."""

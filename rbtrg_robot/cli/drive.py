@@ -168,11 +168,11 @@ def cancel(robot: Robot = "go2w") -> None:
                 bus.publish(t.GOAL_REQUEST, request, time.time_ns())
             for received in bus.take(0.1):
                 state = received.decode().state
-                if state == "idle":
-                    print("no goal to cancel")
+                if state == "cancelled":
+                    print("goal cancelled")
                     return
-                if state in EXIT:
-                    print(f"goal {state}")
+                if state == "idle" or state in EXIT:
+                    print("no goal to cancel" + (f"; the last one was {state}" if state in EXIT else ""))
                     return
     print("rbtrg-robot: the navigator does not answer; see `rbtrg-robot status`", file=sys.stderr)
     raise typer.Exit(1)

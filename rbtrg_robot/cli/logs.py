@@ -36,6 +36,10 @@ def replay(
     paused: Annotated[bool, typer.Option("--paused", help="Wait for the space bar.")] = False,
     rerun: Annotated[str | None, typer.Option(help="Instead: run these stages offline, a,b,c.")] = None,
     out: Annotated[Path | None, typer.Option(help="Where --rerun writes.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="For --rerun: YAML over the log's configuration.")
+    ] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="For --rerun: a.b=c over it.")] = None,
     robot: Robot = "go2w",
     port: Annotated[int, typer.Option(help="TCP port of the router when no stack is up.")] = 7447,
 ) -> None:
@@ -43,7 +47,7 @@ def replay(
     from rbtrg_robot.config import ConfigError
 
     if rerun is not None:
-        _rerun(file, [name for name in rerun.split(",") if name], out)
+        _rerun(file, [name for name in rerun.split(",") if name], out, config, set_ or [])
         return
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"--rate must be positive, got {rate}")
@@ -109,7 +113,7 @@ def _replay_bus(robot: str, port: int) -> Any:
     return bus
 
 
-def _rerun(file: Path, names: list[str], out: Path | None) -> None:
+def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, sets: list[str]) -> None:
     from rbtrg_robot.config import ConfigError
 
     if out is None:
@@ -133,7 +137,9 @@ def _rerun(file: Path, names: list[str], out: Path | None) -> None:
             done = seconds
             bar.update(task, completed=seconds)
 
-        counts = run_again(file, names, out, progress)
+        counts = run_again(
+            *(file, names, out), file=config, sets=sets, progress=progress, say=bar.console.print
+        )
     wall = time.monotonic() - began
     for name, count in sorted(counts.items()):
         print(f"{name:28s} {count:8d}")
@@ -157,6 +163,8 @@ def log_info(file: Path, as_json: Json = False) -> None:
         print(f"{name:28s} {s.type:38s} {s.count:8d} {s.rate:8.1f} {s.longest_gap:7.2f} {s.bytes / 1e6:8.2f}")
     for line in summary.damage:
         print(f"damage: {line}")
+    for name in summary.unfinished:
+        print(f"{name} is being written")
 
 
 @log_app.command("check")
@@ -218,6 +226,7 @@ def _summary(summary: Any) -> dict[str, Any]:
         "metadata": summary.metadata,
         "wall_seconds": summary.wall_seconds,
         "damage": summary.damage,
+        "being_written": summary.unfinished,
         "topics": {
             name: {
                 "type": s.type,

@@ -44,16 +44,26 @@ inspect.register(app)
 
 
 def main() -> None:
-    """Entry point: operator errors become one line and exit status 1."""
+    """Entry point: errors become one line and exit status 1."""
     try:
         app()
     except (KeyboardInterrupt, BrokenPipeError):
         sys.exit(130)
-    except Exception as error:
-        from rbtrg_robot.errors import OPERATOR_ERRORS
-        from rbtrg_robot.node import describe
+    except Exception as error:  # noqa: BLE001  the last place where an error can become one line
+        from rbtrg_robot.errors import OPERATOR_ERRORS, describe
 
+        text = describe(error)
         if not isinstance(error, OPERATOR_ERRORS):
-            raise
-        print(f"rbtrg-robot: {describe(error)}", file=sys.stderr)
+            text = f"a fault in the program ({type(error).__name__}: {text}); {_keep(error)}"
+        print(f"rbtrg-robot: {text}", file=sys.stderr)
         sys.exit(1)
+
+
+def _keep(error: Exception) -> str:
+    """The traceback is for the developer: it goes to a file, and the operator is told where."""
+    import tempfile
+    import traceback
+
+    with tempfile.NamedTemporaryFile("w", prefix="rbtrg-robot-", suffix=".txt", delete=False) as file:
+        traceback.print_exception(error, file=file)
+    return f"please report it with {file.name}"

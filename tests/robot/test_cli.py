@@ -10,10 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
+from hal.types import NS
 from rbtrg_robot import topics as t
-from rbtrg_robot.logfile import LogWriter
-from rbtrg_robot.messages import encode, header, make
+from rbtrg_robot.cli.main import main
+from rbtrg_robot.logfile import CONFIG, LogWriter, first_of
+from rbtrg_robot.messages import encode, header, make, time_msg
 from rbtrg_robot.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 
 
@@ -84,6 +87,42 @@ def test_a_taken_port_is_told(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "--port" in done.stderr.strip().splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_a_rerun_takes_the_configuration_of_the_log_with_changes(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}, {CONFIG: b"scene: flat\ntracker: {max_speed: 0.4, old_key: 1}\n"}) as writer:
+        for stamp in range(0, NS, NS // 10):
+            writer.write(t.CLOCK, encode(make(t.CLOCK.type, clock=time_msg(stamp))), stamp, stamp, 1)
+    out = tmp_path / "new.mcap"
+    order = ("replay", str(path), "--rerun", "tracker", "--out", str(out), "--set")
+    wrong = run(*order, "tracker.max_sped=1", tmp_path=tmp_path)
+    assert wrong.returncode == 1
+    assert "tracker.max_sped" in wrong.stderr.splitlines()[-1]
+    assert not out.exists()
+    done = run(*order, "tracker.goal_tolerance=0.07", tmp_path=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "tracker.old_key" in done.stdout
+    used = yaml.safe_load(first_of(out).attachments[CONFIG])
+    assert used["scene"] == "flat"
+    assert (used["tracker"]["max_speed"], used["tracker"]["goal_tolerance"]) == (0.4, 0.07)
+
+
+def test_a_fault_of_the_program_is_one_line_and_its_traceback_a_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("rbtrg_robot.cli.main.app", broken)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ZeroDivisionError" in line
+    kept = Path(line.split()[-1])
+    assert "in broken" in kept.read_text()
+    kept.unlink()
 
 
 def test_a_truncated_log_plays_and_says_so(tmp_path: Path) -> None:

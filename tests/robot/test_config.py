@@ -11,7 +11,7 @@ import yaml
 from hal.contract import BackendError
 from hal.types import Extrinsics
 from hal.unitree.options import UnitreeOptions
-from rbtrg_robot.config import ConfigError, StackConfig, load
+from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.robot_process import build
 
 
@@ -48,6 +48,22 @@ def test_what_is_shown_loads_again(tmp_path: Path) -> None:
 def test_wrong_keys_and_values_are_named(sets: list[str], named: str) -> None:
     with pytest.raises(ConfigError, match=named.replace(".", r"\.")):
         load(None, sets)
+
+
+def test_a_file_goes_over_what_a_log_was_made_with(tmp_path: Path) -> None:
+    made = yaml.safe_load(load(None, ["elevation.resolution=0.05", "seed=4"]).to_yaml())
+    made["elevation"]["gone_by_now"] = 3
+    made["coffee"] = {"sugar": 1}
+    base, unknown = of_log(yaml.safe_dump(made).encode())
+    assert sorted(unknown) == ["coffee", "elevation.gone_by_now"]
+    file = tmp_path / "c.yaml"
+    file.write_text("tracker:\n  max_speed: 0.4\n")
+    config = load(file, ["planner.variant=native"], base=base)
+    assert (config.elevation.resolution, config.seed, config.tracker.max_speed) == (0.05, 4, 0.4)
+    assert config.planner.variant == "native"
+    made["tracker"]["max_speed"] = -1.0
+    with pytest.raises(ConfigError, match=r"tracker\.max_speed"):
+        load(base=of_log(yaml.safe_dump(made).encode())[0])
 
 
 @pytest.mark.parametrize("text", ["a: [", "- 1\n- 2\n", "\x00"])

@@ -107,6 +107,20 @@ def test_a_truncated_log_reads_up_to_the_cut(tmp_path: Path, share: float) -> No
     assert any("recover" in line for line in summarize(path).damage) or contents.indexed
 
 
+def test_a_log_that_is_being_written_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {"scene": "flat"}) as writer:
+        writer.write(t.IMU, encode(make(t.IMU.type, header=header(5, "base_link"))), 5, 5, 1)
+        writer.flush()
+        summary = summarize(path)
+        assert (summary.unfinished, summary.problems()) == (["log_0.mcap"], [])
+        assert summary.topics["/imu/data"].count == 1
+    summary = summarize(path)
+    assert (summary.unfinished, summary.problems()) == ([], [])
+    path.write_bytes(path.read_bytes()[:-20])
+    assert len(summarize(path).problems()) == 1
+
+
 def test_what_is_no_log_is_refused_in_words(tmp_path: Path) -> None:
     text = tmp_path / "notes.mcap"
     text.write_text("dear diary")

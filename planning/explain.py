@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from planning.body_risk import FEATURES, BodyModel
 from planning.plan_types import SETS, Plan, PlanRequest, Transition
-from planning.pose_sets import Weights, route_moments
+from planning.pose_sets import Weights, route_moments, turn
 from planning.risk_table import RiskTable, weights_of
 from planning.terrain import Laid
+from planning.turns import edge_turn_cost
 
 
 @dataclass(slots=True)
@@ -28,6 +29,8 @@ class Route:
     start_yaw: float
     goal_yaw: float
     """[rad], NaN = any."""
+    turn_rate: NDArray[np.float64]
+    """(n,) [m/rad] what an edge under the wheels adds to a turn at each point."""
     moments: NDArray[np.float64]
     """(n - 1, 3, 3, 4), see `route_moments`."""
 
@@ -47,6 +50,7 @@ class Route:
             flip,
             start_yaw,
             goal_yaw,
+            roads.turn_rate[list(nodes)],
             np.empty((len(slots), 3, 3, 4)),
         )
         out.evaluate(table.laid, weights_of(table.body), 0, len(slots))
@@ -61,6 +65,21 @@ class Route:
         """(n - 1,) [m]"""
         return np.hypot(*np.diff(self.xy, axis=0).T)
 
+    def turn_cost(self) -> NDArray[np.float64]:
+        """(n - 1,) [m] for edges under the wheels in each transition's turns."""
+        if len(self.xy) < 2 or not self.turn_rate.any():
+            return np.zeros(len(self.xy) - 1)
+        heading = np.arctan2(*np.diff(self.xy, axis=0).T[::-1])
+        yaw = np.concatenate([[self.start_yaw], heading, [self.goal_yaw]])
+        cost = np.array(
+            [
+                0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn(a, b))
+                for rate, a, b in zip(self.turn_rate, yaw[:-1], yaw[1:], strict=True)
+            ]
+        )
+        cost[-2] += cost[-1]
+        return cost[:-1]
+
     def terms(self, w: Weights, sweeps: bool = True) -> NDArray[np.float64]:
         """(n - 1, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
         a = w.mean * self.moments[:, :, 0] + w.tail * self.moments[:, :, 1]
@@ -70,9 +89,10 @@ class Route:
         return np.nan_to_num(out, nan=-1.0)
 
     def cost(self, w: Weights) -> NDArray[np.float64]:
-        """(n - 1,) [m] of each transition (eq. 5)."""
+        """(n - 1,) [m] of each transition (eq. 5), and of edges in its turns."""
         worst = self.terms(w).max(axis=1)
-        return self.length * (1.0 + w.native * self.risk + w.body * worst[:, 0] + w.unknown * worst[:, 1])
+        rate = 1.0 + w.native * self.risk + w.body * worst[:, 0] + w.unknown * worst[:, 1]
+        return self.length * rate + self.turn_cost()
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
@@ -82,6 +102,7 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
     terms = route.terms(w, sweeps=request.variant != "edge-only")
     decided = terms.argmax(axis=1)
     native = 1.0 + w.native * route.risk
+    turns = route.turn_cost() if request.variant not in ("native", "edge-only") else np.zeros(len(length))
     transitions = []
     for t in range(len(length)):
         b, u = float(terms[t, decided[t, 0], 0]), float(terms[t, decided[t, 1], 1])
@@ -98,7 +119,8 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
                 float(route.risk[t]),
                 b,
                 u,
-                float(length[t] * factor),
+                float(length[t] * factor + turns[t]),
+                float(turns[t]),
                 SETS[decided[t, 0]],
                 SETS[decided[t, 1]],
                 mean,

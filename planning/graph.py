@@ -39,8 +39,8 @@ class TraversalGraph:
         indices: (nnz,) int32 target nodes.
         risk: (nnz,) float32 native risk, the same in both directions.
         frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
-        clearance: (n,) float32 distance to the nearest obstacle cell [m], capped at 0.6; inf where not known
-            (native, `from_edges`). At or above the footprint's circumradius the robot may turn in place freely.
+        turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; 0 where
+            not known (native, `from_edges`).
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
             clear of obstacles at the node; `planning.graph_describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
@@ -56,7 +56,7 @@ class TraversalGraph:
     indices: NDArray[np.int32]
     risk: NDArray[np.float32]
     frontier: NDArray[np.bool_]
-    clearance: NDArray[np.float32]
+    turn_edge: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     node_ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
@@ -183,7 +183,7 @@ class TraversalGraph:
         edges: NDArray[np.integer],
         risk: NDArray[np.floating],
         frontier: NDArray[np.bool_] | None,
-        clearance: NDArray[np.float32] | None,
+        turn_edge: NDArray[np.float32] | None,
         free_headings: NDArray[np.uint64] | None,
         ids: NDArray[np.integer],
         node_revision: NDArray[Any],
@@ -204,10 +204,8 @@ class TraversalGraph:
         self.frontier = (
             np.zeros(n, dtype=np.bool_) if frontier is None else np.asarray(frontier, dtype=np.bool_)
         )
-        self.clearance = (
-            np.full(n, np.inf, dtype=np.float32)
-            if clearance is None
-            else np.asarray(clearance, dtype=np.float32)
+        self.turn_edge = (
+            np.zeros(n, dtype=np.float32) if turn_edge is None else np.asarray(turn_edge, dtype=np.float32)
         )
         self.free_headings = np.full(n, ALL_HEADINGS) if free_headings is None else free_headings
         self.version += 1

@@ -1,4 +1,4 @@
-"""What the corrected graph knows about a node beside its place: frontier, headings that fit, sight of the robot."""
+"""What the corrected graph knows about a node beside its place: frontier, headings that fit, edges in a turn, sight of the robot."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ import numpy as np
 from numba import njit
 
 from planning.graph_place import step_distance2
+from planning.graph_risk import select
 from planning.graph_terrain import FACE, HIGH, LOW, UNSEEN
 
 RAYS = 16
 HEADINGS = 36
 """Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
+WHEEL_RING = (0.15, 0.36)
+"""Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
+EDGE_BASE = 0.12
+"""Distance over which an edge under the wheels is measured [m]."""
 UNKNOWN_RUN = 0.20
 """Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
@@ -105,6 +110,60 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
+def turn_edge(height, trusted, x0, y0, res, x, y):
+    """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope.
+
+    Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
+    nor part of a plate counts.
+    """
+    rows, cols = height.shape
+    stride = max(1, round(0.04 / res))
+    base = round(EDGE_BASE / (stride * res))
+    n = math.ceil((WHEEL_RING[1] + 0.5 * EDGE_BASE) / (stride * res))
+    half = round(0.02 / res)
+    r_mid = math.floor((y - y0) / res + 0.5)
+    c_mid = math.floor((x - x0) / res + 0.5)
+    side = 2 * n + 1
+    mean = np.full((side, side), np.nan)
+    for i in range(side):
+        r = r_mid + (i - n) * stride
+        for j in range(side):
+            c = c_mid + (j - n) * stride
+            total = 0.0
+            count = 0
+            for a in range(max(0, r - half), min(rows, r + half + 1)):
+                for b in range(max(0, c - half), min(cols, c + half + 1)):
+                    if trusted[a, b]:
+                        total += height[a, b]
+                        count += 1
+            if count > 0:
+                mean[i, j] = total / count
+    inner = (WHEEL_RING[0] / (stride * res)) ** 2
+    outer = (WHEEL_RING[1] / (stride * res)) ** 2
+    rises = np.empty(side * side, np.float64)
+    most = 0.0
+    for axis in range(2):
+        di = base * (axis == 0)
+        dj = base * (axis == 1)
+        count = 0
+        low = np.inf
+        high = -np.inf
+        for i in range(side - di):
+            for j in range(side - dj):
+                d2 = (i + 0.5 * di - n) ** 2 + (j + 0.5 * dj - n) ** 2
+                rise = mean[i + di, j + dj] - mean[i, j]
+                if inner <= d2 <= outer and rise == rise:
+                    rises[count] = rise
+                    count += 1
+                    low = min(low, rise)
+                    high = max(high, rise)
+        if count > 0:
+            slope = select(rises, count, count // 2)
+            most = max(most, max(high - slope, slope - low))
+    return most
+
+
+@njit(cache=True)
 def in_sight(flags, x0, y0, res, xa, ya, points, reach):
     """(n,) bool: which points (n, 2) lie within `reach` and the straight line, three cells wide, is on no step."""
     rows, cols = flags.shape
@@ -130,8 +189,10 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 
 
 @njit(cache=True)
-def describe_nodes(flags, x0, y0, res, chosen, where, todo, ring, length, width, frontier, headings):
-    """Set `frontier` and `headings` (ny, nx) of the lattice cells in `todo`."""
+def describe_nodes(
+    height, trusted, flags, x0, y0, res, chosen, where, todo, ring, length, width, frontier, headings, edge
+):
+    """Set `frontier`, `headings` and `edge` (ny, nx) of the lattice cells in `todo`."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):
             if not todo[j, i]:
@@ -142,3 +203,4 @@ def describe_nodes(flags, x0, y0, res, chosen, where, todo, ring, length, width,
                 y = where[j, i, 1]
                 frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring)
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
+                edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y)

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from planning.errors import PlanningError
 from planning.graph_input import GraphParams
 
-FORMAT = 1
+FORMAT = 2
 """Version of the layout; `read_graph` refuses others."""
 _ARRAYS: dict[str, tuple[type, str, int]] = {
     "nodes": (np.float64, "node", 2),
@@ -22,7 +22,7 @@ _ARRAYS: dict[str, tuple[type, str, int]] = {
     "indices": (np.int32, "edge", 1),
     "risk": (np.float32, "edge", 1),
     "frontier": (np.bool_, "node", 1),
-    "clearance": (np.float32, "node", 1),
+    "turn_edge": (np.float32, "node", 1),
     "free_headings": (np.uint64, "node", 1),
     "node_ids": (np.int64, "node", 1),
     "node_revision": (np.int64, "node", 1),

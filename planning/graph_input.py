@@ -45,6 +45,11 @@ class GraphParams(BaseModel):
     max_gap: float = Field(
         default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
     )
+    max_turn_step: float = Field(
+        default=0.03,
+        ge=0.0,
+        description="corrected: highest edge turned over on the spot at no extra cost [m]",
+    )
     min_coverage: float = Field(
         default=0.70,
         ge=0.0,

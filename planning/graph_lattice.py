@@ -20,7 +20,7 @@ from planning.graph_blind import grant_blind
 from planning.graph_corridor import MARGIN, SECTION, connect
 from planning.graph_describe import UNKNOWN_RUN, describe_nodes, in_sight
 from planning.graph_input import GraphParams, Window, merge_windows
-from planning.graph_place import CLEAR, place_nodes
+from planning.graph_place import CLEAR_LEVELS, place_nodes
 from planning.graph_risk import F32, nearest_height, window_minmax
 from planning.graph_terrain import halo, update_flags
 
@@ -37,7 +37,7 @@ class Built(NamedTuple):
     edges: NDArray[np.int64]
     risk: NDArray[np.float32]
     frontier: NDArray[np.bool_]
-    clearance: NDArray[np.float32]
+    turn_edge: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
@@ -88,7 +88,7 @@ class Lattice:
         self.flags = np.zeros(shape, dtype=np.uint8)
         self.chosen = np.full((ny, nx), -1, dtype=np.int8)
         self.where = np.zeros((ny, nx, 2))
-        self.clearance = np.zeros((ny, nx), dtype=np.float32)
+        self.turn_edge = np.zeros((ny, nx), dtype=np.float32)
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
         self.headings = np.zeros((ny, nx), dtype=np.uint64)
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
@@ -126,7 +126,7 @@ class Lattice:
         for name in (
             "chosen",
             "where",
-            "clearance",
+            "turn_edge",
             "frontier",
             "headings",
             "node_revision",
@@ -168,7 +168,7 @@ class Lattice:
         before = (self.chosen.copy(), self.where.copy())
         todo = np.zeros(self.chosen.shape, dtype=np.bool_)
         for box in boxes:
-            j0, i0, j1, i1 = self._cells(box, max(CLEAR, p.robot_size) + 2.0 * res)
+            j0, i0, j1, i1 = self._cells(box, max(CLEAR_LEVELS[0], p.robot_size) + 2.0 * res)
             todo[:] = False
             todo[j0:j1, i0:i1] = True
             ra = max(0, math.floor(((self.corner[1] + j0) * self.side - y0) / res) - 2 * k)
@@ -180,9 +180,8 @@ class Lattice:
                 grid.height, self.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
                 *self.corner, self.side, self.seed, p.sample_num, todo, F32(p.robot_size), F32(p.height_threshold),
                 F32(p.collision_threshold), 0.5 * p.width, p.min_coverage,
-                self.chosen, self.where, self.clearance,
+                self.chosen, self.where,
             )  # fmt: skip
-            self.clearance[self.chosen < 0] = 0.0
         moved = (before[0] != self.chosen) | (before[1] != self.where).any(axis=2)
         around = max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, p.robot_size) + res
         rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
@@ -200,8 +199,8 @@ class Lattice:
             self.node_revision[j0:j1, i0:i1] = version
         self.node_revision[moved] = version
         describe_nodes(
-            self.flags, x0, y0, res, self.chosen, self.where, todo, ring, p.length, p.width,
-            self.frontier, self.headings,
+            grid.height, grid.trusted, self.flags, x0, y0, res, self.chosen, self.where, todo, ring,
+            p.length, p.width, self.frontier, self.headings, self.turn_edge,
         )  # fmt: skip
         return True
 
@@ -245,7 +244,7 @@ class Lattice:
             new[edges[kept]],
             self.risk[ej, ei, eo][kept],
             self.frontier[j, i][keep],
-            self.clearance[j, i][keep],
+            self.turn_edge[j, i][keep],
             self.headings[j, i][keep],
             ids[keep],
             self.node_revision[j, i][keep].astype(np.int64),

@@ -14,8 +14,6 @@ from numba import njit
 from planning.graph_risk import F32, disc_blocked
 from planning.graph_terrain import FACE, HIGH, LOW, UNSEEN
 
-CLEAR = 0.60
-"""Clearance is measured up to here [m]."""
 CLEAR_LEVELS = (0.45, 0.36, 0.28)
 """Candidates are taken for the best of these clearances they reach [m]; steps, so that noise does not move nodes."""
 TRIES = 6
@@ -166,9 +164,9 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
 def place_nodes(
     height, flags, xs, ys, x0, y0, res, low, high, k_disc, low_r, low_c,
     ix0, iy0, side, seed, samples, todo, radius, limit, share, half_width, min_coverage,
-    chosen, where, clearance,
+    chosen, where,
 ):  # fmt: skip
-    """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y), clearance.
+    """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y).
 
     low, high: `window_minmax` of a piece of the map that starts at row low_r, column low_c and covers the discs.
     """
@@ -232,5 +230,3 @@ def place_nodes(
                 ):  # fmt: skip
                     where[j, i, 0] = x
                     where[j, i, 1] = y
-            if best >= 0:
-                clearance[j, i] = math.sqrt(step_distance2(flags, x0, y0, res, x, y, CLEAR)[0])

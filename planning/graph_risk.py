@@ -47,7 +47,7 @@ def window_minmax(height, k):
 
 
 @njit(cache=True)
-def _select(values, n, k):
+def select(values, n, k):
     """The k-th smallest of values[:n] (Hoare's quickselect; reorders `values`)."""
     left = 0
     right = n - 1
@@ -108,7 +108,7 @@ def disc_blocked(height, xs, ys, x0, y0, res, low, high, k, x, y, radius, limit,
                     n += 1
     if n == 0:
         return True
-    median = _select(buffer, n, n // 2)
+    median = select(buffer, n, n // 2)
     outliers = 0
     for i in range(n):
         if abs(buffer[i] - median) > limit:

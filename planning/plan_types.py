@@ -48,7 +48,9 @@ class Transition:
     unknown: float
     """U [-]."""
     cost: float
-    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant."""
+    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, and `turn_cost`."""
+    turn_cost: float
+    """[m] for turning in place over an edge before the edge (or after it, at the goal), see `planning.turns`."""
     body_from: str
     """Pose set that decided B: one of `SETS`."""
     unknown_from: str

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph import TraversalGraph
+from planning.turns import TURN_COST
 
 
 class Roads(NamedTuple):
@@ -28,6 +29,8 @@ class Roads(NamedTuple):
     risk: NDArray[np.float32]
     room: NDArray[np.uint64]
     """(nodes,) `TraversalGraph.free_headings`: where the robot may turn in place."""
+    turn_rate: NDArray[np.float64]
+    """(nodes,) [m/rad] what an edge under the wheels adds to a turn in place."""
 
 
 def roads_of(graph: TraversalGraph) -> Roads:
@@ -49,6 +52,7 @@ def roads_of(graph: TraversalGraph) -> Roads:
         np.arctan2(dy, dx),
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
+        np.where(graph.turn_edge > graph.params.max_turn_step, TURN_COST, 0.0),
     )
 
 

@@ -22,7 +22,7 @@ from planning.heap import grown, pop, push
 from planning.pose_sets import Weights, edge_risk, turn, turn_risk
 from planning.roads import Roads
 from planning.terrain import Laid
-from planning.turns import may_turn_off, may_turn_to
+from planning.turns import edge_turn_cost, may_turn_off, may_turn_to
 
 
 class Tables(NamedTuple):
@@ -55,7 +55,7 @@ def evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, slot) -> N
 def evaluate_edges(laid: Laid, w: Weights, roads: Roads, tables: Tables) -> None:
     """Evaluate every edge that is not yet."""
     work = scratch(laid)
-    x, y, _, source, target, reverse, _, _, _, _ = roads
+    x, y, _, source, target, reverse, _, _, _, _, _ = roads
     edge = tables.edge
     for slot in range(target.size):
         if np.isnan(edge[slot, 0]):
@@ -78,7 +78,7 @@ def cost_to_go(
     least what the start costs; that is its bound, and the whole is still consistent. inf: no end can be reached.
     """
     work = scratch(laid)
-    x, y, indptr, source, target, reverse, length, _, risk, _ = roads
+    x, y, indptr, source, target, reverse, length, _, risk, _, _ = roads
     edge = tables.edge
     count = x.size
     h = np.full(count, np.inf)
@@ -146,7 +146,7 @@ def search_pairs(
     """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
     That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
-    requested. With `sweeps`, turns count and are only made where there is room. Returns the cost of the route (inf:
+    requested. With `sweeps`, turns count, cost more over edges, and are only made where there is room. Returns the cost of the route (inf:
     none), the slots of its edges, the number of expanded states, and `tables.turns`, which may have grown.
     """
     none = np.empty(0, np.int64)
@@ -155,7 +155,7 @@ def search_pairs(
     if np.isinf(h[start]):
         return np.inf, none, 0, turns
     work = scratch(laid)
-    x, y, indptr, source, target, reverse, length, heading, risk, room = roads
+    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = roads
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     slots = target.size
@@ -217,6 +217,7 @@ def search_pairs(
             if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
                 stage[entry] = 2
                 b2, u2 = 0.0, 0.0
+                edges = 0.0
                 if origin >= 0:
                     if turn_at[origin] < 0:
                         degree = indptr[at + 1] - indptr[at]
@@ -233,11 +234,14 @@ def search_pairs(
                         else:
                             turns[row] = np.inf
                     b2, u2 = turns[row]
+                    if turn_rate[at] > 0.0:
+                        edges = edge_turn_cost(turn_rate[at], turn(heading[origin], heading[out]))
                 elif not np.isnan(start_yaw):
                     d = turn(start_yaw, heading[out])
                     b2, u2 = np.inf, 0.0
                     if may_turn_off(room[at], start_yaw, d):
                         b2, u2 = turn_risk(laid, work, w, x[at], y[at], start_yaw, d)
+                    edges = edge_turn_cost(turn_rate[at], d)
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
                     d = turn(heading[out], goal_yaw)
@@ -245,7 +249,8 @@ def search_pairs(
                     if may_turn_to(room[k], heading[out], d):
                         b2, u2 = turn_risk(laid, work, w, x[k], y[k], heading[out], d)
                     b, u = max(b, b2), max(u, u2)
-                cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u)
+                    edges += edge_turn_cost(turn_rate[k], d)
+                cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u) + edges
             elif not sweeps:
                 stage[entry] = 2
             if not cost < best[out]:

@@ -101,17 +101,25 @@ def dijkstra(grid, graph, start, goal, start_yaw=None, goal_yaw=None, variant="f
     def heading(i, j):
         return math.atan2(xyz[j, 1] - xyz[i, 1], xyz[j, 0] - xyz[i, 0])
 
+    def over_edge(node, yaw_in, yaw_out):
+        d = abs(math.remainder(yaw_out - yaw_in, 2 * math.pi))
+        edgy = graph.turn_edge[node] > graph.params.max_turn_step
+        return 4.0 * d if edgy and d > math.radians(30) else 0.0
+
     def cost(i, j, k):
+        extra = 0.0
         sets = [once((j, k), lambda: edge(grid, xyz[j], xyz[k], **weights))]
         if variant != "edge-only":
             yaw_in = start_yaw if i is None else heading(i, j)
             if yaw_in is not None:
                 sets.append(once((i, j, k), lambda: turn(grid, xyz[j], yaw_in, heading(j, k), **weights)))
+                extra += over_edge(j, yaw_in, heading(j, k))
             if k == goal and goal_yaw is not None:
                 sets.append(once(("g", j), lambda: turn(grid, xyz[k], heading(j, k), goal_yaw, **weights)))
+                extra += over_edge(k, heading(j, k), goal_yaw)
         length = math.dist(xyz[j, :2], xyz[k, :2])
         b, u = max(s[0] for s in sets), max(s[1] for s in sets)
-        return length * (1 + 3 * risk[j, k] + (0 if variant == "native" else b + u))
+        return length * (1 + 3 * risk[j, k] + (0 if variant == "native" else b + u)) + extra
 
     heap = [(cost(None, start, int(j)), start, int(j), (start, int(j))) for j in nbr[start]]
     heapq.heapify(heap)

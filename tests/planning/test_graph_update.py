@@ -14,7 +14,7 @@ from planning.graph import GraphParams, TraversalGraph
 from tests.planning.graph_scenes import random_scene
 
 PARAMS = GraphParams(blind_radius=0.0)
-ARRAYS = ("nodes", "indptr", "indices", "risk", "frontier", "clearance", "node_ids")
+ARRAYS = ("nodes", "indptr", "indices", "risk", "frontier", "turn_edge", "node_ids")
 
 
 def _with(grid: ElevationGrid, height: np.ndarray) -> ElevationGrid:

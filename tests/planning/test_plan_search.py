@@ -40,6 +40,35 @@ def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, 
         assert got.nodes == nodes
 
 
+def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    edgy = TraversalGraph.from_edges(graph.nodes, graph.edges, graph.risk[edge_slots(graph)])
+    edgy.turn_edge[::2] = 0.06
+    changed = 0
+    for start, goal, yaws in ((0, last, (None, None)), (last, 3, (1.0, -2.0)), (2, last, (3.0, 0.5))):
+        got = plan(edgy, grid, PlanRequest(start, goal, *yaws), BODY)
+        cost, nodes = oracle.dijkstra(grid, edgy, start, goal, *yaws)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == nodes
+        assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+        for t in got.transitions:
+            assert t.cost == pytest.approx(t.length * (1 + 3 * t.risk + t.body + t.unknown) + t.turn_cost)
+        level = plan(graph, grid, PlanRequest(start, goal, *yaws), BODY)
+        assert level.cost <= got.cost + 1e-9
+        changed += level.nodes != got.nodes
+        for variant in ("native", "edge-only"):
+            one, two = (plan(g, grid, PlanRequest(start, goal, *yaws, variant), BODY) for g in (graph, edgy))
+            assert (one.nodes, one.cost) == (two.nodes, two.cost), variant
+    assert changed > 0
+
+
+def edge_slots(graph):
+    """Index of the risk of every edge in `graph.edges`."""
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    return np.flatnonzero(source < graph.indices)
+
+
 def test_native_search_is_plain_dijkstra_on_the_native_cost(world):
     grid, graph = world
     n = len(graph.nodes)

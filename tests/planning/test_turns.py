@@ -13,6 +13,7 @@ from planning.body_risk import BodyModel, sweep_poses
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.graph_describe import ALL_HEADINGS
+from planning.path import make_path
 from planning.risk_table import RiskTable
 from planning.search import Plan, PlanRequest, Variant, plan
 from planning.turns import may_turn_off, may_turn_to
@@ -73,6 +74,64 @@ def test_on_random_ground_no_turn_of_a_route_sweeps_a_wall_a_ledge_or_a_pit() ->
             turns, bad = bad_turns(scene, graph, RiskTable(graph, scene.grid, body), variant, pairs)  # type: ignore[arg-type]
             assert turns > 3 * pairs
             assert bad == 0
+
+
+def ground(height: np.ndarray, res: float = 0.025) -> tuple[ElevationGrid, TraversalGraph]:
+    """The graph of seen ground around (1.5, 1.5)."""
+    noisy = height + 0.003 * np.random.default_rng(0).standard_normal(height.shape)
+    grid = ElevationGrid(noisy.astype(np.float32), np.ones(height.shape, bool), (0.0, 0.0), res)
+    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(blind_radius=0.0), 0)
+
+
+def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
+    y, x = np.mgrid[0:120, 0:200] * 0.025
+    for height, least, most in (
+        (0.0 * x, 0.0, 0.02),
+        (np.tan(np.radians(20)) * x, 0.0, 0.02),
+        (0.05 * (np.abs((x - 2.0) * 0.8 + (y - 1.5) * 0.6) < 0.05), 0.045, 0.07),
+        (0.05 * (np.abs(x - 1.9) < 0.6), 0.045, 0.07),
+    ):
+        _, graph = ground(height)
+        if most < 0.03:
+            assert graph.turn_edge.max() < most
+            assert graph.turn_edge.min() >= least
+        else:
+            # where the break runs: the bar's middle, the plate's two ends
+            broken = height[np.round(graph.nodes[:, 1] / 0.025).astype(int), :]
+            faces = np.abs(np.diff(broken, axis=1)) > 0.02
+            near = np.abs(np.arange(1, 200) * 0.025 - graph.nodes[:, :1])
+            away = np.where(faces, near, np.inf).min(axis=1)
+            assert graph.turn_edge[away < 0.15].min() > least
+            assert graph.turn_edge.max() < most
+            assert graph.turn_edge[away > 0.75].max() < 0.02
+
+
+def test_a_robot_drives_off_a_bar_before_it_turns_round() -> None:
+    _, x = np.mgrid[0:120, 0:240] * 0.025
+    bar = 0.06 * (np.abs(x - 3.0) < 0.05)
+    results = []
+    for height in (bar, 0.0 * bar, 0.06 * (np.mod(x, 0.3) < 0.1)):
+        grid, graph = ground(height)
+        found = plan(graph, grid, PlanRequest((3.0, 1.5), (1.0, 1.5), start_yaw=0.0), BODY)
+        results.append((found, graph))
+    grid, _ = ground(bar)
+    (off, graph), (level, _), (everywhere, _) = results
+    limit = graph.params.max_turn_step
+    assert sum(t.turn_cost for t in off.transitions) == 0.0
+    yaw = [0.0, *(float(np.arctan2(*(b - a)[::-1])) for a, b in pairwise(off.points[:, :2]))]
+    sharp = [
+        k for k, (a, b) in enumerate(pairwise(yaw)) if abs(np.angle(np.exp(1j * (b - a)))) > np.radians(31)
+    ]
+    assert sharp
+    assert all(graph.turn_edge[off.nodes[k]] <= limit for k in sharp)
+    assert sum(t.turn_cost for t in level.transitions) == 0.0
+    assert level.length < off.length
+    # where there is no other ground it turns all the same, in bends as far as they go, and says what the rest costs
+    assert sum(t.turn_cost for t in everywhere.transitions) > 3.0
+    assert everywhere.length < 6.0
+    path = make_path(off, grid, BODY)
+    assert path.initial_turn is not None
+    assert abs(path.initial_turn) < 0.7, "less than what the tracker stops for"
 
 
 def corridor(width: float) -> tuple[ElevationGrid, TraversalGraph]:

@@ -19,6 +19,18 @@ HANGING_RAYS = 6
 
 
 @njit(cache=True)
+def _stands_alone(cells, index, height, shift):  # pragma: no cover
+    """Whether no neighbour in the tile reaches this height [m]: a wall goes on, one mixed pixel does not."""
+    size = 1 << shift
+    i, j = (index >> shift) & (size - 1), index & (size - 1)
+    for a in range(max(i - 1, 0), min(i + 2, size)):
+        for b in range(max(j - 1, 0), min(j + 2, size)):
+            if (a != i or b != j) and cells[index + ((a - i) << shift) + (b - j)].height > height - COMPANY:
+                return False
+    return True
+
+
+@njit(cache=True)
 def trace(
     xyz, m, stride, first_ray, sensor, directory, first, shift, resolution, reach, skip, margin, angle, settled,
     cells, touched, mark, hit, low, many,
@@ -27,7 +39,7 @@ def trace(
 
     Lowers `upper` of cells without a LiDAR height and flags their tile in `touched`. Collects in `hit` the pool index of
     each cell with a height that a ray passed under by more than `margin` + 3 sigma, not nearer than `skip` [m] to the
-    ray's end; in `low` the lowest such ray, in `many` their number. angle: sigma of the ray direction [rad]; settled:
+    ray's end (a quarter of it where nothing beside the cell is as high); in `low` the lowest such ray, in `many` their number. angle: sigma of the ray direction [rad]; settled:
     points of an established cell. `mark` is scratch (sparse set). Returns the number of cells in `hit`.
     """
     n = 0
@@ -77,8 +89,14 @@ def trace(
                 z = sensor[2] + dz * (at if dz < 0.0 else leave)
                 if cell.source == 2:
                     over = cell.height - z - margin
-                    # stray cells beside a wall have no face that the ray could graze
-                    if over > 0.0 and (leave <= solid_end or (cell.count < settled and leave <= stray_end)):
+                    # stray cells and what a thing that left has left behind have no face that the ray could graze
+                    if over > 0.0 and (
+                        leave <= solid_end
+                        or (
+                            leave <= stray_end
+                            and (cell.count < settled or _stands_alone(cells, index, cell.height, shift))
+                        )
+                    ):
                         spread = 9.0 * (cell.variance + angle * angle * leave * leave)
                         if over * over > spread:
                             s = mark[index]

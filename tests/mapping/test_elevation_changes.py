@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from hal.lidar import LIDARS, LidarSimulator, OrientedBox
 from hal.lidar.caster import NumbaCaster, Surface
@@ -33,9 +34,10 @@ def run(
     pose: Callable[[float], float] = lambda t: 0.0,
     caster: NumbaCaster | None = None,
     watch: Callable[[float, ElevationMap], None] = lambda t, m: None,
+    seed: int = 7,
 ) -> ElevationMap:
     """A map after `seconds`; `boxes(t)` stand in the hall, base_link is at x = `pose(t)` at the end of each scan."""
-    lidar = LidarSimulator(SPEC, SPEC.mount, caster or hall(), seed=7)
+    lidar = LidarSimulator(SPEC, SPEC.mount, caster or hall(), seed=seed)
     elevation = ElevationMap()
     mount = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # yaw of 90 deg
     stamp = PERIOD
@@ -67,14 +69,16 @@ def heights(elevation: ElevationMap, x: float, y: float, half: float) -> np.ndar
     return elevation.window(x, y, half).layers["elevation"]
 
 
-def test_an_obstacle_appears_at_once_and_is_gone_soon_after_it_went() -> None:
+@pytest.mark.parametrize("seed", [2, 6, 7])
+def test_an_obstacle_appears_at_once_and_is_gone_soon_after_it_went(seed: int) -> None:
+    """With these seeds a mixed pixel before its face, seen often enough to count, is left when it has gone."""
     high: dict[float, int] = {}
 
     def watch(t: float, elevation: ElevationMap) -> None:
         high[round(t, 1)] = int((heights(elevation, 2.4, 0.0, 0.24) > 0.1).sum())
 
     thing = (box(2.4, 0.0, (0.4, 0.4), 0.5),)
-    elevation = run(4.0, lambda t: thing if 1.0 <= t < 2.0 else (), watch=watch)
+    elevation = run(4.0, lambda t: thing if 1.0 <= t < 2.0 else (), watch=watch, seed=seed)
     times = sorted(high)
     assert max(high[t] for t in times if t < 1.0) == 0
     assert high[min(t for t in times if t >= 1.3)] > 5

@@ -14,12 +14,13 @@ from mapping.engines import Match
 
 INDEPENDENT = 60
 """Points of a scan whose errors are independent."""
+SCATTER = 0.6
+"""Share of the scatter of a scan about the map that does not average out. More of it serves sparse LiDARs where wheels roll
+cleanly (synthetic runs), less of it where they slip and bump (physics)."""
 SLIDING = 0.8
 """Standard deviation of a registration along a direction that nothing constrains [m]."""
 NORMAL_NOISE = 0.002
 """Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
-
-
 FITS_AGAIN = 0.9, 0.04
 """Share of points on surfaces and RMS distance from them [m] of a scan that fits beyond doubt."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
@@ -136,7 +137,8 @@ class HealthMonitor:
             [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
         )
         # one scan may be off by what all its points share: that is no disagreement
-        spread = INDEPENDENT * covariance + prior
+        shared = sigma**2 / _variance(match, sigma)
+        spread = shared * INDEPENDENT * covariance + prior
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         bad, weak, again = "", "", False
@@ -192,12 +194,12 @@ class HealthMonitor:
 def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
     """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
 
-    Errors of the map and of its discretisation are shared by neighbouring points: a scan counts as `INDEPENDENT` points, however
-    many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
+    Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
+    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
     towards where the last one was, and the normals that seem to face them are noise.
     """
     h = match.information
-    scale2 = (sigma**2 + (0.2 * match.residual) ** 2) / INDEPENDENT
+    scale2 = _variance(match, sigma) / INDEPENDENT
     free = scale2 / SLIDING**2
     covariance = scale2 * np.linalg.inv(h + np.diag([free] * 3 + [1e-3] * 3))
     position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
@@ -206,6 +208,11 @@ def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
     facing = np.maximum(values - NORMAL_NOISE, 0.0)
     covariance[:3, :3] += vectors @ np.diag(scale2 / (facing + free) - scale2 / (values + free)) @ vectors.T
     return 0.5 * (covariance + covariance.T), vectors[:, 0], float(values[0])
+
+
+def _variance(match: Match, sigma: float) -> float:
+    """Of one independent point about the map [m^2]."""
+    return sigma**2 + (SCATTER * match.residual) ** 2
 
 
 def _sigma(covariance: Array) -> float:

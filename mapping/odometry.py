@@ -117,7 +117,7 @@ class LidarInertialOdometry:
         if sweep.end <= self._filter.stamp:
             self.counters["scan_backward"] += 1
             return None
-        before = self._filter.pose()
+        before, since = self._filter.pose(), self._filter.stamp
         stamps, track = self._predict(sweep.end)
         if sweep.problem:
             return self._dead_reckoned(sweep.problem)
@@ -140,7 +140,7 @@ class LidarInertialOdometry:
             self._filter.update_pose(match.pose, measured)
         if verdict.insert:
             self._engine.insert(self._filter.pose())
-        self._learn_scale(before, verdict)
+        self._learn_scale(before, sweep.end - since, verdict)
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
@@ -187,8 +187,9 @@ class LidarInertialOdometry:
         imu_stamp, imu = self._imu.between(state.stamp, end, beyond=1)
         joint_stamp, joints = self._joints.between(state.stamp, end)
         scale = self._scale.value
+        noise = np.hypot(self._wheel_noise, [self._scale.noise, 0.0, 0.0])
         wheel, sigma, _ = velocities(
-            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, self._wheel_noise, scale
+            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, noise, scale
         )
         touching = np.isfinite(sigma[:, 0]).all() and len(wheel) >= 3
         self._rolled = (
@@ -196,14 +197,14 @@ class LidarInertialOdometry:
         )
         return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
 
-    def _learn_scale(self, before: Array, verdict: Verdict) -> None:
-        """Compare what the wheels rolled since `before` (4, 4) with what the scans say, where they constrain the way ahead."""
+    def _learn_scale(self, before: Array, interval: int, verdict: Verdict) -> None:
+        """Compare what the wheels rolled since `before` (4, 4), `interval` [ns] ago, with what the scans say, where they constrain the way ahead."""
         after = self._filter.pose()
         if not (verdict.health is Health.GOOD and math.isfinite(self._rolled)):
             self._scale.forget()
             return
         moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
-        self._scale.learn(self._rolled, float(moved))
+        self._scale.learn(self._rolled, float(moved), interval * 1e-9)
         self._stream.scale = self._scale.value
 
     def _coast(self, until: int) -> ScanOdometry:

@@ -1,4 +1,6 @@
-"""How far the robot really goes per metre of wheel: tyres slip a few percent under load, and the scans tell how many."""
+"""How far the robot really goes per metre of wheel: tyres slip a few percent under load, and the scans tell how many.
+
+What they slip beyond that, on an edge or on loose ground, comes and goes: while it lasts the wheels are believed less."""
 
 from __future__ import annotations
 
@@ -9,6 +11,10 @@ SLIP = 0.05
 WALK = 0.003
 """Its random walk per comparison."""
 LIMITS = (0.80, 1.15)
+SMOOTHING = 0.4
+"""Share of the newest scan in `slip`: a scan is off by millimetres, which is a lot over 0.1 s."""
+SLIPPING = 3.0
+"""Slip goes on from sample to sample: it counts this much more than noise that averages out."""
 
 
 class WheelScale:
@@ -17,11 +23,18 @@ class WheelScale:
     def __init__(self) -> None:
         self.value = 1.0
         self._variance = 0.03**2
+        self._slip = 0.0
         self._rolled = 0.0
         self._driven = 0.0
 
-    def learn(self, rolled: float, driven: float) -> None:
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the forward velocity by what the wheels slip just now [m/s]."""
+        return SLIPPING * abs(self._slip)
+
+    def learn(self, rolled: float, driven: float, seconds: float) -> None:
         """Add the distances [m] of one scan interval, along the body's x axis: by the wheels (unscaled) and by the scans."""
+        self._slip += SMOOTHING * ((driven - self.value * rolled) / seconds - self._slip)
         self._rolled += rolled
         self._driven += driven
         if abs(self._rolled) < DISTANCE:

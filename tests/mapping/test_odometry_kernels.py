@@ -246,12 +246,12 @@ def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
     scale = WheelScale()
     rng = np.random.default_rng(9)
     for _ in range(600):
-        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()))
+        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()), 0.1)
     assert scale.value == pytest.approx(0.93, abs=0.01)
     for _ in range(100):
-        scale.learn(0.05, 0.0)
+        scale.learn(0.05, 0.0, 0.1)
     assert scale.value == pytest.approx(0.93, abs=0.01)
-    scale.learn(0.25, 0.4)
+    scale.learn(0.25, 0.4, 0.1)
     scale.forget()
-    scale.learn(0.25, 0.25)
+    scale.learn(0.25, 0.25, 0.1)
     assert scale.value == pytest.approx(0.93, abs=0.01)

@@ -30,6 +30,8 @@ from mapping.visibility import judge, trace
 
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
+CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
+"""Steps of the stamps beyond these [ns] are a clock that was set."""
 XT16_ORIGIN = (0.1634, 0.0, 0.116)
 
 
@@ -64,7 +66,7 @@ class ElevationMap:
         self.z_correction = 0.0
         self.stamp = 0
         self.scans = 0
-        self._start = 0
+        self._lived = 0
         self._fresh = True
         self._rays = 0
         self._sensor = np.zeros(3)
@@ -124,7 +126,7 @@ class ElevationMap:
 
         points (n,3) float32 in base_link, deskewed to `stamp`; position (3,) and orientation (4,) x, y, z, w of
         base_link in `map`; sensor_origin (3,) in base_link; sigmas of the pose override the parameters [rad, m].
-        Raises MapError for wrong shapes or a pose that is not finite. A stamp that runs backwards counts as the last.
+        Raises MapError for wrong shapes or a pose that is not finite. A stamp up to a second back counts as the last.
         """
         p = self.params
         points = np.asarray(points)
@@ -253,12 +255,14 @@ class ElevationMap:
         return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
 
     def _clock(self, stamp: int) -> int:
-        """Milliseconds since the first stamp; never runs backwards."""
-        stamp = int(stamp)
-        if self._start == 0:
-            self._start = self.stamp = stamp
-        self.stamp = max(self.stamp, stamp)
-        return min((self.stamp - self._start) // 1_000_000, 2**31 - 1)
+        """Milliseconds lived through; never runs backwards. A source clock that is set (a 1970 boot clock) passes no time."""
+        step = int(stamp) - self.stamp
+        if self.stamp == 0 or not -CLOCK_BACK < step < CLOCK_AHEAD:
+            self.stamp = int(stamp)
+        elif step > 0:
+            self.stamp += step
+            self._lived += step
+        return min(self._lived // 1_000_000, 2**31 - 1)
 
     # ------------------------------------------------------------------ files
 

@@ -114,6 +114,8 @@ def joint_sample(message: Any) -> JointSample:
     """The sample in a JointState. Raises LayoutError where names or lengths differ."""
     if tuple(message.name) != tuple(MOTORS):
         raise LayoutError("joint names are not the Go2-W's motors in SDK order")
+    if any(len(v) != len(MOTORS) for v in (message.position, message.velocity, message.effort)):
+        raise LayoutError("position, velocity and effort must have one value per motor")
     return JointSample(stamp_of(message), message.position, message.velocity, message.effort)
 
 

@@ -41,6 +41,8 @@ WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
 RESTORE_PATIENCE = 3_000_000_000
 """How long a restarted process waits for the planner's copy of the map [ns]."""
+STATUS_PERIOD = 500_000_000
+"""[ns]"""
 TRUSTED_SENT = 16
 """`state` of a cell that the last update called trusted."""
 
@@ -68,7 +70,7 @@ class ElevationStage:
         self._scans = 0
         self._detail = ""
         self._status_due = 0
-        self._malformed = 0
+        self._refused = 0
         self._restoring = False
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
         self._patience = 0
@@ -103,10 +105,10 @@ class ElevationStage:
                 self.map.z_correction = message.height_correction
             elif topic is t.MAP_MIRROR and self._restoring:
                 self._restore(message)
+            return self._join()
         except (LayoutError, MapError):
-            self._malformed += 1
+            self._refused += 1
             return []
-        return self._join()
 
     def _join(self) -> Outputs:
         outputs: Outputs = []
@@ -181,9 +183,9 @@ class ElevationStage:
             if now > self._patience:
                 self._restoring = False
                 self._detail = "restarted; the map of before is lost: the planner did not answer"
-        if now < self._status_due:
+        if now < self._status_due <= now + STATUS_PERIOD:  # a clock that was set back must not silence it
             return []
-        self._status_due = now + 500_000_000
+        self._status_due = now + STATUS_PERIOD
         store = self.map.store
         status = make(
             t.MAP_STATUS.type,
@@ -197,6 +199,7 @@ class ElevationStage:
             height_correction=self.map.z_correction,
             restoring=self._restoring,
             warning=self.map.warning,
+            refused=self._refused,
             detail=self._detail,
         )
         return [(t.MAP_STATUS, status)]

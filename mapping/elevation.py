@@ -30,6 +30,8 @@ from mapping.visibility import judge, trace
 
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
+UPRIGHT = 0.7
+"""Cosine of the tilt of a trunk that stands on its wheels."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
 XT16_ORIGIN = (0.1634, 0.0, 0.116)
@@ -212,7 +214,7 @@ class ElevationMap:
         """Enter the ground under the wheels at low confidence; LiDAR-seen cells stay, and LiDAR overrides it.
 
         wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the
-        footprint; by default the first time after a reset. Returns the number of cells entered.
+        footprint; by default the first time after a reset. Fewer than three tell of their own spots only. Returns the number of cells entered.
         """
         p = self.params
         contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
@@ -226,9 +228,9 @@ class ElevationMap:
             contacts @ rotation.T + place, place[:2], yaw, half, p.start_radius if start else None,
             p.contact_sigma, p.resolution,
         )  # fmt: skip
-        if patch is None:
+        if patch is None or rotation[2, 2] < UPRIGHT:
             return 0
-        self._fresh = False
+        self._fresh = self._fresh and len(contacts) < 3
         s = self.store
         cell = s.locate(patch.i, patch.j)
         old = s.cells[cell]

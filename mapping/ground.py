@@ -38,7 +38,7 @@ def support_patch(
 
     contacts (k,3) bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
     width of the body rectangle including its margin [m]; radius: a disc of this radius instead [m]. Three contacts
-    give the plane by least squares; fewer leave the direction they do not tell level. None without contacts.
+    give the plane by least squares; fewer tell of their own spots only. None without contacts.
     """
     contacts = contacts[np.isfinite(contacts).all(axis=1)]
     if len(contacts) == 0:
@@ -46,7 +46,8 @@ def support_patch(
     mean = contacts.mean(axis=0)
     local = contacts - mean
     slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
-    rough = np.abs(local[:, 2] - local[:, :2] @ slope).max() > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
+    off = np.abs(local[:, 2] - local[:, :2] @ slope).max()
+    rough = len(contacts) < 3 or off > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
     reach = max(half) * 1.5 if radius is None else radius
     lo = np.floor((centre - reach) / resolution).astype(int)
     hi = np.ceil((centre + reach) / resolution).astype(int)

@@ -146,9 +146,7 @@ class ElevationStage:
         )
         self.map.fuse(points, position, orientation, stamp, self._sensor)
         if joints is not None:
-            contacts = wheel_contacts(joints)
-            if len(contacts) >= 3:
-                self.map.fuse_ground(contacts, position, orientation, stamp)
+            self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp)
         self._scans += 1
         if self._scans % self._params.clean_every == 0:
             self.map.clean()

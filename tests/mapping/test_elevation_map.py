@@ -113,6 +113,20 @@ def test_wheels_fill_the_ground_the_lidar_cannot_see_and_yield_to_it() -> None:
     assert seen.layers["elevation"][0, 0] == pytest.approx(0.10, abs=1e-3)
 
 
+def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:
+    elevation = ElevationMap()
+    raised = WHEELS[[0, 3]] + [[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]
+    entered = elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 1)
+    assert 20 < entered < 50
+    layers = elevation.window(0.0, 0.0, 0.8).layers
+    known = layers["source"] == CONTACT
+    assert known.sum() == entered
+    assert set(np.round(layers["elevation"][known], 3)) == {np.float32(0.0), np.float32(0.1)}
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 2) > 1000  # still the start
+    lying = ElevationMap()
+    assert lying.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), (0.7071, 0.0, 0.0, 0.7071), 1) == 0
+
+
 def test_a_standing_robot_trusts_the_ground_between_the_rings() -> None:
     elevation = ElevationMap()
     drive(elevation, 20, speed=0.0)

@@ -102,7 +102,7 @@ class ElevationMap:
         other.fuse(points, np.zeros(3), (0, 0, 0, 1), 0)
         other.clean()
         for patch in other.take_patches():
-            patch.grid(filled=True)
+            patch.with_terrain()
 
     def reset(self) -> None:
         """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mapping.filling import fill_unknown
+from mapping.filling import fill_unknown, slope_and_step
 from mapping.grid import ElevationGrid
 
 PATCH_LAYERS = ("elevation", "variance", "trusted", "upper_bound", "source")
@@ -45,6 +45,14 @@ class MapPatch:
     def cell(self) -> tuple[int, int]:
         """Lattice row and column of cell [0, 0]."""
         return round(self.origin[1] / self.resolution), round(self.origin[0] / self.resolution)
+
+    def with_terrain(self) -> MapPatch:
+        """With three more layers for people and their tools: `filled` as in `grid`, `slope` [rad] and `step` [m] as in
+        `slope_and_step`."""
+        height = self.layers["elevation"]
+        slope, step = slope_and_step(height, self.resolution)
+        filled = fill_unknown(height, self.layers["upper_bound"])
+        return replace(self, layers=self.layers | {"filled": filled, "slope": slope, "step": step})
 
     def grid(self, *, filled: bool = False) -> ElevationGrid:
         """As an `ElevationGrid`; `filled`: unknown heights take the nearest known one and stay untrusted."""

@@ -156,7 +156,7 @@ class ElevationStage:
 
     def _request(self, message: Any) -> Outputs:
         if message.action == "full":
-            return [(t.MAP_FULL, patch_msg(self.map.full()))] if self._scans else []
+            return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
         if message.action == "save":
             try:
                 self.map.save(Path(message.path))

@@ -185,21 +185,34 @@ def _enter_points(
     # coarser cells cover several of ours
     n = max(1, int(np.ceil(own / resolution - 1e-6)))
     offset = (np.arange(n) - (n - 1) / 2) * (own / n)
-    dx, dy = (a.reshape(-1) for a in np.meshgrid(offset, offset))
-    i = np.floor((y[:, None] + dy) / resolution + 0.5).astype(np.int64).reshape(-1)
-    j = np.floor((x[:, None] + dx) / resolution + 0.5).astype(np.int64).reshape(-1)
-    tiles = len(np.unique((i >> store.shift) * (1 << 32) + (j >> store.shift)))
-    if tiles > MAX_TILES:
+    rows = [np.floor((y + d) / resolution + 0.5).astype(np.int64) for d in offset]
+    cols = [np.floor((x + d) / resolution + 0.5).astype(np.int64) for d in offset]
+    tiles = np.unique(np.concatenate([_tiles_of(i, j, store.shift) for i in rows for j in cols]), axis=0)
+    if len(tiles) > MAX_TILES:
         raise MapError(
-            f"the prior map covers {tiles} tiles, more than {MAX_TILES}: cut it or use a coarser resolution"
+            f"the prior map covers {len(tiles)} tiles, more than {MAX_TILES}: cut it or use a coarser resolution"
         )
-    index = store.locate(i, j)
+    store.reserve(store.used + len(tiles))
+    for row, col in tiles.tolist():
+        store.allocate(row, col)
     top: NDArray[np.float32] = np.full(len(store.cells), -np.inf, dtype=np.float32)
-    np.maximum.at(top, index, np.repeat(z.astype(np.float32), n * n))
-    index = np.unique(index)
+    for i in rows:
+        for j in cols:
+            np.maximum.at(top, store.locate(i, j), z.astype(np.float32))
+    index = np.flatnonzero(top > -np.inf)
     cells = store.cells[index]
     cells["height"], cells["variance"] = top[index], PRIOR_SIGMA**2
     cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, PRIOR
     store.cells[index] = cells
-    store.touched[np.unique(index >> (2 * store.shift))] = 1
+    store.touched[index >> (2 * store.shift)] = 1
     return len(index)
+
+
+def _tiles_of(i: NDArray[np.int64], j: NDArray[np.int64], shift: int) -> NDArray[np.int64]:
+    """(k, 2) rows and columns of the tiles that cells lie in, each once."""
+    row, col = i >> shift, j >> shift
+    # a raster gives long runs of the same tile: what is left of them is quick to sort
+    new = np.ones(len(row), np.bool_)
+    new[1:] = (np.diff(row) != 0) | (np.diff(col) != 0)
+    found: NDArray[np.int64] = np.unique(np.column_stack([row[new], col[new]]), axis=0)
+    return found

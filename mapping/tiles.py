@@ -81,9 +81,10 @@ class TileStore:
         self.mark = np.zeros(0, dtype=np.int32)
         self.directory = np.full((1, 1), -1, dtype=np.int32)
         self.first = np.zeros(2, dtype=np.int64)
-        self._reserve(16)
+        self.reserve(16)
 
-    def _reserve(self, capacity: int) -> None:
+    def reserve(self, capacity: int) -> None:
+        """Make room for that many tiles at once."""
         have = self.touched.size
         if capacity <= have:
             return
@@ -121,7 +122,7 @@ class TileStore:
         if slot >= 0:
             return slot
         self.cover(row, col, row, col)
-        self._reserve(self.used + 1)
+        self.reserve(self.used + 1)
         slot = self.used
         self.used += 1
         self.tiles[slot] = row, col
@@ -135,11 +136,11 @@ class TileStore:
             return out
         s = self.shift
         self.cover(int(i.min()) >> s, int(j.min()) >> s, int(i.max()) >> s, int(j.max()) >> s)
-        while True:
-            row, col = _locate(i, j, self.directory, self.first, s, out)
-            if row == _DONE:
-                return out
-            self.allocate(row, col)
+        done = _locate(i, j, self.directory, self.first, s, out, 0)
+        while done < i.size:
+            self.allocate(int(i[done]) >> s, int(j[done]) >> s)
+            done = _locate(i, j, self.directory, self.first, s, out, done)
+        return out
 
     def tile(self, slot: int) -> NDArray[np.void]:
         """(size, size) view of one tile's cells."""
@@ -187,25 +188,22 @@ class TileStore:
         return self.cells.nbytes + self.sent.nbytes + self.mark.nbytes + self.directory.nbytes
 
 
-_DONE = -(2**40)
-
-
 @njit(cache=True)
-def _locate(i, j, directory, first, shift, out):  # pragma: no cover - compiled
-    """Fill `out` with pool indices; returns the first absent tile (row, col), or _DONE."""
+def _locate(i, j, directory, first, shift, out, begin):  # pragma: no cover - compiled
+    """Fill `out` with pool indices from `begin` on; returns the first cell whose tile is absent, or their number."""
     mask = (1 << shift) - 1
     area = 2 * shift
-    for k in range(i.size):
+    for k in range(begin, i.size):
         row, col = i[k] >> shift, j[k] >> shift
         slot = directory[row - first[0], col - first[1]]
         if slot < 0:
-            return row, col
+            return k
         out[k] = (np.int64(slot) << area) + ((i[k] & mask) << shift) + (j[k] & mask)
-    return _DONE, _DONE
+    return i.size
 
 
 @njit(cache=True)
-def _base(directory, first, shift, row, col):  # pragma: no cover - compiled
+def base_of(directory, first, shift, row, col):  # pragma: no cover - compiled
     """Pool index of the first cell of a tile, -1 when it is absent."""
     r, c = row - first[0], col - first[1]
     if 0 <= r < directory.shape[0] and 0 <= c < directory.shape[1] and directory[r, c] >= 0:
@@ -226,7 +224,7 @@ def _gather(
         while c < cols:
             j = j0 + c
             end = min(cols, c + mask + 1 - (j & mask))
-            base = _base(directory, first, shift, i >> shift, j >> shift)
+            base = base_of(directory, first, shift, i >> shift, j >> shift)
             if base < 0:
                 for k in range(c, end):
                     height[r, k] = variance[r, k] = np.nan
@@ -262,7 +260,7 @@ def _differences(
                 while c < stop:
                     j = j0 + c
                     end = min(stop, c + size - (j & mask))
-                    base = _base(directory, first, shift, i >> shift, j >> shift)
+                    base = base_of(directory, first, shift, i >> shift, j >> shift)
                     at = base + ((i & mask) << shift) + (j & mask) - c
                     if base >= 0:
                         for k in range(c, end):

@@ -14,8 +14,6 @@ from rbtrg_robot.messages import decode, stamp_of
 from rbtrg_robot.processes import Process
 from rbtrg_robot.topics import Topic
 
-HEARTBEAT_LIMIT = 3.0
-"""A process that has not beaten for this long [s] hangs."""
 RATE_SHARE = 0.8
 """A topic is well at this share of its nominal rate."""
 WINDOW = 2.0

@@ -1,4 +1,4 @@
-"""Every process, one row each. The supervisor, `status`, systemd units and tests read this table."""
+"""Every process, one row each. The supervisor, `status` and tests read this table."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ class Process:
     """The robot process stops the robot when this one's liveliness token goes."""
     restores: tuple[Topic, ...] = ()
     """Newest messages of these topics are handed to a restarted process before anything else."""
+    hang: float = 3.0
+    """A process that has not beaten for this long [s] hangs and is killed. Longer where one step on a large map takes long."""
     hosted: bool = True
     """False: brings its own main loop instead of a stage."""
 
@@ -61,6 +63,7 @@ PROCESSES: tuple[Process, ...] = (
         loss="blind: robot stops at once",
         stops_motion=True,
         restores=(t.MAP_STATUS,),
+        hang=15.0,
     ),
     Process(
         "planner",
@@ -69,6 +72,7 @@ PROCESSES: tuple[Process, ...] = (
         cpu=60,
         memory=700,
         loss="no new routes, the present one is not watched: the navigator halts after 2 s",
+        hang=30.0,
     ),
     Process(
         "navigator",

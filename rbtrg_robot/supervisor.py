@@ -22,7 +22,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
 from rbtrg_robot.child import FATAL
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.health import HEARTBEAT_LIMIT, Health, expected_topics
+from rbtrg_robot.health import Health, expected_topics
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.runfiles import RunLock
 from rbtrg_robot.topics import Topic
@@ -212,7 +212,7 @@ class Supervisor:
         if age is None or beat is None or beat[1].state != "ready":
             silent = now - child.started > START_LIMIT
         else:
-            silent = age > HEARTBEAT_LIMIT
+            silent = age > child.row.hang
         if silent and child.forked is not None:
             self._say(f"{name} hangs; killing it")
             child.forked.kill()

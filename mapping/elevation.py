@@ -95,6 +95,7 @@ class ElevationMap:
     def warm_up(self) -> None:
         """Compile (or load) every kernel on a throw-away map."""
         other = ElevationMap(self.params)
+        other._prior = PriorCheck()
         points = np.array([[2.0, 0.1 * k, -0.4 + 0.1 * (k % 2)] for k in range(8)], dtype=np.float32)
         other.fuse_ground(
             np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]]), np.zeros(3), (0, 0, 0, 1), 0
@@ -165,13 +166,13 @@ class ElevationMap:
         )  # fmt: skip
         if self._prior is not None and not self._prior.done:
             which, sums = self._which[:k], self._sums[:k]
-            higher = self._prior.level(s.cells, which, sums)
+            higher = self._prior.level(s, which, sums)
             if higher != 0.0:  # the prior map counts from another start: take its level
                 self.z_correction -= higher
                 return self.fuse(
                     points, position, orientation, stamp, sensor_origin, attitude_sigma, height_sigma
                 )
-            self._prior.take(s.cells, which, sums)
+            self._prior.take(s, which, sums)
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
         kernels.fuse(

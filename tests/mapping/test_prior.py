@@ -13,7 +13,7 @@ from mapping.elevation import ElevationMap
 from mapping.elevation_params import ElevationParams
 from mapping.prior import FEW, PriorCheck
 from mapping.rotation import quaternion, rotation
-from mapping.tiles import CELL, LIDAR, PRIOR
+from mapping.tiles import LIDAR, PRIOR, TileStore
 from tools.bench._perception_map import Mapper, Registered, registered
 from tools.synthetic import arena_run
 
@@ -60,7 +60,7 @@ def test_a_prior_map_that_fits_is_used_in_silence(prior: Path, later: list[Regis
 
 
 @pytest.mark.parametrize(
-    ("x", "yaw"), [(0.3, 0.0), (-1.0, 0.0), (0.0, 5.0), (0.0, 90.0), (0.0, 180.0), (1.5, -40.0)]
+    ("x", "yaw"), [(0.1, 0.0), (0.3, 0.0), (-1.0, 0.0), (0.0, 5.0), (0.0, 90.0), (0.0, 180.0), (1.5, -40.0)]
 )
 def test_a_prior_map_that_does_not_fit_is_reported(
     prior: Path, later: list[Registered], x: float, yaw: float
@@ -94,20 +94,32 @@ def test_without_a_prior_map_there_is_nothing_to_say(later: list[Registered]) ->
 
 
 def test_each_cell_counts_once_and_few_cells_say_nothing() -> None:
-    cells = np.zeros(3000, CELL)
-    cells["source"], cells["seen"] = LIDAR, PRIOR
-    sums = np.zeros((3000, 8), np.float32)
+    store = TileStore(64)
+    row, col = (a.reshape(-1) for a in np.meshgrid(np.arange(-30, 30), np.arange(-25, 25), indexing="ij"))
+    index = store.locate(row, col)
+    cells = store.cells
+    cells["source"][index], cells["height"][index], cells["seen"][index] = LIDAR, 0.0, PRIOR
+    cells["height"][index[(row == 3) & (col == 7)]] = 0.6  # a post: what is seen beside it may belong to it
+    cells["height"][index[row > 20]] = np.nan  # what stands at the border of the known may have been there
+    cells["source"][index[row > 20]] = 0
+    sums = np.zeros((len(index), 8), np.float32)
     sums[:, 2] = 1.0
-    sums[::5, 0] = 0.5  # every fifth cell is taken
-    which = np.arange(3000)
+    high = (row % 5 == 0) | ((np.abs(row - 3) <= 1) & (np.abs(col - 7) <= 1))
+    sums[high, 0] = 0.5
     check = PriorCheck()
-    check.take(cells, which[: FEW - 1], sums[: FEW - 1])
+    check.take(store, index[: FEW - 1], sums[: FEW - 1])
     assert check.warning == ""
-    check.take(cells, which, sums)
-    check.take(cells, which, sums)
-    assert (check.tested, check.higher) == (3000, 600)
-    assert "20%" in check.warning
-    assert check.done
+    for _ in range(2):
+        check.take(store, index, sums)
+    # corners of the square and the lower border have too few neighbours, the upper one just enough
+    inner = (
+        (row <= 20) & ((row > -30) | ((col > -25) & (col < 24))) & ~((row == 20) & np.isin(col, (-25, 24)))
+    )
+    beside = (np.abs(row - 3) <= 1) & (np.abs(col - 7) <= 1)
+    assert check.tested == inner.sum()
+    assert check.higher == (inner & high & ~beside).sum()
+    assert "on 21% of the ground" in check.warning
+    assert not check.done
 
 
 def test_the_elevation_process_publishes_the_warning(prior: Path, later: list[Registered]) -> None:

@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hal.types import Array, GroundTruth, ImuSample, JointSample, LidarScan
+from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.deskew import mount_matrix
 from mapping.engines import ENGINES
 from mapping.health import Health
 from mapping.odometry import LidarInertialOdometry, OdometryParams
 from mapping.odometry_types import ScanOdometry
 from mapping.rotation import quaternion, rotation, rotation_vector
-from tools.synthetic import SyntheticRun
+
+
+class Run(Protocol):
+    """A drive with its truth: synthetic, or recorded in simulated physics."""
+
+    @property
+    def extrinsics(self) -> Extrinsics:
+        """LiDAR in base_link."""
+
+    def samples(self) -> Iterator[Sample]:
+        """In order of arrival."""
+
+    def truth(self, stamps: NDArray[np.integer] | int) -> tuple[Array, Array]:
+        """Position (n, 3) [m] and orientation (n, 4) x, y, z, w at stamps [ns]."""
+
+    def path_length(self) -> float:
+        """Planar distance [m]."""
+
 
 OnScan = Callable[[str, ScanOdometry], None]
 """Called with the engine's name and each of its results, while the run streams."""
@@ -41,7 +60,7 @@ class StockKissIcp:
     tenth of the time.
     """
 
-    def __init__(self, run: SyntheticRun) -> None:
+    def __init__(self, run: Run) -> None:
         from kiss_icp.config import KISSConfig
         from kiss_icp.kiss_icp import KissICP
 
@@ -81,7 +100,7 @@ class StockKissIcp:
 
 
 def drive(
-    run: SyntheticRun,
+    run: Run,
     engines: Iterable[str],
     params: OdometryParams | None = None,
     on_scan: OnScan | None = None,
@@ -148,7 +167,7 @@ class Errors:
     """Median per scan."""
 
 
-def errors(run: SyntheticRun, track: Track, window: float = 1.0) -> Errors:
+def errors(run: Run, track: Track, window: float = 1.0) -> Errors:
     """Compare a track with the truth of its run."""
     stamps = np.array(track.stamps)
     got = np.array(track.poses)

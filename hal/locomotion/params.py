@@ -67,8 +67,14 @@ class VmcParams(NamedTuple):
     """Yaw-rate loop on the gyro, acting on the wheel speed difference [-], [1/s]."""
     turn_pull: float = 0.09
     """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily."""
+    spot_pull: float = 0.03
+    """The same while turning on the spot on level ground, where edges under a short wheelbase tip the robot [m]."""
     turn_full: float = 0.35
     """Yaw rate [rad/s] from which the axles are pulled in fully."""
+    turn_jam: float = 20.0
+    """Force [N] beyond what friction explains, by which an edge holds a wheel, at which turning on the spot has stopped."""
+    turn_strain: float = 0.08
+    """How far [m] a wheel may be dragged from its place under the trunk by turning on the spot; slower from 0.6 of it."""
     place_rate: float = 0.40
     """Speed of wheel placement relative to the trunk [m/s]."""
 

@@ -27,6 +27,7 @@ from hal.go2w import (
     wheel_jacobians,
 )
 from hal.locomotion.climb import DRIVE, SHIFT, climb_tick
+from hal.locomotion.contact import clip, estimate_contacts, turn_share
 from hal.locomotion.geometry import (
     GRAVITY,
     contact_geometry,
@@ -48,6 +49,9 @@ MEMORY = np.dtype(
         ("speed", "f8"),  # estimated ground speed [m/s]
         ("speed_i", "f8"),  # common wheel torque of the speed integral [Nm]
         ("yaw_i", "f8"),  # yaw-rate integral [rad/s]
+        ("lag", "f8", (4, 2)),  # of each wheel behind its place under the trunk, H [m]
+        ("jam", "f8"),  # force on the wheel that is held most, beyond friction [N]
+        ("strain", "f8"),  # furthest lag of a wheel against the mean of all [m]
         ("lift_i", "f8"),  # learnt extra load [N]
         ("slope_x", "f8"),  # ground plane, filtered
         ("slope_y", "f8"),
@@ -85,40 +89,9 @@ OUT_Q, OUT_DQ, OUT_TAU, OUT_KP, OUT_KD = range(5)
 
 
 @njit(cache=True)
-def clip(x: float, low: float, high: float) -> float:
-    """`x` inside [low, high]."""
-    return min(max(x, low), high)
-
-
-@njit(cache=True)
 def slew(x: float, target: float, step: float) -> float:
     """`x` moved towards `target` by at most `step`."""
     return x + min(max(target - x, -step), step)
-
-
-@njit(cache=True)
-def estimate_contacts(m, tau: Array, weight_torque: Array, jac: Array, dt: float, p: VmcParams) -> None:
-    """Contact forces from leg torques (quasi-static), low-passed, and contact flags with hysteresis.
-
-    What a wheel takes from the ground goes through its axle, wherever it is touched: the leg carries it by the Jacobian of the
-    wheel centre (`jac`, H), and the wheel motor's reaction by thigh and calf.
-    """
-    alpha = dt / (dt + p.force_filter)
-    for leg in range(4):
-        inv = inverse3(jac[leg])
-        for axis in range(3):
-            f = 0.0
-            for joint in range(3):
-                t = weight_torque[leg, joint] - tau[3 * leg + joint]
-                if joint > 0:
-                    t += tau[12 + leg]
-                f += inv[joint, axis] * t
-            m.force[leg, axis] += alpha * (clip(f, -300.0, 300.0) - m.force[leg, axis])
-        if m.contact[leg] == 1:
-            if m.force[leg, 2] < p.contact_off:
-                m.contact[leg] = 0
-        elif m.force[leg, 2] > p.contact_on:
-            m.contact[leg] = 1
 
 
 @njit(cache=True)
@@ -207,6 +180,8 @@ def vmc_tick(
 
     # --- commands
     climbing = m.mode != DRIVE
+    spot = clip((0.2 - abs(command[0])) / 0.1, 0.0, 1.0)
+    share = 1.0 - spot * (1.0 - turn_share(m, dt, p))
     push = np.zeros(2)  # wanted horizontal acceleration of the trunk
     w = p.shift_bandwidth if climbing else p.shift_back
     for axis in range(2):
@@ -224,7 +199,7 @@ def vmc_tick(
         # Braking may be harder than driving off: nobody waits for a start.
         slower = abs(command[0]) < abs(m.vx) or command[0] * m.vx < 0.0
         m.vx = slew(m.vx, command[0], (p.decel if slower else p.accel) * dt)
-        m.wz = slew(m.wz, command[1], p.alpha * dt)
+        m.wz = slew(m.wz, share * command[1], p.alpha * dt)
         push[0] += (m.vx - before_vx) / dt
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
@@ -264,7 +239,7 @@ def vmc_tick(
     if stopped:
         m.yaw_i = 0.0
     else:
-        m.yaw_i = clip(m.yaw_i + p.yaw_ki * yaw_error * dt, -3.0, 3.0)
+        m.yaw_i = clip(m.yaw_i + p.yaw_ki * yaw_error * dt, -3.0 * share, 3.0 * share)
     turn = m.wz + (0.0 if stopped else p.yaw_kp * yaw_error + m.yaw_i)
     limit = p.wheel_torque
     nose_up = pitch_wanted - pitch if m.vx >= 0.0 else pitch - pitch_wanted
@@ -283,7 +258,10 @@ def vmc_tick(
         m.hold = 0
 
     # --- wheel placement under the trunk
-    pull = p.turn_pull * clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
+    grade = math.sqrt(m.grade[0] * m.grade[0] + m.grade[1] * m.grade[1])
+    hill = clip((grade - 0.11) / 0.06, 0.0, 1.0)
+    pull = p.turn_pull + (p.spot_pull - p.turn_pull) * spot * (1.0 - hill)
+    pull *= clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
     step = p.place_rate * dt
     # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.
     rolling = max(clip(abs(m.speed) / 0.3, 0.1, 1.0), clip(abs(m.wz) / 0.1, 0.0, 1.0))
@@ -301,6 +279,8 @@ def vmc_tick(
         error_x = HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0]
         error_y = (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg] + m.place[leg, 1] + m.shift[1] - centres[leg, 1]
         error_z = 0.0
+        m.lag[leg, 0] = error_x
+        m.lag[leg, 1] = error_y
         if leg == lifted:
             error_x = m.foot[0] - centres[leg, 0]
             error_z = m.foot[2] - centres[leg, 2]

@@ -22,40 +22,59 @@ def fill_unknown(
 
 
 @njit(cache=True)
-def _nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column of the nearest known cell for every cell: exact Euclidean, two passes (columns, then rows).
+def _known_rows(height):  # pragma: no cover
+    """Row of the nearest known cell in each cell's column, -1 in a column without any; and the number of known cells.
 
-    Ties go to the lower column offset from the left; each pass is linear (lower envelope of parabolas).
+    The upper of two that are equally near. Both sweeps go along rows, as the memory does.
     """
-    rows, cols = known.shape
-    near_row = np.full((rows, cols), -1, np.int64)
+    rows, cols = height.shape
+    near = np.empty((rows, cols), np.int32)
+    count = 0
     for c in range(cols):
-        last = -1
-        for r in range(rows):
-            if known[r, c]:
-                last = r
-            near_row[r, c] = last
-        last = -1
-        for r in range(rows - 1, -1, -1):
-            if known[r, c]:
-                last = r
-            up = near_row[r, c]
-            if last >= 0 and (up < 0 or last - r < r - up):
-                near_row[r, c] = last
-    out_row = np.empty((rows, cols), np.int64)
-    out_col = np.empty((rows, cols), np.int64)
+        near[0, c] = 0 if np.isfinite(height[0, c]) else -1
+        count += near[0, c] == 0
+    for r in range(1, rows):
+        for c in range(cols):
+            if np.isfinite(height[r, c]):
+                near[r, c] = r
+                count += 1
+            else:
+                near[r, c] = near[r - 1, c]
+    for r in range(rows - 2, -1, -1):
+        for c in range(cols):
+            up, down = near[r, c], near[r + 1, c]
+            if down > r and (up < 0 or down - r < r - up):
+                near[r, c] = down
+    return near, count
+
+
+@njit(cache=True)
+def _fill(height, upper):  # pragma: no cover
+    """Exact Euclidean, columns then rows: each row takes the lower envelope of the parabolas of its columns."""
+    rows, cols = height.shape
+    out = height.copy()
+    near, count = _known_rows(height)
+    if count == 0:
+        out[:] = 0.0
+    if count == 0 or count == rows * cols:
+        return out
     apex = np.empty(cols, np.int64)
-    bound = np.empty(cols + 1, np.float64)
+    bound = np.empty(cols, np.float64)
     for r in range(rows):
+        some = False
+        for c in range(cols):
+            some |= near[r, c] != r
+        if not some:
+            continue
         count = 0
         for c in range(cols):
-            if near_row[r, c] < 0:
+            if near[r, c] < 0:
                 continue
-            d = float(near_row[r, c] - r)
+            d = float(near[r, c] - r)
             start = -np.inf
             while count > 0:
                 p = apex[count - 1]
-                e = float(near_row[r, p] - r)
+                e = float(near[r, p] - r)
                 start = ((d * d + c * c) - (e * e + p * p)) / (2.0 * (c - p))
                 if start > bound[count - 1]:
                     break
@@ -68,31 +87,8 @@ def _nearest_known(known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         for c in range(cols):
             while k + 1 < count and bound[k + 1] < c:
                 k += 1
-            out_col[r, c] = apex[k]
-            out_row[r, c] = near_row[r, apex[k]]
-    return out_row, out_col
-
-
-@njit(cache=True)
-def _fill(height, upper):  # pragma: no cover
-    rows, cols = height.shape
-    known = np.empty((rows, cols), dtype=np.bool_)
-    count = 0
-    for r in range(rows):
-        for c in range(cols):
-            known[r, c] = np.isfinite(height[r, c])
-            count += known[r, c]
-    out = height.copy()
-    if count == known.size:
-        return out
-    if count == 0:
-        out[:] = 0.0
-        return out
-    row, col = _nearest_known(known)
-    for r in range(rows):
-        for c in range(cols):
-            if not known[r, c]:
-                z = height[row[r, c], col[r, c]]
+            if near[r, c] != r:
+                z = height[near[r, apex[k]], apex[k]]
                 if upper[r, c] < z:
                     z = upper[r, c]
                 out[r, c] = z

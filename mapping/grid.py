@@ -58,3 +58,15 @@ class ElevationGrid:
         rows, cols = self.shape
         x0, y0 = self.origin
         return x0, y0, x0 + (cols - 1) * self.resolution, y0 + (rows - 1) * self.resolution
+
+    def around(self, xy: NDArray[np.float64], margin: float) -> ElevationGrid:
+        """The part that holds every cell within `margin` [m] of the bounding box of the points (n, 2); at least one cell."""
+        reach = np.array([margin, margin])
+        low = (xy.min(axis=0) - reach - self.origin) / self.resolution
+        high = (xy.max(axis=0) + reach - self.origin) / self.resolution
+        rows, cols = self.shape
+        c0, r0 = (int(v) for v in np.clip(np.floor(low), 0, (cols - 1, rows - 1)))
+        c1, r1 = (int(v) for v in np.clip(np.ceil(high), 0, (cols - 1, rows - 1)))
+        part = (slice(r0, r1 + 1), slice(c0, c1 + 1))
+        corner = (self.origin[0] + c0 * self.resolution, self.origin[1] + r0 * self.resolution)
+        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution)

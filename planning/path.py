@@ -26,6 +26,8 @@ from planning.spline import curve, distance_to_polyline, reach_limits
 from planning.terrain import Terrain, heights_at
 
 Array = NDArray[np.float64]
+SIDE = 0.5
+"""[m] beside the corners of a route that its path, its corridor and what lies under the body's rim stay within."""
 
 
 class PathLimits(BaseModel):
@@ -84,7 +86,9 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     on the curve would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
-    terrain = terrain_of(grid, body)
+    wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
+    ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
+    terrain = _terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
     vertices = _vertices(plan, terrain, body, limits)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
@@ -121,7 +125,7 @@ def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: Bod
     around a corner of the route.
     """
     poses = np.column_stack([path.points[:, :2], path.yaw])[_thin(path.points, 0.05)]
-    step = steps_under(terrain_of(grid, body), poses, body.length, body.width)
+    step = steps_under(_terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
     bad = int(np.argmax(step))
     if step[bad] > max(path.limits.max_step, path.worst_step) + 0.02:
         return False, f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
@@ -129,6 +133,11 @@ def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: Bod
         if graph.nearest_node((x, y)) is None:
             return False, f"no drivable ground left around ({x:.2f}, {y:.2f})"
     return True, ""
+
+
+def _terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
+    """What a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
+    return terrain_of(grid.around(xy, body.circumradius + SIDE), body)
 
 
 def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits) -> Array:

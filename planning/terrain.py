@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -76,6 +76,7 @@ class Terrain:
     """Cell size [m]."""
     pad: int
     """Cells of padding on each side."""
+    _laid: dict[tuple[float, float], Laid] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def from_grid(cls, grid: ElevationGrid, margin: float) -> Terrain:
@@ -92,7 +93,12 @@ class Terrain:
         return cls(height, padded, seen, (x - step, y - step), grid.resolution, pad)
 
     def laid(self, length: float, width: float) -> Laid:
-        """Kernel arguments for a body of this length and width [m]."""
+        """Kernel arguments for a body of this length and width [m]; made once."""
+        if (length, width) not in self._laid:
+            self._laid[length, width] = self._lay(length, width)
+        return self._laid[length, width]
+
+    def _lay(self, length: float, width: float) -> Laid:
         along = offsets(length, self.resolution) / self.resolution
         across = offsets(width, self.resolution) / self.resolution
         u, v = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))

@@ -37,7 +37,9 @@ class GraphParams(BaseModel):
         default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
     )
     max_step: float = Field(
-        default=0.10, gt=0.0, description="corrected: highest vertical face driven over [m]"
+        default=0.10,
+        gt=0.0,
+        description="corrected: highest vertical face driven over [m]; in the stack never above the robot's own limit",
     )
     max_slope: float = Field(
         default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"

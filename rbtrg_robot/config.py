@@ -17,11 +17,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
-from hal.mujoco.options import SimOptions
+from hal.mujoco.options import CAPABILITIES, SimOptions
 from hal.safety import GateParams
 from hal.scenes import Scene, load_scene
-from hal.types import Extrinsics
-from hal.unitree.options import UnitreeSettings
+from hal.types import Capabilities, Extrinsics
+from hal.unitree.options import UnitreeOptions, UnitreeSettings
 from mapping.elevation_params import ElevationParams
 from mapping.odometry import OdometryParams
 from planning.body_risk import BodyModel
@@ -123,6 +123,25 @@ class StackConfig(BaseModel):
     def lidar_mount(self) -> Extrinsics:
         """Pose of the LiDAR in base_link."""
         return self.mount or LIDARS[self.lidar].mount
+
+    def unitree_options(self) -> UnitreeOptions:
+        """Settings of the real robot with the LiDAR it carries."""
+        mount = None if self.mount is None else (*self.mount.translation, *self.mount.rpy)
+        return UnitreeOptions(**self.unitree.model_dump(), lidar=self.lidar, lidar_mount=mount)
+
+    def capabilities(self) -> Capabilities:
+        """What the robot can do with its controller."""
+        return CAPABILITIES[self.controller] if self.simulated else self.unitree_options().capabilities()
+
+    def graph_params(self) -> GraphParams:
+        """Settings of the graph, with no limit looser than the robot's own."""
+        robot = self.capabilities()
+        limits = {
+            "max_step": min(self.graph.max_step, robot.max_step),
+            "max_slope": min(self.graph.max_slope, robot.max_slope),
+            "max_gap": min(self.graph.max_gap, robot.max_gap),
+        }
+        return self.graph.model_copy(update=limits)
 
     def imu_mount(self) -> Extrinsics:
         """Pose of the IMU in base_link."""

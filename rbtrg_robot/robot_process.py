@@ -68,11 +68,10 @@ def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
 
 def _hardware(config: Any) -> Backend:
     from hal.unitree import make_backend
-    from hal.unitree.options import UnitreeOptions
 
-    mount = None if config.mount is None else (*config.mount.translation, *config.mount.rpy)
-    options = UnitreeOptions(**config.unitree.model_dump(), lidar=config.lidar, lidar_mount=mount)
-    backend: Backend = make_backend(config.interface, dry_run=config.dry_run, options=options)
+    backend: Backend = make_backend(
+        config.interface, dry_run=config.dry_run, options=config.unitree_options()
+    )
     return backend
 
 

@@ -16,14 +16,13 @@ from hal.locomotion.vmc import VmcController, warm_up
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.modes import Modes
 from hal.mujoco.obstacles import box_at, present
-from hal.mujoco.options import Obstacle, Push, SimOptions
+from hal.mujoco.options import CAPABILITIES, Obstacle, Push, SimOptions
 from hal.mujoco.policy import PolicyController
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
 from hal.scenes import Scene
 from hal.types import (
     NS,
-    Capabilities,
     GroundTruth,
     ModeRequest,
     Phase,
@@ -45,22 +44,6 @@ CONTACT_FORCE = 12.0
 """Vertical wheel force [N] from joint torques above which a wheel counts as on the ground."""
 BACKLOG = 2 * NS
 """`read` refuses to advance further in one call: the host's clock jumped."""
-
-CAPABILITIES = {
-    "vmc": Capabilities(
-        "go2w-mujoco-vmc", max_vx=1.0, max_wz=1.0, max_step=0.10, max_slope=np.radians(25.0), max_gap=0.10
-    ),
-    "policy": Capabilities(
-        "go2w-mujoco-policy",
-        max_vx=1.0,
-        max_vy=0.5,
-        max_wz=1.0,
-        max_step=0.25,
-        max_slope=np.radians(30.0),
-        max_gap=0.12,
-        strafe=True,
-    ),
-}
 
 
 class MujocoBackend:

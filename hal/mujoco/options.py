@@ -2,12 +2,30 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from hal.types import Extrinsics
+from hal.types import Capabilities, Extrinsics
+
+CAPABILITIES = {
+    "vmc": Capabilities(
+        "go2w-mujoco-vmc", max_vx=1.0, max_wz=1.0, max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10
+    ),
+    "policy": Capabilities(
+        "go2w-mujoco-policy",
+        max_vx=1.0,
+        max_vy=0.5,
+        max_wz=1.0,
+        max_step=0.25,
+        max_slope=math.radians(30.0),
+        max_gap=0.12,
+        strafe=True,
+    ),
+}
+"""What the simulated robot can do, per controller."""
 
 _CHECKED = ConfigDict(extra="forbid")
 Delay = Annotated[float, Field(ge=0.0, le=1.0)]

@@ -256,6 +256,9 @@ def _path_msg(path: Path, now: int) -> Any:
 
 def build(config: Any) -> PlannerStage:
     """From the stack's configuration."""
-    limits = PathLimits(max_speed=config.tracker.max_speed)
+    graph = config.graph_params()
+    limits = PathLimits(
+        max_speed=config.tracker.max_speed, max_step=graph.max_step, max_slope=graph.max_slope
+    )
     params = config.planner.model_copy(update={"seed": config.seed})
-    return PlannerStage(params, config.graph, config.body, limits)
+    return PlannerStage(params, graph, config.body, limits)

@@ -124,3 +124,25 @@ def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
             break
     assert again > found + 1
     assert again >= 0.9 * stages
+
+
+def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
+    loose = ["graph.max_step=0.3", "graph.max_slope=0.9", "graph.max_gap=0.5"]
+    for flags, step, gap in (
+        ({"scene": "flat"}, 0.10, 0.10),
+        ({"scene": "flat", "controller": "policy"}, 0.25, 0.12),
+        ({"backend": "unitree"}, 0.15, 0.10),
+    ):
+        config = load(None, loose, **flags)
+        params = config.graph_params()
+        assert (params.max_step, params.max_gap) == (step, gap)
+        assert params.max_slope == config.capabilities().max_slope < 0.6
+    assert load(None, ["graph.max_step=0.05"], scene="flat").graph_params().max_step == 0.05
+    ground = np.zeros((75, 150))
+    ground[:, 75:] = 0.15  # a kerb the graph was told to drive over, and this robot cannot
+    stage = build(load(None, loose, scene="flat"))
+    stage.on(t.MAP_UPDATE, patch(ground))
+    assert not ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
+    stage = build(load(None, ["graph.max_step=0.15"], scene="flat", controller="policy"))
+    stage.on(t.MAP_UPDATE, patch(ground))
+    assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal

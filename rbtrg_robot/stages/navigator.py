@@ -319,7 +319,6 @@ class NavigatorStage:
         self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._avoid)))
 
     def _drive(self, plan: Any) -> None:
-        self._progress.reset()
         fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
         final = plan.has_goal_yaw and plan.reaches_goal
         path_id = f"{plan.goal_id}/{plan.sequence}"

@@ -277,6 +277,18 @@ def test_a_planner_that_dies_while_driving_halts(world: World) -> None:
     assert len(world.last(t.PATH_COMMAND).x) == 0
 
 
+def test_new_routes_to_the_frontier_do_not_hide_that_the_robot_is_stuck(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    for _ in range(4):
+        requests = world.count(t.PLAN_REQUEST)
+        while world.count(t.PLAN_REQUEST) == requests and not world.status.recoveries:
+            world.run(0.1)
+        world.answer(reaches=False)
+    assert world.status.recoveries == 1
+    assert len(world.last(t.PLAN_REQUEST).avoid) == 3
+
+
 def test_a_planner_that_dies_while_a_better_route_is_asked_for_halts(world: World) -> None:
     world.goal()
     world.answer(reaches=False)

@@ -204,7 +204,9 @@ class LidarInertialOdometry:
             self._scale.forget()
             return
         moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
-        self._scale.learn(self._rolled, float(moved), interval * 1e-9)
+        ahead = after[:3, 0]
+        sigma = math.sqrt(max(float(ahead @ verdict.covariance[:3, :3] @ ahead), 0.0))
+        self._scale.learn(self._rolled, float(moved), interval * 1e-9, sigma)
         self._stream.scale = self._scale.value
 
     def _coast(self, until: int) -> ScanOdometry:

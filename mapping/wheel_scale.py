@@ -23,18 +23,20 @@ class WheelScale:
     def __init__(self) -> None:
         self.value = 1.0
         self._variance = 0.03**2
-        self._slip = 0.0
+        self._slip = self._doubt = 0.0
         self._rolled = 0.0
         self._driven = 0.0
 
     @property
     def noise(self) -> float:
         """Standard deviation of the forward velocity by what the wheels slip just now [m/s]."""
-        return SLIPPING * abs(self._slip)
+        return SLIPPING * max(abs(self._slip) - self._doubt, 0.0)
 
-    def learn(self, rolled: float, driven: float, seconds: float) -> None:
-        """Add the distances [m] of one scan interval, along the body's x axis: by the wheels (unscaled) and by the scans."""
+    def learn(self, rolled: float, driven: float, seconds: float, sigma: float) -> None:
+        """Add the distances [m] of one scan interval, along the body's x axis: by the wheels (unscaled) and by the scans, whose
+        standard deviation is `sigma` [m]: what that explains is no slip."""
         self._slip += SMOOTHING * ((driven - self.value * rolled) / seconds - self._slip)
+        self._doubt = 2.0 * SMOOTHING * sigma / seconds
         self._rolled += rolled
         self._driven += driven
         if abs(self._rolled) < DISTANCE:

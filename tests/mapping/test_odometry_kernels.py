@@ -246,12 +246,29 @@ def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
     scale = WheelScale()
     rng = np.random.default_rng(9)
     for _ in range(600):
-        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()), 0.1)
+        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()), 0.1, 0.002)
     assert scale.value == pytest.approx(0.93, abs=0.01)
     for _ in range(100):
-        scale.learn(0.05, 0.0, 0.1)
+        scale.learn(0.05, 0.0, 0.1, 0.002)
     assert scale.value == pytest.approx(0.93, abs=0.01)
-    scale.learn(0.25, 0.4, 0.1)
+    scale.learn(0.25, 0.4, 0.1, 0.002)
     scale.forget()
-    scale.learn(0.25, 0.25, 0.1)
+    scale.learn(0.25, 0.25, 0.1, 0.002)
     assert scale.value == pytest.approx(0.93, abs=0.01)
+
+
+def test_wheels_that_slip_are_believed_less_unless_the_scans_are_as_rough() -> None:
+    from mapping.wheel_scale import SLIPPING, WheelScale
+
+    rng = np.random.default_rng(4)
+    for sigma, noisy in ((0.002, False), (0.01, True)):
+        scale = WheelScale()
+        for _ in range(50):
+            scale.learn(0.04, 0.04 + sigma * rng.normal(), 0.1, sigma)
+        assert scale.noise < 0.1
+        for _ in range(6):
+            scale.learn(0.08, 0.04, 0.1, sigma)  # 0.4 m/s too fast
+        assert scale.noise == pytest.approx(SLIPPING * (0.36 if noisy else 0.4), rel=0.2)
+        for _ in range(12):
+            scale.learn(0.04, 0.04, 0.1, sigma)
+        assert scale.noise < 0.1

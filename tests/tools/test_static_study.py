@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
+from planning.body_risk import BodyModel
 from planning.graph import TraversalGraph
+from planning.risk_table import RiskTable
 from planning.search import VARIANTS, PlanRequest, plan
+from tools.bench._static_floor import edge_peaks, least_maxima
 from tools.bench._static_table import markdown
 from tools.bench.static import SCENES, Instance, changed, interval, macro, measure, values
 
@@ -23,8 +26,11 @@ def made_up():
             for v in VARIANTS:
                 share = {"native": 1.0, "full": 0.8}.get(v, 0.9)
                 nodes = (0, k, 9) if v == "native" or k % 2 else (0, 8, 9)
+                least = (0.7 * base, 24.0, 0.48)
                 out.append(
-                    Instance(scene, "native", k, 0, v, nodes, base, base * share, 30 * share, 0.5, 0.1, base)
+                    Instance(
+                        scene, "native", k, 0, v, nodes, base, base * share, 30 * share, 0.5, 0.1, base, least
+                    )
                 )
     return out
 
@@ -51,6 +57,8 @@ def test_the_table_says_what_is_reached_and_what_is_not():
     assert "p_int +0.0 % for -14.9 %: MISSED" in text
     assert "No instance had a route." in text
     assert "seed 3, pair 1: no node" in text
+    assert "30 % below native; a_lr 24.000 deg, 20 % below native; p_int 0.480 m, 4 % below native" in text
+    assert "(full: 0.0 %; the paper's 14.9 % are more than there is)" in text
 
 
 def test_native_routes_through_walls_are_counted_and_left_out():
@@ -64,6 +72,20 @@ def test_native_routes_through_walls_are_counted_and_left_out():
     assert "On 5 of 40 instances the native route has something over 0.5 m high under the body" in text
     assert "On the other instances full against native: length +0.0 %, d_fb -20.0 %" in text
     assert "On 0 of 40 instances" in markdown(made_up(), [])
+
+
+def test_the_floor_is_the_best_bottleneck_of_each_feature():
+    edges = np.array([[0, 1], [1, 3], [0, 2], [2, 3], [4, 5]])
+    peaks = np.array([[0.1, 9.0, 0.0], [0.5, 1.0, 0.2], [0.3, 4.0, 0.1], [0.4, 5.0, 0.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_allclose(least_maxima(edges, peaks, 6, 0, 3), [0.4, 5.0, 0.1])
+    height = np.zeros((41, 121), np.float32)
+    height[:, 60:] = 0.2
+    grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, 0.0), 0.05)
+    nodes = np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0], [4.0, 1.0, 0.2]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1], [1, 2]]), np.zeros(2))
+    found = edge_peaks(RiskTable(graph, grid, BodyModel()), BodyModel())
+    np.testing.assert_allclose(found[0], 0.0, atol=1e-6)
+    assert found[1, 0] == pytest.approx(0.2, abs=0.01)
 
 
 def test_the_yardstick_sees_a_step_on_the_route_and_unseen_ground():

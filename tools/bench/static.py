@@ -29,6 +29,7 @@ from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.risk_table import RiskTable
 from planning.search import VARIANTS, Plan, PlanRequest, plan
+from tools.bench._static_floor import edge_peaks, least_maxima
 from tools.bench.report import Report
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
@@ -56,6 +57,8 @@ class Instance:
     p_int: float
     untrusted: float
     cost: float
+    least: tuple[float, float, float]
+    """Least largest d_fb, a_lr, p_int of any route between these two nodes, each by a route of its own, turns left out."""
 
 
 def measure(route: Plan) -> tuple[float, float, float, float, float]:
@@ -91,6 +94,7 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
                     missing += [f"{name}, {mode}, seed {seed}, pair {k}: {none}" for k in range(pairs)]
                     continue
                 table = RiskTable(graph, grid, body)
+                edges, peaks = graph.edges, edge_peaks(table, body)
                 for k, (start, goal) in enumerate(scene.pairs[:pairs]):
                     try:
                         found = {
@@ -103,9 +107,11 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
                     if len(found["native"].nodes) < 2:
                         missing.append(f"{name}, {mode}, seed {seed}, pair {k}: start and goal share a node")
                         continue
+                    ends = found["native"].nodes[0], found["native"].nodes[-1]
+                    d_fb, a_lr, p_int = least_maxima(edges, peaks, len(graph.nodes), *ends).tolist()
                     drawn.setdefault(f"{name}.{mode}", found)
                     instances += [
-                        Instance(name, mode, seed, k, v, p.nodes, *measure(p), p.cost)
+                        Instance(name, mode, seed, k, v, p.nodes, *measure(p), p.cost, (d_fb, a_lr, p_int))
                         for v, p in found.items()
                     ]
     return instances, drawn, missing

@@ -17,7 +17,7 @@ Float32 = NDArray[np.float32]
 
 OPEN3D_HINT = (
     "LiDAR uses the built-in ray caster: open3d does not load ({}). "
-    "For the faster one: apt-get install libusb-1.0-0 libgl1 libgomp1"
+    "For open3d's: apt-get install libusb-1.0-0 libgl1 libgomp1"
 )
 
 
@@ -87,7 +87,7 @@ class NumbaCaster:
 
 
 class EmbreeCaster:
-    """open3d's RaycastingScene on the same triangles; three to four times faster, holds the GIL while it casts."""
+    """open3d's RaycastingScene on the same triangles; about as fast, holds the GIL while it casts."""
 
     def __init__(self, surface: Surface, open3d: Any) -> None:
         self.surface = surface
@@ -117,7 +117,7 @@ class EmbreeCaster:
 def make_caster(
     height: Float32, resolution: float, origin: tuple[float, float], *, prefer: str = "embree"
 ) -> tuple[TerrainCaster, str]:
-    """The fastest caster this machine has, and one line that says which and, if need be, how to get the faster one.
+    """The caster of this machine, and one line that says which and, if need be, how to get open3d's.
 
     `prefer="numba"` skips open3d.
     """

@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 
 from hal import go2w
+from hal.locomotion.contact import turn_share
 from hal.locomotion.geometry import distribute, inverse3, leg_weight, level_frame
+from hal.locomotion.params import VmcParams
 from hal.locomotion.vmc import VmcController
+from hal.locomotion.vmc_kernel import MEMORY
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope_driving import stopping_time
 from tools.bench.envelope_trial import drive
+from tools.bench.envelope_turning import turn_on_bar, turn_on_ramp
 
 
 def _simulation(slope: float = 0.0) -> Simulation:
@@ -97,6 +101,41 @@ def test_turns_in_place_at_the_commanded_rate() -> None:
     before = sim.yaw
     _run(sim, controller, 0.0, 0.6, 2.0)
     assert (sim.yaw - before + np.pi) % (2 * np.pi) - np.pi == pytest.approx(1.2, rel=0.08)
+
+
+def test_a_turn_waits_for_a_wheel_that_is_held_or_dragged_away() -> None:
+    params = VmcParams()
+    rng = np.random.default_rng(4)
+    shares = []
+    for _ in range(200):
+        memory = np.zeros(1, MEMORY)
+        memory["slope_x"], memory["slope_y"] = slope = rng.uniform(-0.3, 0.3, 2)
+        memory["force"] = force = rng.normal([0.0, 0.0, 50.0], 30.0, (4, 3))
+        memory["lag"] = lag = rng.normal(0.0, 0.03, (4, 2)) + rng.normal(0.0, 0.1, 2)
+        for _ in range(200):  # until the filters have settled
+            share = turn_share(memory[0], 0.005, params)
+        normal = np.array([-slope[0], -slope[1], 1.0]) / np.sqrt(1.0 + slope @ slope)
+        load = force @ normal
+        along = np.linalg.norm(force - load[:, None] * normal, axis=1)
+        jam = max(0.0, (along - np.maximum(load, 0.0)).max())
+        strain = np.linalg.norm(lag - lag.mean(axis=0), axis=1).max()
+        held = max(jam / params.turn_jam, (strain / params.turn_strain - 0.6) / 0.4)
+        assert share == pytest.approx(1.0 - np.clip(held, 0.0, 1.0), abs=1e-6)
+        shares.append(share)
+    assert min(shares) == 0.0
+    assert max(shares) == 1.0
+    assert any(0.1 < share < 0.9 for share in shares)
+
+
+@pytest.mark.parametrize(("height", "at", "angle"), [(0.04, 0.0, 0.0), (0.08, -0.2, 0.0), (0.08, 0.0, 1.3)])
+def test_turning_astride_a_bar_does_not_tip_it(height: float, at: float, angle: float) -> None:
+    tipped, turned = turn_on_bar(VmcController(), height, at, angle, 1)
+    assert tipped == ""
+    assert turned > np.radians(10.0)
+
+
+def test_turns_on_a_ramp() -> None:
+    assert turn_on_ramp(VmcController(), 10.0, 1) > 0.6
 
 
 def test_holds_its_place_level_on_a_slope() -> None:

@@ -12,11 +12,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import numpy as np
+
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import Locomotion
 from hal.mujoco.policy import PolicyController
 from tools.bench.envelope_driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope_trial import RUNS, Conditions, drive
+from tools.bench.envelope_turning import PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
 LIMITS: dict[str, dict[str, int]] = {
@@ -130,6 +133,8 @@ STOPS = {
 """Speed [m/s], yaw rate [rad/s], slope down [deg], friction of each stop."""
 STOP_LIMIT = 0.26
 """[s] from zero command to rest."""
+BARS = (2, 4, 6, 8, 10)
+"""Heights [cm] of the bar under the turning robot; of the 18 trials each no more than one may end in a fall."""
 NO_FALL = (
     *(f"{kind}_{v}" for kind in ("ramp_up", "ramp_down", "cross_slope") for v in (10, 15, 20, 25)),
     *("rough_2", "rough_4", "rough_6"),
@@ -172,6 +177,19 @@ def run(args: list[str]) -> Report:
             drive(controller, course, k, CHANGES["delay_20"]).tipped for course in NO_FALL for k in range(3)
         )
         report.add(f"falls.{name}.delay_20", falls, f"of {3 * len(NO_FALL)}", 0.0 if name == "vmc" else None)
+    for height in BARS:
+        if f"turn_bar_{height}".startswith(options.only):
+            ends = [turn_on_bar(controller, height / 100.0, *place) for place in PLACES]
+            tipped = sum(when in ("arriving", "turning") for when, _ in ends)
+            of = f"falls of {len(PLACES)}"
+            report.add(f"turn_bar_{height}.{name}", tipped, of, 1.0 if name == "vmc" else None)
+            report.add(f"turn_bar_{height}_leaving.{name}", sum(when == "leaving" for when, _ in ends), of)
+            median = float(np.degrees(np.median([angle for _, angle in ends])))
+            report.add(f"turn_bar_{height}_angle.{name}", median, "deg, median")
+    for degrees in (0, 10, 20):
+        if f"turn_ramp_{degrees}".startswith(options.only):
+            least = min(turn_on_ramp(controller, degrees, way) for way in (1, -1))
+            report.add(f"turn_ramp_{degrees}.{name}", least, "share of the angle")
     if "track_rmse_m".startswith(options.only) or "yaw_gain".startswith(options.only):
         ride = figure_eight(controller)
         own = name == "vmc"  # the policy is measured, not ours to tune

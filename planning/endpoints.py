@@ -36,7 +36,7 @@ def position(graph: TraversalGraph, place: Place, name: str) -> tuple[float, flo
             NoRouteReason.BAD_INPUT, f"{name} must be x, y in metres or a node index; got {place!r}"
         ) from None
     if not (np.isfinite(x) and np.isfinite(y)):
-        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} ({x}, {y}) is not finite")
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} ({x}, {y}) is not finite: give x, y in metres")
     return x, y
 
 
@@ -154,5 +154,6 @@ def _require_on_map(grid: ElevationGrid, xy: tuple[float, float], name: str) -> 
         x0, y0, x1, y1 = grid.extent
         raise NoRoute(
             NoRouteReason.OUTSIDE_MAP,
-            f"{name} ({xy[0]:.2f}, {xy[1]:.2f}) is outside the map, x {x0:.2f}..{x1:.2f}, y {y0:.2f}..{y1:.2f} m",
+            f"{name} ({xy[0]:.2f}, {xy[1]:.2f}) is outside the map, x {x0:.2f}..{x1:.2f}, y {y0:.2f}..{y1:.2f} m: "
+            "move it inside, or extend the map",
         )

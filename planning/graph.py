@@ -104,7 +104,8 @@ class TraversalGraph:
             graph._build_native(grid)
         elif not graph._refresh(grid, ()):
             raise NoRoute(
-                NoRouteReason.START_NOT_ON_GRAPH, f"no drivable ground within {SNAP_DISTANCE} m of {start}"
+                NoRouteReason.START_NOT_ON_GRAPH,
+                f"no drivable ground within {SNAP_DISTANCE} m of {start}: drive the robot to open, seen ground",
             )
         return graph
 
@@ -141,7 +142,8 @@ class TraversalGraph:
         built = build_native(grid.height, grid.origin, grid.resolution, self.start_xy, self.params, self.seed)
         if built is None:
             raise NoRoute(
-                NoRouteReason.START_NOT_ON_GRAPH, f"no free ground beside the start {self.start_xy}"
+                NoRouteReason.START_NOT_ON_GRAPH,
+                f"no free ground beside the start {self.start_xy}: begin on open ground",
             )
         nodes, edges, risk = built
         version = self.version + 1
@@ -223,7 +225,9 @@ class TraversalGraph:
         """Index of the node nearest to x, y [m] (lowest index on a tie), None if farther than `max_distance`."""
         x, y = float(xy[0]), float(xy[1])
         if not (np.isfinite(x) and np.isfinite(y)):
-            raise NoRoute(NoRouteReason.BAD_INPUT, f"the position ({x}, {y}) is not finite")
+            raise NoRoute(
+                NoRouteReason.BAD_INPUT, f"the position ({x}, {y}) is not finite: give x, y in metres"
+            )
         if not len(self.nodes):
             return None
         d2 = (self.nodes[:, 0] - x) ** 2 + (self.nodes[:, 1] - y) ** 2

@@ -80,7 +80,8 @@ def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[f
     half = 0.5 * grid.resolution
     if not (x0 - half <= start[0] <= x1 + half and y0 - half <= start[1] <= y1 + half):
         raise NoRoute(
-            NoRouteReason.OUTSIDE_MAP, f"the start {start_xy} is outside the map ({x0}, {y0})..({x1}, {y1})"
+            NoRouteReason.OUTSIDE_MAP,
+            f"the start {start_xy} is outside the map ({x0}, {y0})..({x1}, {y1}): begin inside it",
         )
     return float(start[0]), float(start[1])
 

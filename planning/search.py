@@ -57,7 +57,8 @@ def plan(
     if found is None:
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
-            "start and goal are on the graph but not connected, or only by turns for which there is no room",
+            "start and goal are on the graph but not connected, or only by turns for which there is no room: "
+            "choose another goal, or clear the way",
         )
     return found
 
@@ -132,13 +133,16 @@ def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: 
     if not ends.any():
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
-            "the goal cannot be reached over known ground and no frontier is left to look from",
+            "the goal cannot be reached over known ground and no frontier is left to look from: "
+            "choose another goal, or clear the way",
         )
     to_go = way_to_go(table.grid, nodes, goal)
     best = _search(table, request, start, ends, to_go, goal, start_yaw, np.nan)
     if best is None:
         raise NoRoute(
-            NoRouteReason.NO_ROUTE, "neither the goal nor a frontier can be reached over known ground"
+            NoRouteReason.NO_ROUTE,
+            "neither the goal nor a frontier can be reached over known ground: "
+            "drive the robot to where it has room to turn, or choose another goal",
         )
     if request.previous_frontier is not None:
         near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER

@@ -188,8 +188,8 @@ def run(args: list[str]) -> Report:
             report.add(f"turn_bar_{height}_angle.{name}", median, "deg, median")
     for degrees in (0, 10, 20):
         if f"turn_ramp_{degrees}".startswith(options.only):
-            least = min(turn_on_ramp(controller, degrees, way) for way in (1, -1))
-            report.add(f"turn_ramp_{degrees}.{name}", least, "share of the angle")
+            share = min(turn_on_ramp(controller, degrees, way) for way in (1, -1))
+            report.add(f"turn_ramp_{degrees}.{name}", share, "share of the angle")
     if "track_rmse_m".startswith(options.only) or "yaw_gain".startswith(options.only):
         ride = figure_eight(controller)
         own = name == "vmc"  # the policy is measured, not ours to tune

@@ -57,7 +57,9 @@ def test_the_table_says_what_is_reached_and_what_is_not():
     assert "p_int +0.0 % for -14.9 %: MISSED" in text
     assert "No instance had a route." in text
     assert "seed 3, pair 1: no node" in text
-    assert "30 % below native; a_lr 24.000 deg, 20 % below native; p_int 0.480 m, 4 % below native" in text
+    assert (
+        "30.0 % below native; a_lr 24.000 deg, 20.0 % below native; p_int 0.480 m, 4.0 % below native" in text
+    )
     assert "(full: 0.0 %; the paper's 14.9 % are more than there is)" in text
 
 

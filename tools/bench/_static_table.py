@@ -83,7 +83,7 @@ def _room(instances: Sequence[Instance], graph: str) -> str:
     words = []
     for k, metric in enumerate(CORE):
         room, got, want = 1.0 - least[k] / base[k], 1.0 - full[k] / base[k], -EXPECTED[metric]
-        text = f"{metric} {least[k]:.3f} {METRICS[metric]}, {100 * room:.0f} % below native"
+        text = f"{metric} {least[k]:.3f} {METRICS[metric]}, {100 * room:.1f} % below native"
         if got < want:
             text += f" (full: {100 * got:.1f} %"
             text += f"; the paper's {100 * want:.1f} % are more than there is)" if room < want else ")"

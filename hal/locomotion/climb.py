@@ -1,7 +1,8 @@
 """Lifting one blocked wheel onto what blocks it: detection and the sequence shift, lift, reach, lower.
 
-A wheel counts as blocked when it has been pushed back, against the other three wheels, for long enough. Then the robot stands still, moves its centre of mass over the other three wheels, lifts the wheel
-as far as the leg folds, reaches forward and puts it down on whatever is there.
+A wheel counts as blocked when it has been pushed back, against the other three wheels, for long enough. Then the robot stands
+still, moves its centre of mass over the other three wheels, lifts the wheel as far as the leg folds, reaches forward and puts it
+down on whatever is there.
 """
 
 from __future__ import annotations

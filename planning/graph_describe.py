@@ -17,6 +17,8 @@ HEADINGS = 36
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
+NOISE = 3.5
+"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five."""
 EDGE_BASE = 0.12
 """Distance over which an edge under the wheels is measured [m]."""
 UNKNOWN_RUN = 0.20
@@ -114,7 +116,8 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
     """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope.
 
     Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
-    nor part of a plate counts.
+    nor part of a plate counts; what the map's noise makes of even ground is taken off,
+    and with it ground that is rough all over.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))
@@ -159,7 +162,10 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
                     high = max(high, rise)
         if count > 0:
             slope = select(rises, count, count // 2)
-            most = max(most, max(high - slope, slope - low))
+            for i in range(count):
+                rises[i] = abs(rises[i] - slope)
+            noise = NOISE * select(rises, count, count // 2)
+            most = max(most, max(high - slope, slope - low) - noise)
     return most
 
 

@@ -58,6 +58,11 @@ class Trail:
         if not self._poses or math.dist(self._poses[-1][:2], pose[:2]) >= TRAIL_SPACING:
             self._poses.append(pose)
 
+    @property
+    def known(self) -> bool:
+        """Whether it came from anywhere."""
+        return len(self._poses) > 1
+
     def back(self, pose: Pose2, distance: float) -> list[Pose2]:
         """The way back from `pose` over about `distance` [m], heading kept as it was; what is used is forgotten."""
         way = [pose]

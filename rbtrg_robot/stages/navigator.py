@@ -171,7 +171,13 @@ class NavigatorStage:
             return
         self._no_route += 1
         if self._no_route > self._params.no_route_retries:
-            self._end(GoalState.ABORTED, reason, message.detail)
+            if reason is Reason.NO_ROUTE and not goal.recoveries and self._trail.known:
+                # It may only lack the room to turn here: it had room where it came from.
+                goal.recoveries += 1
+                self._no_route = 0
+                self._back_out(goal)
+            else:
+                self._end(GoalState.ABORTED, reason, message.detail)
             return
         # Noise can close a passage for a moment: stand and look again before giving up.
         self._stand(goal, message.detail)
@@ -287,6 +293,10 @@ class NavigatorStage:
         if goal.recoveries == 1:
             self._replan(goal)
             return
+        self._back_out(goal)
+
+    def _back_out(self, goal: Goal) -> None:
+        assert self._pose is not None
         goal.state = GoalState.RECOVERING
         goal.detail = "backing out"
         self._plan = None

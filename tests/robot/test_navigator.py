@@ -182,6 +182,29 @@ def test_no_route_is_tried_again_before_it_is_final(world: World) -> None:
     assert (world.status.state, world.status.reason) == ("aborted", "no_route")
 
 
+def test_where_no_route_begins_it_backs_out_once_and_looks_again(world: World) -> None:
+    for x in np.arange(0.0, 1.0, 0.1):
+        world.pose = (float(x), 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    for expected in ("recovering", "aborted"):
+        for _ in range(3):
+            world.answer(ok=False, reason="no_route")
+            assert world.status.state == "planning"
+            world.run(1.5)
+        world.answer(ok=False, reason="no_route")
+        assert world.status.state == expected
+        if expected == "recovering":
+            back = world.last(t.PATH_COMMAND)
+            assert back.reverse
+            assert back.x[0] > back.x[-1] > 0.2
+            requests = world.count(t.PLAN_REQUEST)
+            world.tracker_phase = "done"
+            world.run(0.6)
+            assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.status.reason == "no_route"
+
+
 def test_repeating_a_request_changes_nothing(world: World) -> None:
     world.goal()
     world.answer()

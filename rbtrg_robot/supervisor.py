@@ -38,6 +38,7 @@ START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
 STOP_LIMIT = 1.6
 """Seconds a process has to end before it is killed."""
+SHARED_MEMORY = Path("/dev/shm")
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
@@ -223,8 +224,12 @@ class Supervisor:
         children = [c for c in self._children.values() if c.forked is not None]
         recorder = [c for c in children if c.row.name == "recorder"]
         others = [c for c in children if c.row.name != "recorder"]
+        segments = {path for c in children if c.usage is not None for path in shared_segments(c.usage)}
         end([c.forked for c in others if c.forked], STOP_LIMIT)
         end([c.forked for c in recorder if c.forked], LAST_WISH)
+        # Zenoh removes what a process leaves only when the next one starts.
+        for path in segments:
+            path.unlink(missing_ok=True)
 
     # --- knowledge --------------------------------------------------------------------------------------------
 
@@ -308,6 +313,15 @@ def end(forked: list[Forked], limit: float) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
+
+
+def shared_segments(process: psutil.Process) -> set[Path]:
+    """Zenoh's shared memory that a process has mapped: its own and that of those it talks to."""
+    try:
+        mapped = [Path(m.path) for m in process.memory_maps()]
+    except psutil.Error:
+        return set()
+    return {path for path in mapped if path.parent == SHARED_MEMORY and path.suffix == ".zenoh"}
 
 
 def last_words(path: Path) -> str:

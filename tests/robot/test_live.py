@@ -25,6 +25,7 @@ from rbtrg_robot.bus import Bus
 from rbtrg_robot.goal import goal_request
 from rbtrg_robot.logfile import is_intact, read_run
 from rbtrg_robot.messages import decode, stamp_of
+from rbtrg_robot.supervisor import shared_segments
 
 pytestmark = pytest.mark.timeout(420)
 START_LIMIT = 240.0
@@ -167,10 +168,13 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
     assert beside.returncode == 1
     assert "robot is live" in beside.stderr
 
+    segments = {path for child in children for path in shared_segments(child)}
+    assert segments
     down = stack.run("down")
     assert down.returncode == 0
     _gone, alive = psutil.wait_procs(children, timeout=3.0)
     assert not alive
+    assert not [path for path in segments if path.exists()]
     log = stack.log() / "log_0.mcap"
     assert is_intact(log)
     counts: Counter[str] = Counter()

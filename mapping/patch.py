@@ -110,6 +110,12 @@ class MapMirror:
         self.stamp = max(self.stamp, patch.stamp)
         return CellWindow(row, col, rows, cols)
 
+    def overlaid(self, patch: MapPatch) -> MapMirror:
+        """A copy with `patch` on it; this mirror stays as it is. Raises MapError like `apply`."""
+        other = replace(self, layers={name: layer.copy() for name, layer in self.layers.items()})
+        other.apply(patch)
+        return other
+
     def _cover(self, row: int, col: int, rows: int, cols: int) -> None:
         c = self._chunk
         r0, c0 = row // c * c, col // c * c

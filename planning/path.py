@@ -121,18 +121,29 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
 def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
     """Whether a path made on an earlier map still holds on this one, and if not, what is in the way.
 
-    It does not hold when a face higher than the limit came up under the body, or when the graph lost the ground
-    around a corner of the route.
+    It does not hold when `face_in_the_way` finds one, or when the graph lost the ground around a corner of the route.
     """
-    poses = np.column_stack([path.points[:, :2], path.yaw])[_thin(path.points, 0.05)]
-    step = steps_under(_terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
-    bad = int(np.argmax(step))
-    if step[bad] > max(path.limits.max_step, path.worst_step) + 0.02:
-        return False, f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
+    face = face_in_the_way(path, grid, body)
+    if face:
+        return False, face
     for x, y in path.route.tolist():
         if graph.nearest_node((x, y)) is None:
             return False, f"no drivable ground left around ({x:.2f}, {y:.2f})"
     return True, ""
+
+
+def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
+    """The highest face under the body on that part of the path which lies on `grid`; empty while all are within the limit."""
+    poses = np.column_stack([path.points[:, :2], path.yaw])[_thin(path.points, 0.05)]
+    x0, y0, x1, y1 = grid.extent
+    poses = poses[((poses[:, :2] >= (x0, y0)) & (poses[:, :2] <= (x1, y1))).all(axis=1)]
+    if not len(poses):
+        return ""
+    step = steps_under(_terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
+    bad = int(np.argmax(step))
+    if step[bad] <= max(path.limits.max_step, path.worst_step) + 0.02:
+        return ""
+    return f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
 
 
 def _terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:

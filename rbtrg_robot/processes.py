@@ -29,6 +29,8 @@ class Process:
     """Newest messages of these topics are handed to a restarted process before anything else."""
     hang: float = 3.0
     """A process that has not beaten for this long [s] hangs and is killed. Longer where one step on a large map takes long."""
+    farewell: float = 1.6
+    """[s] it has to end when told to, before it is killed."""
     hosted: bool = True
     """False: brings its own main loop instead of a stage."""
 
@@ -42,6 +44,7 @@ PROCESSES: tuple[Process, ...] = (
         memory=700,
         loss="no robot: nothing moves; hardware stops by its own watchdog",
         restores=(t.ROBOT_STATE, t.TRUTH),
+        farewell=3.5,  # a real robot stops and lies down
         hosted=False,
     ),
     Process(

@@ -153,6 +153,7 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
             _wait_for_all(bus, heart, config, stopping)
         window = Window(stage.backend) if config.viewer else None
         pace = Pace(now)
+        undecodable = 0
         while not stopping():
             heart.beat()
             ahead = (now + STEP - pace.target()) / NS if config.simulated else STEP / NS
@@ -162,8 +163,10 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
             for received in inbox:
                 try:
                     stage.on(received.topic, received.decode())
-                except messages.MessageError:
-                    continue  # counted by its sender's tests; a broken command is no command
+                except messages.MessageError as error:  # a broken command is no command
+                    undecodable += 1
+                    if undecodable in (1, 10, 100, 1000):
+                        log.warning("message %d refused: %s", undecodable, error)
             if not config.simulated:
                 now = time.time_ns()
                 publish(bus, stage.tick(now), now)

@@ -36,8 +36,6 @@ SETTLED = 30.0
 """A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
-STOP_LIMIT = 1.6
-"""Seconds a process has to end before it is killed."""
 SHARED_MEMORY = Path("/dev/shm")
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
@@ -225,8 +223,8 @@ class Supervisor:
         recorder = [c for c in children if c.row.name == "recorder"]
         others = [c for c in children if c.row.name != "recorder"]
         segments = {path for c in children if c.usage is not None for path in shared_segments(c.usage)}
-        end([c.forked for c in others if c.forked], STOP_LIMIT)
-        end([c.forked for c in recorder if c.forked], LAST_WISH)
+        end({c.forked: c.row.farewell for c in others if c.forked})
+        end({c.forked: LAST_WISH for c in recorder if c.forked})
         # Zenoh removes what a process leaves only when the next one starts.
         for path in segments:
             path.unlink(missing_ok=True)
@@ -301,15 +299,15 @@ class Supervisor:
         }
 
 
-def end(forked: list[Forked], limit: float) -> None:
-    """SIGTERM, then SIGKILL after `limit` seconds; returns when all are gone."""
-    for process in forked:
+def end(limits: dict[Forked, float]) -> None:
+    """SIGTERM, then SIGKILL to those that exceed their limit [s]; returns when all are gone."""
+    for process in limits:
         if process.poll() is None:
             process.terminate()
-    deadline = time.monotonic() + limit
-    for process in forked:
+    began = time.monotonic()
+    for process, limit in sorted(limits.items(), key=lambda entry: entry[1]):
         try:
-            process.wait(max(0.0, deadline - time.monotonic()))
+            process.wait(max(0.0, began + limit - time.monotonic()))
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

@@ -149,6 +149,14 @@ MAP_UPDATE = Topic(
     "changed blocks of the elevation map",
     512,
 )
+MAP_WINDOW = Topic(
+    "/elevation_map/window",
+    "grid_map_msgs/msg/GridMap",
+    10,
+    Qos.SENSOR,
+    "elevation",
+    "elevation map around the robot, after every scan",
+)
 MAP_FULL = Topic(
     "/elevation_map",
     "grid_map_msgs/msg/GridMap",

@@ -135,6 +135,10 @@ def _check(config: Any) -> None:
                 require_display()
             except RenderError as error:
                 raise ConfigError(str(error)) from error
+    else:
+        from hal.unitree import check
+
+        check(config.interface)
     if config.map_file:
         from mapping.elevation import ElevationMap
 

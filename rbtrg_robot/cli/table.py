@@ -59,6 +59,8 @@ def robot_line(robot: dict[str, Any]) -> str:
         words.append(f"E-STOP ({robot['estop_cause']})")
     elif robot["hold"] and robot["hold"] != "no command":
         words.append(f"held ({robot['hold']})")
+    if robot["cause"] and not any(robot["cause"] in word for word in words):
+        words[0] += f" ({robot['cause']})"
     if "x" in robot:
         words.append(f"at {robot['x']:.2f} {robot['y']:.2f} yaw {robot['yaw'] * 57.29578:.0f} deg")
         words.append(f"{robot['speed']:.2f} m/s")

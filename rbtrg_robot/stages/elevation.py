@@ -51,7 +51,7 @@ class ElevationStage:
     """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
 
     inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_MIRROR)
-    outputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS)
+    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS)
 
     def __init__(
         self,
@@ -150,9 +150,11 @@ class ElevationStage:
         self._scans += 1
         if self._scans % self._params.clean_every == 0:
             self.map.clean()
+        outputs: Outputs = []
         if self._scans % self._params.publish_every == 1:
-            return [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
-        return []
+            outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
+        window = self.map.window(position[0], position[1], self._params.window)
+        return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
 
     def _request(self, message: Any) -> Outputs:
         if message.action == "full":

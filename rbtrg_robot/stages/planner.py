@@ -8,12 +8,12 @@ import numpy as np
 
 from hal.types import NS
 from mapping.grid import ElevationGrid
-from mapping.patch import MapError, MapMirror
+from mapping.patch import MapError, MapMirror, MapPatch
 from planning.body_risk import BodyModel
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.frontier import FrontierMemory
 from planning.graph import GraphParams, TraversalGraph
-from planning.path import Path, PathLimits, make_path, still_safe
+from planning.path import Path, PathLimits, face_in_the_way, make_path, still_safe
 from planning.risk_table import RiskTable
 from planning.search import Plan, PlanRequest, plan
 from rbtrg_robot import topics as t
@@ -35,10 +35,14 @@ REASONS = {
 }
 
 
+Box = tuple[int, int, int, int]
+"""Lattice cells: first row, first column, row and column after the last."""
+
+
 class PlannerStage:
     """See the module."""
 
-    inputs = (t.MAP_UPDATE, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
+    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
 
     def __init__(
@@ -49,11 +53,15 @@ class PlannerStage:
         self._body = body
         self._limits = limits
         self._mirror = MapMirror()
+        self._window: MapPatch | None = None
+        """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
+        self._laid: Box | None = None
+        """Where the newest grid has a window laid over the mirror."""
         self._epoch = 0
         self._graph: TraversalGraph | None = None
         self._grid: ElevationGrid | None = None
         self._table: RiskTable | None = None
-        self._changed: list[tuple[int, int, int, int]] = []
+        self._changed: list[Box] = []
         self._updated = 0
         self._start: tuple[float, float] | None = None
         self._first: tuple[float, float] | None = None
@@ -87,6 +95,8 @@ class PlannerStage:
         """Take one message."""
         if topic in (t.MAP_UPDATE, t.MAP_FULL):
             self._take_patch(message)
+        elif topic is t.MAP_WINDOW:
+            return self._watch(message)
         elif topic is t.MAP_STATUS:
             self._epoch = int(message.epoch)
             if message.restoring and self._mirror.layers:
@@ -103,6 +113,29 @@ class PlannerStage:
             return
         if window.rows and window.cols:
             self._changed.append((window.row, window.col, window.row + window.rows, window.col + window.cols))
+        if self._window is not None and self._mirror.stamp >= self._window.stamp:
+            self._window = None
+
+    def _watch(self, message: Any) -> Outputs:
+        """Look whether something came into the way of the path, at the rate of the scans."""
+        watching = self._path is not None and self._verdict[0]
+        if not watching and self._window is None:
+            return []
+        try:
+            window = map_patch(message, self._mirror.epoch)
+        except LayoutError:
+            self._malformed += 1
+            return []
+        if self._window is not None:
+            self._window = window
+        if self._path is None or not watching:
+            return []
+        face = face_in_the_way(self._path, window.grid(filled=True), self._body)
+        if not face:
+            return []
+        self._window = window
+        self._verdict = (False, face)
+        return [(t.ROUTE_STATUS, self._status(self._now))]
 
     # --- graph ------------------------------------------------------------------------------------------------
 
@@ -125,18 +158,24 @@ class PlannerStage:
         """Bring grid and graph to the newest map."""
         if not self._mirror.layers:
             return
-        grid = self._mirror.grid()
+        mirror, changed = self._mirror, self._changed
+        if self._laid is not None:
+            changed.append(self._laid)
+            self._laid = None
+        if self._window is not None:
+            mirror = mirror.overlaid(self._window)
+            (row, col), (rows, cols) = self._window.cell, self._window.shape
+            self._laid = (row, col, row + rows, col + cols)
+            changed.append(self._laid)
+        grid = mirror.grid()
         windows = [
-            (r0 - self._mirror.row, c0 - self._mirror.col, r1 - self._mirror.row, c1 - self._mirror.col)
-            for r0, c0, r1, c1 in self._changed
+            (r0 - mirror.row, c0 - mirror.col, r1 - mirror.row, c1 - mirror.col) for r0, c0, r1, c1 in changed
         ]
         self._changed = []
         if self._start is not None:
             self._refresh(self._start, grid, windows)
 
-    def _refresh(
-        self, start: tuple[float, float], grid: ElevationGrid, windows: list[tuple[int, int, int, int]]
-    ) -> None:
+    def _refresh(self, start: tuple[float, float], grid: ElevationGrid, windows: list[Box]) -> None:
         self._grid = grid
         try:
             if self._graph is None:
@@ -177,7 +216,7 @@ class PlannerStage:
         if message.goal_id != self._memory_goal:
             self._memory, self._memory_goal = FrontierMemory(), message.goal_id
         self._memory.at(self._start)
-        if self._changed or self._graph is None:
+        if self._changed or self._window is not None or self._graph is None:
             self._sync()
         base = {
             "header": header(self._now, MAP),

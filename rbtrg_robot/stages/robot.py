@@ -133,7 +133,7 @@ class RobotStage:
             outputs += self._publish(sample)
         status = self._gate.status()
         state = self.backend.state()
-        shown = (state.phase, state.cause, status.latched, status.cause)
+        shown = (state.phase, state.cause, status.latched, status.cause, status.not_moving)
         if now >= self._state_due or shown != self._shown:
             self._shown = shown
             self._state_due = now + STATE_PERIOD
@@ -178,7 +178,7 @@ class RobotStage:
             t.ROBOT_STATE.type,
             header=header(now, "base_link"),
             phase=phase.value,
-            cause=state.cause,
+            cause=f"{state.cause}; commanded but not moving" if status.not_moving else state.cause,
             estop=status.latched,
             estop_cause=status.cause,
             battery=float(state.battery),

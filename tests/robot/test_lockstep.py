@@ -158,7 +158,7 @@ def test_the_same_seed_gives_the_same_log_and_a_rerun_gives_the_recorded_map(tmp
     rerun(files[0], names, twice)
     assert again.read_bytes() == twice.read_bytes()
     before, after = payloads(files[0]), payloads(again)
-    for topic in (t.ODOM, t.CLOUD, t.POSE, t.MAP_UPDATE, t.PLAN):
+    for topic in (t.ODOM, t.CLOUD, t.POSE, t.MAP_UPDATE, t.MAP_WINDOW, t.PLAN):
         assert before[topic]
         assert before[topic] == after[topic], topic.name
 
@@ -188,5 +188,40 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
     assert all(len(names) == 1 and "" not in names for names in frames.values()), frames
     assert frames["/lidar/points"] == {"lidar"}
     assert frames["/odom"] == {"odom"}
-    assert frames["/elevation_map/update"] == {"map"}
+    assert frames["/elevation_map/update"] == frames["/elevation_map/window"] == {"map"}
     assert np.isfinite(len(frames))
+
+
+def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() -> None:
+    appear, x0 = 8.0, 3.7
+    box = {"centre": (x0 + 0.15, 0.0, 0.2), "size": (0.3, 0.5, 0.4), "appear": appear}
+    with Lockstep(config(origin=(0.0, 0.0, 0.0)).model_copy(update={"sim": {"obstacles": [box]}})) as stack:
+        stack.wait_ready()
+        stack.send_goal(5.5, 0.0)
+        stack.run(appear - stack.seconds)
+        gap = x0 - truth(stack)[0] - 0.35
+        assert 0.4 < gap < 1.0, "in front of the nose, and further than it takes to brake"
+        assert speed(stack) > 0.4
+        stopped = np.inf
+        closest = np.inf
+        while stack.statuses[-1].state not in ("reached", "aborted") and stack.seconds < 40.0:
+            stack.run(0.05)
+            if speed(stack) < 0.05:
+                stopped = min(stopped, stack.seconds - appear)
+            closest = min(closest, _distance(truth(stack), (x0, x0 + 0.3), (-0.25, 0.25)))
+        assert stack.statuses[-1].state == "reached"
+    assert stopped < 0.8, "seen in the window after the next scan, not with the next change of the map"
+    assert closest > 0.0
+
+
+def _distance(pose: tuple[float, float, float], xs: tuple[float, float], ys: tuple[float, float]) -> float:
+    """From the rim of the body to a box along the axes [m]; 0 where they overlap."""
+    u = np.linspace(-1.0, 1.0, 31)
+    one = np.ones_like(u)
+    rim = np.vstack([np.column_stack(side) for side in ((u, one), (u, -one), (one, u), (-one, u))])
+    along, side = 0.35 * rim[:, 0], 0.218 * rim[:, 1]
+    x = pose[0] + along * math.cos(pose[2]) - side * math.sin(pose[2])
+    y = pose[1] + along * math.sin(pose[2]) + side * math.cos(pose[2])
+    dx = np.maximum(0.0, np.maximum(xs[0] - x, x - xs[1]))
+    dy = np.maximum(0.0, np.maximum(ys[0] - y, y - ys[1]))
+    return float(np.hypot(dx, dy).min())

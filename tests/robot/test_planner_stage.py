@@ -18,13 +18,18 @@ from rbtrg_robot.stages.planner import PlannerStage, build
 RES = 0.04
 
 
-def patch(height: np.ndarray, trusted: np.ndarray | None = None, cell: tuple[int, int] = (0, 0)) -> Any:
+def patch(
+    height: np.ndarray,
+    trusted: np.ndarray | None = None,
+    cell: tuple[int, int] = (0, 0),
+    stamp: int = NS,
+) -> Any:
     """Map message; `cell` is the lattice row and column of cell [0, 0]."""
     layers = {name: np.zeros(height.shape, np.float32) for name in PATCH_LAYERS}
     layers["trusted"] = (np.ones(height.shape) if trusted is None else trusted).astype(np.float32)
     layers["elevation"] = np.where(layers["trusted"] > 0, height, np.nan).astype(np.float32)
     layers["upper_bound"][:] = np.nan
-    return patch_msg(MapPatch((cell[1] * RES, cell[0] * RES), RES, NS, 0, layers))
+    return patch_msg(MapPatch((cell[1] * RES, cell[0] * RES), RES, stamp, 0, layers))
 
 
 def ask(stage: PlannerStage, start: tuple[float, float], goal: tuple[float, float], **fields: Any) -> Any:
@@ -95,6 +100,41 @@ def test_a_route_that_the_map_contradicts_is_reported() -> None:
     status = dict(stage.tick(4 * NS))[t.ROUTE_STATUS]
     assert not status.valid
     assert "m face at (" in status.detail
+
+
+def test_what_comes_into_the_way_is_seen_in_the_window_and_driven_around_before_the_map_has_it() -> None:
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(np.zeros((100, 150))))
+    assert stage.on(t.MAP_WINDOW, patch(np.zeros((50, 50)), stamp=2 * NS)) == [], "nothing is driven yet"
+    free = ask(stage, (1.5, 2.0), (5.0, 2.0))
+    stage.tick(3 * NS)
+    assert stage.on(t.MAP_WINDOW, patch(np.zeros((70, 80)), cell=(15, 10), stamp=3 * NS)) == []
+    box = np.zeros((70, 80))
+    box[25:45, 60:68] = 0.4  # x 2.8 to 3.1, y 1.6 to 2.4
+    (topic, status), *others = stage.on(t.MAP_WINDOW, patch(box, cell=(15, 10), stamp=4 * NS))
+    assert (topic, status.valid, others) == (t.ROUTE_STATUS, False, [])
+    assert "m face at (2." in status.detail
+    assert stage.on(t.MAP_WINDOW, patch(box, cell=(15, 10), stamp=5 * NS)) == [], "said once"
+
+    around = ask(stage, (1.5, 2.0), (5.0, 2.0), sequence=2, now=5 * NS)
+    assert around.reaches_goal
+    near = np.abs(np.array(around.x) - 2.95) < 0.15
+    assert np.abs(np.array(around.y)[near] - 2.0).min() > 0.4 + 0.2, "half the body beside the box"
+    # The box has gone before the map's changes are sent: neither mirror nor graph keep it.
+    stage.on(t.MAP_UPDATE, patch(np.zeros((10, 10)), stamp=6 * NS))
+    stage.tick(7 * NS)
+    again = ask(stage, (1.5, 2.0), (5.0, 2.0), sequence=3, now=8 * NS)
+    assert again.length == free.length
+
+
+def test_a_malformed_window_is_survived() -> None:
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(np.zeros((75, 150))))
+    ask(stage, (1.5, 1.5), (5.0, 1.5))
+    broken = patch(np.zeros((20, 20)), stamp=2 * NS)
+    broken.info.length_x = 3.0
+    assert stage.on(t.MAP_WINDOW, broken) == []
+    assert dict(stage.tick(3 * NS))[t.ROUTE_STATUS].valid
 
 
 def test_what_the_navigator_wants_avoided_is_driven_around() -> None:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from hal.geofence import Geofence
 from hal.types import NS, Phase
 from rbtrg_robot import topics as t
@@ -15,6 +13,7 @@ from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.goal import Goal, GoalState
 from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.path_order import PathOrder
 from rbtrg_robot.plan_query import PlanQuery
 from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
 from rbtrg_robot.reasons import Reason
@@ -63,8 +62,7 @@ class NavigatorStage:
         self._no_route = 0
         self._short = 0
         self._avoid: list[float] = []
-        self._path: Any = None
-        self._path_sent = 0
+        self._order = PathOrder()
         self._progress = ProgressMonitor()
         self._trail = Trail()
         self._missing_since = 0
@@ -161,7 +159,7 @@ class NavigatorStage:
             goal.risk = float(message.transition_body.max(initial=0.0))
             goal.state = GoalState.MOVING
             goal.detail = ""
-            self._drive(message)
+            self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
             self._status()
             return
         reason = Reason(message.reason)
@@ -196,7 +194,9 @@ class NavigatorStage:
             self._supervise(goal)
         if now >= self._status_due or now < self._status_due - NS:
             self._status()
-        self._repeat_path()
+        again = self._order.repeat(now, self._tracker)
+        if again is not None:
+            self._out.append((t.PATH_COMMAND, again))
         return self._out
 
     def _supervise(self, goal: Goal) -> None:
@@ -237,9 +237,8 @@ class NavigatorStage:
 
     def _follow(self, goal: Goal) -> None:
         now, p = self._now, self._params
-        tracker = self._tracker
-        on_path = self._path is not None and tracker is not None and tracker.path_id == self._path.id
-        if on_path and tracker.phase == "done":
+        on_path = self._order.obeyed(self._tracker)
+        if on_path and self._tracker.phase == "done":
             self._arrive(goal)
             return
         if goal.state is GoalState.MOVING and self._route_bad:
@@ -289,7 +288,7 @@ class NavigatorStage:
             return
         x, y, yaw = self._pose
         reach = self._params.avoid_ahead
-        self._avoid += [x + reach * np.cos(yaw), y + reach * np.sin(yaw), self._params.avoid_radius]
+        self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
         if goal.recoveries == 1:
             self._replan(goal)
             return
@@ -300,17 +299,9 @@ class NavigatorStage:
         goal.state = GoalState.RECOVERING
         goal.detail = "backing out"
         self._plan = None
-        way = np.array(self._trail.back(self._pose, self._params.back_out))
-        speed = np.full(len(way), 0.3)
-        self._send(
-            id=f"{goal.id}/back{goal.recoveries}",
-            reverse=True,
-            x=way[:, 0].copy(),
-            y=way[:, 1].copy(),
-            z=np.zeros(len(way)),
-            yaw=way[:, 2].copy(),
-            speed=speed,
-        )
+        way = self._trail.back(self._pose, self._params.back_out)
+        order = self._order.way_back(self._now, f"{goal.id}/back{goal.recoveries}", way)
+        self._out.append((t.PATH_COMMAND, order))
         self._status()
 
     # --- outputs ----------------------------------------------------------------------------------------------
@@ -328,33 +319,14 @@ class NavigatorStage:
         ask = self._query.repeat if again else self._query.ask
         self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._avoid)))
 
-    def _drive(self, plan: Any) -> None:
-        fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
-        final = plan.has_goal_yaw and plan.reaches_goal
-        path_id = f"{plan.goal_id}/{plan.sequence}"
-        self._send(id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
-
     def _halt(self) -> None:
         self._progress.reset()
         self._plan = None
-        self._send(id="")
+        self._out.append((t.PATH_COMMAND, self._order.stand(self._now)))
 
     def _stand(self, goal: Goal, why: str) -> None:
         goal.detail = why
         self._halt()
-
-    def _send(self, **fields: Any) -> None:
-        self._path = make(t.PATH_COMMAND.type, header=header(self._now, "map"), **fields)
-        self._path_sent = self._now
-        self._out.append((t.PATH_COMMAND, self._path))
-
-    def _repeat_path(self) -> None:
-        """A tracker that restarted has no path, and one that missed a halt still has one: send it again."""
-        if self._path is None or self._tracker is None:
-            return
-        if self._tracker.path_id != self._path.id and self._now - self._path_sent > 0.5 * NS:
-            self._path_sent = self._now
-            self._out.append((t.PATH_COMMAND, self._path))
 
     def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         assert self._goal is not None

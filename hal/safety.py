@@ -48,6 +48,7 @@ class SafetyGate:
         self._fresh_from = 0
         self._count = 0
         self._refused: Counter[RefusalReason] = Counter()
+        self._refusal: tuple[Refusal, int] | None = None
         self._cause: StopCause | None = None
         self._detail = ""
         self._hold = "no command yet"
@@ -63,6 +64,7 @@ class SafetyGate:
         refusal = self._check(command, now)
         if refusal is not None:
             self._refused[refusal.reason] += 1
+            self._refusal = refusal, now
             return refusal
         self._accepted = command
         # A stamp slightly ahead of the clock must not prolong the command's life.
@@ -185,16 +187,17 @@ class SafetyGate:
             if age < -limit:
                 return f"{sensor} is stamped {-age:.1f} s ahead of the clock"
         if inputs.state.phase not in (Phase.READY, Phase.MOVING):
-            return f"robot is {inputs.state.phase.value}"
+            return f"robot is {inputs.state.phase.value}: {inputs.state.cause}".removesuffix(": ")
         if inputs.tilt is None:
             return "no attitude yet"
         if self.geofence is not None and inputs.pose is None:
             return "no pose for the geofence"
-        if self._accepted is None:
-            return "no command"
-        if (now - self._fresh_from) / NS >= self.params.deadman:
-            return "no fresh command"
-        return ""
+        if self._accepted is not None and (now - self._fresh_from) / NS < self.params.deadman:
+            return ""
+        if self._refusal is not None and 0 <= (now - self._refusal[1]) / NS < self.params.deadman:
+            refusal = self._refusal[0]
+            return f"command refused, {refusal.reason.value}: {refusal.detail}"
+        return "no command" if self._accepted is None else "no fresh command"
 
     def _slewed(self, now: int, dt: float) -> VelocityCommand:
         c, p, last = self.capabilities, self.params, self._output

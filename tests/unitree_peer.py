@@ -26,9 +26,11 @@ from hal.types import NS
 from hal.unitree import api, idl
 from hal.unitree.api import Request, WireError
 from hal.unitree.link import L1_CLOUD, L1_IMU, LOW_STATE, SPORT_STATE, check_interface, domain_config
-from tests.unitree_robot import Faults, KinematicBody, MujocoBody, RobotSide
+from tests.unitree_robot import LOW_STATE_PERIOD, Faults, KinematicBody, MujocoBody, RobotSide
 
 CLOUDS = {"l1": L1_CLOUD, "xt16": "rt/lidar_points"}
+MOST_BEHIND = NS // 20
+"""[ns] the robot's time may lag behind the clock on the wall."""
 TYPES: dict[str, Any] = {LOW_STATE: idl.LowState, SPORT_STATE: idl.SportModeState, L1_IMU: idl.Imu}
 
 
@@ -55,6 +57,8 @@ class Peer:
 
         check_interface(interface)
         self.robot = robot
+        self.now = self._lost = 0
+        """The robot's time, and what it lost to a slow machine [ns]."""
         self._domain = Domain(domain, domain_config(interface))
         self._participant = participant = DomainParticipant(domain)
         sensor = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(64))
@@ -74,8 +78,19 @@ class Peer:
             self._requests[service] = DataReader(participant, request, server)
             self._answers[service] = DataWriter(participant, response, client)
 
-    def step(self, now: int) -> None:
-        """Requests in, physics on, responses and telemetry out. `now` [ns] since the start."""
+    def step(self, wall: int) -> None:
+        """Requests in, physics on, responses and telemetry out, up to `wall` [ns] since the start.
+
+        In steps of LowState, so that none is missed after a busy moment. A machine that cannot keep up gets a slower
+        robot, not one that answers ever later.
+        """
+        behind = wall - self._lost - self.now
+        self._lost += max(0, behind - MOST_BEHIND)
+        while self.now + LOW_STATE_PERIOD <= wall - self._lost:
+            self.now += LOW_STATE_PERIOD
+            self._step(self.now)
+
+    def _step(self, now: int) -> None:
         for service, reader in self._requests.items():
             for sample in reader.take(N=64):
                 if hasattr(sample, "cdr"):
@@ -156,7 +171,7 @@ def main() -> int:
                 if word == "quit":
                     return 0
                 if word == "release":
-                    peer.robot.release(now)
+                    peer.robot.release(peer.now)
                 elif word == "fault":
                     set_fault(faults, rest)
 

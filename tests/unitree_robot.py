@@ -30,6 +30,7 @@ from hal.unitree.telemetry import rotation
 
 HOLD = 1.0
 """[s] the last Move is kept."""
+LOW_STATE_PERIOD = NS // 500
 
 
 @dataclass
@@ -295,18 +296,18 @@ class RobotSide:
         f = self.faults
         stamp = now + round(f.epoch * NS)
         if now >= self._low_due:
-            self._low_due = now + NS // 500
+            self._low_due = max(self._low_due + LOW_STATE_PERIOD, now)
             if not f.low_frozen:
                 self._tick = now // 1_000_000
                 self._write_low()
             if not f.low_silent:
                 self._put(LOW_STATE, CDR_HEADER + self._low.tobytes())
         if now >= self._sport_due:
-            self._sport_due = now + NS // 50
+            self._sport_due = max(self._sport_due + NS // 50, now)
             if self.motion and not f.sport_silent:
                 self._put(SPORT_STATE, self._sport_bytes(stamp))
         if self._lidar == "l1" and now >= self._imu_due:
-            self._imu_due = now + NS // 250
+            self._imu_due = max(self._imu_due + NS // 250, now)
             turn = self._mount[0].T
             w, x, y, z = self._quaternion()
             raw = RawImu(stamp, np.array([w, x, y, z]), turn @ self.body.gyro, turn @ self.body.accel)
@@ -365,9 +366,6 @@ class RobotSide:
 class MujocoBody:
     """The simulated Go2-W as the body: its samples become telemetry."""
 
-    MOST_AT_ONCE = NS // 20
-    """[ns] simulated per step."""
-
     def __init__(self, scene: Any = "flat", standing: bool = True, **options: Any) -> None:
         """scene: a name, or a Scene; options: fields of `hal.mujoco.options.SimOptions`."""
         from hal.mujoco.backend import MujocoBackend
@@ -384,7 +382,7 @@ class MujocoBody:
         self.accel, self.gyro = np.array([0.0, 0.0, 9.81]), np.zeros(3)
         self.phase = self._backend.state().phase
         self._points: np.ndarray | None = None
-        self._now = self._asked = 0
+        self._now = 0
 
     def drive(self, vx: float, wz: float) -> None:
         self._backend.drive(VelocityCommand(self._now, vx=vx, wz=wz))
@@ -396,20 +394,16 @@ class MujocoBody:
     def advance(self, now: int) -> None:
         from hal.types import GroundTruth, ImuSample, JointSample, LidarScan
 
-        # A machine that cannot keep up gets a slower robot, not one that answers ever later.
-        step = min(now - self._asked, self.MOST_AT_ONCE)
-        self._asked = now
-        self._now += step
-        if step > 0:
-            for sample in self._backend.read(self._now):
-                if isinstance(sample, ImuSample):
-                    self.gyro, self.accel = sample.gyro, sample.accel
-                elif isinstance(sample, JointSample):
-                    self.q, self.dq, self.tau = sample.position, sample.velocity, sample.effort
-                elif isinstance(sample, LidarScan):
-                    self._points = sample.points
-                elif isinstance(sample, GroundTruth):
-                    self._pose(sample)
+        self._now = now
+        for sample in self._backend.read(now):
+            if isinstance(sample, ImuSample):
+                self.gyro, self.accel = sample.gyro, sample.accel
+            elif isinstance(sample, JointSample):
+                self.q, self.dq, self.tau = sample.position, sample.velocity, sample.effort
+            elif isinstance(sample, LidarScan):
+                self._points = sample.points
+            elif isinstance(sample, GroundTruth):
+                self._pose(sample)
         phase = self._backend.state().phase
         self.phase = Phase.READY if phase is Phase.MOVING else phase
 

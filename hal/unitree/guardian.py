@@ -116,11 +116,13 @@ class Guardian:
             self._process.stdout.close()
 
 
-class _Order:
+class Order:
     """One emergency request that is repeated until it is confirmed."""
 
     def __init__(self, link, avoid: bool) -> None:  # type: ignore[no-untyped-def]
-        self._link, self._avoid = link, avoid
+        self._link = link
+        self.avoid = avoid
+        """Whether the robot drives through its obstacle avoidance, which then must rest too."""
         self._api: int | None = None
         self._until = self._next = 0.0
         self._ids: set[int] = set()
@@ -144,7 +146,7 @@ class _Order:
             identity = time.monotonic_ns()
             self._ids.add(identity)
             self._link.send(api.SPORT, Request(identity, int(self._api)))
-            if self._avoid:
+            if self.avoid:
                 zero = api.compact({"x": 0.0, "y": 0.0, "yaw": 0.0, "mode": 0})
                 self._link.send(
                     api.OBSTACLES_AVOID, Request(identity + 1, api.ObstaclesAvoid.MOVE, zero, True)
@@ -164,7 +166,7 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     except BackendError as error:
         print(f"guardian: {error}", file=sys.stderr)
         return 1
-    order = _Order(link, avoid)
+    order = Order(link, avoid)
     moving, ended, ready = False, False, False
     heard = sign = time.monotonic()
     while True:

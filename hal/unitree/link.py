@@ -43,10 +43,11 @@ class Link(Protocol):
 def check_interface(name: str) -> None:
     """Raise BackendError unless the interface exists, is up and has an IPv4 address."""
     addresses = psutil.net_if_addrs()
+    choices = f"choose one of {', '.join(sorted(addresses))} (--interface)"
+    if not name:
+        raise BackendError(f"which network interface leads to the robot? {choices}")
     if name not in addresses:
-        raise BackendError(
-            f"network interface {name!r} does not exist; choose one of {', '.join(sorted(addresses))} (--interface)"
-        )
+        raise BackendError(f"network interface {name!r} does not exist; {choices}")
     stats = psutil.net_if_stats().get(name)
     if stats is None or not stats.isup:
         raise BackendError(

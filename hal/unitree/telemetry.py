@@ -57,7 +57,9 @@ class Telemetry:
         self._sport_at: int | None = None
         self._sport_stamp: tuple[int, int] | None = None
         self._tick: int | None = None
-        self._imu_tick = self._joint_tick = -(2**32)
+        self._sampled = self._elapsed = 0
+        """Tick of the last LowState that was looked at for samples, and [ms] up to it, which never start over."""
+        self._due = {IMU_PERIOD: 0, JOINT_PERIOD: 0}
         self._last: dict[type, int] = {}
         self.bad: Counter[str] = Counter()
         """Unreadable messages by topic."""
@@ -117,7 +119,6 @@ class Telemetry:
                 if self._tick - tick < 1000:
                     return None  # out of order
                 self.reboots += 1
-                self._imu_tick = self._joint_tick = -(2**32)
                 log.warning(
                     "LowState tick went back from %d to %d ms: the robot was restarted", self._tick, tick
                 )
@@ -127,21 +128,29 @@ class Telemetry:
 
     def _low_samples(self, low: np.void, now: int) -> list[ImuSample | JointSample | LidarScan]:
         tick = int(low["tick"])
+        self._elapsed += (tick - self._sampled) % 2**32  # of a restarted robot: far ahead, everything is due
+        self._sampled = tick
         stamp = self.low_clock.convert(tick * 1_000_000, now)
         out: list[ImuSample | JointSample | LidarScan] = []
-        if self._options.imu == "lowstate" and tick - self._imu_tick >= IMU_PERIOD:
-            self._imu_tick = tick
+        if self._options.imu == "lowstate" and self._is_due(IMU_PERIOD):
             imu = low["imu_state"]
             out += self._imu(
                 stamp, self._imu_rotation @ imu["gyroscope"], self._imu_rotation @ imu["accelerometer"]
             )
-        if tick - self._joint_tick >= JOINT_PERIOD:
-            self._joint_tick = tick
+        if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
             q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
             if math.isfinite(q.sum() + dq.sum() + tau.sum()):
                 out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
         return out
+
+    def _is_due(self, period: int) -> bool:
+        """Once per `period` [ms] on average, also where LowState comes in steps that do not divide it."""
+        due = self._due[period]
+        if self._elapsed < due:
+            return False
+        self._due[period] = period + (due if self._elapsed < due + period else self._elapsed)
+        return True
 
     def _imu(self, stamp: int, gyro: Array, accel: Array) -> list[ImuSample | JointSample | LidarScan]:
         if not math.isfinite(gyro.sum() + accel.sum()):

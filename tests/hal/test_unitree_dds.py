@@ -205,6 +205,38 @@ def test_a_host_that_dies_or_hangs_leaves_the_robot_at_rest_within_half_a_second
     wait(lambda: not children[0].is_running(), 5.0)
 
 
+def test_a_cut_cable_is_noticed_by_the_sentry_on_the_robots_side(peer: PeerProcess, domain: int):
+    """Host and guardian stop at once: nothing more arrives, and the robot alone would roll on for a second."""
+    sentry = subprocess.Popen(
+        [sys.executable, "-m", "hal.unitree.sentry", "lo", "--domain", str(domain)],
+        cwd=ROOT,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    host = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(domain)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    family = [psutil.Process(host.pid)]
+    try:
+        assert host.stdout is not None
+        assert host.stdout.readline() == "up\n"
+        family += family[0].children()
+        wait(lambda: peer.last["v"] > 0.4)
+        for process in reversed(family):
+            process.suspend()
+        moment = time.monotonic()
+        wait(lambda: peer.last["t"] > moment + 1.5)
+        assert 0.1 < peer.rest_after(moment) < peer.limit_after(moment)
+    finally:
+        for process in family:
+            process.kill()
+        host.communicate()
+        sentry.terminate()
+        _, said = sentry.communicate(timeout=5.0)
+    assert "Moves ceased" in said
+    assert sentry.returncode == 0
+
+
 def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
     backend: UnitreeBackend, peer: PeerProcess
 ):

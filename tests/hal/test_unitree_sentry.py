@@ -1,0 +1,86 @@
+"""The watch on the robot's side of the cable."""
+
+from __future__ import annotations
+
+import pytest
+
+from hal.unitree import api
+from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
+from hal.unitree.guardian import INSIST, SILENCE, Order
+from hal.unitree.sentry import Sentry
+
+
+class Link:
+    """Keeps what is sent; answers when told to."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[str, Request]] = []
+        self.answers: list[Response] = []
+
+    def send(self, service: str, request: Request) -> None:
+        self.sent.append((service, request))
+
+    def responses(self, _service: str) -> list[Response]:
+        out, self.answers = self.answers, []
+        return out
+
+
+def move(vx: float) -> tuple[str, Request]:
+    return api.SPORT, Request(1, Sport.MOVE, api.compact({"x": vx, "y": 0.0, "z": 0.0}), True)
+
+
+@pytest.fixture
+def link() -> Link:
+    return Link()
+
+
+@pytest.fixture
+def sentry(link: Link) -> Sentry:
+    return Sentry(Order(link, avoid=False))
+
+
+def test_silent_while_moves_come_and_after_a_stop(sentry: Sentry, link: Link) -> None:
+    for k in range(100):
+        sentry.step(0.02 * k, [move(0.5)])
+    for ending in (
+        [move(0.0)],
+        [(api.SPORT, Request(2, Sport.STOP_MOVE))],
+        [(api.SPORT, Request(3, Sport.DAMP))],
+    ):
+        sentry.step(2.0, [move(0.5), *ending])
+        sentry.step(5.0, [])
+    assert link.sent == []
+
+
+def test_stops_the_robot_when_moves_cease_and_insists_until_confirmed(sentry: Sentry, link: Link) -> None:
+    sentry.step(1.0, [move(-0.2)])
+    sentry.step(1.0 + 0.9 * SILENCE, [])
+    assert link.sent == []
+    sentry.step(1.0 + 1.1 * SILENCE, [])
+    assert [(s, r.api) for s, r in link.sent] == [(api.SPORT, Sport.STOP_MOVE)]
+    link.answers.append(Response(link.sent[0][1].id, Sport.STOP_MOVE, 0))
+    sentry.step(1.0 + INSIST, [])
+    assert len(link.sent) == 1
+
+
+def test_stops_the_obstacle_avoidance_as_well_where_it_drives(sentry: Sentry, link: Link) -> None:
+    parameter = api.compact({"x": 0.4, "y": 0.0, "yaw": 0.0, "mode": 0})
+    sentry.step(1.0, [(api.OBSTACLES_AVOID, Request(1, ObstaclesAvoid.MOVE, parameter, True))])
+    sentry.step(2.0, [(api.OBSTACLES_AVOID, Request(2, ObstaclesAvoid.SWITCH_GET))])
+    assert [(s, r.api) for s, r in link.sent] == [
+        (api.SPORT, Sport.STOP_MOVE),
+        (api.OBSTACLES_AVOID, ObstaclesAvoid.MOVE),
+    ]
+
+
+@pytest.mark.parametrize("parameter", ["", "[]", "{", '{"x": "fast"}', '{"x": null}'])
+def test_a_move_that_cannot_be_read_neither_ends_nor_begins_anything(
+    sentry: Sentry, link: Link, parameter: str
+) -> None:
+    sentry.step(1.0, [(api.SPORT, Request(1, Sport.MOVE, parameter, True))])
+    sentry.step(2.0, [])
+    assert link.sent == []
+    sentry.step(3.0, [move(0.5)])
+    sentry.step(3.1, [(api.SPORT, Request(1, Sport.MOVE, parameter, True))])
+    sentry.step(3.2, [])
+    assert len(link.sent) == 1

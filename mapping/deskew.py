@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.rotation import rotation_rpy
 from hal.types import Array, Extrinsics
 from mapping.rotation import rotation, rotation_vector
 
 
 def mount_matrix(mount: Extrinsics) -> Array:
     """(4, 4) base_link <- sensor; rotation Rz(yaw) Ry(pitch) Rx(roll)."""
-    roll, pitch, yaw = mount.rpy
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     out = np.eye(4)
-    out[:3, :3] = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
+    out[:3, :3] = rotation_rpy(*mount.rpy)
     out[:3, 3] = mount.translation
     return out
 

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from hal.go2w import CALF, HIP_X, HIP_Y, IMU_POSITION, SX, SY, THIGH, THIGH_Y, TREAD_Y, WHEEL_RADIUS
+from hal.rotation import rotation_rpy
 from hal.types import Array
 
 Kind = Literal["figure_eight", "straight", "standstill"]
@@ -87,7 +88,7 @@ class Motion:
         """Position (n, 3) [m] and rotation (n, 3, 3) world <- base_link at t (n,) [s]; level ground at z = 0."""
         x, y, yaw = self.planar(t)
         roll, pitch, z = self.attitude(t)
-        return np.stack([x, y, z], axis=-1), rotations(roll, pitch, yaw)
+        return np.stack([x, y, z], axis=-1), rotation_rpy(roll, pitch, yaw)
 
     def twist(self, t: Array) -> tuple[Array, Array]:
         """Linear velocity (n, 3) [m/s] and angular velocity (n, 3) [rad/s] of base_link, both in base_link."""
@@ -126,24 +127,6 @@ def eight_length() -> float:
     a, b = EIGHT
     phase = np.linspace(0.0, 2.0 * pi, 2000, endpoint=False)
     return float(np.hypot(a * np.cos(phase), 2.0 * b * np.cos(2.0 * phase)).mean() * 2.0 * pi)
-
-
-def rotations(roll: Array, pitch: Array, yaw: Array) -> Array:
-    """(n, 3, 3) rotations Rz(yaw) Ry(pitch) Rx(roll) from angles (n,) [rad]."""
-    cr, cp, cy, sr, sp, sy = (
-        np.cos(roll),
-        np.cos(pitch),
-        np.cos(yaw),
-        np.sin(roll),
-        np.sin(pitch),
-        np.sin(yaw),
-    )
-    rows = [
-        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-        [-sp, cp * sr, cp * cr],
-    ]
-    return np.moveaxis(np.array(rows), -1, 0)
 
 
 def quaternions(rotation: Array) -> Array:

@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def moving_rays(
     beams: NDArray[np.float32],
     alpha: NDArray[np.float64],
@@ -51,7 +51,7 @@ def moving_rays(
         directions[i, 2] = r20 * bx + r21 * by + r22 * bz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def turn_beams(
     nominal: NDArray[np.float32],
     error: NDArray[np.float32],
@@ -74,26 +74,28 @@ def turn_beams(
             out[i, a] = s * (rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def measure(
     ranges: NDArray[np.float32],
     cosine: NDArray[np.float32],
     seen: NDArray[np.bool_],
     nominal: NDArray[np.float32],
+    time: NDArray[np.int64],
+    ring: NDArray[np.uint16],
     stride: int,
     draw: NDArray[np.float32],
     noise: NDArray[np.float32],
     limits: NDArray[np.float64],
-    kept: NDArray[np.int64],
-    xyz: NDArray[np.float32],
+    points: NDArray[np.void],
 ) -> int:
-    """Turn true ranges (n,) into what the sensor reports: indices of the returns into `kept`, points into `xyz`.
+    """Turn true ranges (n,) into what the sensor reports, into `points` (n,) of POINT_DTYPE.
 
     `draw` (3, n) uniform and `noise` (n,) standard normal. `limits`: least and greatest range [m], range sigma [m], dropout share,
     cosine where returns fade, mixed share, least and greatest depth edge that mixes [m], quantum [m].
     Returns the number of points.
     """
     low, high, sigma, dropout, fade, mixed, edge_low, edge_high, quantum = limits
+    per_quantum = 1.0 / quantum
     n = ranges.shape[0]
     m = 0
     for i in range(n):
@@ -110,8 +112,57 @@ def measure(
         r += sigma * noise[i]
         if r < low or r > high:
             continue
-        kept[m] = i
-        for a in range(3):
-            xyz[m, a] = np.rint(nominal[i, a] * r / quantum) * quantum
+        point = points[m]
+        point.x = np.rint(nominal[i, 0] * r * per_quantum) * quantum
+        point.y = np.rint(nominal[i, 1] * r * per_quantum) * quantum
+        point.z = np.rint(nominal[i, 2] * r * per_quantum) * quantum
+        point.intensity = np.rint(100.0 * cosine[i])
+        point.ring = ring[i]
+        point.time = time[i] * 1e-9
         m += 1
     return m
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def unblocked(
+    boxes: NDArray[np.float64],
+    origin: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    nominal: NDArray[np.float32],
+    out: NDArray[np.bool_],
+) -> None:
+    """Which beams (n, 3), turned by `rotation` (3, 3), leave `origin` (3,) without meeting a box, into `out` (n,).
+
+    Rows of `boxes` as for `cast_boxes`. A box that holds the origin blocks nothing.
+    """
+    m = boxes.shape[0]
+    start, reach = np.empty((m, 3)), np.empty((m, 4))
+    for k in range(m):
+        for a in range(3):
+            start[k, a] = 0.0
+            for w in range(3):
+                start[k, a] += boxes[k, 6 + 3 * w + a] * (origin[w] - boxes[k, w])
+            reach[k, a] = boxes[k, a] - origin[a]
+        square = boxes[k, 3] ** 2 + boxes[k, 4] ** 2 + boxes[k, 5] ** 2
+        reach[k, 3] = reach[k, 0] ** 2 + reach[k, 1] ** 2 + reach[k, 2] ** 2 - square
+    for i in range(nominal.shape[0]):
+        x, y, z = nominal[i, 0], nominal[i, 1], nominal[i, 2]
+        dx = rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z
+        dy = rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z
+        dz = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z
+        out[i] = True
+        for k in range(m):
+            # most beams miss the sphere around the box
+            towards = reach[k, 0] * dx + reach[k, 1] * dy + reach[k, 2] * dz
+            if reach[k, 3] > 0.0 and (towards < 0.0 or towards * towards < reach[k, 3]):
+                continue
+            near, far = -np.inf, np.inf
+            for a in range(3):
+                d = boxes[k, 6 + a] * dx + boxes[k, 9 + a] * dy + boxes[k, 12 + a] * dz
+                d = d if abs(d) > 1e-12 else 1e-12
+                p = (-boxes[k, 3 + a] - start[k, a]) / d
+                q = (boxes[k, 3 + a] - start[k, a]) / d
+                near, far = max(near, min(p, q)), min(far, max(p, q))
+            if 0.0 < near <= far:
+                out[i] = False
+                break

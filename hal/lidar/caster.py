@@ -11,7 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lidar.kernels import block_maxima, cast_boxes, cast_surface, incidence
+from hal.lidar.kernels import cast_boxes, incidence, pyramid
+from hal.lidar.march import cast_surface
 
 Float32 = NDArray[np.float32]
 
@@ -32,6 +33,9 @@ class TerrainCaster(Protocol):
 
     def cast(self, origins: Float32, directions: Float32) -> Float32:
         """Ranges (n,) [m], inf for a miss, along unit `directions` (n, 3) from `origins` (n, 3), world frame."""
+
+    def returns(self, origins: Float32, directions: Float32) -> tuple[Float32, Float32]:
+        """The same, and |cos| (n,) of the angle between ray and surface normal at each hit; 0 for a miss."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,19 +68,23 @@ class Surface:
 
 
 class NumbaCaster:
-    """March over the cells with an 8 x 8 max pyramid; exact on the triangles, releases the GIL."""
+    """March over the cells with a max pyramid; exact on the triangles, releases the GIL."""
 
     def __init__(self, surface: Surface, max_range: float = 200.0) -> None:
         self.surface = surface
-        self._blocks = block_maxima(surface.height)
+        self._pyramid = pyramid(surface.height)
         self._max_range = max_range
 
     def cast(self, origins: Float32, directions: Float32) -> Float32:
         """See TerrainCaster."""
+        return self.returns(origins, directions)[0]
+
+    def returns(self, origins: Float32, directions: Float32) -> tuple[Float32, Float32]:
+        """See TerrainCaster."""
         x0, y0 = self.surface.origin
         return cast_surface(
             self.surface.height,
-            self._blocks,
+            *self._pyramid,
             self.surface.resolution,
             x0,
             y0,
@@ -112,6 +120,11 @@ class EmbreeCaster:
         rays = self._core.Tensor(np.concatenate([origins, directions], axis=1).astype(np.float32, copy=False))
         ranges: Float32 = self._scene.cast_rays(rays, nthreads=1)["t_hit"].numpy()
         return ranges
+
+    def returns(self, origins: Float32, directions: Float32) -> tuple[Float32, Float32]:
+        """See TerrainCaster."""
+        ranges = self.cast(origins, directions)
+        return ranges, self.surface.cos_incidence(origins, directions, ranges)
 
 
 def make_caster(

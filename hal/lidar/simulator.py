@@ -9,9 +9,10 @@ from math import cos
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lidar.beams import measure, moving_rays, turn_beams
+from hal.lidar.beams import measure, moving_rays, turn_beams, unblocked
 from hal.lidar.caster import OrientedBox, TerrainCaster, cast_onto_boxes, pack_boxes
 from hal.lidar.spec import LidarSpec
+from hal.rotation import rotation_rpy
 from hal.types import POINT_DTYPE, Array, Extrinsics, LidarScan
 
 QUANTUM = 2.0**-10
@@ -83,7 +84,7 @@ class LidarSimulator:
         self.caster = caster
         self._seed = seed
         self._noise = noise
-        self._rotation = rotation_rpy(mount.rpy)
+        self._rotation = rotation_rpy(*mount.rpy)
         self._offset = np.asarray(mount.translation, np.float64)
         self._body = pack_boxes(tuple(self_filter))
         self._boxes = pack_boxes(())
@@ -164,11 +165,9 @@ class LidarSimulator:
         )
 
     def _unblocked(self, nominal: NDArray[np.float32]) -> NDArray[np.bool_]:
-        beams = np.ascontiguousarray(nominal @ self._rotation.T.astype(np.float32))
-        origins = np.broadcast_to(self._offset.astype(np.float32), beams.shape)
-        reach = np.full(len(beams), np.inf, np.float32)
-        cast_onto_boxes(self._body, np.ascontiguousarray(origins), beams, reach)
-        return np.isinf(reach)
+        seen = np.empty(len(nominal), np.bool_)
+        unblocked(self._body, self._offset, self._rotation, nominal, seen)
+        return seen
 
     def _fire(self, sweep: _Sweep, pose: tuple[int, Array, Array]) -> None:
         """Cast the rays of `sweep` that are due by `pose`."""
@@ -184,8 +183,7 @@ class LidarSimulator:
         origins = np.empty((until - first, 3), np.float32)
         directions = np.empty_like(origins)
         moving_rays(sweep.beams[due], alpha, p0, q0, pose[1], pose[2], self._offset, origins, directions)
-        ranges = self.caster.cast(origins, directions)
-        sweep.cosine[due] = self.caster.surface.cos_incidence(origins, directions, ranges)
+        ranges, sweep.cosine[due] = self.caster.returns(origins, directions)
         if len(self._boxes):
             terrain = ranges.copy()
             cast_onto_boxes(self._boxes, origins, directions, ranges)
@@ -203,26 +201,8 @@ class LidarSimulator:
             draw, noise = np.ones((3, n), np.float32), np.zeros(n, np.float32)
             errors = (0.0, 0.0, 0.0, 0.0)
         limits = np.array([spec.min_range, spec.max_range, *errors, *MIXED_GAP, QUANTUM])
-        kept, xyz = np.empty(n, np.int64), np.empty((n, 3), np.float32)
+        points = np.empty(n, POINT_DTYPE)
         m = measure(
-            sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, spec.rings, draw, noise, limits, kept, xyz
-        )
-        kept = kept[:m]
-        points = np.zeros(m, POINT_DTYPE)
-        points["x"], points["y"], points["z"] = xyz[:m].T
-        points["intensity"] = np.round(100.0 * sweep.cosine[kept])
-        points["ring"] = sweep.ring[kept]
-        points["time"] = sweep.time[kept] * 1e-9
-        return LidarScan(sweep.start, points)
-
-
-def rotation_rpy(rpy: tuple[float, float, float]) -> Array:
-    """(3, 3) rotation of roll, pitch, yaw about fixed x, y, z axes (REP 103)."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
+            sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, sweep.time, sweep.ring, spec.rings, draw, noise, limits, points
+        )  # fmt: skip
+        return LidarScan(sweep.start, points[:m])

@@ -97,7 +97,7 @@ def _unit(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArr
 
 def _spinning(
     spec: LidarSpec, scan: int, firing: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
     """Hesai convention: azimuth 0 is +y and grows clockwise seen from above; channel 0 is the highest."""
     azimuth = 0.5 * pi - 2.0 * pi * firing / spec.firings
     elevation = np.linspace(spec.elevation[1], spec.elevation[0], spec.rings)
@@ -109,7 +109,7 @@ def _spinning(
 
 def _rosette(
     spec: LidarSpec, scan: int, firing: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
     """Non-repetitive: four lines a quarter turn apart swing between the limits while they spin; never the same twice.
 
     The real optics are not published. What matters for mapping is kept: uniform in elevation, all azimuths several
@@ -118,16 +118,23 @@ def _rosette(
     spin, swing = 24.7193, 361.8034  # turns and swings per second
     seconds = (scan * spec.period + firing * (spec.period / spec.firings)) / NS
     line = np.arange(spec.rings)
-    azimuth = 2.0 * pi * (spin * seconds[:, None] + line / spec.rings)
+    azimuth = 2.0 * pi * (spin * seconds % 1.0)
     phase = (swing * seconds[:, None] + line * 0.381966) % 1.0
     triangle = 1.0 - np.abs(2.0 * phase - 1.0)
     low, high = spec.elevation
-    return _unit(azimuth, low + (high - low) * triangle), np.zeros(spec.rings, np.int64)
+    z = np.sin(low + (high - low) * triangle)
+    flat = np.sqrt(1.0 - z * z)
+    # one sine per ray and two per firing: this pattern is made anew for every sweep
+    quarter = 2.0 * pi * line / spec.rings
+    heading = np.exp(1j * azimuth)[:, None] * np.exp(1j * quarter) * flat
+    directions = np.empty((*z.shape, 3), np.float32)
+    directions[..., 0], directions[..., 1], directions[..., 2] = heading.real, heading.imag, z
+    return directions, np.zeros(spec.rings, np.int64)
 
 
 def _hemisphere(
     spec: LidarSpec, scan: int, firing: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.floating], NDArray[np.int64]]:
     """A mirror sweeps half circles through the pole (180 Hz) while the head turns (11 Hz)."""
     turn, mirror = 11.0, 180.0
     seconds = (scan * spec.period + firing * (spec.period / spec.firings)) / NS

@@ -79,8 +79,18 @@ def test_flat_ground_is_met_where_geometry_says() -> None:
     origins = np.array([[0, 0, 1.25]] * 4, np.float32)
     directions = np.array([[0, 0, -1], [0.6, 0, -0.8], [1, 0, 0], [0, 0, 1]], np.float32)
     assert caster.cast(origins, directions) == pytest.approx([1.0, 1.25, np.inf, np.inf], abs=1e-5)
-    cosine = surface.cos_incidence(origins, directions, caster.cast(origins, directions))
-    assert cosine == pytest.approx([1.0, 0.8, 0.0, 0.0], abs=1e-5)
+    assert caster.returns(origins, directions)[1] == pytest.approx([1.0, 0.8, 0.0, 0.0], abs=1e-5)
+
+
+def test_the_angle_of_incidence_is_that_of_the_triangle_met() -> None:
+    surface = rough(7)
+    origins, directions = rays(8, 2000)
+    ranges, cosine = NumbaCaster(surface).returns(origins, directions)
+    hit = np.isfinite(ranges)
+    want = surface.cos_incidence(origins, directions, ranges)
+    assert hit.sum() > 700
+    assert np.ptp(want[hit]) > 0.9
+    assert np.mean(np.abs(cosine - want) > 1e-3) < 0.01  # on an edge either triangle may count
 
 
 def test_rays_along_cell_borders_and_diagonals_do_not_slip_through() -> None:
@@ -208,6 +218,9 @@ def test_with_open3d_its_caster_gets_the_triangles_that_numba_sees(monkeypatch: 
     assert both.sum() > 50
     assert (np.isfinite(a) != np.isfinite(b)).sum() <= 2  # a ray exactly over an edge may go either way
     np.testing.assert_allclose(a[both], b[both], atol=1e-3)
+    with_angles = caster.returns(origins, directions)
+    assert np.array_equal(with_angles[0], a)
+    assert with_angles[1][np.isfinite(a)].min() > 0.0
     assert caster.cast(origins[:0], directions[:0]).shape == (0,)
 
 

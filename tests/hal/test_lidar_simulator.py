@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from hal.lidar.beams import measure, moving_rays, turn_beams
-from hal.lidar.caster import NumbaCaster, OrientedBox, Surface
-from hal.lidar.simulator import QUANTUM, LidarSimulator, LidarTimeError, rotation_rpy
+from hal.lidar.beams import measure, moving_rays, turn_beams, unblocked
+from hal.lidar.caster import NumbaCaster, OrientedBox, Surface, cast_onto_boxes, pack_boxes
+from hal.lidar.simulator import GO2W_BODY, QUANTUM, LidarSimulator, LidarTimeError
 from hal.lidar.spec import LIDARS
-from hal.types import NS, Extrinsics, LidarScan
+from hal.rotation import rotation_rpy
+from hal.types import NS, POINT_DTYPE, Extrinsics, LidarScan
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STEP = 5_000_000
@@ -35,7 +36,7 @@ def xyz(scan: LidarScan) -> np.ndarray:
 
 
 def in_base(scan: LidarScan, mount: Extrinsics) -> np.ndarray:
-    return xyz(scan) @ rotation_rpy(mount.rpy).T + np.asarray(mount.translation)
+    return xyz(scan) @ rotation_rpy(*mount.rpy).T + np.asarray(mount.translation)
 
 
 @pytest.mark.parametrize("name", list(LIDARS))
@@ -188,8 +189,9 @@ def test_measuring_agrees_with_plain_numpy() -> None:
     nominal = random.normal(size=(n, 3)).astype(np.float32)
     draw, noise = random.random((3, n), dtype=np.float32), random.standard_normal(n, dtype=np.float32)
     limits = np.array([0.1, 40.0, 0.02, 0.1, 0.3, 0.4, 0.1, 1.0, QUANTUM])
-    kept, xyz = np.empty(n, np.int64), np.empty((n, 3), np.float32)
-    m = measure(ranges, cosine, seen, nominal, stride, draw, noise, limits, kept, xyz)
+    time, ring = np.sort(random.integers(0, NS // 10, n)), random.integers(0, 16, n).astype(np.uint16)
+    got = np.empty(n, POINT_DTYPE)
+    m = measure(ranges, cosine, seen, nominal, time, ring, stride, draw, noise, limits, got)
     true = ranges.astype(float)
     there = np.append(true[stride:], np.full(stride, np.inf))
     with np.errstate(invalid="ignore"):
@@ -200,10 +202,16 @@ def test_measuring_agrees_with_plain_numpy() -> None:
     r += 0.02 * noise
     want = seen & np.isfinite(true) & (draw[1] >= 0.1) & (cosine >= 0.3 * draw[2]) & (r >= 0.1) & (r <= 40.0)
     assert mixed.sum() > 10
-    assert np.array_equal(kept[:m], np.flatnonzero(want))
+    assert m == want.sum()
+    assert np.array_equal(got["ring"][:m], ring[want])
+    assert np.array_equal(got["time"][:m], (time[want] * 1e-9).astype(np.float32))
+    assert np.array_equal(
+        got["intensity"][:m], np.round(100.0 * cosine[want].astype(float)).astype(np.float32)
+    )
+    xyz = np.stack([got[axis][:m] for axis in "xyz"], axis=1)
     points = np.round(nominal[want] * r[want, None] / QUANTUM) * QUANTUM
-    assert np.abs(xyz[:m] - points).max() <= 1.01 * QUANTUM
-    assert (np.abs(xyz[:m] - points) > 1e-6).mean() < 0.01
+    assert np.abs(xyz - points).max() <= 1.01 * QUANTUM
+    assert (np.abs(xyz - points) > 1e-6).mean() < 0.01
 
 
 def test_beams_follow_a_plain_pose_interpolation() -> None:
@@ -217,7 +225,7 @@ def test_beams_follow_a_plain_pose_interpolation() -> None:
     # A quaternion and its negative are the same attitude.
     moving_rays(beams, alpha, p0, wxyz(rpy0), p1, -wxyz(rpy1), mount, origins, directions)
     for k, a in enumerate(alpha):
-        r = rotation_rpy(tuple((1 - a) * rpy0 + a * rpy1))
+        r = rotation_rpy(*((1 - a) * rpy0 + a * rpy1))
         assert directions[k] == pytest.approx(r @ beams[k], abs=1e-3)
         assert origins[k] == pytest.approx((1 - a) * p0 + a * p1 + r @ mount, abs=1e-3)
         assert np.linalg.norm(directions[k]) == pytest.approx(1.0, abs=1e-5)
@@ -236,10 +244,26 @@ def wxyz(rpy: np.ndarray) -> np.ndarray:
     )
 
 
+def test_what_the_body_blocks_agrees_with_casting_onto_its_boxes() -> None:
+    random = np.random.default_rng(4)
+    beams = random.normal(size=(4000, 3)).astype(np.float32)
+    beams /= np.linalg.norm(beams, axis=1)[:, None]
+    boxes = pack_boxes((*GO2W_BODY, OrientedBox((0.5, 0.2, 0.3), (0.3, 0.1, 0.4), 0.6)))
+    for origin in ((0.16, 0.0, 0.12), (0.29, 0.0, -0.05), (0.0, 0.0, 0.0)):
+        rotation = rotation_rpy(0.1, 2.8, -0.3)
+        got = np.empty(len(beams), np.bool_)
+        unblocked(boxes, np.array(origin), rotation, beams, got)
+        turned = (beams @ rotation.T).astype(np.float32)
+        ranges = np.full(len(beams), np.inf, np.float32)
+        cast_onto_boxes(boxes, np.tile(np.float32(origin), (len(beams), 1)), turned, ranges)
+        assert 0.03 < np.isfinite(ranges).mean() < 0.6
+        assert (got != np.isinf(ranges)).sum() <= 2  # rounding at an edge
+
+
 def test_pointing_errors_have_the_specified_spread() -> None:
     random = np.random.default_rng(2)
     nominal = np.tile(np.array([[0.6, 0.0, 0.8]], np.float32), (20_000, 1))
-    rotation = rotation_rpy((0.1, -0.4, 2.0))
+    rotation = rotation_rpy(0.1, -0.4, 2.0)
     out = np.empty_like(nominal)
     turn_beams(nominal, random.random(nominal.shape, dtype=np.float32), 0.002, rotation, out)
     assert np.linalg.norm(out, axis=1) == pytest.approx(1.0, abs=1e-6)

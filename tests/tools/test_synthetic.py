@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from hal.go2w import JOINT_RANGE, WHEEL_RADIUS, wheel_centres
+from hal.rotation import rotation_rpy
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan
 from mapping.wheel_odometry import leg_velocity
 from tools.synthetic import SensorNoise, arena_run, clearing_run, feature_run, soak_run
-from tools.synthetic_motion import Motion, leg_angles, legs, quaternions, rotations
+from tools.synthetic_motion import Motion, leg_angles, legs, quaternions
 from tools.synthetic_scenes import FEATURES, OBSTACLE
 
 QUIET = SensorNoise(*[0.0] * 8)
@@ -45,7 +46,7 @@ def test_leg_angles_invert_the_kinematics() -> None:
 
 def test_quaternions_turn_like_the_matrix() -> None:
     random = np.random.default_rng(1)
-    r = rotations(*random.uniform([[-0.4], [-0.4], [-3.14]], [[0.4], [0.4], [3.14]], (3, 200)))
+    r = rotation_rpy(*random.uniform([[-0.4], [-0.4], [-3.14]], [[0.4], [0.4], [3.14]], (3, 200)))
     x, y, z, w = quaternions(r).T
     assert 1 - 2 * (y * y + z * z) == pytest.approx(r[:, 0, 0], abs=1e-9)
     assert 2 * (x * y - z * w) == pytest.approx(r[:, 0, 1], abs=1e-9)
@@ -154,7 +155,7 @@ def world_points(run, scan: LidarScan) -> np.ndarray:
     stamps = scan.stamp + np.round(scan.points["time"].astype(float) * NS).astype(np.int64)
     position, rotation = run.motion.pose(run.seconds(stamps))
     mount = run.extrinsics
-    r = rotations(*(np.array([a]) for a in mount.rpy))[0]
+    r = rotation_rpy(*mount.rpy)
     base = np.stack([scan.points[k] for k in "xyz"], axis=1).astype(float) @ r.T + mount.translation
     return position + np.einsum("nij,nj->ni", rotation, base)
 

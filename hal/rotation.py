@@ -1,0 +1,23 @@
+"""Rotation matrices from roll, pitch and yaw."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hal.types import Array
+
+
+def rotation_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
+    """(..., 3, 3) rotations parent <- child about the fixed x, y, z axes of the parent, Rz(yaw) Ry(pitch) Rx(roll) (REP 103).
+
+    Angles (...) [rad].
+    """
+    r, p, y = (np.asarray(angle, np.float64) for angle in (roll, pitch, yaw))
+    cr, cp, cy, sr, sp, sy = np.cos(r), np.cos(p), np.cos(y), np.sin(r), np.sin(p), np.sin(y)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp * np.ones_like(cy), cp * sr, cp * cr],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))

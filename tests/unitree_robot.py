@@ -177,7 +177,8 @@ class RobotSide:
         self._outbox: dict[str, list[bytes]] = defaultdict(list)
         self._answers: list[tuple[int, str, Response]] = []
         self._sent: dict[str, int] = defaultdict(int)
-        self.calls: list[tuple[int, str, int, str]] = []
+        self.moves: list[int] = []
+        """When a Move came [ns]; whoever reads it empties it."""
         self._low = np.zeros(1, LOW_STATE_CDR)
         self._sport = np.zeros(1, SPORT_MODE_STATE_CDR)
         translation, rpy = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
@@ -189,7 +190,6 @@ class RobotSide:
 
     def handle(self, service: str, request: Request, now: int) -> None:
         """Take a request; its response is put into `responses` in time, or never."""
-        self.calls.append((now, service, request.api, request.parameter))
         parameter = json.loads(request.parameter) if request.parameter else {}
         code, data = self._serve(service, request.api, parameter, now)
         if request.no_reply:
@@ -278,6 +278,7 @@ class RobotSide:
         return 0
 
     def _move(self, vx: float, wz: float, now: int) -> None:
+        self.moves.append(now)
         if self.mode in (1, 3) and now >= self._deaf_until and self.motion:
             self.command, self._commanded_at = (vx, wz), now
 
@@ -366,6 +367,9 @@ class RobotSide:
 class MujocoBody:
     """The simulated Go2-W as the body: its samples become telemetry."""
 
+    MOST_AT_ONCE = NS // 20
+    """[ns] simulated per step: behind a busy machine the body moves slower, or it would answer ever later."""
+
     def __init__(self, scene: Any = "flat", standing: bool = True, **options: Any) -> None:
         """scene: a name, or a Scene; options: fields of `hal.mujoco.options.SimOptions`."""
         from hal.mujoco.backend import MujocoBackend
@@ -382,7 +386,7 @@ class MujocoBody:
         self.accel, self.gyro = np.array([0.0, 0.0, 9.81]), np.zeros(3)
         self.phase = self._backend.state().phase
         self._points: np.ndarray | None = None
-        self._now = 0
+        self._now = self._asked = 0
 
     def drive(self, vx: float, wz: float) -> None:
         self._backend.drive(VelocityCommand(self._now, vx=vx, wz=wz))
@@ -394,8 +398,9 @@ class MujocoBody:
     def advance(self, now: int) -> None:
         from hal.types import GroundTruth, ImuSample, JointSample, LidarScan
 
-        self._now = now
-        for sample in self._backend.read(now):
+        self._now += min(now - self._asked, self.MOST_AT_ONCE)
+        self._asked = now
+        for sample in self._backend.read(self._now):
             if isinstance(sample, ImuSample):
                 self.gyro, self.accel = sample.gyro, sample.accel
             elif isinstance(sample, JointSample):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -10,7 +9,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from threading import Thread
 
 import numpy as np
 import psutil
@@ -22,9 +20,9 @@ from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, VelocityComm
 from hal.unitree import make_backend
 from hal.unitree.backend import UnitreeBackend
 from hal.unitree.options import UnitreeOptions
+from tests.unitree_peer_process import REST, PeerProcess
 
 ROOT = Path(__file__).parents[2]
-REST = 0.05
 DRIVER = """
 import sys, time
 from hal.types import VelocityCommand
@@ -40,60 +38,6 @@ while True:
     time.sleep(0.02)
 """
 """A host that drives forward for ever, to be killed."""
-
-
-class PeerProcess:
-    """The peer with its reports collected."""
-
-    def __init__(self, domain: int, *arguments: str) -> None:
-        command = [
-            sys.executable,
-            "-m",
-            "tests.unitree_peer",
-            "--domain",
-            str(domain),
-            "--report",
-            *arguments,
-        ]
-        self.process = subprocess.Popen(
-            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        self.reports: list[dict] = []
-        assert self.process.stdout is not None
-        assert self.process.stdout.readline().startswith("robot on lo")
-        self._thread = Thread(target=self._collect, daemon=True)
-        self._thread.start()
-
-    def _collect(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            self.reports.append(json.loads(line))
-
-    def say(self, line: str) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(line + "\n")
-        self.process.stdin.flush()
-
-    @property
-    def last(self) -> dict:
-        return self.reports[-1]
-
-    def rest_after(self, moment: float) -> float:
-        """Seconds from `moment` (monotonic) until the robot was at rest for good."""
-        moving = [
-            r["t"] for r in self.reports if r["t"] >= moment and (abs(r["v"]) > REST or abs(r["wz"]) > 0.1)
-        ]
-        return max(moving) - moment if moving else 0.0
-
-    def limit_after(self, moment: float) -> float:
-        """Half a second [s], plus what the machine stole: the gaps in the peer's 50 Hz reports show it."""
-        times = [r["t"] for r in self.reports if moment - 0.1 <= r["t"] <= moment + 1.0]
-        return 0.5 + 3.0 * max(0.0, max(np.diff(times)) - 0.04)
-
-    def end(self) -> None:
-        self.process.kill()
-        self.process.wait()
-        self._thread.join(2.0)
 
 
 def wait(condition: Callable[[], bool], seconds: float = 15.0) -> None:

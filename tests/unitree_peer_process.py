@@ -1,0 +1,86 @@
+"""The peer as a process of its own, with what it reports of the robot's true motion."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+from threading import Thread
+
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+REST = 0.05
+"""[m/s]; below it the robot is at rest."""
+TURNING = 0.1
+"""[rad/s]; the same."""
+
+
+class PeerProcess:
+    """The peer with its reports collected."""
+
+    def __init__(self, domain: int, *arguments: str) -> None:
+        command = [
+            sys.executable,
+            "-m",
+            "tests.unitree_peer",
+            "--domain",
+            str(domain),
+            "--report",
+            *arguments,
+        ]
+        self.process = subprocess.Popen(
+            command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.reports: list[dict] = []
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline().startswith("robot on lo")
+        self._thread = Thread(target=self._collect, daemon=True)
+        self._thread.start()
+
+    def _collect(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.reports.append(json.loads(line))
+
+    def say(self, line: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(line + "\n")
+        self.process.stdin.flush()
+
+    @property
+    def last(self) -> dict:
+        return self.reports[-1]
+
+    def first_rest_after(self, moment: float, lasting: float = 0.3) -> float:
+        """Seconds from `moment` (monotonic) until the robot was at rest for `lasting` [s]; NaN if it never was."""
+        since = None
+        for row in self.reports[:]:
+            if row["t"] < moment or abs(row["v"]) > REST or abs(row["wz"]) > TURNING:
+                since = None
+            elif since is None:
+                since = row["t"]
+            elif row["t"] - since >= lasting:
+                return float(since) - moment
+        return math.nan
+
+    def rest_after(self, moment: float) -> float:
+        """Seconds from `moment` (monotonic) until the robot was at rest for good."""
+        moving = [
+            r["t"]
+            for r in self.reports
+            if r["t"] >= moment and (abs(r["v"]) > REST or abs(r["wz"]) > TURNING)
+        ]
+        return max(moving) - moment if moving else 0.0
+
+    def limit_after(self, moment: float) -> float:
+        """Half a second [s], plus what the machine stole: the gaps in the peer's 50 Hz reports show it."""
+        times = [r["t"] for r in self.reports if moment - 0.1 <= r["t"] <= moment + 1.0]
+        return 0.5 + 3.0 * max(0.0, max(np.diff(times)) - 0.04)
+
+    def end(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._thread.join(2.0)

@@ -53,3 +53,6 @@ class Locomotion(Protocol):
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One control tick. The returned arrays are owned by the controller and valid until the next call."""
+
+    def warning(self) -> str:
+        """Why it does not drive as commanded, in words for the operator; empty when it does."""

@@ -114,7 +114,7 @@ def climb_tick(
     """Advance the sequence. `centres` (4, 3): wheel centres, H. Sets `foot`, the wanted wheel centre of the lifted leg, H."""
     m.timer += dt
     way = 0.0
-    if abs(m.vx) > 0.1 and abs(command_vx) > 0.1:
+    if abs(m.vx) > 0.1 and abs(command_vx) > 0.1 and m.cliff == 0.0:
         way = 1.0 if m.vx > 0.0 else -1.0
     if m.mode == DRIVE:
         leg = detect_blocked(m, centres, way, dt, p)

@@ -135,3 +135,9 @@ class VmcParams(NamedTuple):
     """Joint gain of the lifted leg [Nm/rad]."""
     load_rate: float = 600.0
     """How fast a wheel that was put down takes load [N/s]."""
+
+    # --- feeling for edges
+    creep: float = 0.105
+    """Commanded speed [m/s] up to which the robot stops at edges that go down; 0 switches it off."""
+    edge_lean: float = 0.42
+    """How far [rad] from the hill's normal the ground must push a leading wheel forward to be an edge."""

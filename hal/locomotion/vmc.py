@@ -67,6 +67,17 @@ class VmcController:
         c = self._memory["contact"][0]
         return bool(c[0]), bool(c[1]), bool(c[2]), bool(c[3])
 
+    def warning(self) -> str:
+        """An edge felt while creeping, in words; empty most of the time."""
+        way = float(self._memory["cliff"][0])
+        if way == 0.0:
+            return ""
+        side, back = ("ahead", "back") if way > 0.0 else ("behind", "forward")
+        return (
+            f"cliff: an edge {side}, deeper than the wheels can feel; drive {back}, "
+            "or come down faster than 0.1 m/s where it is known to be safe"
+        )
+
     def ground_speed(self) -> float:
         """Forward speed [m/s] estimated from the wheels' rolling; wrong while all wheels slip."""
         return float(self._memory["speed"][0])

@@ -26,6 +26,7 @@ from hal.go2w import (
     wheel_centres,
     wheel_jacobians,
 )
+from hal.locomotion.cliff import TUCK, TUCK_RATE, feel_edges
 from hal.locomotion.climb import DRIVE, SHIFT, climb_tick
 from hal.locomotion.contact import clip, estimate_contacts, turn_share
 from hal.locomotion.geometry import (
@@ -75,6 +76,11 @@ MEMORY = np.dtype(
         ("shift_rate", "f8", (2,)),  # [m/s]
         ("foot", "f8", (3,)),  # wanted centre of the lifted wheel, H [m]
         ("lift_x", "f8"),  # where it was blocked [m]
+        ("creep", "f8"),  # for how long the command has been slow [s], see hal.locomotion.cliff
+        ("lean", "f8", (4,)),  # of the ground's normal at each wheel, forward [rad]
+        ("hang", "f8", (4,)),  # for how long each leg has hung [s]
+        ("cliff", "f8"),  # +1 an edge ahead, -1 behind, 0 none
+        ("back_off", "f8"),  # still to go from it [m]
     ]
 )
 """What the controller remembers between ticks."""
@@ -135,6 +141,7 @@ def vmc_tick(
         m.queued = -1
     m.ticks += 1
     estimate_contacts(m, tau, weight_torque, jac, dt, p)
+    wanted = feel_edges(m, tau, dq, centres, rot, command[0], dt, p) if m.mode == DRIVE else command[0]
     climb_tick(m, centres, com, rot, command[0], omega[2], dt, p)
     lifted = m.leg if m.mode > SHIFT else -1
 
@@ -191,14 +198,14 @@ def vmc_tick(
         m.shift[axis] += m.shift_rate[axis] * dt
         push[axis] -= a
     before_vx = m.vx
-    halt = abs(command[0]) < 1e-3 and abs(command[1]) < 1e-3
+    halt = abs(wanted) < 1e-3 and abs(command[1]) < 1e-3
     if climbing:
         m.vx = slew(m.vx, 0.0, p.brake * dt)
         m.wz = slew(m.wz, 0.0, 2.0 * p.alpha * dt)
     else:
         # Braking may be harder than driving off: nobody waits for a start.
-        slower = abs(command[0]) < abs(m.vx) or command[0] * m.vx < 0.0
-        m.vx = slew(m.vx, command[0], (p.decel if slower else p.accel) * dt)
+        slower = abs(wanted) < abs(m.vx) or wanted * m.vx < 0.0
+        m.vx = slew(m.vx, wanted, (p.decel if slower else p.accel) * dt)
         m.wz = slew(m.wz, share * command[1], p.alpha * dt)
         push[0] += (m.vx - before_vx) / dt
     height = command[2]
@@ -271,9 +278,13 @@ def vmc_tick(
     for leg in range(4):
         goal_x = -pull * SX[leg] + com[0]
         before = m.place[leg, 0]
+        furthest = step * rolling
         if climbing:
             goal_x = before
-        m.place[leg, 0] = slew(before, goal_x, step * rolling)
+        elif m.cliff * SX[leg] > 0.0:
+            goal_x -= m.cliff * TUCK
+            furthest = TUCK_RATE * dt
+        m.place[leg, 0] = slew(before, goal_x, furthest)
         m.place[leg, 1] = slew(m.place[leg, 1], com[1], step)
         rate_x = (m.place[leg, 0] - before) / dt
         error_x = HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0]

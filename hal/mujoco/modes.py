@@ -56,6 +56,7 @@ class Modes:
         self._deadline = np.inf
         self._tilted_since: float | None = None
         self._moved = -np.inf
+        self._doing = ""
         self._damped = damped()
         self._pending: ModeRequest | None = None
         self._recover_until = -np.inf
@@ -242,8 +243,9 @@ class Modes:
                 self._moved = state.time
             moving = state.time - self._moved < MOVING_TIME
             phase = Phase.MOVING if moving else Phase.READY
-            if phase is not self.phase:
-                self.phase, self.cause = phase, "driving" if moving else "standing"
+            doing = self._controller.warning() or ("driving" if moving else "standing")
+            if phase is not self.phase or doing != self._doing:
+                self.phase, self.cause, self._doing = phase, doing, doing
         return self._controller.step(state, v, self._posture)
 
     def _right(self, state: LowState) -> LowCommand:

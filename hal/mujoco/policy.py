@@ -173,6 +173,10 @@ class PolicyController:
         self._tick += 1
         return self._command
 
+    def warning(self) -> str:
+        """Always empty: a network does not tell why it stops."""
+        return ""
+
     def _hold(self, state: LowState) -> LowCommand:
         c = self._command
         if self._held is None:

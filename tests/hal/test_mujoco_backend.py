@@ -418,6 +418,25 @@ def test_leaving_the_terrain_is_a_fault() -> None:
     assert "left the terrain" in r.cause or "fallen" in r.cause
 
 
+def test_at_a_cliff_it_says_why_it_does_not_go_on() -> None:
+    x = np.broadcast_to(np.arange(121) * 0.05 - 3.0, (121, 121))
+    r = Robot(
+        Scene(
+            "edge", np.where(x > 1.0, -0.5, 0.0).astype(np.float32), 0.05, (-3.0, -3.0), (0.6, 0.0, 0.0), {}
+        )
+    )
+    r.run(1.0)
+    r.run(5.0, vx=0.1)
+    assert r.phase is Phase.MOVING
+    assert r.cause.startswith("cliff: an edge ahead")
+    r.run(1.0)
+    assert (r.phase, r.cause[:5]) == (Phase.READY, "cliff"), "it stays drawn back"
+    before = r.backend.simulation.position[0]
+    r.run(2.0, vx=-0.2)
+    assert r.cause == "driving"
+    assert r.backend.simulation.position[0] < before - 0.25
+
+
 def test_divergence_is_a_fault() -> None:
     r = Robot()
     r.run(1.0)

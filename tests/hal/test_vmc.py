@@ -14,8 +14,9 @@ from hal.locomotion.vmc_kernel import MEMORY
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope_cliff import creep_to_edge
 from tools.bench.envelope_driving import stopping_time
-from tools.bench.envelope_trial import drive
+from tools.bench.envelope_trial import Conditions, drive
 from tools.bench.envelope_turning import turn_on_bar, turn_on_ramp
 
 
@@ -199,6 +200,25 @@ def test_same_input_gives_the_same_command_after_reset() -> None:
 @pytest.mark.parametrize(("course", "run"), [("step_up_10", 0), ("ramp_up_20", 1), ("step_down_15", 1)])
 def test_masters_the_course(course: str, run: int) -> None:
     assert drive(VmcController(), course, run).reason == "passed"
+
+
+@pytest.mark.parametrize(
+    ("speed", "angle", "friction"), [(0.1, 0.0, 0.6), (0.06, 0.0, 0.4), (0.1, 0.7, 1.0), (-0.1, 0.3, 0.8)]
+)
+def test_creeping_it_stops_at_a_cliff(speed: float, angle: float, friction: float) -> None:
+    controller = VmcController()
+    assert creep_to_edge(controller, speed, angle, friction)
+    assert controller.warning() == "", "it drove away"
+    assert not creep_to_edge(VmcController(VmcParams(creep=0.0)), speed, angle, friction), (
+        "without it, it falls"
+    )
+
+
+@pytest.mark.parametrize(("course", "speed"), [("ramp_down_15", 0.1), ("step_down_10", 0.15)])
+def test_what_is_no_cliff_does_not_stop_it(course: str, speed: float) -> None:
+    controller = VmcController()
+    assert drive(controller, course, 1, Conditions(speed=speed)).reason == "passed"
+    assert controller.warning() == ""
 
 
 def test_a_silly_period_is_refused() -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import Locomotion
 from hal.mujoco.policy import PolicyController
+from tools.bench.envelope_cliff import WAYS, creep_to_edge
 from tools.bench.envelope_driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope_trial import RUNS, Conditions, drive
 from tools.bench.envelope_turning import PLACES, turn_on_bar, turn_on_ramp
@@ -177,6 +178,11 @@ def run(args: list[str]) -> Report:
             drive(controller, course, k, CHANGES["delay_20"]).tipped for course in NO_FALL for k in range(3)
         )
         report.add(f"falls.{name}.delay_20", falls, f"of {3 * len(NO_FALL)}", 0.0 if name == "vmc" else None)
+    for way, trials in WAYS.items():
+        if f"cliff_{way}".startswith(options.only):
+            held = sum(creep_to_edge(controller, *trial) for trial in trials)
+            own = len(trials) if name == "vmc" and way != "at_0.2" else None
+            report.add(f"cliff_{way}.{name}", held, f"held of {len(trials)}", own, at_least=True)
     for height in BARS:
         if f"turn_bar_{height}".startswith(options.only):
             ends = [turn_on_bar(controller, height / 100.0, *place) for place in PLACES]

@@ -44,23 +44,31 @@ def set_fault(faults: Faults, text: str) -> None:
     setattr(faults, name, value not in ("", "0", "false") if kind is bool else kind(float(value)))
 
 
+def join(interface: str, domain: int) -> Any:
+    """A participant on this interface. Raises BackendError."""
+    from cyclonedds.domain import Domain, DomainParticipant
+
+    check_interface(interface)
+    configured: Any = Domain(domain, domain_config(interface))
+    participant: Any = DomainParticipant(domain)
+    participant.configured = configured  # lives as long
+    return participant
+
+
 class Peer:
     """The robot's DDS endpoints."""
 
-    def __init__(self, interface: str, domain: int, robot: RobotSide, topic: str) -> None:
+    def __init__(self, participant: Any, robot: RobotSide, topic: str) -> None:
+        """participant: of the robot's domain; topic: of its LiDAR's clouds."""
         from cyclonedds.core import Policy, Qos
-        from cyclonedds.domain import Domain, DomainParticipant
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
         from cyclonedds.topic import Topic
         from cyclonedds.util import duration
 
-        check_interface(interface)
         self.robot = robot
         self.now = 0
         """Up to where the robot has lived [ns]."""
-        self._domain = Domain(domain, domain_config(interface))
-        self._participant = participant = DomainParticipant(domain)
         sensor = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(64))
         server = Qos(Policy.Reliability.Reliable(duration(milliseconds=5)), Policy.History.KeepAll)
         client = Qos(Policy.Reliability.Reliable(duration(milliseconds=5)), Policy.History.KeepLast(50))
@@ -87,9 +95,10 @@ class Peer:
         self.now = max(self.now, wall - MOST_BEHIND)
         while self.now + LOW_STATE_PERIOD <= wall:
             self.now += LOW_STATE_PERIOD
-            self._step(self.now)
+            self.advance(self.now)
 
-    def _step(self, now: int) -> None:
+    def advance(self, now: int) -> None:
+        """One step, to `now` [ns]."""
         for service, reader in self._requests.items():
             for sample in reader.take(N=64):
                 if hasattr(sample, "cdr"):
@@ -137,7 +146,7 @@ def main() -> int:
         else KinematicBody(not options.lying)
     )
     topic = CLOUDS[options.lidar]
-    peer = Peer(options.interface, options.domain, RobotSide(body, faults, options.lidar, topic), topic)
+    peer = Peer(join(options.interface, options.domain), RobotSide(body, faults, options.lidar, topic), topic)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     start = time.monotonic_ns()
     due = 0

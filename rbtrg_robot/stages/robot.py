@@ -31,6 +31,9 @@ STEP = 5_000_000
 """Gate and simulator period [ns]."""
 CLOCK_EVERY = 2
 STATE_PERIOD = NS // 10
+SETTLE = NS
+"""A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
+tracker that its goal is over when it appears."""
 POSE_LIMIT = 0.3
 """Odometry older than this [s] says nothing about motion."""
 
@@ -49,6 +52,9 @@ class RobotStage:
         self._simulated = simulated
         self._missing = set(watched)
         self._watched = watched
+        self._lost: set[str] = set()
+        self._settled = 0
+        """Commands count from this time on [ns]."""
         self._tilt = TiltFilter()
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
@@ -81,14 +87,17 @@ class RobotStage:
             return
         if alive:
             self._missing.discard(process)
+            if process in self._lost:
+                self._settled = self._now + SETTLE
         else:
             self._missing.add(process)
+            self._lost.add(process)
             self._gate.forget()
 
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
         if topic is t.CMD_VEL:
-            if not self._missing:
+            if not self._missing and self._now >= self._settled:
                 twist = message.twist
                 command = VelocityCommand(
                     stamp_of(message),
@@ -125,6 +134,8 @@ class RobotStage:
         """Gate, drive, read."""
         self._now = now
         self._ticks += 1
+        if not self._missing and now >= self._settled:
+            self._lost.clear()
         state = self.backend.state()
         self._driven = self._gate.output(now, self._inputs(now, state))
         self.backend.drive(self._driven)
@@ -171,6 +182,8 @@ class RobotStage:
         hold = status.hold
         if self._missing and not status.latched:
             hold = f"waiting for {', '.join(sorted(self._missing))}"
+        elif self._now < self._settled and not status.latched:
+            hold = f"{', '.join(sorted(self._lost))} just came back"
         phase = (
             Phase.STOPPED if status.latched and state.phase in (Phase.READY, Phase.MOVING) else state.phase
         )

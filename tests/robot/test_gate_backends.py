@@ -86,11 +86,12 @@ class Rig:
         self.robot = Bent(backend)
         fence = Geofence.of([(-50, -50), (50, -50), (50, 50), (-50, 50)])
         self.gate = SafetyGate(backend.capabilities, GateParams(not_moving_stop=3.0), fence)
-        self.stage = RobotStage(self.robot, self.gate, simulated=True, watched=frozenset())  # type: ignore[arg-type]
+        self.stage = RobotStage(self.robot, self.gate, simulated=True, watched=frozenset({"navigator"}))  # type: ignore[arg-type]
         self.health = Health(simulated=True)
         self.now = 0
         self.way = -1.0
         self.stage.warm_up()
+        self.stage.alive("navigator", True)
         self.heal()
 
     def heal(self) -> None:
@@ -263,3 +264,18 @@ def test_a_jump_of_the_command_is_slewed(rig: Rig) -> None:
     )
     rig.run(1.0)
     assert rig.way * rig.health.newest[t.ROBOT_STATE].vx == CRUISE
+
+
+def test_a_process_that_comes_back_does_not_set_the_robot_going_again_at_once(rig: Rig) -> None:
+    """Commands go on all the while: the tracker still has the path that the lost navigator gave it."""
+    rig.cruise()
+    rig.stage.alive("navigator", False)
+    rig.run(0.6)
+    assert abs(rig.speed()) < REST
+    assert "held (waiting for navigator)" in rig.line()
+    rig.stage.alive("navigator", True)
+    rig.run(0.9)
+    assert abs(rig.speed()) < REST
+    assert "held (navigator just came back)" in rig.line()
+    rig.cruise()
+    assert "held" not in rig.line()

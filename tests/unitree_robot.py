@@ -185,6 +185,9 @@ class RobotSide:
         if self.faults.upright_l1:
             rpy = (0.0, 0.0, 0.0)
         self._mount = (rotation(*rpy), np.array(translation))
+        (cr, cp, cy), (sr, sp, sy) = np.cos(np.array(rpy) / 2), np.sin(np.array(rpy) / 2)
+        about_z = _product((cy, 0.0, 0.0, sy), (cp, 0.0, sp, 0.0))
+        self._turned = tuple(_product(tuple(about_z), (cr, sr, 0.0, 0.0)))
 
     # -- services --------------------------------------------------------------------------------------------------
 
@@ -310,8 +313,12 @@ class RobotSide:
         if self._lidar == "l1" and now >= self._imu_due:
             self._imu_due = max(self._imu_due + NS // 250, now)
             turn = self._mount[0].T
-            w, x, y, z = self._quaternion()
-            raw = RawImu(stamp, np.array([w, x, y, z]), turn @ self.body.gyro, turn @ self.body.accel)
+            raw = RawImu(
+                stamp,
+                _product(self._quaternion(), self._turned),
+                turn @ self.body.gyro,
+                turn @ self.body.accel,
+            )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
         points = self.body.scan()
         if points is not None and self._topic:
@@ -362,6 +369,19 @@ class RobotSide:
         sport["yaw_speed"] = body.wz
         sport["position"] = (body.x, body.y, body.height)
         return CDR_HEADER + self._sport.tobytes()
+
+
+def _product(a: tuple[float, ...], b: tuple[float, ...]) -> np.ndarray:
+    """Of two quaternions w, x, y, z."""
+    (w, x, y, z), (p, q, r, s) = a, b
+    return np.array(
+        [
+            w * p - x * q - y * r - z * s,
+            w * q + x * p + y * s - z * r,
+            w * r - x * s + y * p + z * q,
+            w * s + x * r - y * q + z * p,
+        ]
+    )
 
 
 class MujocoBody:

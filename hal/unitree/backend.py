@@ -319,7 +319,7 @@ class UnitreeBackend:
         seen = t.speed > 0.05 or t.yaw_rate > 0.1 or self._phase is Phase.MOVING
         if self._mover.moving and seen and ignored < 1.5:
             return Phase.MOVING, note or "following velocity"
-        return Phase.READY, note or "balance stand, takes velocity"
+        return Phase.READY, note or t.order_note or "balance stand, takes velocity"
 
     def _restart_guardian(self) -> None:
         if not self._guarded or (self._guardian is not None and self._guardian.alive()):

@@ -12,7 +12,7 @@ from hal import go2w
 from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
-from hal.unitree.cloud import Mount, RawCloud, decode_cloud, decode_imu, sweep
+from hal.unitree.cloud import Mount, RawCloud, RawImu, decode_cloud, decode_imu, sweep
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 from hal.unitree.options import UnitreeOptions
@@ -38,6 +38,18 @@ def rotation(roll: float, pitch: float, yaw: float) -> Array:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def _up(quaternion: Array) -> Array:
+    """World z in the axes of a body with attitude w, x, y, z."""
+    w, x, y, z = quaternion
+    return np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+
+
+def _angle(a: Array, b: Array) -> float:
+    """Between two vectors [rad]; NaN where one is zero."""
+    norms = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return math.acos(max(-1.0, min(1.0, float(a @ b) / norms))) if norms > 0.0 else math.nan
 
 
 class Telemetry:
@@ -67,6 +79,8 @@ class Telemetry:
         self._gravity_count = 0
         self.mount_error: float | None = None
         """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
+        self.order_note = ""
+        """What is odd about the L1's quaternion, in words; nothing here drives by it."""
         self.reboots = 0
 
     def warm_up(self) -> None:
@@ -169,12 +183,12 @@ class Telemetry:
         raw = decode_imu(data, self._options.l1_imu_wxyz)
         self.lidar_clock.observe(raw.stamp, now)
         gyro, accel = self._mount.rotation @ raw.gyro, self._mount.rotation @ raw.accel
-        self._judge_mount(gyro, accel)
+        self._judge_mount(raw, gyro, accel)
         if self._options.imu != "l1":
             return []
         return self._imu(self.lidar_clock.convert(raw.stamp, now), gyro, accel)
 
-    def _judge_mount(self, gyro: Array, accel: Array) -> None:
+    def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array) -> None:
         """Compare gravity through the configured mount with the trunk's own, at rest."""
         if self.low is None or not np.abs(gyro).max() < 0.1 or not np.isfinite(accel).all():
             return
@@ -183,10 +197,22 @@ class Telemetry:
         if self._gravity_count < MOUNT_SAMPLES:
             return
         own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
-        norms = float(np.linalg.norm(own) * np.linalg.norm(self._gravity))
-        if norms > 0.0:
-            self.mount_error = math.acos(max(-1.0, min(1.0, float(own @ self._gravity) / norms)))
+        error = _angle(own, self._gravity)
+        self.mount_error = error if math.isfinite(error) else self.mount_error
+        self._judge_order(raw)
         self._gravity, self._gravity_count = np.zeros(3), 0
+
+    def _judge_order(self, raw: RawImu) -> None:
+        """Whether the quaternion tells the gravity that the accelerometer feels only in the other order."""
+        wxyz = self._options.l1_imu_wxyz
+        other = raw.quaternion[[3, 0, 1, 2]] if wxyz else raw.quaternion[[1, 2, 3, 0]]
+        agrees = [_angle(_up(q), raw.accel) < MOUNT_TOLERANCE for q in (raw.quaternion, other)]
+        self.order_note = ""
+        if agrees == [False, True]:
+            order = "x, y, z, w" if wxyz else "w, x, y, z"
+            self.order_note = (
+                f"the L1 stores its quaternion {order}: set unitree.l1_imu_wxyz={str(not wxyz).lower()}"
+            )
 
     def _take_cloud(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
         start, points = sweep(decode_cloud(data), self._mount)

@@ -425,6 +425,19 @@ def test_an_l1_mounted_the_other_way_round_is_found_out_by_gravity():
     assert "lidar_mount" in state.cause
 
 
+def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
+    world = ready(Faults(wxyz=False))
+    world.run(1.5)
+    assert world.phase is Phase.READY
+    assert world.cause == "the L1 stores its quaternion x, y, z, w: set unitree.l1_imu_wxyz=false"
+    world.run(2.0, vx=0.3)
+    assert world.body.x > 0.3, "nothing drives by it"
+    for faults, setting in ((Faults(wxyz=False), False), (Faults(), True)):
+        world = ready(faults, options=UnitreeOptions(lidar="l1", l1_imu_wxyz=setting))
+        world.run(1.5)
+        assert world.cause == "balance stand, takes velocity"
+
+
 def test_garbage_on_every_topic_is_counted_and_survived():
     world = ready(Faults(garbage=True))
     samples = world.run(3.0, vx=0.4)

@@ -36,6 +36,8 @@ SETTLED = 30.0
 """A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
+LYING = ("sitting", "damped")
+"""Phases in which a robot is well but does not drive before somebody asks it to stand."""
 SHARED_MEMORY = Path("/dev/shm")
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
@@ -127,6 +129,9 @@ class Supervisor:
         if not self._ready and self._well():
             self._ready = True
             self._say(f"ready after {time.monotonic() - self.began:.1f} s")
+            state = self._health.newest.get(t.ROBOT_STATE)
+            if state is not None and state.phase in LYING:
+                self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")
             self._write_state(lock)  # after the word: who waits for the state prints what was said
 
     def _write_state(self, lock: RunLock) -> None:
@@ -147,7 +152,7 @@ class Supervisor:
                 return False
         if "robot" in self._children:
             state = self._health.newest.get(t.ROBOT_STATE)
-            if state is None or state.phase not in ("ready", "moving", "stopped"):
+            if state is None or state.phase not in ("ready", "moving", "stopped", *LYING):
                 return False
         return not self._health.unhealthy_topics(self._expected)
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from rbtrg_robot import health as module
 from rbtrg_robot import topics as t
+from rbtrg_robot.cli.table import robot_line
+from rbtrg_robot.config import load
 from rbtrg_robot.convert import MAP, ODOM, transform_msg
 from rbtrg_robot.health import Health
 from rbtrg_robot.messages import array, encode, header, make
+from rbtrg_robot.supervisor import Supervisor
 
 
 def take(health: Health, topic: t.Topic, message: Any) -> None:
@@ -73,8 +77,6 @@ def test_a_forgotten_process_has_no_heartbeat() -> None:
 
 
 def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
-    from rbtrg_robot.cli.table import robot_line
-
     health = Health(simulated=True)
     take(
         health,
@@ -85,3 +87,35 @@ def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
         take(health, t.MAP_STATUS, make(t.MAP_STATUS.type, header=header(1, "map"), warning=warning))
         assert health.robot_row()["map_warning"] == warning
         assert ("MAP: the prior map does not fit" in robot_line(health.robot_row())) == bool(warning)
+
+
+@pytest.mark.parametrize("phase", ["ready", "sitting", "standing", "disconnected", "fault"])
+def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(phase: str) -> None:
+    supervisor = Supervisor(load(None, []), None, lambda _line: None)  # type: ignore[arg-type]
+    supervisor._expected = ()
+    for name, child in supervisor._children.items():
+        child.forked = SimpleNamespace(poll=lambda: None)  # type: ignore[assignment]
+        alive = make(t.HEARTBEAT.type, header=header(1, ""), process=name, state="ready")
+        take(supervisor._health, t.HEARTBEAT, alive)
+    take(supervisor._health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase))
+    assert supervisor._well() == (phase in ("ready", "sitting"))
+
+
+@pytest.mark.parametrize(
+    ("state", "line"),
+    [
+        (
+            {"cause": "lying", "hold": "robot is sitting: lying"},
+            "robot: sitting, held (robot is sitting: lying)",
+        ),
+        ({"cause": "lying", "hold": "no command"}, "robot: sitting (lying)"),
+        (
+            {"cause": "lying", "estop": True, "estop_cause": "emergency stop: cli"},
+            "robot: sitting (lying), E-STOP (emergency stop: cli)",
+        ),
+    ],
+)
+def test_the_status_line_says_why_once(state: dict[str, Any], line: str) -> None:
+    health = Health(simulated=True)
+    take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase="sitting", **state))
+    assert robot_line(health.robot_row()).startswith(line + ", real-time")

@@ -1,4 +1,7 @@
-"""Cost of the robot's messages: decoding LowState and clouds, against the DDS library's own coder."""
+"""The real robot's side: cost of its messages against the DDS library's own coder, and the time to rest after a death.
+
+The deaths are given to a running `up` that drives the peer (`tests/unitree_peer.py`) on loopback at 0.5 m/s.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,8 @@ import numpy as np
 from hal.types import NS
 from hal.unitree import api, cloud, layout
 from hal.unitree.telemetry import rotation
+from tools.bench._unitree_deaths import DEATHS
+from tools.bench._unitree_deaths import run as deaths
 from tools.bench.report import Report
 
 POINTS = 20_000
@@ -38,11 +43,22 @@ def _cloud() -> bytes:
 
 
 def run(args: list[str]) -> Report:
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench unitree", description=__doc__)
+    parser.add_argument("--deaths", nargs="*", choices=DEATHS, default=list(DEATHS), metavar="WHAT")
+    parser.add_argument("--trials", type=int, default=3)
+    options = parser.parse_args(args)
+    report = Report("unitree")
+    _messages(report)
+    if options.deaths:
+        deaths(report, options.deaths, options.trials)
+    return report
+
+
+def _messages(report: Report) -> None:
     """Decoding a LowState (what odometry and the safety gate read of it), a cloud of 20 k points, and a request."""
-    argparse.ArgumentParser(prog="unitree", description=__doc__).parse_args(args)
     from hal.unitree import idl
 
-    report = Report("unitree")
     low = layout.CDR_HEADER + bytes(layout.LOW_STATE_CDR.itemsize)
 
     def low_state() -> None:
@@ -80,4 +96,3 @@ def run(args: list[str]) -> Report:
         1e6 * _best(lambda: layout.checksum(record, layout.LOW_CMD_C), 50),
         "us",
     )
-    return report

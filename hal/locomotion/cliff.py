@@ -20,18 +20,20 @@ from hal.types import Array
 
 CREEP_TIME = 0.4
 """The command must have been slow for this long [s]: starting to drive and coming to rest is not creeping."""
+LEAVE_TIME = 1.0
+"""Longer by this [s] after driving away: that way it came, and its wheels are still in motion."""
 FILTER = 0.015
 """Time constant of the lean [s]."""
 STRETCHED = 0.38
 """Axle below hip [m] from which a leg without load hangs..."""
 HANG_TIME = 0.03
 """... when it lasts this long [s]."""
-BACK_OFF = 0.10
+BACK_OFF = 0.12
 """How far it drives back from the edge [m], as long as it is commanded towards it..."""
 BACK_SPEED = 0.15
 """... at this speed [m/s]."""
 TUCK = 0.09
-"""How far the leading wheels are drawn back under the trunk [m]..."""
+"""How far the leading wheels are drawn back under the trunk [m], until it has backed off..."""
 TUCK_RATE = 2.0
 """... at this speed [m/s]."""
 
@@ -56,7 +58,7 @@ def feel_edges(
         rate = dq[12 + leg]
         torque = tau[12 + leg] - FRICTIONLOSS * clip(rate / 0.5, -1.0, 1.0) - DAMPING * rate
         lean = 0.0
-        if size > p.contact_off:
+        if size > p.contact_on:
             lean = math.atan2(f[0], f[2]) - math.asin(clip(torque / (WHEEL_RADIUS * size), -0.6, 0.6))
         m.lean[leg] += dt / (dt + FILTER) * (clip(lean, -1.6, 1.6) - m.lean[leg])
         length = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg] - centres[leg, 2]
@@ -71,9 +73,10 @@ def feel_edges(
             m.back_off = BACK_OFF
     elif command_vx * way < 0.0 or abs(command_vx) > p.creep:
         m.cliff = 0.0
+        m.creep = -LEAVE_TIME
     if m.cliff == 0.0:
         return command_vx
     if command_vx == 0.0 or m.back_off <= 0.0:
         return 0.0
-    m.back_off -= abs(m.vx) * dt
+    m.back_off -= max(-way * m.speed, 0.0) * dt
     return -way * BACK_SPEED

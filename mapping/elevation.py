@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hal.lidar.spec import LIDARS
 from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
 from mapping.grid import ElevationGrid
@@ -62,7 +63,8 @@ class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
     def __init__(self, params: ElevationParams | None = None) -> None:
-        self.params = p = params or ElevationParams()
+        """Noise that `params` leave open is that of an XT16: see `ElevationParams.for_lidar`."""
+        self.params = p = (params or ElevationParams()).for_lidar(LIDARS["xt16"])
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
         self.z_correction = 0.0

@@ -143,6 +143,10 @@ class StackConfig(BaseModel):
         }
         return self.graph.model_copy(update=limits)
 
+    def elevation_params(self) -> ElevationParams:
+        """Settings of the map, with the noise of the LiDAR at hand where none is set."""
+        return self.elevation.for_lidar(LIDARS[self.lidar])
+
     def imu_mount(self) -> Extrinsics:
         """Pose of the IMU in base_link."""
         return Extrinsics(IMU_POSITION)

@@ -23,6 +23,7 @@ from hal.scenes import Scene
 from hal.scenes.survey import relief
 from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
 from mapping.elevation import ElevationMap
+from mapping.elevation_params import ElevationParams
 from mapping.odometry import LidarInertialOdometry
 from mapping.odometry_types import OdometryParams, ScanOdometry
 from mapping.rotation import rotation
@@ -68,7 +69,7 @@ class Stack:
         params = OdometryParams().model_copy(update={"engine": engine})
         self.odometry = LidarInertialOdometry(params, run.extrinsics)
         self.odometry.warm_up()
-        self.map = ElevationMap()
+        self.map = ElevationMap(ElevationParams().for_lidar(run.lidar))
         self.map.warm_up()
         self._origin = run.extrinsics.translation
         self._joints: JointSample | None = None

@@ -218,7 +218,7 @@ def _rehearsal() -> Iterator[tuple[Topic, Any]]:
 
 def build(config: Any) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
-    params: ElevationParams = config.elevation
+    params: ElevationParams = config.elevation_params()
     elevation = ElevationMap(params)
     if config.map_file:
         elevation.load_prior(Path(config.map_file))

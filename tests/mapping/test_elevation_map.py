@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hal.lidar.spec import LIDARS
 from mapping.elevation import ElevationMap
 from mapping.elevation_params import ElevationParams
 from mapping.patch import MapError, MapMirror
 from mapping.tiles import BRIDGED, CONTACT, LIDAR
+from rbtrg_robot.config import load
 from tools.bench._perception_map import Mapper, registered
 from tools.synthetic import arena_run
 
@@ -222,3 +224,18 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
     assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
     with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
         ElevationMap(ElevationParams(resolution=0.05)).restore(lost)
+
+
+def test_the_noise_is_that_of_the_lidar_unless_it_is_set() -> None:
+    assert ElevationMap().params.range_sigma == LIDARS["xt16"].range_sigma
+    params = ElevationParams(beam_sigma=0.004).for_lidar(LIDARS["mid360"])
+    assert (params.range_sigma, params.beam_sigma) == (0.02, 0.004)
+    steep = np.array([[0.5, 0.0, -0.4]] * 3, np.float32)
+    variance = []
+    for name in ("xt16", "mid360"):
+        elevation = ElevationMap(ElevationParams(min_sigma=1e-4).for_lidar(LIDARS[name]))
+        elevation.fuse(steep, np.zeros(3), (0, 0, 0, 1), 0, LIDARS[name].mount.translation)
+        variance.append(np.nanmin(elevation.full().layers["variance"]))
+    assert variance[1] > 1.5 * variance[0]
+    assert load(None, [], lidar="mid360").elevation_params().range_sigma == 0.02
+    assert load(None, ["elevation.range_sigma=0.03"], lidar="mid360").elevation_params().range_sigma == 0.03

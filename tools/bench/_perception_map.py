@@ -91,7 +91,7 @@ class Mapper:
     scans: int = 0
 
     def __post_init__(self) -> None:
-        self.map = ElevationMap(ElevationParams(resolution=self.resolution))
+        self.map = ElevationMap(ElevationParams(resolution=self.resolution).for_lidar(self.run.lidar))
         self.map.warm_up()
 
     def take(self, scan: Registered | ScanOdometry) -> None:

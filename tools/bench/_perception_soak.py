@@ -26,7 +26,7 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
     run = soak_run(lidar, minutes=minutes, azimuth_step=azimuth_step)
     odometry = LidarInertialOdometry(OdometryParams(), run.extrinsics)
     odometry.warm_up()
-    elevation = ElevationMap(ElevationParams())
+    elevation = ElevationMap(ElevationParams().for_lidar(run.lidar))
     elevation.warm_up()
     cpu: list[float] = []
     spent = 0.0

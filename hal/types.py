@@ -119,6 +119,10 @@ class Phase(StrEnum):
     FAULT = "fault"
 
 
+LYING = (Phase.SITTING, Phase.DAMPED)
+"""A robot that is well, but drives nowhere before somebody asks it to stand."""
+
+
 class ModeRequest(StrEnum):
     """What an operator or a stage may ask of the robot besides velocity."""
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Any
+
+from hal.types import LYING, Phase
 
 
 class Reason(StrEnum):
@@ -20,6 +23,7 @@ class Reason(StrEnum):
     TIMEOUT = "timeout"
     PROCESS_LOST = "process_lost"
     ROBOT_FAULT = "robot_fault"
+    LYING = "robot_lies"
     CANCELLED = "cancelled"
     PREEMPTED = "preempted"
 
@@ -37,6 +41,7 @@ WORDS: dict[Reason, str] = {
     Reason.TIMEOUT: "the goal timed out",
     Reason.PROCESS_LOST: "a process the goal needs was lost",
     Reason.ROBOT_FAULT: "the robot reports a fault",
+    Reason.LYING: "the robot does not stand",
     Reason.CANCELLED: "cancelled",
     Reason.PREEMPTED: "another goal took its place",
 }
@@ -46,3 +51,16 @@ def words(reason: str, detail: str = "") -> str:
     """The reason in plain words, with its detail."""
     text = WORDS.get(Reason(reason), reason) if reason in Reason._value2member_map_ else reason
     return f"{text}: {detail}" if detail and text else text or detail
+
+
+def hindrance(robot: Any) -> tuple[Reason, str] | None:
+    """Why a robot drives nowhere, and what to do; None where it does. `robot`: its newest RobotState message, if any."""
+    if robot is None:
+        return None
+    if robot.estop:
+        return Reason.ESTOP, f"{robot.estop_cause}; `rbtrg-robot resume` releases it"
+    if robot.phase == Phase.FAULT:
+        return Reason.ROBOT_FAULT, robot.cause
+    if robot.phase in LYING:
+        return Reason.LYING, "`rbtrg-robot posture stand` gets it up"
+    return None

@@ -17,6 +17,7 @@ from typing import Any
 
 import psutil
 
+from hal.types import LYING
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
@@ -36,8 +37,6 @@ SETTLED = 30.0
 """A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
-LYING = ("sitting", "damped")
-"""Phases in which a robot is well but does not drive before somebody asks it to stand."""
 SHARED_MEMORY = Path("/dev/shm")
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""

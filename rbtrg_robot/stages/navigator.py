@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from hal.geofence import Geofence
-from hal.types import NS, Phase
+from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import yaw_of
 from rbtrg_robot.frames import MapFrame
@@ -16,7 +16,7 @@ from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.path_order import PathOrder
 from rbtrg_robot.plan_query import PlanQuery
 from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
-from rbtrg_robot.reasons import Reason
+from rbtrg_robot.reasons import Reason, hindrance
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
 
@@ -132,8 +132,8 @@ class NavigatorStage:
             self._end(GoalState.REJECTED, Reason.INVALID)
         elif self._area is not None and self._area.outside(goal.x, goal.y) > 0.0:
             self._end(GoalState.REJECTED, Reason.OUTSIDE)
-        elif self._robot is not None and self._robot.estop:
-            self._end(GoalState.REJECTED, Reason.ESTOP, "send `rbtrg-robot resume` first")
+        elif (trouble := hindrance(self._robot)) is not None:
+            self._end(GoalState.REJECTED, *trouble)
         else:
             self._status()
             self._ask()
@@ -203,10 +203,9 @@ class NavigatorStage:
         now, p = self._now, self._params
         if goal.timeout > 0 and now - goal.accepted > goal.timeout * NS:
             return self._end(GoalState.ABORTED, Reason.TIMEOUT, f"after {goal.timeout:.0f} s")
-        if self._robot is not None and self._robot.estop:
-            return self._end(GoalState.ABORTED, Reason.ESTOP, self._robot.estop_cause)
-        if self._robot is not None and self._robot.phase == Phase.FAULT:
-            return self._end(GoalState.ABORTED, Reason.ROBOT_FAULT, self._robot.cause)
+        trouble = hindrance(self._robot)
+        if trouble is not None:
+            return self._end(GoalState.ABORTED, *trouble)
         missing = self._missing()
         if missing is not None:
             reason, detail = missing

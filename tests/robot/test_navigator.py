@@ -36,6 +36,7 @@ class World:
         self.tracker_phase = "following"
         self.tracker_obeys = True
         self.estop = False
+        self.phase = "ready"
         self.route_valid = True
 
     def send(self, topic: Topic, **fields: Any) -> None:
@@ -60,7 +61,10 @@ class World:
             if t.MAP_STATUS not in self.silent:
                 self.send(t.MAP_STATUS)
             self.send(
-                t.ROBOT_STATE, phase="ready", estop=self.estop, estop_cause="operator" if self.estop else ""
+                t.ROBOT_STATE,
+                phase=self.phase,
+                estop=self.estop,
+                estop_cause="operator" if self.estop else "",
             )
             path = self.last(t.PATH_COMMAND)
             path_id = path.id if path is not None and self.tracker_obeys else ""
@@ -246,6 +250,22 @@ def test_the_emergency_stop_ends_the_goal_and_refuses_new_ones(world: World) -> 
     assert (world.status.state, world.status.reason) == ("aborted", "emergency_stop")
     world.goal(goal_id="next")
     assert (world.status.state, world.status.reason) == ("rejected", "emergency_stop")
+
+
+@pytest.mark.parametrize(
+    ("phase", "reason"), [("sitting", "robot_lies"), ("damped", "robot_lies"), ("fault", "robot_fault")]
+)
+def test_a_robot_that_cannot_drive_ends_the_goal_and_refuses_new_ones(
+    world: World, phase: str, reason: str
+) -> None:
+    world.goal()
+    world.answer()
+    world.phase = phase
+    world.run(0.3)
+    assert (world.status.state, world.status.reason) == ("aborted", reason)
+    world.goal(goal_id="next")
+    assert (world.status.state, world.status.reason) == ("rejected", reason)
+    assert ("posture stand" in world.status.detail) == (phase != "fault")
 
 
 def test_lost_localization_halts_then_resumes(world: World) -> None:

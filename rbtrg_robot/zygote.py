@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import json
+import logging
 import os
 import select
 import signal
@@ -197,7 +198,11 @@ def main() -> int:
         return 0
     from rbtrg_robot import child
 
-    return child.run(specification)
+    code = child.run(specification)
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)  # all is closed: to take the compiled kernels apart costs every process half a second
 
 
 if __name__ == "__main__":

@@ -267,7 +267,7 @@ def vmc_tick(
     # --- wheel placement under the trunk
     grade = math.sqrt(m.grade[0] * m.grade[0] + m.grade[1] * m.grade[1])
     hill = clip((grade - 0.11) / 0.06, 0.0, 1.0)
-    pull = p.turn_pull + (p.hill_pull - p.turn_pull) * hill
+    pull = p.turn_pull + (p.spot_pull - p.turn_pull) * spot * (1.0 - hill)
     pull *= clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
     step = p.place_rate * dt
     # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.

@@ -29,7 +29,7 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     found = -1
     worst = p.blocked_time
     # A turn pushes wheels back as well: the faster it turns, the more it takes.
-    caution = 1.0 + 4.0 * max(0.0, abs(m.wz) - 0.15)
+    caution = 1.0 + 6.0 * max(0.0, abs(m.wz) - 0.1)
     # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
     caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     slowed = way * m.speed < p.blocked_speed * abs(m.vx)
@@ -109,9 +109,12 @@ def finish(m) -> None:
 
 @njit(cache=True)
 def climb_tick(
-    m, centres: Array, com: Array, rot: Array, command_vx: float, yaw_rate: float, dt: float, p: VmcParams
+    m, centres: Array, com: Array, rot: Array, command_vx: float, omega: Array, dt: float, p: VmcParams
 ) -> None:
-    """Advance the sequence. `centres` (4, 3): wheel centres, H. Sets `foot`, the wanted wheel centre of the lifted leg, H."""
+    """Advance the sequence. Sets `foot`, the wanted wheel centre of the lifted leg, H.
+
+    `centres` (4, 3): wheel centres, H; `omega` (3,): turning rate of the trunk, H [rad/s].
+    """
     m.timer += dt
     way = 0.0
     if abs(m.vx) > 0.1 and abs(command_vx) > 0.1 and m.cliff == 0.0:
@@ -128,7 +131,12 @@ def climb_tick(
     hip_z = rot[2, 0] * HIP_X * SX[leg] + rot[2, 1] * HIP_Y * SY[leg]
     if m.mode == SHIFT:
         miss = abs(m.shift[0] - m.shift_goal[0]) + abs(m.shift[1] - m.shift_goal[1])
-        steady = abs(m.speed + m.shift_rate[0]) < p.still and abs(yaw_rate) < 0.3
+        steady = abs(m.speed + m.shift_rate[0]) < p.still and abs(omega[2]) < 0.3
+        # A trunk that tips or swings cannot be held on three wheels, let alone on two.
+        for axis in range(2):
+            steady = steady and abs(m.tilt[axis]) < p.lift_tilt and abs(omega[axis]) < p.lift_swing
+        for other in range(4):
+            steady = steady and (other == leg or m.contact[other] == 1)
         margin = triangle_margin(leg, centres, com)
         if miss < p.shift_miss and m.timer > p.shift_time and margin > p.shift_margin and steady:
             m.mode = LIFT

@@ -65,10 +65,10 @@ class VmcParams(NamedTuple):
     yaw_kp: float = 2.5
     yaw_ki: float = 10.0
     """Yaw-rate loop on the gyro, acting on the wheel speed difference [-], [1/s]."""
-    turn_pull: float = 0.09
-    """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily."""
-    spot_pull: float = 0.03
-    """The same while turning on the spot on level ground, where edges under a short wheelbase tip the robot [m]."""
+    turn_pull: float = 0.03
+    """How far each axle moves inwards for a full turn [m]: a short wheelbase skids round easily, and tips over edges easily."""
+    hill_pull: float = 0.09
+    """The same on hillsides, where turning asks for more [m]."""
     turn_full: float = 0.35
     """Yaw rate [rad/s] from which the axles are pulled in fully."""
     turn_jam: float = 20.0
@@ -118,6 +118,10 @@ class VmcParams(NamedTuple):
     """How far [m] the centre of mass must be inside the support triangle before the wheel is lifted."""
     shift_time: float = 0.1
     """Shortest time for unloading the wheel [s]."""
+    lift_tilt: float = 0.08
+    """Roll or pitch off the wanted one [rad] from which no wheel is lifted."""
+    lift_swing: float = 0.4
+    """The same for roll and pitch rate [rad/s]."""
     stroke_lift: float = 0.125
     """Axle below hip of the lifted wheel [m]."""
     lift_rate: float = 1.6

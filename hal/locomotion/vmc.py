@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import VmcParams
-from hal.locomotion.vmc_kernel import MEMORY, OUT_DQ, OUT_KD, OUT_KP, OUT_Q, OUT_TAU, vmc_tick
+from hal.locomotion.vmc_kernel import OUT_DQ, OUT_KD, OUT_KP, OUT_Q, OUT_TAU, vmc_tick
 from hal.lowlevel import LowCommand, LowState
 from hal.types import PostureCommand, VelocityCommand
 

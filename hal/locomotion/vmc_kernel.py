@@ -42,49 +42,6 @@ from hal.locomotion.geometry import (
 from hal.locomotion.params import VmcParams
 from hal.types import Array
 
-MEMORY = np.dtype(
-    [
-        ("ticks", "i8"),
-        ("vx", "f8"),  # slewed command [m/s]
-        ("wz", "f8"),  # [rad/s]
-        ("speed", "f8"),  # estimated ground speed [m/s]
-        ("speed_i", "f8"),  # common wheel torque of the speed integral [Nm]
-        ("yaw_i", "f8"),  # yaw-rate integral [rad/s]
-        ("lag", "f8", (4, 2)),  # of each wheel behind its place under the trunk, H [m]
-        ("jam", "f8"),  # force on the wheel that is held most, beyond friction [N]
-        ("strain", "f8"),  # furthest lag of a wheel against the mean of all [m]
-        ("lift_i", "f8"),  # learnt extra load [N]
-        ("slope_x", "f8"),  # ground plane, filtered
-        ("slope_y", "f8"),
-        ("grade", "f8", (2,)),  # the same over about a second: the hill, not the obstacle
-        ("height", "f8"),  # base_link above the ground plane [m]
-        ("hold", "i8"),  # wheels latched in place
-        ("latch", "f8", (4,)),  # their rolled angle [rad]
-        ("place", "f8", (4, 2)),  # wheel placement relative to nominal, slewed [m]
-        ("force", "f8", (4, 3)),  # contact force on the wheel, H [N]
-        ("contact", "i8", (4,)),
-        ("load", "f8", (4,)),  # commanded vertical force [N]
-        ("load_cap", "f8", (4,)),  # its upper bound after touch-down [N]
-        ("mode", "i8"),  # of the climb, see hal.locomotion.climb
-        ("leg", "i8"),  # lifted
-        ("queued", "i8"),  # lifted next, or -1
-        ("way", "f8"),  # +1 climbing forward, -1 backward
-        ("timer", "f8"),  # in this mode [s]
-        ("blocked", "f8", (4,)),  # for how long [s]
-        ("shift_goal", "f8", (2,)),  # wheels relative to the trunk [m]
-        ("shift", "f8", (2,)),
-        ("shift_rate", "f8", (2,)),  # [m/s]
-        ("foot", "f8", (3,)),  # wanted centre of the lifted wheel, H [m]
-        ("lift_x", "f8"),  # where it was blocked [m]
-        ("creep", "f8"),  # for how long the command has been slow [s], see hal.locomotion.cliff
-        ("lean", "f8", (4,)),  # of the ground's normal at each wheel, forward [rad]
-        ("hang", "f8", (4,)),  # for how long each leg has hung [s]
-        ("cliff", "f8"),  # +1 an edge ahead, -1 behind, 0 none
-        ("back_off", "f8"),  # still to go from it [m]
-    ]
-)
-"""What the controller remembers between ticks."""
-
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
 """What the legs carry and push [kg]; shank and wheel follow the ground."""
 DRIVEN = MASS + 4.0 * (WHEEL.inertia[1] + ARMATURE) / WHEEL_RADIUS**2
@@ -142,7 +99,7 @@ def vmc_tick(
     m.ticks += 1
     estimate_contacts(m, tau, weight_torque, jac, dt, p)
     wanted = feel_edges(m, tau, dq, centres, rot, command[0], dt, p) if m.mode == DRIVE else command[0]
-    climb_tick(m, centres, com, rot, command[0], omega[2], dt, p)
+    climb_tick(m, centres, com, rot, command[0], omega, dt, p)
     lifted = m.leg if m.mode > SHIFT else -1
 
     # --- ground plane and height
@@ -206,13 +163,16 @@ def vmc_tick(
         # Braking may be harder than driving off: nobody waits for a start.
         slower = abs(wanted) < abs(m.vx) or wanted * m.vx < 0.0
         m.vx = slew(m.vx, wanted, (p.decel if slower else p.accel) * dt)
-        m.wz = slew(m.wz, share * command[1], p.alpha * dt)
+        m.wz = slew(m.wz, share * command[1], (1.5 if halt else 1.0) * p.alpha * dt)
         push[0] += (m.vx - before_vx) / dt
     height = command[2]
     ground_pitch = -math.atan(m.slope_x)
     ground_roll = math.atan(m.slope_y)
     pitch_wanted = command[4] + ground_pitch - clip(ground_pitch, -p.level_pitch, p.level_pitch)
     roll_wanted = command[3] + ground_roll - clip(ground_roll, -p.level_roll, p.level_roll)
+
+    m.tilt[0] = roll - roll_wanted
+    m.tilt[1] = pitch - pitch_wanted
 
     # --- trunk wrench and its distribution on the wheels
     error = clip(height - m.height, -0.08, 0.08)
@@ -267,7 +227,7 @@ def vmc_tick(
     # --- wheel placement under the trunk
     grade = math.sqrt(m.grade[0] * m.grade[0] + m.grade[1] * m.grade[1])
     hill = clip((grade - 0.11) / 0.06, 0.0, 1.0)
-    pull = p.turn_pull + (p.spot_pull - p.turn_pull) * spot * (1.0 - hill)
+    pull = p.turn_pull + (p.hill_pull - p.turn_pull) * hill
     pull *= clip((abs(m.wz) - 0.03) / p.turn_full, 0.0, 1.0)
     step = p.place_rate * dt
     # A wheel that was put down far out comes back under the trunk as the trunk drives on, not by rolling off again.

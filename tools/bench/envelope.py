@@ -20,7 +20,7 @@ from hal.mujoco.policy import PolicyController
 from tools.bench.envelope_cliff import WAYS, creep_to_edge
 from tools.bench.envelope_driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope_trial import RUNS, Conditions, drive
-from tools.bench.envelope_turning import PLACES, turn_on_bar, turn_on_ramp
+from tools.bench.envelope_turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
 LIMITS: dict[str, dict[str, int]] = {
@@ -136,6 +136,8 @@ STOP_LIMIT = 0.26
 """[s] from zero command to rest."""
 BARS = (2, 4, 6, 8, 10)
 """Heights [cm] of the bar under the turning robot; of the 18 trials each no more than one may end in a fall."""
+CURVED_BARS = (3, 5, 10)
+"""The same for turning there and driving off in a curve."""
 NO_FALL = (
     *(f"{kind}_{v}" for kind in ("ramp_up", "ramp_down", "cross_slope") for v in (10, 15, 20, 25)),
     *("rough_2", "rough_4", "rough_6"),
@@ -192,6 +194,15 @@ def run(args: list[str]) -> Report:
             report.add(f"turn_bar_{height}_leaving.{name}", sum(when == "leaving" for when, _ in ends), of)
             median = float(np.degrees(np.median([angle for _, angle in ends])))
             report.add(f"turn_bar_{height}_angle.{name}", median, "deg, median")
+    for height in CURVED_BARS:
+        if f"curve_bar_{height}".startswith(options.only):
+            ends = [
+                turn_on_bar(controller, height / 100.0, *place, turning=CURVING, off=off)
+                for off in CURVES
+                for place in PLACES
+            ]
+            falls = sum(when != "" for when, _ in ends)
+            report.add(f"curve_bar_{height}.{name}", falls, f"falls of {len(ends)}")
     for degrees in (0, 10, 20):
         if f"turn_ramp_{degrees}".startswith(options.only):
             share = min(turn_on_ramp(controller, degrees, way) for way in (1, -1))

@@ -15,7 +15,13 @@ from tools.bench.envelope_trial import DT, TIPPED
 RATE = 0.8
 """[rad/s]"""
 TURNING, LEAVING = 10.5, 3.0
-"""How long it turns, and then drives off straight ahead at 0.5 m/s [s]."""
+"""How long it turns, and then drives off [s]."""
+OFF = (0.5, 0.0)
+"""Speed [m/s] and yaw rate [rad/s] of driving off."""
+CURVING = 3.5
+"""How long it turns before it drives off in a curve [s]: long enough to be held by the bar."""
+CURVES = ((0.4, RATE), (0.4, -RATE))
+"""Speed [m/s] and yaw rate [rad/s, the way it turned positive] of driving off in a curve."""
 PLACES = tuple((at, angle, way) for at in (-0.2, 0.0, 0.2) for angle in (0.0, 0.785, 1.3) for way in (1, -1))
 """Offset [m] and angle [rad] of the bar's middle line to the robot, and the turning direction of the 18 trials."""
 HALF = 2.5
@@ -36,13 +42,21 @@ def _drive(sim: Simulation, controller: Locomotion, vx: float, wz: float) -> boo
 
 
 def turn_on_bar(
-    controller: Locomotion, height: float, at: float, angle: float, way: int, friction: float = 0.8
+    controller: Locomotion,
+    height: float,
+    at: float,
+    angle: float,
+    way: int,
+    friction: float = 0.8,
+    turning: float = TURNING,
+    off: tuple[float, float] = OFF,
 ) -> tuple[str, float]:
     """Drive onto a bar of `height` [m] and 0.1 m width, turn there, drive off: when it tipped over, angle turned [rad].
 
     It tipped "arriving", "turning", "leaving" or never, which is "".
 
-    `at` [m] and `angle` [rad]: where the bar's middle line passes the place of turning; `way`: +1 left, -1 right.
+    `at` [m] and `angle` [rad]: where the bar's middle line passes the place of turning; `way`: +1 left, -1 right;
+    `turning` [s]; `off`: how it drives off, speed [m/s] and yaw rate [rad/s, the way it turned positive].
     """
     x, y = _ground()
     z = np.where(np.abs(x * math.cos(angle) + y * math.sin(angle) - at) < 0.05, height, 0.0).astype(
@@ -58,7 +72,7 @@ def turn_on_bar(
         if not _drive(sim, controller, 0.5, float(np.clip(-2.0 * (sim.yaw + sim.position[1]), -0.6, 0.6))):
             return "arriving", 0.0
     turned = 0.0
-    end = sim.time + TURNING
+    end = sim.time + turning
     while sim.time < end:
         before = sim.yaw
         if not _drive(sim, controller, 0.0, way * RATE):
@@ -66,7 +80,7 @@ def turn_on_bar(
         turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
     end = sim.time + LEAVING
     while sim.time < end and np.abs(sim.position[:2]).max() < HALF - 0.6:
-        if not _drive(sim, controller, 0.5, 0.0):
+        if not _drive(sim, controller, off[0], way * off[1]):
             return "leaving", way * turned
     return "", way * turned
 

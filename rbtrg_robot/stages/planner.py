@@ -163,10 +163,14 @@ class PlannerStage:
             changed.append(self._laid)
             self._laid = None
         if self._window is not None:
-            mirror = mirror.overlaid(self._window)
-            (row, col), (rows, cols) = self._window.cell, self._window.shape
-            self._laid = (row, col, row + rows, col + cols)
-            changed.append(self._laid)
+            try:
+                mirror = mirror.overlaid(self._window)
+                (row, col), (rows, cols) = self._window.cell, self._window.shape
+                self._laid = (row, col, row + rows, col + cols)
+                changed.append(self._laid)
+            except MapError:
+                self._malformed += 1
+                self._window = None
         grid = mirror.grid()
         windows = [
             (r0 - mirror.row, c0 - mirror.col, r1 - mirror.row, c1 - mirror.col) for r0, c0, r1, c1 in changed

@@ -135,6 +135,10 @@ def test_a_malformed_window_is_survived() -> None:
     broken.info.length_x = 3.0
     assert stage.on(t.MAP_WINDOW, broken) == []
     assert dict(stage.tick(3 * NS))[t.ROUTE_STATUS].valid
+    shifted = patch(np.indices((70, 80))[1] % 2 * 0.4, stamp=4 * NS)  # off the lattice, and full of faces
+    shifted.info.pose.position.x += 0.3 * RES
+    assert stage.on(t.MAP_WINDOW, shifted)
+    assert ask(stage, (1.5, 1.5), (5.0, 1.5), sequence=2, now=5 * NS).reaches_goal
 
 
 def test_what_the_navigator_wants_avoided_is_driven_around() -> None:

@@ -126,6 +126,13 @@ def main() -> int:
     parser.add_argument(
         "--lidar-step", type=int, default=2, help="keep every n-th firing of the simulated LiDAR"
     )
+    parser.add_argument(
+        "--start",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "YAW"),
+        help="where the simulated robot stands [m, rad]",
+    )
     parser.add_argument("--lying", action="store_true", help="start lying instead of in balance stand")
     names = ", ".join(f.name for f in fields(Faults) if f.name != "refuse")
     parser.add_argument("--fault", action="append", default=[], metavar="NAME=VALUE", help=f"one of: {names}")
@@ -141,6 +148,7 @@ def main() -> int:
             seed=options.seed,
             lidar=options.lidar,
             lidar_step=options.lidar_step,
+            start=tuple(options.start) if options.start else None,
         )
         if options.body == "mujoco"
         else KinematicBody(not options.lying)

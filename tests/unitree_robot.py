@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from hal import go2w
+from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, ModeRequest, Phase, VelocityCommand
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Request, Response, Sport
@@ -26,7 +27,6 @@ from hal.unitree.layout import (
     SPORT_MODE_STATE_CDR,
 )
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE
-from hal.unitree.telemetry import rotation
 
 HOLD = 1.0
 """[s] the last Move is kept."""
@@ -51,6 +51,7 @@ class Faults:
     low_frozen: bool = False
     """LowState keeps coming with the same content."""
     sport_silent: bool = False
+    lidar_silent: bool = False
     epoch: float = 1.7e9
     """What the robot's clock shows at the start: 0 is 1970."""
     wxyz: bool = True
@@ -184,7 +185,7 @@ class RobotSide:
         translation, rpy = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
         if self.faults.upright_l1:
             rpy = (0.0, 0.0, 0.0)
-        self._mount = (rotation(*rpy), np.array(translation))
+        self._mount = (rotation_rpy(*rpy), np.array(translation))
         (cr, cp, cy), (sr, sp, sy) = np.cos(np.array(rpy) / 2), np.sin(np.array(rpy) / 2)
         about_z = _product((cy, 0.0, 0.0, sy), (cp, 0.0, sp, 0.0))
         self._turned = tuple(_product(tuple(about_z), (cr, sr, 0.0, 0.0)))
@@ -321,7 +322,7 @@ class RobotSide:
             )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
         points = self.body.scan()
-        if points is not None and self._topic:
+        if points is not None and self._topic and not self.faults.lidar_silent:
             base = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float64)
             local = (base - self._mount[1]) @ self._mount[0]
             out = points.copy()
@@ -399,7 +400,7 @@ class MujocoBody:
         self._backend = MujocoBackend(scene, seated=not standing, **options)
         self._backend.connect()
         self._mount = self._backend.capabilities.lidar_mount
-        self._rotation = rotation(*self._mount.rpy)
+        self._rotation = rotation_rpy(*self._mount.rpy)
         self.x = self.y = self.yaw = self.v = self.wz = self.tilt = 0.0
         self.height = 0.35 if standing else 0.08
         self.q, self.dq, self.tau = np.zeros(16), np.zeros(16), np.zeros(16)

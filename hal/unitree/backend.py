@@ -78,6 +78,8 @@ class UnitreeBackend:
         self._doing_phase = Phase.STANDING
         self._fault = ""
         self._stopped = ""
+        self._away: int | None = None
+        """When LowState was last found missing [ns]; None while the robot is under control."""
         self._reported: tuple[Phase, str] | None = None
         self._reported_at = 0
 
@@ -286,7 +288,16 @@ class UnitreeBackend:
         o = self.options
         if t.low_age(now) > o.state_timeout:
             self._mover.confirm_reset()
+            self._away = now
             return Phase.DISCONNECTED, f"no LowState for {t.low_age(now):.1f} s: check cable and robot"
+        if self._away is not None:
+            # What its sport service said before tells nothing of a robot that may have been switched off and on.
+            missed = (now - self._away) / NS
+            if t.sport_age(now) >= missed and missed <= o.sport_timeout:
+                return Phase.DISCONNECTED, "LowState is back, waiting for sportmodestate"
+            self._away = None
+            if t.sport_age(now) < missed and self._transition is None and not self._fault:
+                self._start(self._steps.take_control(), "taking control again", Phase.STANDING)
         if not t.upright:
             self._fault = self._fault or "fallen: recover when the robot is free"
         if self._guarded and not self._dry_run and (self._guardian is None or not self._guardian.alive()):

@@ -9,6 +9,7 @@ from collections import Counter
 import numpy as np
 
 from hal import go2w
+from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
@@ -28,18 +29,6 @@ MOUNT_SAMPLES = 200
 MOUNT_TOLERANCE = math.radians(25.0)
 
 
-def rotation(roll: float, pitch: float, yaw: float) -> Array:
-    """(3, 3) matrix parent <- child of fixed-axis roll, pitch, yaw [rad]."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
 def _up(quaternion: Array) -> Array:
     """World z in the axes of a body with attitude w, x, y, z."""
     w, x, y, z = quaternion
@@ -57,9 +46,9 @@ class Telemetry:
 
     def __init__(self, link: Link, options: UnitreeOptions) -> None:
         self._link, self._options = link, options
-        self._imu_rotation = rotation(0.0, 0.0, options.imu_yaw)
+        self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)
         mount = options.mount()
-        self._mount = Mount(rotation(*mount.rpy), np.array(mount.translation))
+        self._mount = Mount(rotation_rpy(*mount.rpy), np.array(mount.translation))
         self._topic = options.topic()
         self.low_clock = ClockOffset()
         self.lidar_clock = ClockOffset()

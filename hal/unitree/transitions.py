@@ -31,19 +31,10 @@ class Transitions:
     # -- sequences -------------------------------------------------------------------------------------------------
 
     def take_control(self) -> Steps:
-        """Make sure a motion service owns the motors, stop whatever runs, switch obstacle avoidance as configured."""
+        """Of a robot not seen before, or lost and found: see that a motion service owns the motors, stop what runs."""
+        self._stood_up = False  # it may have been switched off and on
         yield from self._own_motion()
         yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping")
-        if self._options.avoid_obstacles:
-            yield from self._call(
-                api.OBSTACLES_AVOID, ObstaclesAvoid.SWITCH_SET, "obstacle avoidance on", enable=True
-            )
-            yield from self._call(
-                api.OBSTACLES_AVOID,
-                ObstaclesAvoid.USE_REMOTE_COMMAND_FROM_API,
-                "commands from here",
-                is_remote_commands_from_api=True,
-            )
 
     def stand(self) -> Steps:
         """StandUp, then BalanceStand: StandUp alone leaves the joints locked and Move without effect."""
@@ -103,12 +94,25 @@ class Transitions:
     # -- parts -----------------------------------------------------------------------------------------------------
 
     def _own_motion(self) -> Steps:
-        """CheckMode; where no motion service is active, SelectMode with patience for busy."""
+        """CheckMode; where no motion service is active, SelectMode. Then obstacle avoidance as configured."""
         answer = yield from self._call(
             api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, "which motion service is active"
         )
-        if self._dry_run or answer.json().get("name"):
-            return
+        if not self._dry_run and not answer.json().get("name"):
+            yield from self._select_motion()
+        if self._options.avoid_obstacles:
+            yield from self._call(
+                api.OBSTACLES_AVOID, ObstaclesAvoid.SWITCH_SET, "obstacle avoidance on", enable=True
+            )
+            yield from self._call(
+                api.OBSTACLES_AVOID,
+                ObstaclesAvoid.USE_REMOTE_COMMAND_FROM_API,
+                "commands from here",
+                is_remote_commands_from_api=True,
+            )
+
+    def _select_motion(self) -> Steps:
+        """SelectMode, with patience for busy, until the service reports."""
         deadline = self.now + round(self._options.busy_timeout * NS)
         name = self._options.motion_mode
         while True:

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hal.contract import Backend, BackendError
+from hal.rotation import rotation_rpy
 from hal.types import (
     NS,
     ImuSample,
@@ -24,7 +25,6 @@ from hal.types import (
 from hal.unitree.api import Sport
 from hal.unitree.link import L1_CLOUD
 from hal.unitree.options import UnitreeOptions
-from hal.unitree.telemetry import rotation
 from tests.unitree_robot import Faults, KinematicBody, RobotSide
 from tests.unitree_world import HOST_EPOCH, World
 
@@ -100,7 +100,7 @@ def test_the_flipped_l1_shows_the_floor_below():
     mount = world.backend.capabilities.lidar_mount
     points = scans[-1].points
     local = np.stack([points["x"], points["y"], points["z"]], axis=1)
-    base = local @ rotation(*mount.rpy).T + mount.translation
+    base = local @ rotation_rpy(*mount.rpy).T + mount.translation
     floor = base[np.hypot(base[:, 0], base[:, 1]) < 4.5]
     assert len(floor) > 500
     assert np.abs(floor[:, 2] + 0.40).max() < 0.01
@@ -350,20 +350,65 @@ def test_a_cut_cable_mid_motion_and_its_return():
     world.until(Phase.READY, 1.0)
 
 
+def restarted(world: World, faults: Faults, standing: bool) -> None:
+    """The robot's computers start anew a second later: nothing of before is known to them."""
+    world.cut = True
+    world.run(1.0)
+    world.cut = False
+    world.body = KinematicBody(standing)
+    world.robot = RobotSide(world.body, faults, topic=L1_CLOUD)
+    world.faults = world.robot.faults
+    switched_on, handle, step = world.elapsed, world.robot.handle, world.robot.step
+    responses = world.robot.responses
+    world.robot.step = lambda now: step(now - switched_on)  # type: ignore[method-assign]
+    world.robot.handle = lambda service, request, now: handle(service, request, now - switched_on)  # type: ignore[method-assign]
+    world.robot.responses = lambda now: responses(now - switched_on)  # type: ignore[method-assign]
+
+
 def test_a_restarted_robot_is_noticed():
     world = ready()
     world.run(2.0, vx=0.5)
-    world.body = KinematicBody(standing=False)
-    world.robot = RobotSide(world.body, Faults(epoch=5.0), topic=L1_CLOUD)
-    world.elapsed += NS
-    offset = world.elapsed
-    original = world.robot.step
-    world.robot.step = lambda now: original(now - offset)  # type: ignore[method-assign]
+    restarted(world, Faults(epoch=5.0), standing=False)
     world.run(1.0, vx=0.5)
     assert world.phase is Phase.SITTING
     assert world.backend.diagnostics()["robot_restarts"] == 1
     stamps = [s.stamp for s in world.run(1.0) if isinstance(s, ImuSample)]
     assert abs(stamps[-1] - world.now) < NS // 10
+
+
+def test_control_of_a_restarted_robot_is_taken_again():
+    """It came back listening to its joystick alone."""
+    world = ready(options=UnitreeOptions(lidar="l1", avoid_obstacles=True))
+    world.run(2.0, vx=0.5)
+    restarted(world, Faults(late=0.1), standing=True)
+    world.states.clear()
+    world.until(Phase.READY, 2.0, vx=0.5)
+    assert {state.cause.split(":")[0] for state in world.states if state.phase is Phase.STANDING} == {
+        "taking control again"
+    }
+    assert world.robot.avoid_remote
+    world.run(1.0, vx=0.5)
+    assert world.body.v > 0.3
+
+
+def test_a_sport_service_that_comes_back_after_low_state_is_waited_for():
+    """A fault would latch the safety gate."""
+    world = ready()
+    world.run(2.0, vx=0.5)
+    world.cut = True
+    world.run(3.0)
+    world.cut, world.faults.sport_silent = False, True
+    world.states.clear()
+    world.run(0.6, vx=0.5)
+    assert {state.phase for state in world.states} == {Phase.DISCONNECTED}
+    assert world.cause == "LowState is back, waiting for sportmodestate"
+    world.faults.sport_silent = False
+    world.until(Phase.READY, 1.0)
+    world.cut = True
+    world.run(3.0)
+    world.cut, world.faults.sport_silent = False, True
+    world.until(Phase.FAULT, 1.5)
+    assert "sport service is silent" in world.cause
 
 
 @pytest.mark.parametrize(("drop", "late"), [(2, 0.0), (0, 0.4), (0, 0.9)])

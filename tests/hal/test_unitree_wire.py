@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from hal import go2w
 from hal.lowlevel import LowCommand
+from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE
 from hal.unitree import api, cloud, layout
 from hal.unitree.clock import ClockOffset
-from hal.unitree.telemetry import rotation
 
 idl = pytest.importorskip("hal.unitree.idl", reason="cyclonedds is not installed")
 
@@ -278,7 +278,7 @@ def test_invalid_far_and_body_returns_are_dropped():
 
 def test_body_box_turns_with_the_flipped_l1():
     translation, rpy = go2w.L1_MOUNT
-    turn = rotation(*rpy)
+    turn = rotation_rpy(*rpy)
     mount = cloud.Mount(turn, np.array(translation))
     base = np.array([[0.0, 0.1, -0.1], [1.5, 0.0, -0.4], [0.0, 0.0, 1.0]])
     local = (base - translation) @ turn

@@ -10,9 +10,9 @@ import timeit
 
 import numpy as np
 
+from hal.rotation import rotation_rpy
 from hal.types import NS
 from hal.unitree import api, cloud, layout
-from hal.unitree.telemetry import rotation
 from tools.bench._unitree_deaths import DEATHS
 from tools.bench._unitree_deaths import run as deaths
 from tools.bench.report import Report
@@ -78,7 +78,7 @@ def _messages(report: Report) -> None:
     report.add("unitree.low_state_decode", 1e6 * ours, "us", limit=5.0, baseline=1e6 * theirs)
 
     data = _cloud()
-    mount = cloud.Mount(rotation(0.0, 2.88, 0.0), np.array([0.28, 0.0, -0.03]))
+    mount = cloud.Mount(rotation_rpy(0.0, 2.88, 0.0), np.array([0.28, 0.0, -0.03]))
     cloud.sweep(cloud.decode_cloud(data), mount)
     ours = _best(lambda: cloud.sweep(cloud.decode_cloud(data), mount), 20)
     theirs = _best(lambda: idl.PointCloud2.__idl__.deserialize(data), 2, 3)

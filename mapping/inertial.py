@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.go2w import IMU_POSITION
 from hal.types import Array
-from mapping.inertial_kernels import GRAVITY, correct, output, run
+from mapping.inertial_kernels import GRAVITY, correct, output, run, settle
 from mapping.rotation import rotation, rotation_vector, skew, turn
 
 
@@ -168,8 +168,7 @@ class InertialFilter:
     def move_clock(self, stamp: int) -> None:
         """The source clock was set: the pose stays, the time in between is unknown."""
         self.stamp = stamp
-        self.x[3:6] = 0.0
-        self.p[:6, :6] += np.diag([0.04] * 3 + [0.25] * 3)
+        settle(self.x, self.p)
 
     def copy_from(self, other: InertialFilter) -> None:
         """Take over the state of another filter."""

@@ -13,6 +13,10 @@ GRAVITY = 9.81
 """[m/s^2]"""
 MAX_STEP = 0.05
 """An inertial gap longer than this [s] is bridged at constant velocity with a large uncertainty."""
+SILENCE = 500_000_000
+"""A stretch [ns] without inertial and wheel samples in which the body is taken to have come to rest:"""
+COASTED, UNSURE, TURNED = 0.2, 0.5, 0.2
+"""how far it may have gone [m], how fast it may be after all [m/s], and turned about its z axis [rad], one standard deviation."""
 
 
 @njit(cache=True)
@@ -133,6 +137,16 @@ def update_velocity(x: Array, p: Array, velocity: Array, sigma: Array, gate: flo
 
 
 @njit(cache=True)
+def settle(x: Array, p: Array) -> None:
+    """Time has passed unseen: the body rests about where it was."""
+    x[3:6] = 0.0
+    for k in range(3):
+        p[k, k] += COASTED**2
+        p[3 + k, 3 + k] += UNSURE**2
+    p[8, 8] += TURNED**2
+
+
+@njit(cache=True)
 def run(
     x: Array,
     p: Array,
@@ -154,6 +168,9 @@ def run(
     `imu_stamp` (n,) int64 ascending > start, the last one may lie beyond `end` (it is interpolated); `imu` (n, 6);
     `wheel_stamp` (m,), `wheel` (m, 3), `wheel_sigma` (m, 3): velocities, each applied at the first step end at or after its stamp. Poses
     x[:10] after every step go to `track_stamp` (k,), `track` (k, 10). Returns rows written to the track.
+
+    Over more than `SILENCE` without any sample nothing is integrated: a body that nobody hears is not commanded and comes to
+    rest, so the pose stays, with room for what it coasted.
     """
     now = start
     w = 0
@@ -171,12 +188,21 @@ def run(
         else:  # no sample beyond: hold the input
             stop = end
             share = 0.0
-        dt = (stop - now) * 1e-9
-        for k in range(6):
-            after = u[k] + share * (imu[i, k] - u[k]) if i < n else u[k]
-            mid[k] = 0.5 * (u[k] + after)
-            u[k] = after
-        propagate(x, p, mid, dt, noise)
+        heard = now
+        for j in range(w, len(wheel_stamp)):
+            if wheel_stamp[j] < stop:
+                heard = max(heard, wheel_stamp[j])
+        if stop - heard > SILENCE:
+            for k in range(6):
+                u[k] = imu[i, k] if i < n else (x[10 + k] if k < 3 else u[k])
+            settle(x, p)
+        else:
+            dt = (stop - now) * 1e-9
+            for k in range(6):
+                after = u[k] + share * (imu[i, k] - u[k]) if i < n else u[k]
+                mid[k] = 0.5 * (u[k] + after)
+                u[k] = after
+            propagate(x, p, mid, dt, noise)
         now = stop
         if i < n and imu_stamp[i] <= now:
             i += 1

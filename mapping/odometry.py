@@ -19,12 +19,14 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import rotation_rpy
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
 from mapping.deskew import deskew, mount_matrix
 from mapping.engines import Engine, GicpEngine, KissEngine, Match
 from mapping.health import Health, HealthMonitor, Verdict
 from mapping.inbox import Inbox
 from mapping.inertial import InertialFilter
+from mapping.inertial_kernels import SILENCE
 from mapping.intake import Sweep
 from mapping.odometry_types import FastPose, OdometryParams, ScanOdometry
 from mapping.pose_stream import PoseStream
@@ -35,6 +37,8 @@ from mapping.wheel_scale import WheelScale
 XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
 
 ZERO = np.zeros(6)
+HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
+"""Tried in turn after a gap [rad]: registration finds a heading that is 0.15 rad off, a robot out of contact turns further."""
 
 
 class LidarInertialOdometry:
@@ -58,6 +62,7 @@ class LidarInertialOdometry:
         self._before: Before | None = None
         self._scale = WheelScale()
         self._rolled = math.nan
+        self._misfits = 0
         self._notes: list[str] = []
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
 
@@ -129,7 +134,7 @@ class LidarInertialOdometry:
         wide = self._monitor.lost or self._monitor.gap(sweep.end) > 0.5
         scans = self._engine.scans
         match = self._engine.align(
-            cloud, predicted, self.params.threshold_lost if wide else self.params.threshold
+            cloud, predicted @ self._search(), self.params.threshold_lost if wide else self.params.threshold
         )
         verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
         if verdict.use and scans:
@@ -138,6 +143,7 @@ class LidarInertialOdometry:
             # scan to scan: gravity has the last word there.
             measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
             self._filter.update_pose(match.pose, measured)
+        self._misfits = 0 if verdict.use else self._misfits + 1
         if verdict.insert:
             self._engine.insert(self._filter.pose())
         self._learn_scale(before, sweep.end - since, verdict)
@@ -171,6 +177,15 @@ class LidarInertialOdometry:
         self.initialised = True
         self._rejoin()
 
+    def _search(self) -> Array:
+        """(4, 4): after a gap, a heading beside the predicted one, as far as that is uncertain; another for each misfit."""
+        turned = np.eye(4)
+        if self._monitor.lost or self._monitor.gap(self._filter.stamp) > self.params.health.gap_again:
+            reach = 3.0 * math.sqrt(self._filter.p[8, 8])
+            headings = [h for h in HEADINGS if abs(h) <= reach]
+            turned[:3, :3] = rotation_rpy(0.0, 0.0, headings[self._misfits % len(headings)])
+        return turned
+
     def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
         """Advance the filter to `end`; the track it took. Notes which data were missing."""
         for topic, name, buffer in (("joints", "joint", self._joints), ("imu", "IMU", self._imu)):
@@ -180,7 +195,10 @@ class LidarInertialOdometry:
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
                 self._notes.append(f"no {name} data")
-        return self._advance(end)
+        stamps, track = self._advance(end)
+        if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
+            self._notes.append(f"no IMU data for {silence / NS:.1f} s")
+        return stamps, track
 
     def _advance(self, end: int) -> tuple[NDArray[np.int64], Array]:
         state = self._filter
@@ -255,7 +273,8 @@ class LidarInertialOdometry:
         """The source clock was set: go on at the new time with the pose and the map kept."""
         self._filter.move_clock(stamp)
         self._stream.move_clock(stamp)
-        self._monitor.start(stamp)
+        # A long time without any message looks the same, and the robot may have been carried meanwhile.
+        self._monitor.start(stamp - round((self.params.health.gap_again + 0.1) * NS))
         self._notes.append("source clock was set")
 
     def warm_up(self) -> None:

@@ -266,6 +266,18 @@ def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[S
     assert abs(out.odometry._filter.x[11] - bias) < 0.003
 
 
+def elsewhere(
+    run: SyntheticRun, stamp: int, place: tuple[float, float, float], since: int
+) -> tuple[SyntheticRun, float]:
+    """The robot of `run` stands x, y [m], yaw [rad] (`place`, axes of the world) from where it was at `stamp`, from `since` on; and how far that is."""
+    position, orientation = run.truth(stamp)
+    heading = rotation(orientation[0])
+    yaw = float(np.arctan2(heading[1, 0], heading[0, 0]))
+    x, y = position[0, :2] + place[:2]
+    motion = Motion(kind="standstill", start=(x, y, yaw + place[2]))
+    return replace(run, motion=motion, start_stamp=since, duration=1.5), float(np.hypot(*place[:2]))
+
+
 @pytest.mark.parametrize("place", [(0.8, 0.0, 0.3), (-2.0, 1.5, 2.5), (1.0, -2.0, -1.2)])
 def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     recorded: tuple[SyntheticRun, list[Sample]], place: tuple[float, float, float]
@@ -274,16 +286,7 @@ def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     run, samples = recorded
     end = samples[0].stamp + 4 * NS
     samples = [s for s in samples if s.stamp < end]
-    position, orientation = run.truth(samples[-1].stamp)
-    heading = rotation(orientation[0])
-    yaw = float(np.arctan2(heading[1, 0], heading[0, 0]))
-    x, y = position[0, :2] + place[:2]
-    there = replace(
-        run,
-        motion=Motion(kind="standstill", start=(x, y, yaw + place[2])),
-        start_stamp=end + 6 * NS,
-        duration=1.5,
-    )
+    there, _ = elsewhere(run, samples[-1].stamp, place, end + 6 * NS)
     last = [s for s in samples if isinstance(s, JointSample)][-1]
     blind: list[Sample] = []
     for stamp in range(end, there.start_stamp, NS // 200):
@@ -294,6 +297,30 @@ def test_a_robot_carried_while_blind_is_lost_and_says_what_to_do(
     assert len(seen) > 10
     assert all(s.health is Health.LOST for s in seen)
     assert all("bring it back" in s.reason for s in seen[1:])
+
+
+@pytest.mark.parametrize("silence", [4 * NS, 15 * NS])
+@pytest.mark.parametrize(("place", "found"), [((0.3, 0.1, 0.45), True), ((-2.0, 1.5, 2.5), False)])
+def test_a_robot_unheard_for_long_is_found_where_it_may_have_coasted_and_nowhere_else(
+    recorded: tuple[SyntheticRun, list[Sample]],
+    silence: int,
+    place: tuple[float, float, float],
+    found: bool,
+) -> None:
+    """Its cable was cut in a curve; it stopped by itself. Nobody knows whether it was carried then."""
+    run, samples = recorded
+    end = samples[0].stamp + 4 * NS
+    samples = [s for s in samples if s.stamp < end]
+    there, truth = elsewhere(run, samples[-1].stamp, place, end + silence)
+    out = Driven([*samples, *(s for s in there.samples() if not isinstance(s, GroundTruth))])
+    seen = [s for s in out.scans if s.stamp > there.start_stamp]
+    if found:
+        assert seen[-1].health is Health.GOOD
+        before = [s for s in out.scans if s.stamp < end][-1]
+        assert np.linalg.norm((seen[-1].position - before.position)[:2]) == pytest.approx(truth, abs=0.1)
+    else:
+        assert Health.GOOD not in {s.health for s in seen}
+        assert "bring it back" in seen[-1].reason
 
 
 @pytest.mark.parametrize(("moved", "found"), [(0.15, True), (2.5, False)])

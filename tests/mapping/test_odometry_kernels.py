@@ -38,6 +38,29 @@ def test_rotations_agree_with_rodrigues(a: np.ndarray, b: np.ndarray) -> None:
         np.testing.assert_allclose(rotation_vector(exp(a)), a, atol=1e-7)
 
 
+@pytest.mark.parametrize(
+    ("gap", "wheels", "moved"), [(0.4, False, True), (3.0, False, False), (3.0, True, True)]
+)
+def test_what_nobody_hears_comes_to_rest(gap: float, wheels: bool, moved: bool) -> None:
+    """A body at 0.5 m/s and 0.3 rad/s, whose samples stop for a while; wheels alone let it go on."""
+    level = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 9.81])
+    state = InertialFilter(InertialParams())
+    state.start(0, np.tile(level, (5, 1)), False, np.array([0.5, 0.0, 0.0]), 0.4)
+    there, sigma = state.pose(), np.sqrt(state.p[8, 8])
+    stamps = np.array([round((gap + 0.005 * k) * NS) for k in range(3)])
+    rolled = np.arange(20_000_000, stamps[0] if wheels else 0, 20_000_000)
+    speed = np.tile([0.5, 0.0, 0.0], (len(rolled), 1))
+    state.advance(int(stamps[-1]), stamps, np.tile(level, (3, 1)), rolled, speed, 0.1 + 0.0 * speed)
+    way = float(np.linalg.norm(state.pose()[:3, 3] - there[:3, 3]))
+    if moved:
+        assert way > 0.7 * 0.5 * gap
+        assert np.linalg.norm(state.x[3:6]) > 0.4
+    else:
+        assert way < 0.02
+        assert np.linalg.norm(state.x[3:6]) < 0.02
+        assert np.sqrt(np.diag(state.p)[[0, 8]]) == pytest.approx([0.2, np.hypot(0.2, sigma)], rel=0.2)
+
+
 def random_state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     x = rng.normal(size=16)
     x[6:10] /= np.linalg.norm(x[6:10])

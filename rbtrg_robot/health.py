@@ -155,6 +155,7 @@ class Health:
                 "yaw": yaw,
                 "speed": twist.linear.x,
                 "yaw_rate": twist.angular.z,
+                "pose_age": round((self.source_now - stamp_of(odom)) / 1e9, 2),
             }
         health = self.newest.get(t.ODOM_HEALTH)
         if health is not None:

@@ -24,6 +24,7 @@ class Reason(StrEnum):
     PROCESS_LOST = "process_lost"
     ROBOT_FAULT = "robot_fault"
     LYING = "robot_lies"
+    DISCONNECTED = "robot_disconnected"
     CANCELLED = "cancelled"
     PREEMPTED = "preempted"
 
@@ -42,9 +43,15 @@ WORDS: dict[Reason, str] = {
     Reason.PROCESS_LOST: "a process the goal needs was lost",
     Reason.ROBOT_FAULT: "the robot reports a fault",
     Reason.LYING: "the robot does not stand",
+    Reason.DISCONNECTED: "the robot is out of contact",
     Reason.CANCELLED: "cancelled",
     Reason.PREEMPTED: "another goal took its place",
 }
+
+
+PATIENCE: dict[Reason, float] = {Reason.DISCONNECTED: 3.0}
+"""Seconds after which a goal whose cause of waiting this is ends, if not the configured ones. A robot that was out of contact
+for longer drives on only when told to: whoever plugged the cable in may stand in its way."""
 
 
 def words(reason: str, detail: str = "") -> str:

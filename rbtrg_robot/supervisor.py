@@ -17,7 +17,7 @@ from typing import Any
 
 import psutil
 
-from hal.types import LYING
+from hal.types import LYING, Phase
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.bus import Bus
@@ -87,7 +87,7 @@ class Supervisor:
         self._ready = False
         self._usage_due = 0.0
         self._goal_said = ""
-        self._estop_said = False
+        self._estop_said = self._away_said = False
         self._map_said = ""
         self.began = time.monotonic()
 
@@ -256,9 +256,14 @@ class Supervisor:
             if text and text != self._goal_said and message.state not in ("accepted", "idle"):
                 self._say(text)
             self._goal_said = text
-        elif topic is t.ROBOT_STATE and bool(message.estop) != self._estop_said:
-            self._estop_said = bool(message.estop)
-            self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
+        elif topic is t.ROBOT_STATE:
+            if bool(message.estop) != self._estop_said:
+                self._estop_said = bool(message.estop)
+                self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
+            away = message.phase == Phase.DISCONNECTED
+            if away != self._away_said:
+                self._away_said = away
+                self._say(f"robot {message.phase}: {message.cause}" if away else "robot is back")
         elif topic is t.MAP_STATUS and message.warning != self._map_said:
             self._map_said = message.warning
             self._say(f"map: {message.warning or 'well again'}")

@@ -12,6 +12,8 @@ from rich.table import Table
 from rich.text import Text
 
 REFRESH = 0.5
+POSE_AGE = 1.0
+"""A pose older than this [s] is of the past, and its speed is not told any more."""
 
 
 def render(status: dict[str, Any], *, topics: bool = False) -> Group:
@@ -62,8 +64,9 @@ def robot_line(robot: dict[str, Any]) -> str:
     if robot["cause"] and not any(robot["cause"] in word for word in words):
         words[0] += f" ({robot['cause']})"
     if "x" in robot:
-        words.append(f"at {robot['x']:.2f} {robot['y']:.2f} yaw {robot['yaw'] * 57.29578:.0f} deg")
-        words.append(f"{robot['speed']:.2f} m/s")
+        place = f"at {robot['x']:.2f} {robot['y']:.2f} yaw {robot['yaw'] * 57.29578:.0f} deg"
+        old = robot["pose_age"] > POSE_AGE
+        words += [f"{robot['pose_age']:.0f} s ago {place}"] if old else [place, f"{robot['speed']:.2f} m/s"]
     if robot.get("localization", "good") != "good":
         words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
     if robot.get("map_warning"):
@@ -80,7 +83,7 @@ def goal_line(robot: dict[str, Any]) -> str:
     from rbtrg_robot.reasons import words
 
     text = f"goal: {goal['state']} ({goal['x']:.2f}, {goal['y']:.2f})"
-    if goal["state"] == "moving":
+    if goal["state"] == "moving" and not goal["detail"]:
         text += f", {goal['distance_left']:.1f} m left, {goal['replans']} replans"
     why = words(goal["reason"], goal["detail"])
     return f"{text}: {why}" if why else text

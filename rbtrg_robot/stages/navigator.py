@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from hal.geofence import Geofence
-from hal.types import NS
+from hal.types import NS, Phase
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import yaw_of
 from rbtrg_robot.frames import MapFrame
@@ -16,7 +16,7 @@ from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.path_order import PathOrder
 from rbtrg_robot.plan_query import PlanQuery
 from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
-from rbtrg_robot.reasons import Reason, hindrance
+from rbtrg_robot.reasons import PATIENCE, Reason, hindrance
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
 
@@ -203,16 +203,15 @@ class NavigatorStage:
         now, p = self._now, self._params
         if goal.timeout > 0 and now - goal.accepted > goal.timeout * NS:
             return self._end(GoalState.ABORTED, Reason.TIMEOUT, f"after {goal.timeout:.0f} s")
-        trouble = hindrance(self._robot)
-        if trouble is not None:
+        if (trouble := hindrance(self._robot)) is not None:
             return self._end(GoalState.ABORTED, *trouble)
-        missing = self._missing()
-        if missing is not None:
+        if (missing := self._missing()) is not None:
             reason, detail = missing
             if not self._missing_since:
                 self._missing_since = now
                 self._stand(goal, detail)
-            if now - self._missing_since > p.patience * NS:
+            goal.detail = detail
+            if now - self._missing_since > PATIENCE.get(reason, p.patience) * NS:
                 self._end(GoalState.ABORTED, reason, detail)
             return None
         if self._missing_since:
@@ -270,6 +269,8 @@ class NavigatorStage:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
 
     def _missing(self) -> tuple[Reason, str] | None:
+        if self._robot is not None and self._robot.phase == Phase.DISCONNECTED:
+            return Reason.DISCONNECTED, self._robot.cause
         if self._health == "lost":
             return Reason.LOST, self._health_reason
         for topic in (t.ODOM, t.MAP_STATUS):

@@ -51,6 +51,19 @@ def test_pose_is_in_the_map_frame() -> None:
     assert row["yaw"] == pytest.approx(math.pi / 2)
 
 
+def test_an_old_pose_is_told_as_old_and_without_its_speed() -> None:
+    health = Health(simulated=True)
+    odom = make(t.ODOM.type, header=header(2_000_000_000, ODOM))
+    odom.pose.pose.orientation.w, odom.twist.twist.linear.x = 1.0, 0.48
+    take(health, t.ODOM, odom)
+    for now, words in (
+        (2_200_000_000, "at 0.00 0.00 yaw 0 deg, 0.48 m/s"),
+        (14_000_000_000, "12 s ago at 0.00 0.00 yaw 0 deg, real"),
+    ):
+        take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(now, ""), phase="ready"))
+        assert f"robot: ready, {words}" in robot_line(health.robot_row())
+
+
 def test_a_topic_is_well_at_its_rate_only(monkeypatch: pytest.MonkeyPatch) -> None:
     health = Health(simulated=False)
     now = 100.0
@@ -99,6 +112,15 @@ def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(pha
         take(supervisor._health, t.HEARTBEAT, alive)
     take(supervisor._health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase))
     assert supervisor._well() == (phase in ("ready", "sitting"))
+
+
+def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
+    said: list[str] = []
+    supervisor = Supervisor(load(None, []), None, said.append)  # type: ignore[arg-type]
+    for phase in ("ready", "disconnected", "disconnected", "ready", "moving"):
+        state = make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
+        supervisor._narrate(t.ROBOT_STATE, state)
+    assert said == ["robot disconnected: no LowState for 0.2 s", "robot is back"]
 
 
 @pytest.mark.parametrize(

@@ -283,6 +283,23 @@ def test_lost_localization_halts_then_resumes(world: World) -> None:
     assert len(world.last(t.PATH_COMMAND).x) == 11
 
 
+def test_a_robot_out_of_contact_pauses_the_goal_and_soon_ends_it(world: World) -> None:
+    """For a moment: a hiccup. For longer: it must not drive off under the hands of whoever plugs the cable in."""
+    world.goal()
+    world.answer()
+    for seconds, state, reason in ((2.0, "moving", ""), (4.0, "aborted", "robot_disconnected")):
+        world.phase = "disconnected"
+        world.run(seconds)
+        assert len(world.last(t.PATH_COMMAND).x) == 0
+        assert (world.status.state, world.status.reason) == (state, reason)
+        world.phase = "ready"
+        world.run(0.5)
+        assert len(world.last(t.PATH_COMMAND).x) == 0
+        if not reason:
+            world.answer()
+            assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
 def test_localization_that_stays_lost_aborts(world: World) -> None:
     world.goal()
     world.answer()

@@ -44,6 +44,7 @@ def examine(port: int) -> Iterator[Finding]:
     yield _python()
     yield from (_library(name) for name in REQUIRED)
     yield _open3d()
+    yield _unitree()
     yield _port(port)
     yield _shared_memory()
     yield _disk()
@@ -81,6 +82,15 @@ def _open3d() -> Finding:
         f"does not import ({lines[-1] if lines else 'crash'}); LiDAR rays are cast by the slower numba caster. "
         "On Debian or Ubuntu: apt-get install libusb-1.0-0 libgl1 libgomp1",
     )
+
+
+def _unitree() -> Finding:
+    try:
+        importlib.import_module("cyclonedds.core")
+    except Exception as error:  # noqa: BLE001 - whatever stops an import is the finding
+        words = f"no DDS ({error}); for a real robot: pip install 'rbtrg-robot[unitree]'"
+        return Finding("unitree", Level.NOTE, words)
+    return Finding("unitree", Level.OK, "DDS imports")
 
 
 def _port(port: int) -> Finding:

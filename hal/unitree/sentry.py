@@ -19,7 +19,7 @@ import time
 from collections.abc import Callable
 
 from hal.contract import BackendError
-from hal.unitree import api
+from hal.unitree import api, check
 from hal.unitree.api import Request, WireError
 from hal.unitree.guardian import SILENCE, Order
 
@@ -107,6 +107,7 @@ def run() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda got, _frame: ended.append(got))
     try:
+        check(options.interface)
         main(options.interface, domain, lambda: bool(ended))
     except BackendError as error:
         print(f"sentry: {error}", file=sys.stderr)

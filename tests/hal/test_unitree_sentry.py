@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
 import pytest
 
 from hal.unitree import api
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
 from hal.unitree.guardian import INSIST, SILENCE, Order
-from hal.unitree.sentry import Sentry
+from hal.unitree.sentry import Sentry, run
 
 
 class Link:
@@ -84,3 +86,14 @@ def test_a_move_that_cannot_be_read_neither_ends_nor_begins_anything(
     sentry.step(3.1, [(api.SPORT, Request(1, Sport.MOVE, parameter, True))])
     sentry.step(3.2, [])
     assert len(link.sent) == 1
+
+
+def test_without_the_extra_it_says_how_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "cyclonedds.core", None)
+    monkeypatch.setattr(sys, "argv", ["sentry", "lo"])
+    assert run() == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("sentry: ")
+    assert "pip install 'rbtrg-robot[unitree]'" in line

@@ -1,6 +1,7 @@
-"""The real robot's side: cost of its messages against the DDS library's own coder, and the time to rest after a death.
+"""The real robot's side: cost of its messages against the DDS library's own coder, the time to rest after a death, and a
+robot that goes and comes back.
 
-The deaths are given to a running `up` that drives the peer (`tests/unitree_peer.py`) on loopback at 0.5 m/s.
+All but the messages is done to a running `up` that drives the peer (`tests/unitree_peer.py`) on loopback at 0.5 m/s.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 from hal.rotation import rotation_rpy
 from hal.types import NS
 from hal.unitree import api, cloud, layout
+from tools.bench._unitree_away import run as away
 from tools.bench._unitree_deaths import DEATHS
 from tools.bench._unitree_deaths import run as deaths
 from tools.bench.report import Report
@@ -46,12 +48,15 @@ def run(args: list[str]) -> Report:
     """See the module."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench unitree", description=__doc__)
     parser.add_argument("--deaths", nargs="*", choices=DEATHS, default=list(DEATHS), metavar="WHAT")
+    parser.add_argument("--no-away", action="store_true", help="leave the robot that goes and comes back out")
     parser.add_argument("--trials", type=int, default=3)
     options = parser.parse_args(args)
     report = Report("unitree")
     _messages(report)
     if options.deaths:
         deaths(report, options.deaths, options.trials)
+    if not options.no_away:
+        away(report)
     return report
 
 

@@ -59,6 +59,9 @@ class Faults:
     upright_l1: bool = False
     """The L1 is mounted upright instead of upside down."""
     fallen: bool = False
+    """On its back; RecoveryStand rights it within a second."""
+    stuck: bool = False
+    """Getting up and lying down are accepted without effect."""
     garbage: bool = False
     """Every tenth message of each topic is cut off."""
     refuse: dict[int, int] = field(default_factory=dict)
@@ -173,6 +176,7 @@ class RobotSide:
         self._deaf_until = -(10**18)
         self._busy_until = round(self.faults.busy * NS) if self.faults.released else -(10**18)
         self._stood_up = False
+        self._upright_at: int | None = None
         self._tick = 0
         self._low_due = self._sport_due = self._imu_due = 0
         self._outbox: dict[str, list[bytes]] = defaultdict(list)
@@ -248,6 +252,8 @@ class RobotSide:
         self.body.drive(0.0, 0.0)
 
     def _serve_sport(self, number: int, parameter: dict, now: int) -> int:
+        if self.faults.stuck and number in (Sport.STAND_UP, Sport.STAND_DOWN, Sport.RECOVERY_STAND):
+            return 0
         match number:
             case Sport.MOVE:
                 self._move(parameter["x"], parameter["z"], now)
@@ -263,7 +269,7 @@ class RobotSide:
                 if self.body.phase is Phase.READY:
                     self.mode = 1
             case Sport.RECOVERY_STAND:
-                self.faults.fallen = False
+                self._upright_at = now + NS
                 self.body.request(ModeRequest.RECOVER)
                 self.mode = 8
             case Sport.STAND_DOWN:
@@ -292,6 +298,8 @@ class RobotSide:
         """Advance the body and write the telemetry that is due."""
         if now - self._commanded_at > HOLD * NS:
             self.command = (0.0, 0.0)
+        if self._upright_at is not None and now >= self._upright_at:
+            self.faults.fallen, self._upright_at = False, None
         if self.mode in (1, 3):
             self.mode = 3 if self.command != (0.0, 0.0) else 1
         elif self.mode == 8 and self.body.phase is Phase.READY:

@@ -144,10 +144,12 @@ class MujocoBackend:
 
     def posture(self, command: PostureCommand) -> None:
         """Trunk height and attitude offsets until the next call."""
+        self._check_connected()
         self._modes.posture(command)
 
     def request(self, mode: ModeRequest) -> None:
         """Start a transition; see `hal.mujoco.modes`."""
+        self._check_connected()
         self._modes.request(mode)
 
     def state(self) -> RobotState:
@@ -159,6 +161,10 @@ class MujocoBackend:
         self._connected = False
         self._modes.disconnect()
         self._state = replace(self._state, phase=self._modes.phase, cause=self._modes.cause)
+
+    def _check_connected(self) -> None:
+        if not self._connected:
+            raise BackendError("not connected: call connect() first")
 
     # --- for tests, benchmarks and trouble -------------------------------------------------------------------------
     def push(self, force: tuple[float, float, float], duration: float = 0.2) -> None:

@@ -3,7 +3,7 @@
 | phase | motors | left by |
 |---|---|---|
 | damped | soft dampers | STAND, RECOVER |
-| sitting | fold the legs, then hold | STAND, RECOVER, DAMP |
+| sitting | brake, fold the legs, then hold | STAND, RECOVER, DAMP; timeout, fall -> fault |
 | standing | fold, stretch, take the stance | done -> ready; timeout, fall -> fault |
 | ready, moving | locomotion controller | SIT, DAMP, STOP; fall -> fault |
 | stopped | locomotion controller at zero velocity | RESUME, SIT, DAMP |
@@ -13,10 +13,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from hal import go2w
+from hal.contract import fulfilled, refusal
 from hal.lowlevel import Locomotion, LowCommand, LowState
 from hal.mujoco.motion import Keyframe, Motion, damped, level_stance, up
 from hal.mujoco.righting import UPRIGHT, Righting
@@ -28,6 +30,10 @@ RECOVER_TIMEOUT = 24.0
 """[s] from the request to the last try of turning over."""
 SIT_TIMEOUT = 6.0
 """[s] from the request to seated."""
+FOLDED_WITHIN = 0.35
+"""[rad] of every leg joint from the folded pose counts as lying; 0.08 on level ground and on slopes."""
+TALL = 0.25
+"""Mean height [m] of base_link above the wheels' lowest points that counts as standing; folded it is 0.17, in stance 0.39."""
 STANCE_TIME = 0.5
 """[s] the controller holds the stance before the robot counts as ready."""
 FALLEN_UP = 0.5
@@ -83,6 +89,7 @@ class Modes:
         """The robot was just connected: on its wheels, or lying."""
         self._latched = False
         self._pending = None
+        self._velocity, self._posture = VelocityCommand(0), PostureCommand(0)
         self._tilted_since = None
         if seated:
             self._enter(Phase.SITTING, "connected, seated", self._hold_seat)
@@ -114,38 +121,26 @@ class Modes:
         self._deadline = np.inf
 
     def _handle(self, mode: ModeRequest, state: LowState) -> None:
-        on_wheels = self.phase in (Phase.READY, Phase.MOVING, Phase.STOPPED)
-        if mode is ModeRequest.DAMP:
+        why = refusal(mode, self.phase, stopped=self._latched, upright=up(state) > UPRIGHT)
+        if why:
+            self.cause = f"{self.cause.split('; ')[0]}; {why}"
+        elif fulfilled(mode, self.phase):
+            return
+        elif mode is ModeRequest.DAMP:
             self._enter(Phase.DAMPED, "damp requested", self._damp)
         elif mode is ModeRequest.SIT:
-            if on_wheels:
-                self._enter(Phase.SITTING, "sit requested: stopping", self._stop_to_sit)
-                self._deadline = state.time + SIT_TIMEOUT
-            elif self.phase is not Phase.SITTING:
-                self._refuse("sit", f"robot is {self.phase.value}")
-        elif on_wheels or self.phase is Phase.STANDING:
-            return  # already there
+            self._enter(Phase.SITTING, "sit requested: stopping", self._stop_to_sit)
+            self._deadline = state.time + SIT_TIMEOUT
         else:
             self._recover_until = state.time + RECOVER_TIMEOUT if mode is ModeRequest.RECOVER else -np.inf
-            self._rise(mode, state)
-
-    def _rise(self, mode: ModeRequest, state: LowState) -> None:
-        """STAND or RECOVER of a robot that is not on its wheels."""
-        if mode is ModeRequest.STAND and self.phase is Phase.FAULT:
-            self._refuse("stand", "request recover to leave a fault")
-        elif up(state) > UPRIGHT:
-            self._get_up(state, f"{mode.value} requested: getting up")
-        elif mode is ModeRequest.STAND:
-            self._refuse("stand", "the robot lies on its side or back; request recover")
-        else:
-            self._turn_over(state, "recover requested: turning onto its belly")
+            if up(state) > UPRIGHT:
+                self._get_up(state, f"{mode.value} requested: getting up")
+            else:
+                self._turn_over(state, "recover requested: turning onto its belly")
 
     def _turn_over(self, state: LowState, cause: str) -> None:
         self._enter(Phase.STANDING, cause, self._right)
         self._righting = Righting(state, self._recover_until)
-
-    def _refuse(self, what: str, why: str) -> None:
-        self.cause = f"{self.cause.split('; ')[0]}; {what} refused: {why}"
 
     def _watch_fall(self, state: LowState) -> None:
         if (
@@ -183,9 +178,12 @@ class Modes:
 
     def _fold(self, state: LowState) -> LowCommand:
         assert self._motion is not None
-        if self._motion.done(state.time):
+        if np.abs(state.q[:12] - go2w.FOLDED[:12]).max() < FOLDED_WITHIN and self._motion.done(state.time):
             self.cause = "seated"
             self._act = self._hold_seat
+        elif state.time > self._deadline:
+            self.fault(f"did not lie down within {SIT_TIMEOUT:.0f} s: free its legs, then request recover")
+            return self._damped
         return self._motion.step(state.time)
 
     @staticmethod
@@ -220,7 +218,7 @@ class Modes:
         self._controller.reset()
 
     def _stance(self, state: LowState) -> LowCommand:
-        steady = np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED and up(state) > 0.8
+        steady = np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED and up(state) > 0.8 and tall(state)
         if not steady:
             self._stance_since = state.time
         if state.time - self._stance_since >= STANCE_TIME:
@@ -228,9 +226,10 @@ class Modes:
             self._recover_until = -np.inf
             self._moved = -np.inf
         elif state.time > self._deadline:
-            self.fault(f"did not come to rest on its wheels within {STAND_TIMEOUT:.0f} s; request recover")
+            self.fault(f"does not stand still on its wheels after {STAND_TIMEOUT:.0f} s; request recover")
             return self._damped
-        return self._controller.step(state, VelocityCommand(self._velocity.stamp), self._posture)
+        posture = replace(self._posture, height=None)  # up first, then as low as wanted
+        return self._controller.step(state, VelocityCommand(self._velocity.stamp), posture)
 
     def _walk(self, state: LowState) -> LowCommand:
         v = self._velocity
@@ -256,3 +255,8 @@ class Modes:
         elif self._righting.failed:
             self.fault("fallen: it could not turn itself over; put it on its wheels, then request recover")
         return command
+
+
+def tall(state: LowState) -> bool:
+    """Whether the legs are stretched enough to stand."""
+    return go2w.WHEEL_RADIUS - float(go2w.wheel_centres(state.q)[:, 2].mean()) > TALL

@@ -10,10 +10,11 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable
 
-from hal.contract import BackendError
+from hal.contract import BackendError, fulfilled, refusal
 from hal.types import (
+    LYING,
     NS,
     ModeRequest,
     Phase,
@@ -29,24 +30,13 @@ from hal.unitree.mover import Mover
 from hal.unitree.options import UnitreeOptions
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import MOUNT_TOLERANCE, Telemetry
-from hal.unitree.transitions import Failed, Transitions
+from hal.unitree.transitions import Failed, Steps, Transitions
 
 log = logging.getLogger(__name__)
 
+RECOVERING = "recovering"
 _STATE_PERIOD = NS // 25
 """[ns] between RobotState samples while nothing changes."""
-_LYING = (5, 10)
-_DAMPED = 7
-_BALANCE = (1, 2, 3)
-"""Sport modes that accept Move: balance, pose, locomotion."""
-
-
-_THERE = {
-    ModeRequest.STAND: (Phase.READY, Phase.MOVING),
-    ModeRequest.RECOVER: (Phase.READY, Phase.MOVING),
-    ModeRequest.SIT: (Phase.SITTING,),
-}
-"""Requests that are fulfilled already."""
 
 
 class UnitreeBackend:
@@ -73,11 +63,10 @@ class UnitreeBackend:
         self._telemetry: Telemetry | None = None
         self._now = 0
         self._phase, self._cause = Phase.DISCONNECTED, "not connected yet"
-        self._transition: Generator[None, None, None] | None = None
-        self._doing = ""
-        self._doing_phase = Phase.STANDING
         self._fault = ""
         self._stopped = ""
+        self._refusal = ""
+        """Why the last request was not followed; until the next one, or until the phase changes."""
         self._away: int | None = None
         """When LowState was last found missing [ns]; None while the robot is under control."""
         self._reported: tuple[Phase, str] | None = None
@@ -123,7 +112,7 @@ class UnitreeBackend:
         out: list[Sample] = list(telemetry.read(now))
         self._rpc.poll(now)
         self._steps.now = now
-        self._advance()
+        self._fault = self._steps.advance() or self._fault
         self._judge(telemetry, now)
         self._mover.pump(now, allowed=self._phase in (Phase.READY, Phase.MOVING))
         if self._guardian is not None:
@@ -139,7 +128,7 @@ class UnitreeBackend:
         """Velocity until the next call; ignored (zero) unless the robot is ready."""
         if self._telemetry is None:
             return
-        ready = self._phase in (Phase.READY, Phase.MOVING) and self._transition is None
+        ready = self._phase in (Phase.READY, Phase.MOVING) and not self._steps.goal
         self._mover.set(command if ready else VelocityCommand(command.stamp), self._now)
         self._mover.pump(self._now, allowed=ready)
 
@@ -149,13 +138,22 @@ class UnitreeBackend:
         self._mover.posture(command)
 
     def request(self, mode: ModeRequest) -> None:
-        """Start a transition; progress and failure show in `state`."""
-        self._connected()
-        if self._transition is None and self._phase in _THERE.get(mode, ()):
-            return  # to lie down again, for one, the robot would have to stand up first
+        """Start a transition; progress, refusal and failure show in `state`."""
+        telemetry = self._connected()
+        up = telemetry.upright
+        self._refusal = refusal(mode, self._phase, stopped=bool(self._stopped), upright=up)
+        # With locked joints and nothing under way it stands, but takes no velocity.
+        locked = self._phase is Phase.STANDING and not self._steps.goal
+        if self._refusal:
+            log.warning("%s", self._refusal)
+        elif locked or not fulfilled(mode, self._phase):
+            self._follow(mode)
+        self._judge(telemetry, self._now)
+
+    def _follow(self, mode: ModeRequest) -> None:
         match mode:
             case ModeRequest.STOP:
-                self._abandon()
+                self._steps.abandon()
                 self._stopped = "emergency stop"
                 self._halt()
             case ModeRequest.RESUME:
@@ -163,19 +161,14 @@ class UnitreeBackend:
             case ModeRequest.DAMP:
                 if self._guardian is not None:
                     self._guardian.damp()
-                self._start(self._steps.damp(), "going soft", Phase.STANDING)
+                self._start(self._steps.damp(), "going soft", Phase.DAMPED)
             case ModeRequest.SIT:
-                self._start(self._steps.sit(), "lying down", Phase.STANDING)
-            case ModeRequest.STAND | ModeRequest.RECOVER if self._stopped:
-                log.warning("%s refused: the emergency stop is latched, resume first", mode.value)
+                self._start(self._steps.sit(), "lying down", Phase.SITTING)
             case ModeRequest.STAND:
-                self._fault = ""
                 self._start(self._steps.stand(), "standing up", Phase.STANDING)
             case ModeRequest.RECOVER:
-                self._fault = ""
                 self._restart_guardian()
-                self._start(self._steps.recover(), "recovering", Phase.STANDING)
-        self._judge(self._connected(), self._now)
+                self._start(self._steps.recover(), RECOVERING, Phase.STANDING)
 
     def state(self) -> RobotState:
         """Newest summary state."""
@@ -190,9 +183,10 @@ class UnitreeBackend:
             return
         try:
             if self._telemetry.low_age(self._clock()) < 1.0:
-                self._abandon()
+                lying = self._phase is Phase.SITTING and not self._steps.goal
+                lie = self.options.sit_on_close and not lying and self._phase is not Phase.DAMPED
+                self._steps.abandon()
                 self._halt()
-                lie = self.options.sit_on_close and self._phase not in (Phase.SITTING, Phase.DAMPED)
                 self._run_now(self._steps.leave(lie))
                 if self._guardian is not None:
                     self._guardian.beat(moving=False)
@@ -225,7 +219,7 @@ class UnitreeBackend:
             raise BackendError("not connected: call connect() first")
         return self._telemetry
 
-    def _run_now(self, steps: Generator[None, None, None]) -> None:
+    def _run_now(self, steps: Steps) -> None:
         """Drive a transition to its end, waiting. Only in connect and close."""
         telemetry = self._connected()
         try:
@@ -242,29 +236,13 @@ class UnitreeBackend:
         except Failed as failure:
             raise BackendError(str(failure)) from failure
 
-    def _start(self, steps: Generator[None, None, None], doing: str, phase: Phase) -> None:
-        if self._transition is not None and self._doing == doing:
+    def _start(self, steps: Steps, goal: str, phase: Phase) -> None:
+        if self._steps.goal == goal:
             return  # asked again while it is under way
-        self._abandon()
-        self._transition, self._doing, self._doing_phase = steps, doing, phase
+        self._fault = ""
+        self._steps.start(steps, goal, phase)
         self._mover.rest(self._now)
         self._mover.confirm_reset()
-
-    def _abandon(self) -> None:
-        self._transition = None
-        self._rpc.forget()
-
-    def _advance(self) -> None:
-        if self._transition is None:
-            return
-        try:
-            next(self._transition)
-        except StopIteration:
-            self._transition = None
-        except Failed as failure:
-            self._transition = None
-            self._fault = f"{self._doing}: {failure}"
-            log.error("%s", self._fault)
 
     def _halt(self) -> None:
         """StopMove on both paths."""
@@ -276,12 +254,17 @@ class UnitreeBackend:
         """Phase and cause from what is known now."""
         before = (self._phase, self._cause)
         self._phase, self._cause = self._verdict(t, now)
+        if self._phase is not before[0]:
+            self._refusal = ""
+        if self._refusal:
+            self._cause += f"; {self._refusal}"
         halting = self._phase in (Phase.DISCONNECTED, Phase.FAULT)
         if halting and before[0] in (Phase.READY, Phase.MOVING):
             self._halt()
         if self._phase != before[0]:
             driving = {before[0], self._phase} == {Phase.READY, Phase.MOVING}
-            level = logging.DEBUG if driving else logging.INFO
+            level = logging.WARNING if self._phase is Phase.FAULT else logging.INFO
+            level = logging.DEBUG if driving else level
             log.log(level, "%s -> %s: %s", before[0].value, self._phase.value, self._cause)
 
     def _verdict(self, t: Telemetry, now: int) -> tuple[Phase, str]:
@@ -296,34 +279,23 @@ class UnitreeBackend:
             if t.sport_age(now) >= missed and missed <= o.sport_timeout:
                 return Phase.DISCONNECTED, "LowState is back, waiting for sportmodestate"
             self._away = None
-            if t.sport_age(now) < missed and self._transition is None and not self._fault:
+            if t.sport_age(now) < missed and not self._steps.goal and not self._fault:
                 self._start(self._steps.take_control(), "taking control again", Phase.STANDING)
-        if not t.upright:
-            self._fault = self._fault or "fallen: recover when the robot is free"
-        if self._guarded and not self._dry_run and (self._guardian is None or not self._guardian.alive()):
-            self._fault = self._fault or "guardian process lost: recover starts it again"
-        if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
-            self._fault = self._fault or (
-                f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
-            )
-        ignored = self._mover.ignored(now, t)
-        if ignored > o.ignored_timeout:
-            self._fault = self._fault or f"robot ignores Move for {ignored:.0f} s: request stand"
+        found = "" if self._fault else self._trouble(t, now)
+        if found:
+            self._steps.abandon()
+            self._fault = found
         if self._fault:
             return Phase.FAULT, self._fault
-        if self._transition is not None:
-            return self._doing_phase, f"{self._doing}: {self._steps.doing}"
-        if t.sport_age(now) > o.sport_timeout:
-            return Phase.FAULT, "sport service is silent (motion service released?): request recover"
-        if t.mode == _DAMPED:
-            return Phase.DAMPED, self._stopped or "joints are soft"
-        if t.mode in _LYING or not t.standing_tall:
-            return Phase.SITTING, self._stopped or "lying"
+        if self._steps.goal:
+            return self._steps.phase, f"{self._steps.goal}: {self._steps.doing}"
+        if t.phase in LYING:
+            return t.phase, self._stopped or ("lying" if t.phase is Phase.SITTING else "joints are soft")
         if self._stopped:
             return Phase.STOPPED, self._stopped
-        if t.mode not in _BALANCE:
+        if t.phase is Phase.STANDING:
             return Phase.STANDING, "joints are locked: request stand"
-        note = self._mover.note
+        note, ignored = self._mover.note, self._mover.ignored(now, t)
         if ignored > 1.5:
             note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
         # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
@@ -331,6 +303,24 @@ class UnitreeBackend:
         if self._mover.moving and seen and ignored < 1.5:
             return Phase.MOVING, note or "following velocity"
         return Phase.READY, note or t.order_note or "balance stand, takes velocity"
+
+    def _trouble(self, t: Telemetry, now: int) -> str:
+        """What makes a fault now, in words; empty when nothing does."""
+        o = self.options
+        if not self._steps.goal and t.sport_age(now) > o.sport_timeout:
+            return "sport service is silent (motion service released?): request recover"
+        if (self._steps.phase if self._steps.goal else t.phase) is Phase.DAMPED:
+            return ""  # soft, it may lie as it likes, and nobody drives it
+        if not t.upright and self._steps.goal != RECOVERING:
+            return "fallen: recover when the robot is free"
+        if self._guarded and not self._dry_run and (self._guardian is None or not self._guardian.alive()):
+            return "guardian process lost: recover starts it again"
+        if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
+            return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
+        ignored = self._mover.ignored(now, t)
+        if ignored > o.ignored_timeout:
+            return f"robot ignores Move for {ignored:.0f} s: request recover"
+        return ""
 
     def _restart_guardian(self) -> None:
         if not self._guarded or (self._guardian is not None and self._guardian.alive()):

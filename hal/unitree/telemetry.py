@@ -10,7 +10,7 @@ import numpy as np
 
 from hal import go2w
 from hal.rotation import rotation_rpy
-from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan
+from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import Mount, RawCloud, RawImu, decode_cloud, decode_imu, sweep
@@ -227,6 +227,15 @@ class Telemetry:
     def mode(self) -> int:
         """Mode of the sport service (0 idle, 1 balance, 2 pose, 3 locomotion, 5 lying, 6 locked, 7 damping, 8 recovery)."""
         return -1 if self.sport is None else int(self.sport["mode"])
+
+    @property
+    def phase(self) -> Phase:
+        """The robot's posture: damped, sitting, standing (with locked joints) or ready for Move."""
+        if self.mode == 7:
+            return Phase.DAMPED
+        if self.mode in (5, 10) or not self.standing_tall:
+            return Phase.SITTING
+        return Phase.READY if self.mode in (1, 2, 3) else Phase.STANDING
 
     @property
     def standing_tall(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import Any
 
-from hal.types import NS
+from hal.types import NS, Phase
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport
 from hal.unitree.options import UnitreeOptions
@@ -26,7 +26,37 @@ class Transitions:
         self._rpc, self._telemetry, self._options, self._dry_run = rpc, telemetry, options, dry_run
         self.now = 0
         self.doing = ""
+        self._running: Steps | None = None
+        self.goal = ""
+        """What is under way, in plain words; empty when nothing is."""
+        self.phase = Phase.STANDING
+        """What the robot shows meanwhile."""
         self._stood_up = False
+
+    # -- running -------------------------------------------------------------------------------------------------------
+
+    def start(self, steps: Steps, goal: str, phase: Phase) -> None:
+        """Put this sequence under way, in place of any other."""
+        self.abandon()
+        self._running, self.goal, self.phase = steps, goal, phase
+
+    def abandon(self) -> None:
+        """Leave off what is under way."""
+        self._running, self.goal = None, ""
+        self._rpc.forget()
+
+    def advance(self) -> str:
+        """One step of what is under way. Why it failed, or empty."""
+        try:
+            if self._running is not None:
+                next(self._running)
+            return ""
+        except StopIteration:
+            failure = ""
+        except Failed as failed:
+            failure = f"{self.goal}: {failed}"
+        self._running, self.goal = None, ""
+        return failure
 
     # -- sequences -------------------------------------------------------------------------------------------------
 

@@ -21,10 +21,10 @@ EXIT = {
     "preempted": CANCELLED,
 }
 POSTURES = {
-    "stand": ("ready", "moving"),
+    "stand": ("ready", "moving", "stopped"),
     "sit": ("sitting",),
     "damp": ("damped",),
-    "recover": ("ready", "moving"),
+    "recover": ("ready", "moving", "stopped"),
 }
 """What may be asked for, and the phases that mean it is done."""
 SETTLE = 1.0
@@ -201,10 +201,14 @@ def posture(
         if cause != shown:
             shown = cause
             print(cause)
-        if state.estop and what in ("stand", "recover"):
-            _fail("the emergency stop is latched; `rbtrg-robot resume` first")
         waited = time.monotonic() - start
-        if state.phase in POSTURES[what] and waited > SETTLE:
+        if waited < SETTLE:
+            continue
+        if f"{what} refused" in state.cause:
+            _fail(state.cause)
+        if state.phase in POSTURES[what]:
+            if state.phase == "stopped":
+                print(f"it stands; `rbtrg-robot resume` lets it drive ({state.estop_cause})")
             return
         if state.phase == "fault" and waited > 4 * SETTLE:
             raise typer.Exit(1)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
+import pytest
 
-from hal.contract import Backend
+from hal.contract import Backend, BackendError
 from hal.go2w import BODY_LENGTH, JOINT_RANGE, WHEEL_RADIUS, WHEELS
 from hal.types import (
     NS,
@@ -17,6 +19,7 @@ from hal.types import (
     LidarScan,
     ModeRequest,
     Phase,
+    PostureCommand,
     RobotState,
     Sample,
     VelocityCommand,
@@ -26,11 +29,21 @@ Kind = TypeVar("Kind")
 
 
 class Rig:
-    """A backend and the clock that drives it. `tick` lets one host period pass and returns the source clock [ns]."""
+    """A backend, the clock that drives it, and what can happen to its robot."""
 
-    def __init__(self, backend: Backend, tick: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        backend: Backend,
+        tick: Callable[[], int],
+        fall: Callable[[], object],
+        hinder: Callable[[bool], object],
+    ) -> None:
+        """`tick` lets one host period pass and returns the source clock [ns]; `fall` throws the robot over; while `hinder`
+        is on it neither gets up nor lies down."""
         self.backend = backend
         self.tick = tick
+        self.fall = fall
+        self.hinder = hinder
         self.now = 0
         self.states: list[RobotState] = []
 
@@ -61,6 +74,18 @@ class Rig:
         self.backend.connect()
         self.until(Phase.READY, seconds=30.0)
 
+    def seated(self) -> None:
+        """Connect, get ready and lie down."""
+        self.ready()
+        self.request(ModeRequest.SIT)
+        self.run(3.5)
+
+    def request(self, mode: ModeRequest) -> RobotState:
+        """Ask, and let it take effect."""
+        self.backend.request(mode)
+        self.run(0.05)
+        return self.backend.state()
+
 
 def of(samples: list[Sample], kind: type[Kind]) -> list[Kind]:
     """The samples of one kind."""
@@ -76,6 +101,9 @@ def wheel_travel(samples: list[Sample]) -> float:
 
 class ContractSuite:
     """Subclass with a fixture `rig`: a fresh backend on flat ground with room, not connected yet."""
+
+    live = False
+    """The robot's clock goes on by itself."""
 
     scan_hits = 500
     """Fewest points of a scan in the rig's surroundings."""
@@ -221,5 +249,108 @@ class ContractSuite:
     def test_reading_twice_at_the_same_time_gives_nothing_new(self, rig: Rig) -> None:
         rig.ready()
         rig.run(0.5)
-        first = rig.backend.read(rig.now)
-        assert of(first, ImuSample) == [] or len(of(first, ImuSample)) < 5
+        again = rig.backend.read(rig.now)
+        assert again == [] or self.live
+        assert all(sample.stamp <= rig.now for sample in again)
+
+    # --- requests: the table in hal.contract ------------------------------------------------------------------------
+
+    def test_unless_connected_requests_are_errors_and_velocities_nothing(self, rig: Rig) -> None:
+        def refused() -> None:
+            for mode in ModeRequest:
+                with pytest.raises(BackendError, match="not connected"):
+                    rig.backend.request(mode)
+            with pytest.raises(BackendError, match="not connected"):
+                rig.backend.posture(PostureCommand(0, roll=0.1))
+            rig.backend.drive(VelocityCommand(0, vx=0.5))
+
+        refused()
+        rig.backend.connect()
+        samples: list[Sample] = []
+        while rig.backend.state().phase is not Phase.READY or len(samples) < 1000:
+            assert len(samples) < 20_000
+            samples += rig.backend.read(rig.tick())
+        assert abs(wheel_travel(samples[-500:])) < 0.02, "what was asked for before does not count"
+        rig.backend.close()
+        refused()
+
+    def test_sitting_and_damped_show_from_the_request_on(self, rig: Rig) -> None:
+        rig.ready()
+        for mode, phase in ((ModeRequest.SIT, Phase.SITTING), (ModeRequest.DAMP, Phase.DAMPED)):
+            assert rig.request(mode).phase is phase
+            rig.states.clear()
+            rig.run(4.0)
+            assert {s.phase for s in rig.states} == {phase}
+
+    def test_a_fall_is_a_fault_that_recover_ends_and_stand_and_sit_do_not(self, rig: Rig) -> None:
+        rig.ready()
+        rig.run(0.5)
+        rig.fall()
+        rig.until(Phase.FAULT, seconds=3.0)
+        assert "fallen" in rig.backend.state().cause
+        for mode in (ModeRequest.STAND, ModeRequest.SIT):
+            state = rig.request(mode)
+            assert state.phase is Phase.FAULT
+            assert state.cause.startswith("fallen")
+            assert f"{mode.value} refused" in state.cause
+        assert rig.request(ModeRequest.RECOVER).phase is Phase.STANDING
+        rig.states.clear()
+        rig.until(Phase.READY, seconds=20.0)
+        assert {s.phase for s in rig.states} <= {Phase.STANDING, Phase.READY}
+        assert wheel_travel(rig.run(2.0, vx=0.4)) > 0.2
+
+    def test_damp_ends_a_fault_and_a_damped_robot_may_lie_as_it_likes(self, rig: Rig) -> None:
+        rig.ready()
+        rig.fall()
+        rig.until(Phase.FAULT, seconds=3.0)
+        assert rig.request(ModeRequest.DAMP).phase is Phase.DAMPED
+        rig.states.clear()
+        rig.run(3.0, vx=0.4)
+        assert {s.phase for s in rig.states} == {Phase.DAMPED}
+        state = rig.request(ModeRequest.STAND)
+        assert state.phase is Phase.DAMPED
+        assert "stand refused: the robot lies on its side or back" in state.cause
+        rig.request(ModeRequest.RECOVER)
+        rig.until(Phase.READY, seconds=20.0)
+
+    def test_a_transition_that_does_not_come_to_its_end_is_a_fault_in_time(self, rig: Rig) -> None:
+        rig.seated()
+        for mode, phase, seconds in (
+            (ModeRequest.STAND, Phase.STANDING, 10.0),
+            (ModeRequest.RECOVER, Phase.STANDING, 25.0),
+            (ModeRequest.SIT, Phase.SITTING, 10.0),
+        ):
+            rig.hinder(True)
+            assert rig.request(mode).phase is phase
+            rig.until(Phase.FAULT, seconds=seconds)
+            assert re.search(r"\d s\b", rig.backend.state().cause), "it says how long it waited"
+            rig.run(0.5, vx=0.4)
+            assert rig.backend.state().phase is Phase.FAULT
+            if mode is ModeRequest.RECOVER:
+                rig.hinder(False)
+                rig.request(ModeRequest.RECOVER)
+                rig.until(Phase.READY, seconds=20.0)
+
+    def test_a_latched_stop_keeps_a_lying_robot_down(self, rig: Rig) -> None:
+        rig.seated()
+        rig.request(ModeRequest.STOP)
+        for mode in (ModeRequest.STAND, ModeRequest.RECOVER):
+            state = rig.request(mode)
+            assert f"{mode.value} refused: stop is latched" in state.cause
+            rig.states.clear()
+            rig.run(1.0)
+            assert {s.phase for s in rig.states} == {Phase.SITTING}
+        rig.request(ModeRequest.RESUME)
+        rig.run(1.0)
+        assert rig.backend.state().phase is Phase.SITTING, "resume alone moves nothing"
+        rig.request(ModeRequest.STAND)
+        rig.until(Phase.READY, seconds=20.0)
+
+    def test_getting_up_is_neither_started_over_nor_turned_into_sitting(self, rig: Rig) -> None:
+        rig.seated()
+        assert rig.request(ModeRequest.STAND).phase is Phase.STANDING
+        for mode in (ModeRequest.STAND, ModeRequest.RECOVER, ModeRequest.SIT):
+            state = rig.request(mode)
+            assert state.phase is Phase.STANDING
+            assert ("sit refused" in state.cause) == (mode is ModeRequest.SIT)
+        rig.until(Phase.READY, seconds=20.0)

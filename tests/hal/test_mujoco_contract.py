@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from contract_suite import ContractSuite, Rig
@@ -21,33 +23,38 @@ def walled_floor() -> Scene:
     return Scene("floor", height, 0.05, (-6.0, -6.0), (-2.0, 0.0, 0.0), {})
 
 
-class TestMujoco(ContractSuite):
-    scan_hits = 1000
+def rig_of(**options: Any) -> Rig:
+    """The simulated robot, its clock, and what its physics can do to it."""
+    backend = MujocoBackend(walled_floor(), lidar_step=20, caster="numba", **options)
+    sim = backend.simulation
+    follow = sim.apply
+    clock = [0]
 
+    def tick() -> int:
+        clock[0] += 10_000_000
+        return clock[0]
+
+    def fall() -> None:
+        sim.data.qpos[2] += 0.25
+        sim.data.qpos[3:7] = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
+        sim.data.qvel[:] = 0.0
+        mujoco.mj_forward(sim.model, sim.data)
+
+    def hinder(on: bool) -> None:
+        """The motors hold what they were last told."""
+        sim.apply = (lambda _command: None) if on else follow  # type: ignore[method-assign]
+
+    return Rig(backend, tick, fall, hinder)
+
+
+class TestMujoco(ContractSuite):
     @pytest.fixture
     def rig(self) -> Rig:
-        clock = [0]
-
-        def tick() -> int:
-            clock[0] += 10_000_000
-            return clock[0]
-
-        return Rig(MujocoBackend(walled_floor(), lidar_step=10, caster="numba"), tick)
+        return rig_of()
 
 
 @pytest.mark.skipif(not POLICY.is_dir(), reason="no policy folder beside the repository")
 class TestMujocoWithPolicy(ContractSuite):
-    scan_hits = 1000
-
     @pytest.fixture
     def rig(self) -> Rig:
-        clock = [0]
-
-        def tick() -> int:
-            clock[0] += 10_000_000
-            return clock[0]
-
-        backend = MujocoBackend(
-            walled_floor(), controller="policy", policy_dir=str(POLICY), lidar_step=10, caster="numba"
-        )
-        return Rig(backend, tick)
+        return rig_of(controller="policy", policy_dir=str(POLICY))

@@ -151,12 +151,14 @@ def test_sits_damps_and_comes_back():
     world = ready()
     world.run(1.0, vx=0.3)
     world.backend.request(ModeRequest.SIT)
-    world.until(Phase.SITTING, 8.0)
+    world.run(3.0)
+    assert (world.phase, world.cause) == (Phase.SITTING, "lying")
     assert world.body.phase is Phase.SITTING
     world.backend.request(ModeRequest.STAND)
     world.until(Phase.READY, 10.0)
     world.backend.request(ModeRequest.DAMP)
-    world.until(Phase.DAMPED, 2.0)
+    world.run(0.5)
+    assert (world.phase, world.cause) == (Phase.DAMPED, "joints are soft")
     assert world.body.phase is Phase.DAMPED
     world.backend.request(ModeRequest.RECOVER)
     world.until(Phase.READY, 10.0)
@@ -282,7 +284,7 @@ def test_a_robot_that_never_follows_is_a_fault():
     assert "ignores Move" in state.cause
     assert world.apis()[-2:].count(Sport.STOP_MOVE) + world.apis()[-2:].count(Sport.MOVE) == 2
     world.robot._deaf_until = 0
-    world.backend.request(ModeRequest.STAND)
+    world.backend.request(ModeRequest.RECOVER)
     world.until(Phase.READY, 5.0)
     world.until(Phase.MOVING, 2.0, vx=0.3)
 

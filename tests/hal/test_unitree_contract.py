@@ -38,7 +38,7 @@ class DdsWorld(World):
     """The backend's own DDS endpoints against the peer's, on one clock: what is written is there at once."""
 
     def __init__(self) -> None:
-        body = MujocoBody(walled_floor(), lidar_step=10, caster="numba")
+        body = MujocoBody(walled_floor(), lidar_step=20, caster="numba")
         super().__init__(options=XT16, body=body)
         self._dds = open_link("lo", DOMAIN, XT16)
         self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic() or "")
@@ -67,8 +67,6 @@ class DdsWorld(World):
 
 
 class TestUnitree(ContractSuite):
-    scan_hits = 1000
-
     @pytest.fixture
     def rig(self) -> Iterator[Rig]:
         world = DdsWorld()
@@ -77,7 +75,13 @@ class TestUnitree(ContractSuite):
             world.advance(0.01)
             return world.now
 
-        yield Rig(world.backend, tick)
+        def fall() -> None:
+            world.faults.fallen = True
+
+        def hinder(on: bool) -> None:
+            world.faults.stuck = on
+
+        yield Rig(world.backend, tick, fall, hinder)
         world.leave()
 
 
@@ -87,6 +91,7 @@ class TestUnitree(ContractSuite):
 class TestUnitreeLive(ContractSuite):
     """The same with everything as in the field: the robot in another process, the guardian, the clock on the wall."""
 
+    live = True
     scan_hits = 500
 
     @pytest.fixture
@@ -99,7 +104,12 @@ class TestUnitreeLive(ContractSuite):
             return time.time_ns()
 
         try:
-            yield Rig(backend, tick)
+            yield Rig(
+                backend,
+                tick,
+                lambda: peer.say("fault fallen=1"),
+                lambda on: peer.say(f"fault stuck={int(on)}"),
+            )
         finally:
             backend.close()
             peer.end()

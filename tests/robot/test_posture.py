@@ -21,7 +21,8 @@ from rbtrg_robot.runfiles import RunLock
     [
         ("sit", ("sitting", "seated", False), 0, "sitting: seated"),
         ("recover", ("fault", "fallen: it could not turn itself over", False), 1, "fault: fallen"),
-        ("stand", ("stopped", "stop requested", True), 1, "`rbtrg-robot resume` first"),
+        ("stand", ("sitting", "seated; stand refused: stop is latched", True), 1, "refused: stop is latched"),
+        ("recover", ("stopped", "standing", True), 0, "`rbtrg-robot resume` lets it drive"),
         ("sit", ("moving", "driving", False), 1, "no `sit` within 2 s (moving: driving)"),
     ],
 )

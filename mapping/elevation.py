@@ -20,19 +20,21 @@ from hal.lidar.spec import LIDARS
 from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
 from mapping.grid import ElevationGrid
-from mapping.ground import support_patch
+from mapping.ground import ROUGH, support_patch
 from mapping.map_io import load_into, restore_store, save_store
 from mapping.patch import MapError, MapPatch
 from mapping.poses import checked_pose
 from mapping.prior import PriorCheck
 from mapping.readout import MapReader
-from mapping.tiles import CONTACT, UNKNOWN, TileStore
+from mapping.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 from mapping.visibility import judge, trace
 
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
 UPRIGHT = 0.7
 """Cosine of the tilt of a trunk that stands on its wheels."""
+CONTRADICTED = 0.25
+"""Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
 XT16_ORIGIN = (0.1634, 0.0, 0.116)
@@ -217,7 +219,8 @@ class ElevationMap:
         """Enter the ground under the wheels at low confidence; LiDAR-seen cells stay, and LiDAR overrides it.
 
         wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the
-        footprint; by default the first time after a reset. Fewer than three tell of their own spots only. Returns the number of cells entered.
+        footprint; by default the first time after a reset. Fewer than three tell of their own spots only. Nothing is entered
+        where the LiDAR knows better: under a wheel on a kerb or in the air lies another ground. Returns the number of cells entered.
         """
         p = self.params
         contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
@@ -237,6 +240,9 @@ class ElevationMap:
         s = self.store
         cell = s.locate(patch.i, patch.j)
         old = s.cells[cell]
+        seen = old["source"] == LIDAR
+        if np.count_nonzero(np.abs(patch.height - old["height"])[seen] > ROUGH) > CONTRADICTED * seen.sum():
+            return 0
         take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
         cell, new = cell[take], old[take]
         new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT

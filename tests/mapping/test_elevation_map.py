@@ -134,6 +134,21 @@ def test_wheels_fill_the_ground_the_lidar_cannot_see_and_yield_to_it() -> None:
     assert seen.layers["elevation"][0, 0] == pytest.approx(0.10, abs=1e-3)
 
 
+@pytest.mark.parametrize("rise", [[0.20, 0.09, 0.0, 0.0], [0.10, 0.10, 0.0, 0.0], [0.15, 0.0, 0.15, 0.0]])
+def test_wheels_on_a_kerb_or_in_the_air_make_no_ground_where_the_lidar_knows_another(
+    rise: list[float],
+) -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(-0.6, 0.2, 0.02), np.arange(-0.6, 0.6, 0.02))
+    behind = np.stack([x + 3.0, y, np.full_like(x, -HEIGHT)], axis=-1).reshape(-1, 3).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(behind, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
+    raised = WHEELS + np.column_stack([np.zeros((4, 2)), rise])
+    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) == 0
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 5, start=False) > 50
+
+
 def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:
     elevation = ElevationMap()
     raised = WHEELS[[0, 3]] + [[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]

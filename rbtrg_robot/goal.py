@@ -8,7 +8,8 @@ from enum import StrEnum
 from typing import Any
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.messages import header, make
+from rbtrg_robot.convert import yaw_of
+from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.reasons import Reason
 
 
@@ -65,6 +66,12 @@ class Goal:
         """From rbtrg_msgs/GoalRequest."""
         yaw = message.yaw if message.has_yaw else None
         return cls(message.id, message.x, message.y, yaw, now, message.timeout)
+
+    @classmethod
+    def from_pose(cls, message: Any, now: int) -> Goal:
+        """From geometry_msgs/PoseStamped, as RViz sends it."""
+        p, q = message.pose.position, message.pose.orientation
+        return cls(f"rviz-{stamp_of(message)}", p.x, p.y, yaw_of(q), now)
 
     @classmethod
     def from_status(cls, message: Any, now: int) -> Goal:

@@ -21,8 +21,10 @@ class NavigatorParams(BaseModel):
     )
     short_retries: int = Field(3, ge=0, description="replans from a path's end that fell short of the goal")
     no_route_retries: int = Field(3, ge=0, description="replans before `no route` is final")
-    max_recoveries: int = Field(3, ge=0, description="recoveries before the goal is given up as stuck")
-    back_out: float = Field(0.6, gt=0, description="how far to back out when stuck [m]")
+    max_recoveries: int = Field(
+        3, ge=0, description="recoveries at one place before the goal is given up as stuck"
+    )
+    back_out: float = Field(0.6, gt=0, description="how far to move out of a place when stuck [m]")
     avoid_ahead: float = Field(
         0.5, gt=0, description="where the obstacle is thought to be: ahead of base_link [m]"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from rbtrg_robot.progress import Pose2
 
 REPEAT = NS // 2
 """A tracker that works on something else than it was told is told again after this long [ns]."""
-BACK_SPEED = 0.3
+OUT_SPEED = 0.3
 """[m/s]"""
 
 
@@ -31,12 +32,20 @@ class PathOrder:
         path_id = f"{plan.goal_id}/{plan.sequence}"
         return self._send(now, id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
 
-    def way_back(self, now: int, path_id: str, poses: list[Pose2]) -> Any:
-        """Drive backwards along poses."""
-        way = np.array(poses)
-        x, y, yaw = way.T.copy()
-        zero, speed = np.zeros(len(way)), np.full(len(way), BACK_SPEED)
-        return self._send(now, id=path_id, reverse=True, x=x, y=y, z=zero, yaw=yaw, speed=speed)
+    def straight(self, now: int, goal_id: str, pose: Pose2, reach: float) -> Any:
+        """Drive straight along the heading, backward where `reach` [m] is negative."""
+        s = np.linspace(0.0, reach, max(2, round(abs(reach) / 0.05) + 1))
+        x, y, yaw = pose
+        return self._send(
+            now,
+            id=f"{goal_id}/straight-{now}",
+            reverse=reach < 0.0,
+            x=x + s * math.cos(yaw),
+            y=y + s * math.sin(yaw),
+            z=0.0 * s,
+            yaw=np.full(len(s), yaw),
+            speed=np.full(len(s), OUT_SPEED),
+        )
 
     def stand(self, now: int) -> Any:
         """Drive nothing."""

@@ -11,11 +11,11 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.convert import yaw_of
 from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.goal import Goal, GoalState
-from rbtrg_robot.messages import header, make, stamp_of
+from rbtrg_robot.messages import header, make
 from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.path_order import PathOrder
 from rbtrg_robot.plan_query import PlanQuery
-from rbtrg_robot.progress import Pose2, ProgressMonitor, Trail
+from rbtrg_robot.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
 from rbtrg_robot.reasons import PATIENCE, Reason, hindrance
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -96,9 +96,7 @@ class NavigatorStage:
         elif topic is t.GOAL_REQUEST:
             self._request(message)
         elif topic is t.GOAL_POSE:
-            p, q = message.pose.position, message.pose.orientation
-            goal_id = f"rviz-{stamp_of(message)}"
-            self._accept(Goal(goal_id, p.x, p.y, yaw_of(q), self._now))
+            self._accept(Goal.from_pose(message, self._now))
         elif topic is t.PLAN:
             self._take_plan(message)
         elif topic is t.ROUTE_STATUS:
@@ -125,6 +123,7 @@ class NavigatorStage:
         self._goal = goal
         self._no_route = self._short = 0
         self._avoid = []
+        self._progress = ProgressMonitor()
         self._plan = None
         self._query.drop()
         self._missing_since = 0
@@ -163,17 +162,15 @@ class NavigatorStage:
             self._status()
             return
         reason = Reason(message.reason)
-        first = self._plan is None and goal.replans == 0
-        if reason in REJECTING and first:
+        if reason in REJECTING and self._plan is None and goal.replans == 0:
             self._end(GoalState.REJECTED, reason, message.detail)
             return
         self._no_route += 1
         if self._no_route > self._params.no_route_retries:
-            if reason is Reason.NO_ROUTE and not goal.recoveries and self._trail.known:
-                # It may only lack the room to turn here: it had room where it came from.
-                goal.recoveries += 1
+            # It may only lack the room to turn here: it had room where it came from.
+            first = self._pose is not None and self._progress.tries(self._pose) == 1
+            if reason is Reason.NO_ROUTE and first and self._move_out(goal):
                 self._no_route = 0
-                self._back_out(goal)
             else:
                 self._end(GoalState.ABORTED, reason, message.detail)
             return
@@ -250,8 +247,9 @@ class NavigatorStage:
         if self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             self._recover(goal)
             return
-        if goal.frontier and self._query.age(now) > p.replan_period:
-            self._replan(goal)
+        look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > p.replan_period
+        if look and not (self._plan and self._pose and over_edge(self._plan, self._pose)):
+            self._replan(goal)  # on an edge it could not turn into another route
 
     def _arrive(self, goal: Goal) -> None:
         """At the end of a path: that is the goal, a frontier, or the last drivable place before the goal."""
@@ -280,29 +278,31 @@ class NavigatorStage:
         return None
 
     def _recover(self, goal: Goal) -> None:
-        """Replan around the place, then back out along the way it came, then give up."""
+        """Move out of the place, then replan around it; give up where that was done often enough."""
         self._progress.reset()
-        goal.recoveries += 1
-        if goal.recoveries > self._params.max_recoveries or self._pose is None:
-            self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries - 1} recoveries")
-            return
-        x, y, yaw = self._pose
-        reach = self._params.avoid_ahead
-        self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
-        if goal.recoveries == 1:
-            self._replan(goal)
-            return
-        self._back_out(goal)
-
-    def _back_out(self, goal: Goal) -> None:
         assert self._pose is not None
+        if self._progress.tries(self._pose) > self._params.max_recoveries:
+            self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries")
+            return
+        if self._tracker.phase not in TURNING:  # what stalls a turn lies under the robot, not ahead
+            (x, y, yaw), reach = self._pose, self._params.avoid_ahead
+            self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
+        if not self._move_out(goal):
+            goal.recoveries += 1
+            self._replan(goal)
+
+    def _move_out(self, goal: Goal) -> bool:
+        """Move straight over ground it stood on, for which no turn is needed; False when there is none."""
+        reach = self._trail.reach(self._pose, self._params.back_out) if self._pose else 0.0
+        if self._pose is None or reach == 0.0:
+            return False
+        goal.recoveries += 1
         goal.state = GoalState.RECOVERING
-        goal.detail = "backing out"
+        goal.detail = "backing out" if reach < 0.0 else "moving out"
         self._plan = None
-        way = self._trail.back(self._pose, self._params.back_out)
-        order = self._order.way_back(self._now, f"{goal.id}/back{goal.recoveries}", way)
-        self._out.append((t.PATH_COMMAND, order))
+        self._out.append((t.PATH_COMMAND, self._order.straight(self._now, goal.id, self._pose, reach)))
         self._status()
+        return True
 
     # --- outputs ----------------------------------------------------------------------------------------------
 

@@ -11,12 +11,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hal.types import NS
+from planning.tracking import PathTracker
 from rbtrg_robot import topics as t
 from rbtrg_robot.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.goal import GoalState
 from rbtrg_robot.messages import encode, header, make
 from rbtrg_robot.params import NavigatorParams
-from rbtrg_robot.progress import Trail
+from rbtrg_robot.progress import Pose2, Trail
 from rbtrg_robot.stages.navigator import NavigatorStage
 from rbtrg_robot.topics import Topic
 
@@ -84,10 +85,12 @@ class World:
     def goal(self, x: float = 3.0, y: float = 0.0, goal_id: str = "g", **fields: Any) -> None:
         self.send(t.GOAL_REQUEST, id=goal_id, x=x, y=y, **fields)
 
-    def answer(self, *, ok: bool = True, reaches: bool = True, reason: str = "") -> None:
-        """The planner answers the newest request."""
+    def answer(
+        self, *, ok: bool = True, reaches: bool = True, reason: str = "", kerb: float = math.inf
+    ) -> None:
+        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]."""
         request = self.last(t.PLAN_REQUEST)
-        line = np.linspace(0.0, 1.0, 11)
+        line = np.linspace(0.0, 1.0, 11 if kerb > 1.0 else 51)
         self.send(
             t.PLAN,
             goal_id=request.goal_id,
@@ -97,7 +100,7 @@ class World:
             reaches_goal=reaches,
             x=line,
             y=0 * line,
-            z=0 * line,
+            z=0.1 * (line > kerb),
             yaw=0 * line,
             speed=0 * line + 0.5,
             transition_body=np.array([0.1, 0.4]),
@@ -387,32 +390,56 @@ def test_at_a_frontier_it_looks_again(world: World) -> None:
     assert world.status.state == "moving"
 
 
-def test_stuck_replans_around_then_backs_out_then_aborts(world: World) -> None:
+def test_stuck_moves_out_then_replans_around_a_few_times_then_aborts(world: World) -> None:
     for i in range(20):
         world.pose = (0.05 * i, 0.0, 0.0)
         world.run(0.1)
     world.goal()
-    world.answer()
-    world.run(5.5)
-    request = world.last(t.PLAN_REQUEST)
-    np.testing.assert_allclose(request.avoid, [0.95 + 0.5, 0.0, 0.3])
-    world.answer()
-    world.run(5.5)
-    path = world.last(t.PATH_COMMAND)
-    assert path.reverse
-    assert path.x[0] == pytest.approx(0.95)
-    assert path.x[-1] == pytest.approx(0.35, abs=0.06)
-    assert world.status.state == "recovering"
-    world.tracker_phase = "done"
-    world.run(0.1)
-    world.tracker_phase = "following"
+    for tries in range(1, 4):
+        while world.status.recoveries < tries:
+            world.answer(reaches=False)
+            world.run(2.1)
+        assert world.status.state == "recovering"
+        path = world.last(t.PATH_COMMAND)
+        assert path.reverse
+        assert (path.x[0], path.x[-1]) == pytest.approx((0.95, 0.35))
+        requests = world.count(t.PLAN_REQUEST)
+        world.run(3.0)
+        assert world.count(t.PLAN_REQUEST) == requests, "no better route is looked for while it moves out"
+        world.tracker_phase = "done"
+        world.run(0.1)
+        world.tracker_phase = "following"
+        np.testing.assert_allclose(world.last(t.PLAN_REQUEST).avoid, [0.95 + 0.5, 0.0, 0.3] * tries)
     world.answer()
     assert world.status.state == "moving"
-    for _ in range(2):
-        world.run(5.5)
-        world.answer()
-    world.run(6.0)
+    world.run(5.5)
     assert (world.status.state, world.status.reason) == ("aborted", "stuck")
+    assert world.status.detail == "after 3 recoveries"
+
+
+def test_recoveries_are_counted_at_each_place(world: World) -> None:
+    world.goal(x=9.0)
+    for tries in range(1, 7):
+        for i in range(20):
+            world.pose = (1.2 * tries + 0.05 * i, 0.0, 0.0)
+            world.run(0.1)
+        world.answer()
+        world.run(5.5)
+        assert (world.status.state, world.status.recoveries) == ("recovering", tries)
+        world.tracker_phase = "done"
+        world.run(0.1)
+        world.tracker_phase = "following"
+
+
+def test_over_an_edge_it_keeps_its_route_to_the_frontier(world: World) -> None:
+    world.goal()
+    requests = world.count(t.PLAN_REQUEST)
+    world.answer(reaches=False, kerb=0.5)
+    for x in np.arange(0.0, 0.95, 0.05):
+        world.pose = (float(x), 0.0, 0.0)
+        world.run(0.3)
+        looked = world.count(t.PLAN_REQUEST) > requests
+        assert looked == (x > 0.94), f"at {x:.2f} m"
 
 
 def test_a_tracker_that_lost_its_path_gets_it_again(world: World) -> None:
@@ -455,15 +482,61 @@ def test_a_goal_from_rviz_is_a_goal(world: World) -> None:
     assert (world.status.state, world.status.x, world.status.has_yaw) == ("planning", 2.0, True)
 
 
-def test_the_trail_goes_back_the_way_it_came() -> None:
+def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stood_on(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    for heading, along in ((1.8, -1.0), (2.6, 1.0), (0.4, -1.0)):
+        world.goal(goal_id=f"to{heading}")
+        world.answer()
+        world.pose = (0.95, 0.0, heading)  # an edge stalled the turn here
+        world.tracker_phase = "aligning"
+        world.run(5.5)
+        assert (world.status.state, world.status.recoveries) == ("recovering", 1)
+        path = world.last(t.PATH_COMMAND)
+        way = np.column_stack([path.x, path.y]) - world.pose[:2]
+        reach = way @ (math.cos(heading), math.sin(heading))
+        np.testing.assert_allclose(np.hypot(*way.T), along * reach, atol=1e-9)
+        assert 0.2 <= along * reach[-1] <= 0.6
+        tracker = PathTracker()
+        tracker.set_path(way, path.yaw, path.speed, reverse=bool(path.reverse))
+        tracker.step(0, 0.0, 0.0, heading, 0.0, 0.0)
+        step = tracker.step(NS // 50, 0.0, 0.0, heading, 0.0, 0.0)
+        assert step.phase == "following"
+        assert along * step.vx > 0.0
+        assert step.wz == pytest.approx(0.0, abs=1e-6)
+        world.tracker_phase = "done"
+        world.run(0.1)
+        assert len(world.last(t.PLAN_REQUEST).avoid) == 0, "the ground ahead did not hold it"
+
+
+def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.tracker_phase = "aligning"
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(5.5)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+@pytest.mark.parametrize(
+    ("pose", "reach"),
+    [
+        ((1.0, 0.0, 0.0), -0.6),
+        ((1.0, 0.0, math.pi), 0.6),
+        ((1.0, 0.0, math.pi / 2), -0.25),
+        ((1.0, 0.1, math.pi / 2), -0.35),
+        ((1.0, 0.0, math.radians(45.0)), -0.35),
+        ((0.5, 2.0, 0.0), 0.0),
+    ],
+)
+def test_the_trail_tells_how_far_the_ground_was_stood_on(pose: Pose2, reach: float) -> None:
     trail = Trail()
-    for i in range(100):
+    assert trail.reach(pose, 0.6) == 0.0
+    for i in range(101):
         trail.add((0.01 * i, 0.0, 0.0))
-    way = trail.back((0.99, 0.0, 0.0), 0.4)
-    assert way[0] == (0.99, 0.0, 0.0)
-    assert 0.4 <= way[0][0] - way[-1][0] <= 0.5
-    xs = [p[0] for p in way]
-    assert xs == sorted(xs, reverse=True)
+    assert trail.reach(pose, 0.6) == pytest.approx(reach, abs=1e-6)
 
 
 @settings(max_examples=40, deadline=None, derandomize=True)

@@ -20,7 +20,7 @@ from hal.lidar.spec import LIDARS
 from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
 from mapping.grid import ElevationGrid
-from mapping.ground import ROUGH, support_patch
+from mapping.ground import ROUGH, WHEEL_SPOT, support_patch
 from mapping.map_io import load_into, restore_store, save_store
 from mapping.patch import MapError, MapPatch
 from mapping.poses import checked_pose
@@ -230,8 +230,9 @@ class ElevationMap:
         start = self._fresh if start is None else start
         half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        world = contacts @ rotation.T + place
         patch = support_patch(
-            contacts @ rotation.T + place, place[:2], yaw, half, p.start_radius if start else None,
+            world[[self._carries(contact) for contact in world]], place[:2], yaw, half, p.start_radius if start else None,
             p.contact_sigma, p.resolution,
         )  # fmt: skip
         if patch is None or rotation[2, 2] < UPRIGHT:
@@ -249,6 +250,18 @@ class ElevationMap:
         s.cells[cell] = new
         s.touched[np.unique(cell >> (2 * s.shift))] = 1
         return int(cell.size)
+
+    def _carries(self, contact: NDArray[np.float64]) -> bool:
+        """Whether known ground can carry a wheel at `contact` (3,): the LiDAR knows some at its height around it, or none at all."""
+        if not np.isfinite(contact).all():
+            return False
+        x, y, z = contact
+        res = self.params.resolution
+        reach = np.arange(-round(WHEEL_SPOT / res), round(WHEEL_SPOT / res) + 1)
+        j, i = np.meshgrid(round(x / res) + reach, round(y / res) + reach)
+        cells = self.store.cells[self.store.locate(i.ravel(), j.ravel())]
+        height = cells["height"][cells["source"] == LIDAR]
+        return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
 
     def clean(self) -> int:
         """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""

@@ -144,9 +144,27 @@ def test_wheels_on_a_kerb_or_in_the_air_make_no_ground_where_the_lidar_knows_ano
     for k in range(3):
         elevation.fuse(behind, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
     raised = WHEELS + np.column_stack([np.zeros((4, 2)), rise])
-    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) == 0
+    elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False)
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
+    edge = WHEELS[[0, 2]] + [
+        [0.08, 0.0, rise[0]],
+        [0.0, 0.0, 0.0],
+    ]  # of two, one hangs over the far side of the edge
+    elevation.fuse_ground(edge, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False)
     assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
     assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 5, start=False) > 50
+
+
+def test_wheels_on_a_kerb_the_lidar_knows_make_no_ramp_behind_it() -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(-0.6, 0.26, 0.02), np.arange(-0.6, 0.6, 0.02))
+    z = np.where(x > 0.15, 0.1, 0.0) - HEIGHT
+    kerb = np.stack([x + 3.0, y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(kerb, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
+    raised = WHEELS + np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1], [0.0] * 3, [0.0] * 3])
+    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) == 0
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.11
 
 
 def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:

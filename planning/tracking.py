@@ -162,8 +162,10 @@ class PathTracker:
             self._settle_since = now
             return self._final(path, now, x, y, yaw, v, wz, dt)
 
-        aim = line.at(line.heading, s_p) + math.atan2(-cross_p, p.lookahead) - self._drift
-        off = wrap(aim - course_p)
+        # Whether to stop and turn is told by where the base is: at a sharp corner the prediction's heading jumps with
+        # every bit of speed, and a base that stops for that never comes to the corner.
+        back_to = math.atan2(-cross_p, p.lookahead) - self._drift
+        off = wrap(line.at(line.heading, s) + back_to - course_p)
         # From rest, turning first costs little and saves the swing out of the corridor that a bend would need.
         at_rest = self._vx == 0.0 and abs(v) < 0.05
         if abs(off) > (0.5 if at_rest else 1.0) * p.turn_threshold:
@@ -174,6 +176,7 @@ class PathTracker:
             self._slew(0.0, self._turn_rate(off) if abs(v) < 0.25 else 0.0, dt)
             return TrackOutput(self._vx, self._wz, self._phase, **report)
 
+        off = wrap(line.at(line.heading, s_p) + back_to - course_p)
         # The mean of here and of where the command acts: the profile bounds both.
         speed = min(line.at(line.speed, s), line.at(line.speed, s_p))
         speed = min(speed, math.sqrt(2.0 * p.max_decel * max(along_p, 0.0)))

@@ -172,6 +172,30 @@ def test_a_right_angle_is_turned_in_place_not_cut():
     assert run.last.goal_distance <= 0.10
 
 
+@pytest.mark.parametrize("degrees", [120.0, 145.0, -166.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_base_that_ignores_small_commands_comes_round_a_sharp_corner(degrees: float, seed: int):
+    class Sticky(Base):
+        def advance(self, vx: float, wz: float) -> None:
+            super().advance(vx if abs(vx) > 0.1 else 0.0, wz)
+
+        def measured(self) -> tuple[float, float, float, float, float]:
+            n = (0.002, 0.002, 0.003, 0.03, 0.05) * self.rng.standard_normal(5)
+            return self.x + n[0], self.y + n[1], self.yaw + n[2], self.v + n[3], self.wz + n[4]
+
+    angle = math.radians(degrees)
+    before, after = line(0.44), line(0.24, angle)
+    points = np.concatenate([before, before[-1] + after[1:]])
+    yaw = np.repeat([0.0, angle], [len(before) - 1, len(after)])
+    tracker = PathTracker()
+    tracker.set_path(points, yaw, 0.5)
+    base = Sticky(lag=0.15, rng=np.random.default_rng(seed))
+    run = drive(tracker, base, 10.0)
+    assert run.last.phase is TrackPhase.DONE
+    assert len(run.phases()) <= 8, "it does not stop before the corner again and again"
+    assert run.last.goal_distance <= 0.10
+
+
 @pytest.mark.parametrize("yaw_goal", [0.0, 1.57, 3.1, -2.0])
 def test_the_goal_yaw_is_reached(yaw_goal: float):
     tracker, base = PathTracker(), Base(noise=0.003)

@@ -57,7 +57,8 @@ class UnitreeBackend:
         self.options = options or UnitreeOptions()
         self.capabilities = self.options.capabilities()
         self._interface, self._domain, self._dry_run = interface, domain, dry_run
-        self._link, self._clock, self._sleep = link, clock, sleep
+        self._given, self._clock, self._sleep = link, clock, sleep
+        self._link: Link | None = None
         self._guarded = link is None and not dry_run
         self._guardian: Guardian | None = None
         self._telemetry: Telemetry | None = None
@@ -78,10 +79,8 @@ class UnitreeBackend:
         """Find the robot, check who owns its motors, take the remote role. Raises BackendError."""
         if self._telemetry is not None:
             return
-        link = self._link or open_link(self._interface, self._domain, self.options)
-        if self._dry_run:
-            link = DryRunLink(link)
-        self._link = link
+        link = self._given or open_link(self._interface, self._domain, self.options)
+        self._link = link = DryRunLink(link) if self._dry_run else link
         self._rpc = Rpc(link)
         self._telemetry = telemetry = Telemetry(link, self.options)
         telemetry.warm_up()
@@ -295,6 +294,8 @@ class UnitreeBackend:
             return Phase.STOPPED, self._stopped
         if t.phase is Phase.STANDING:
             return Phase.STANDING, "joints are locked: request stand"
+        if self._guardian is not None and not self._guardian.ready:
+            return Phase.STANDING, "waiting for the guardian process"
         note, ignored = self._mover.note, self._mover.ignored(now, t)
         if ignored > 1.5:
             note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
@@ -313,7 +314,7 @@ class UnitreeBackend:
             return ""  # soft, it may lie as it likes, and nobody drives it
         if not t.upright and self._steps.goal != RECOVERING:
             return "fallen: recover when the robot is free"
-        if self._guarded and not self._dry_run and (self._guardian is None or not self._guardian.alive()):
+        if self._guarded and (self._guardian is None or not self._guardian.alive()):
             return "guardian process lost: recover starts it again"
         if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
             return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
@@ -326,7 +327,7 @@ class UnitreeBackend:
         if not self._guarded or (self._guardian is not None and self._guardian.alive()):
             return
         if self._guardian is not None:
-            self._guardian.close()
+            self._guardian.kill()
         self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
 
     def _release(self) -> None:
@@ -335,5 +336,5 @@ class UnitreeBackend:
             self._guardian = None
         if self._link is not None:
             self._link.close()
-        self._link = None if self._guarded or self._dry_run else self._link
+            self._link = None
         self._telemetry = None

@@ -22,6 +22,7 @@ import time
 from hal.contract import BackendError
 from hal.unitree import api
 from hal.unitree.api import Request
+from hal.unitree.link import DdsLink, Link
 
 SILENCE = 0.15
 """[s] without a heartbeat while moving: stop."""
@@ -31,6 +32,8 @@ REPEAT = 0.05
 """[s] between repetitions."""
 LOST = 1.0
 """[s] without a sign from the guardian: it counts as lost."""
+START = 10.0
+"""[s] from its start to its first sign, and to the robot's sport service: longer counts as lost."""
 
 
 class Guardian:
@@ -55,8 +58,10 @@ class Guardian:
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
         os.set_blocking(self._in, False)
         os.set_blocking(self._out, False)
+        self._started = time.monotonic()
         self._heard: float | None = None
         self.ready = False
+        """Whether it has the robot's sport service in reach: from then on it can stop the robot. See `alive`."""
 
     @property
     def pid(self) -> int:
@@ -66,6 +71,7 @@ class Guardian:
     def beat(self, moving: bool) -> None:
         """Tell the guardian that the driver lives. Never blocks."""
         self._tell(b"m" if moving else b"i")
+        self._listen()
 
     def stop(self) -> None:
         """Have the guardian send StopMove until the robot confirms."""
@@ -80,22 +86,27 @@ class Guardian:
         with contextlib.suppress(BlockingIOError, BrokenPipeError):
             os.write(self._in, byte)
 
-    def alive(self) -> bool:
-        """Whether the process runs and has shown a sign within `LOST`."""
+    def _listen(self) -> None:
         with contextlib.suppress(BlockingIOError):
             data = os.read(self._out, 4096)
             if data:
                 self.ready = self.ready or b"r" in data
                 self._heard = time.monotonic()
-        if self._process.poll() is not None:
+
+    def alive(self) -> bool:
+        """Whether the process runs and has shown a sign within `LOST`; at its start it has `START` to get ready. Never blocks."""
+        self._listen()
+        now = time.monotonic()
+        if self._process.poll() is not None or (not self.ready and now - self._started > START):
             return False
-        return self._heard is None or time.monotonic() - self._heard < LOST
+        return self._heard is None or now - self._heard < LOST
 
     def wait_ready(self, timeout: float) -> None:
         """Block until the guardian reaches the robot. Raises BackendError."""
         deadline = time.monotonic() + timeout
         while not self.ready:
-            if not self.alive():
+            self._listen()
+            if self._process.poll() is not None:
                 raise BackendError("the guardian process ended at start; its reason is in the log above")
             if time.monotonic() > deadline:
                 raise BackendError(
@@ -103,8 +114,13 @@ class Guardian:
                 )
             select.select([self._out], [], [], 0.05)
 
+    def kill(self) -> None:
+        """End a process that counts as lost. Does not wait for it to agree."""
+        self._process.kill()
+        self.close()
+
     def close(self) -> None:
-        """End the process. Idempotent."""
+        """End the process, after its last order is through. Idempotent."""
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:
@@ -119,7 +135,7 @@ class Guardian:
 class Order:
     """One emergency request that is repeated until it is confirmed."""
 
-    def __init__(self, link, avoid: bool) -> None:  # type: ignore[no-untyped-def]
+    def __init__(self, link: Link, avoid: bool) -> None:
         self._link = link
         self.avoid = avoid
         """Whether the robot drives through its obstacle avoidance, which then must rest too."""
@@ -159,8 +175,6 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     """Watch standard input until it ends and the last order is through."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the end of the parent is the only signal that counts
-    from hal.unitree.link import DdsLink
-
     try:
         link = DdsLink(interface, domain, [], (api.SPORT, api.OBSTACLES_AVOID) if avoid else (api.SPORT,))
     except BackendError as error:

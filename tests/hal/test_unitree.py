@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -242,6 +243,10 @@ def test_dry_run_sends_nothing_and_says_what_it_would():
     assert world.sent == []
     assert world.body.x == 0.0
     assert any(api == Sport.MOVE for _, _, api, _ in world.backend._rpc.history)
+    world.backend.connect()
+    world.until(Phase.READY, 2.0)
+    world.backend.close()
+    assert world.sent == []
 
 
 # --- faults -------------------------------------------------------------------------------------------------------
@@ -462,6 +467,52 @@ def test_fallen_is_a_fault_until_recovered():
     assert world.phase is Phase.FAULT, "standing again by itself is not enough"
     world.backend.request(ModeRequest.RECOVER)
     world.until(Phase.READY, 10.0)
+
+
+class FakeGuardian:
+    """The driver's end of a guardian process that lives and gets ready as it is told to."""
+
+    made: ClassVar[list[FakeGuardian]] = []
+
+    def __init__(self, *_arguments: object) -> None:
+        self.lives, self.ready, self.killed = True, False, False
+        self.pid = 1
+        self.made.append(self)
+
+    def alive(self) -> bool:
+        return self.lives
+
+    def kill(self) -> None:
+        self.killed = True
+
+    def beat(self, moving: bool) -> None:
+        pass
+
+    stop = damp = close = lambda self: None
+
+    def wait_ready(self, _timeout: float) -> None:
+        self.ready = True
+
+
+def test_nothing_moves_without_a_guardian_that_is_ready(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("hal.unitree.backend.Guardian", FakeGuardian)
+    FakeGuardian.made.clear()
+    world = World()
+    world.backend._guarded = True
+    world.backend.connect()
+    world.until(Phase.READY, 5.0)
+    world.until(Phase.MOVING, 2.0, vx=0.5)
+    (first,) = FakeGuardian.made
+    first.lives = False
+    assert "guardian process lost" in world.until(Phase.FAULT, 0.1, vx=0.5).cause
+    world.backend.request(ModeRequest.RECOVER)
+    assert first.killed, "a guardian that hangs must not be waited for"
+    x = world.body.x
+    world.run(5.0, vx=0.5)
+    assert (world.phase, world.cause) == (Phase.STANDING, "waiting for the guardian process")
+    assert world.body.x - x < 0.2
+    FakeGuardian.made[1].ready = True
+    world.until(Phase.MOVING, 2.0, vx=0.5)
 
 
 def test_an_l1_mounted_the_other_way_round_is_found_out_by_gravity():

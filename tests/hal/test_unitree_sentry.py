@@ -1,14 +1,19 @@
-"""The watch on the robot's side of the cable."""
+"""The watches on both sides of the cable."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import time
+from pathlib import Path
 
+import psutil
 import pytest
 
-from hal.unitree import api
+from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
-from hal.unitree.guardian import INSIST, SILENCE, Order
+from hal.unitree.guardian import INSIST, SILENCE, Guardian, Order
 from hal.unitree.sentry import Sentry, run
 
 
@@ -97,3 +102,47 @@ def test_without_the_extra_it_says_how_to_install(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("sentry: ")
     assert "pip install 'rbtrg-robot[unitree]'" in line
+
+
+def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: str) -> None:
+    """Let a guardian be this shell script."""
+    script = tmp_path / "guardian"
+    script.write_text(f"#!/bin/sh\n{lines}\n")
+    script.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(script))
+
+
+def lost(watch: Guardian) -> None:
+    """Wait until it counts as lost; fail if it never does."""
+    deadline = time.monotonic() + 20.0
+    while watch.alive():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("lines", ["exec sleep 60", "while true; do printf .; sleep 0.05; done"])
+def test_a_guardian_that_never_gets_ready_is_lost(
+    lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program(tmp_path, monkeypatch, lines)
+    monkeypatch.setattr(guardian, "START", 0.3)
+    watch = Guardian("lo", 0, avoid=False)
+    assert watch.alive(), "it may take a moment"
+    lost(watch)
+    assert not watch.ready
+    watch.kill()
+    assert not psutil.pid_exists(watch.pid)
+
+
+def test_a_guardian_that_hangs_is_lost_and_can_be_killed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program(tmp_path, monkeypatch, "while true; do printf r; sleep 0.05; done")
+    monkeypatch.setattr(guardian, "LOST", 0.5)
+    watch = Guardian("lo", 0, avoid=False)
+    watch.wait_ready(10.0)
+    assert watch.alive()
+    os.kill(watch.pid, signal.SIGSTOP)
+    lost(watch)
+    watch.kill()
+    assert not psutil.pid_exists(watch.pid)

@@ -102,6 +102,8 @@ class GateStatus:
     """Why the velocity is held at zero although the gate is not latched; empty when it is not."""
     not_moving: bool
     """Commanded but not moving for longer than `not_moving_warn`."""
+    motion_unchecked: bool
+    """No measured velocity: neither "commanded but not moving" nor "moving but not commanded" would be noticed."""
     accepted: int
     refused: dict[str, int]
     """Count by RefusalReason, in the order of the enum; only reasons that occurred."""

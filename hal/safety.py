@@ -56,6 +56,7 @@ class SafetyGate:
         self._now: int | None = None
         self._since: dict[str, int] = {}
         self._zero_since: int | None = None
+        self._unchecked = True
 
     # -- what comes in ---------------------------------------------------------------------------------------------
 
@@ -146,6 +147,7 @@ class SafetyGate:
             cause=f"{cause}: {self._detail}" if self._detail else cause,
             hold=self._hold,
             not_moving=warn,
+            motion_unchecked=self._unchecked,
             accepted=self._count,
             refused={r.value: self._refused[r] for r in RefusalReason if self._refused[r]},
             command_age=age,
@@ -247,7 +249,8 @@ class SafetyGate:
             self._zero_since = None
         elif self._zero_since is None:
             self._zero_since = now
-        if inputs.velocity is None or not all(map(math.isfinite, inputs.velocity)):
+        self._unchecked = inputs.velocity is None or not all(map(math.isfinite, inputs.velocity))
+        if inputs.velocity is None or self._unchecked:
             self._since.pop("not moving", None)
             self._since.pop("moving", None)
             return

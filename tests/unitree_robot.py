@@ -51,6 +51,8 @@ class Faults:
     low_frozen: bool = False
     """LowState keeps coming with the same content."""
     sport_silent: bool = False
+    sport_frozen: bool = False
+    """sportmodestate keeps coming with the same stamp."""
     lidar_silent: bool = False
     epoch: float = 1.7e9
     """What the robot's clock shows at the start: 0 is 1970."""
@@ -64,6 +66,8 @@ class Faults:
     """Getting up and lying down are accepted without effect."""
     garbage: bool = False
     """Every tenth message of each topic is cut off."""
+    babble: bool = False
+    """The mode switcher's answers are cut off."""
     refuse: dict[int, int] = field(default_factory=dict)
     """Sport api id -> result code."""
 
@@ -177,6 +181,7 @@ class RobotSide:
         self._busy_until = round(self.faults.busy * NS) if self.faults.released else -(10**18)
         self._stood_up = False
         self._upright_at: int | None = None
+        self._sport_stamp = 0
         self._tick = 0
         self._low_due = self._sport_due = self._imu_due = 0
         self._outbox: dict[str, list[bytes]] = defaultdict(list)
@@ -206,6 +211,8 @@ class RobotSide:
             self.faults.drop -= 1
             return
         text = json.dumps(data) if data else ""
+        if self.faults.babble and service == api.MOTION_SWITCHER:
+            text = text[: len(text) // 2]
         due = now + round(self.faults.late * NS)
         self._answers.append((due, service, Response(request.id, request.api, code, text)))
 
@@ -318,7 +325,8 @@ class RobotSide:
         if now >= self._sport_due:
             self._sport_due = max(self._sport_due + NS // 50, now)
             if self.motion and not f.sport_silent:
-                self._put(SPORT_STATE, self._sport_bytes(stamp))
+                self._sport_stamp = self._sport_stamp if f.sport_frozen else stamp
+                self._put(SPORT_STATE, self._sport_bytes(self._sport_stamp))
         if self._lidar == "l1" and now >= self._imu_due:
             self._imu_due = max(self._imu_due + NS // 250, now)
             turn = self._mount[0].T

@@ -168,12 +168,14 @@ class Response:
         return Response(identity, api, code, _string(body, _RESPONSE.size))
 
     def json(self) -> dict[str, Any]:
-        """`data` as an object; empty where it is none."""
+        """`data`; an empty text is an empty object. Raises WireError."""
         try:
             value = json.loads(self.data) if self.data else {}
-        except json.JSONDecodeError:
-            return {}
-        return value if isinstance(value, dict) else {}
+        except json.JSONDecodeError as error:
+            raise WireError(f"answer {self.data[:40]!r} is not JSON") from error
+        if not isinstance(value, dict):
+            raise WireError(f"answer {self.data[:40]!r} is not an object")
+        return value
 
 
 def compact(parameter: dict[str, Any]) -> str:

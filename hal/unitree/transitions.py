@@ -7,7 +7,7 @@ from typing import Any
 
 from hal.types import NS, Phase
 from hal.unitree import api
-from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport
+from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport, WireError
 from hal.unitree.options import UnitreeOptions
 from hal.unitree.rpc import NO_ANSWER, Rpc
 from hal.unitree.telemetry import Telemetry
@@ -125,11 +125,16 @@ class Transitions:
 
     def _own_motion(self) -> Steps:
         """CheckMode; where no motion service is active, SelectMode. Then obstacle avoidance as configured."""
-        answer = yield from self._call(
-            api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, "which motion service is active"
-        )
-        if not self._dry_run and not answer.json().get("name"):
-            yield from self._select_motion()
+        asked = "which motion service is active"
+        answer = yield from self._call(api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, asked)
+        if not self._dry_run:
+            try:
+                name = answer.json()["name"]
+            except (WireError, KeyError) as error:  # taken for "none", the running one would be replaced
+                why = error if isinstance(error, WireError) else f"answer {answer.data!r} has no name"
+                raise Failed(f"{asked}: {why}") from error
+            if not name:
+                yield from self._select_motion()
         if self._options.avoid_obstacles:
             yield from self._call(
                 api.OBSTACLES_AVOID, ObstaclesAvoid.SWITCH_SET, "obstacle avoidance on", enable=True

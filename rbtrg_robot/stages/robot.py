@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
-from hal.contract import Backend
+from hal.contract import UP, Backend
 from hal.safety import GateInputs, GateStatus, SafetyGate, StopCause
 from hal.tilt import TiltFilter
 from hal.types import (
@@ -26,6 +27,8 @@ from rbtrg_robot.frames import MapFrame
 from rbtrg_robot.messages import array, header, make, stamp_of
 from rbtrg_robot.stage import Outputs
 from rbtrg_robot.topics import Topic
+
+log = logging.getLogger(__name__)
 
 STEP = 5_000_000
 """Gate and simulator period [ns]."""
@@ -64,6 +67,8 @@ class RobotStage:
         self._state_due = 0
         self._shown: tuple[Any, ...] = ()
         self._driven = VelocityCommand(0)
+        self._unknown = 0
+        """Requests that are no ModeRequest."""
         self.realtime_factor = 1.0
         sensors = (t.IMU, t.JOINTS, t.POINTS, t.ROBOT_STATE)
         self.outputs: tuple[Topic, ...] = (*sensors, t.CLOCK, t.TRUTH) if simulated else sensors
@@ -121,6 +126,9 @@ class RobotStage:
 
     def _request(self, message: Any) -> None:
         if message.mode not in ModeRequest._value2member_map_:
+            self._unknown += 1
+            if self._unknown in (1, 10, 100, 1000):
+                log.warning("request %r is not known (%d so far)", message.mode[:40], self._unknown)
             return
         mode = ModeRequest(message.mode)
         if mode is ModeRequest.STOP:
@@ -144,7 +152,14 @@ class RobotStage:
             outputs += self._publish(sample)
         status = self._gate.status()
         state = self.backend.state()
-        shown = (state.phase, state.cause, status.latched, status.cause, status.not_moving)
+        shown = (
+            state.phase,
+            state.cause,
+            status.latched,
+            status.cause,
+            status.not_moving,
+            status.motion_unchecked,
+        )
         if now >= self._state_due or shown != self._shown:
             self._shown = shown
             self._state_due = now + STATE_PERIOD
@@ -187,11 +202,12 @@ class RobotStage:
         phase = (
             Phase.STOPPED if status.latched and state.phase in (Phase.READY, Phase.MOVING) else state.phase
         )
+        refused = {**status.refused, **({"unknown request": self._unknown} if self._unknown else {})}
         return make(
             t.ROBOT_STATE.type,
             header=header(now, "base_link"),
             phase=phase.value,
-            cause=f"{state.cause}; commanded but not moving" if status.not_moving else state.cause,
+            cause=state.cause + _remark(state, status),
             estop=status.latched,
             estop_cause=status.cause,
             battery=float(state.battery),
@@ -200,8 +216,17 @@ class RobotStage:
             vx=self._driven.vx,
             vy=self._driven.vy,
             wz=self._driven.wz,
-            refused_reason=list(status.refused),
-            refused_count=array(list(status.refused.values()), "uint32"),
+            refused_reason=list(refused),
+            refused_count=array(list(refused.values()), "uint32"),
             hold=hold,
             realtime_factor=self.realtime_factor,
         )
+
+
+def _remark(state: RobotState, status: GateStatus) -> str:
+    """What the gate adds to the robot's own words."""
+    if status.not_moving:
+        return "; commanded but not moving"
+    return (
+        "; motion is not checked, odometry is silent" if status.motion_unchecked and state.phase in UP else ""
+    )

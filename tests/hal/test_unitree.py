@@ -302,6 +302,13 @@ def test_released_motion_service_is_selected_through_busy():
     assert world.apis("motion_switcher").count(1002) > 3
 
 
+def test_an_answer_that_cannot_be_read_does_not_replace_the_running_motion_service():
+    world = World(Faults(babble=True))
+    with pytest.raises(BackendError, match=r"which motion service is active: answer .* is not JSON"):
+        world.backend.connect()
+    assert world.apis("motion_switcher") == [1001]
+
+
 def test_busy_for_too_long_is_an_error_with_advice():
     world = World(Faults(released=True, busy=60.0), options=UnitreeOptions(lidar="l1", connect_timeout=1.0))
     with pytest.raises(BackendError, match="busy"):
@@ -335,14 +342,20 @@ def test_stale_low_state_disconnects_and_its_return_reconnects(fault: str):
     assert world.phase is Phase.MOVING
 
 
-def test_missing_sport_state_is_a_fault_with_a_stop():
+@pytest.mark.parametrize("fault", ["sport_silent", "sport_frozen"])
+def test_stale_sport_state_is_a_fault_with_a_stop_that_recover_ends(fault: str):
     world = ready()
     world.run(2.0, vx=0.5)
-    world.faults.sport_silent = True
+    setattr(world.faults, fault, True)
     state = world.until(Phase.FAULT, 2.0, vx=0.5)
     assert "sport service is silent" in state.cause
     world.run(0.4, vx=0.5)
     assert abs(world.body.v) < REST
+    setattr(world.faults, fault, False)
+    world.run(1.0, vx=0.5)
+    assert world.phase is Phase.FAULT, "somebody has to look at it"
+    world.backend.request(ModeRequest.RECOVER)
+    world.until(Phase.READY, 5.0)
 
 
 def test_a_cut_cable_mid_motion_and_its_return():
@@ -563,7 +576,9 @@ _action = st.one_of(
     st.tuples(st.just("mode"), st.sampled_from(list(ModeRequest))),
     st.tuples(
         st.just("fault"),
-        st.sampled_from(["low_silent", "low_frozen", "sport_silent", "fallen", "garbage"]),
+        st.sampled_from(
+            ["low_silent", "low_frozen", "sport_silent", "sport_frozen", "fallen", "stuck", "garbage"]
+        ),
         st.booleans(),
     ),
     st.tuples(st.just("late"), st.sampled_from([0.0, 0.3, 2.0])),

@@ -101,6 +101,8 @@ class Rig:
         self.frame = "base_link"
         self.measured: float | None = None
         """Speed that odometry tells [m/s]; None: the true one."""
+        self.silent = False
+        """Odometry tells nothing new."""
         self.x = 0.0
         self.robot.state_as = lambda state: state
         self.robot.sample_as = lambda sample: sample
@@ -111,7 +113,7 @@ class Rig:
         for _ in range(round(seconds * NS / STEP)):
             self.now += STEP
             if self.now % (4 * STEP) == 0:
-                stamp = header(self.now, "odom")
+                stamp = header(0 if self.silent else self.now, "odom")
                 pose = make(t.POSE.type, header=stamp)
                 pose.pose.pose.position.x, pose.pose.pose.orientation.w = self.x, 1.0
                 pose.twist.twist.linear.x = self.speed() if self.measured is None else self.measured
@@ -246,6 +248,26 @@ def test_a_command_without_motion_is_told_and_latches_in_the_end(rig: Rig) -> No
     assert "E-STOP (commanded but not moving: 0.3 m/s commanded for 3 s)" in rig.line()
     rig.run(1.0)
     assert abs(rig.speed()) < REST
+
+
+def test_while_odometry_is_silent_status_says_that_motion_is_not_checked(rig: Rig) -> None:
+    rig.cruise()
+    assert "not checked" not in rig.line()
+    rig.silent = True
+    rig.run(0.5)
+    assert "motion is not checked, odometry is silent" in rig.line()
+    rig.silent = False
+    rig.run(0.5)
+    assert "not checked" not in rig.line()
+
+
+def test_a_request_that_is_not_known_is_counted_and_changes_nothing(rig: Rig) -> None:
+    rig.cruise()
+    for _ in range(3):
+        rig.stage.on(t.ROBOT_COMMAND, make(t.ROBOT_COMMAND.type, mode="selfdestruct", cause="by hand"))
+    rig.run(0.5)
+    assert rig.health.robot_row()["refused"]["unknown request"] >= 3
+    assert rig.way * rig.speed() > 0.7 * CRUISE
 
 
 def test_motion_without_a_command_latches(rig: Rig) -> None:

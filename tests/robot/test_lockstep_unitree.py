@@ -108,7 +108,7 @@ FAULTS = {
         f"robot: fault, E-STOP ({SILENT})",
         f"goal: aborted (GOAL): emergency stop: {SILENT}; `rbtrg-robot resume` releases it",
         rest=1.5,  # a second of patience
-        orders=("resume", "recover"),
+        orders=("recover", "resume"),
     ),
     "LiDAR": Fault(
         _fault("lidar_silent"), "held (lidar is 3.6 s old)", "goal: moving (GOAL)", rest=1.5, ended=False

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import RobotState
 
 
@@ -37,7 +39,11 @@ class GateParams(BaseModel):
         default=0.3, gt=0, description="[m/s] counts as moving; yaw rates double, in rad/s"
     )
     braking_time: float = Field(default=1.0, gt=0, description="[s] in which a moving robot comes to rest")
-    fence_margin: float = Field(default=0.35, ge=0, description="[m] from base_link to the end of the body")
+    fence_margin: float = Field(
+        default=0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH),
+        ge=0,
+        description="[m] from base_link to what must stay inside, along the motion",
+    )
     fence_horizon: float = Field(
         default=0.8, gt=0, description="[s] of motion that must stay inside the geofence"
     )

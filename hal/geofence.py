@@ -11,6 +11,38 @@ class GeofenceError(ValueError):
     """The polygon is not usable; the message says why."""
 
 
+Corner = tuple[float, float]
+Side = tuple[Corner, Corner]
+
+
+def _turn(a: Corner, b: Corner, c: Corner) -> float:
+    """Positive where a, b, c turn left, negative where they turn right, 0 on a line."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def _within(p: Corner, side: Side) -> bool:
+    """Whether a point on the line of `side` lies on `side`."""
+    return all(min(a, b) <= v <= max(a, b) for v, a, b in zip(p, *side, strict=True))
+
+
+def _meet(one: Side, other: Side) -> bool:
+    """Whether two sides have a point in common."""
+    a, b = (_turn(*one, p) for p in other)
+    c, d = (_turn(*other, p) for p in one)
+    if a * b < 0.0 and c * d < 0.0:
+        return True
+    touching = [(a, other[0], one), (b, other[1], one), (c, one[0], other), (d, one[1], other)]
+    return any(turn == 0.0 and _within(p, side) for turn, p, side in touching)
+
+
+def _doubles_back(one: Side, other: Side) -> bool:
+    """Whether two sides with a corner in common have more than that in common."""
+    ends = [p for p in one if p not in other], [p for p in other if p not in one]
+    return any(
+        _turn(*side, p) == 0.0 and _within(p, side) for side, (p,) in zip((other, one), ends, strict=True)
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Geofence:
     """A simple polygon in the `map` frame; corners x, y [m] in order, closed by itself."""
@@ -19,18 +51,29 @@ class Geofence:
 
     @staticmethod
     def of(points: Sequence[Sequence[float]]) -> Geofence:
-        """Check and build. Raises GeofenceError unless there are three finite corners spanning an area."""
+        """Check and build. Raises GeofenceError unless finite corners span an area with sides that do not meet.
+
+        Corners that repeat the one before, and a last one that repeats the first, are left out.
+        """
         try:
             corners = tuple((float(x), float(y)) for x, y in points)
         except (TypeError, ValueError) as error:
             raise GeofenceError(f"a geofence is a list of x, y pairs in metres: {error}") from error
         if len(corners) < 3 or not all(math.isfinite(v) for corner in corners for v in corner):
             raise GeofenceError("a geofence needs at least three finite corners")
-        twice_area = sum(
-            x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in zip(corners, corners[1:] + corners[:1], strict=True)
-        )
+        corners = tuple(a for a, b in zip(corners, corners[1:] + corners[:1], strict=True) if a != b)
+        sides = list(zip(corners, corners[1:] + corners[:1], strict=True))
+        twice_area = sum(x0 * y1 - x1 * y0 for (x0, y0), (x1, y1) in sides)
         if abs(twice_area) < 1e-6:
             raise GeofenceError("the geofence has no area")
+        for i, one in enumerate(sides):
+            for j in range(i + 1, len(sides)):
+                neighbours = j == i + 1 or (i == 0 and j == len(sides) - 1)
+                if _doubles_back(one, sides[j]) if neighbours else _meet(one, sides[j]):
+                    raise GeofenceError(
+                        f"sides of the geofence cross: {one[0]} - {one[1]} and {sides[j][0]} - {sides[j][1]}; "
+                        "give its corners in order around it"
+                    )
         return Geofence(corners)
 
     def outside(self, x: float, y: float) -> float:

@@ -17,6 +17,7 @@ from collections import Counter
 
 from hal.gate_types import GateInputs, GateParams, GateStatus, Refusal, RefusalReason, StopCause
 from hal.geofence import Geofence
+from hal.go2w import BODY_WIDTH
 from hal.types import NS, Capabilities, Phase, VelocityCommand
 
 __all__ = [
@@ -224,7 +225,7 @@ class SafetyGate:
         )
 
     def _leaves_fence(self, pose: tuple[float, float, float]) -> bool:
-        """Whether the command leads out of the fence. A robot outside may still drive inwards, and turn.
+        """Whether the command leads the front of the body out of the fence. A robot outside may drive inwards, and turn.
 
         The command decides, not the slewed output: a velocity that starts from zero would creep out in spurts.
         """
@@ -237,9 +238,14 @@ class SafetyGate:
         if speed == 0.0:
             return False
         heading = yaw + math.atan2(target.vy, target.vx)
-        reach = self.params.fence_margin + speed * self.params.fence_horizon
-        ahead = self.geofence.outside(x + reach * math.cos(heading), y + reach * math.sin(heading))
-        return ahead > 0.0 and ahead >= self.geofence.outside(x, y)
+        c, s = math.cos(heading), math.sin(heading)
+        now = self.params.fence_margin
+        soon = now + speed * self.params.fence_horizon
+        for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
+            ahead = self.geofence.outside(x + soon * c - side * s, y + soon * s + side * c)
+            if ahead > 0.0 and ahead >= self.geofence.outside(x + now * c - side * s, y + now * s + side * c):
+                return True
+        return False
 
     def _watch_motion(self, now: int, inputs: GateInputs) -> None:
         """Compare what was commanded with what was measured."""

@@ -259,6 +259,41 @@ def test_a_fence_without_an_area_is_refused(bad):
         Geofence.of(bad)
 
 
+@pytest.mark.parametrize(
+    "crossed",
+    [
+        [(0, 0), (4, 4), (4, 0), (0, 3)],  # a bow tie
+        [(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)],  # a corner on another side
+        [(0, 0), (4, 0), (2, 0), (2, 4)],  # a side that doubles back
+        [(0, 0), (4, 0), (4, 4), (2, 2), (0, 4), (0, 1), (2, 2), (0, 0.5)],  # a corner twice
+    ],
+)
+def test_a_fence_whose_sides_meet_is_refused(crossed):
+    with pytest.raises(GeofenceError, match="sides of the geofence cross"):
+        Geofence.of(crossed)
+
+
+def test_a_fence_may_be_closed_by_hand_and_may_have_corners_along_a_side():
+    fence = Geofence.of([(0, 0), (2, 0), (4, 0), (4, 4), (4, 4), (0, 4), (0, 0)])
+    assert len(fence.corners) == 5
+    assert fence.outside(1.0, 2.0) == -1.0
+    dented = Geofence.of([(0, 0), (4, 0), (4, 4), (2, 1), (0, 4)])
+    assert dented.outside(2.0, 2.0) > 0.0
+
+
+def test_the_fence_keeps_the_corners_of_the_body_in():
+    gate = SafetyGate(CAPS, geofence=Geofence.of([(-9, -9), (2, -9), (2, 9), (-9, 9)]))
+    for heading in np.radians(np.arange(-80.0, 81.0, 5.0)):
+        gate.forget()
+        x, now = 1.0, 0
+        for k in range(1, 1000):
+            now = k * TICK
+            gate.command(VelocityCommand(now, vx=0.2), now)
+            x += 0.02 * math.cos(heading) * gate.output(now, well(now, pose=(x, 0.0, float(heading)))).vx
+        corner = x + 0.35 * math.cos(heading) + 0.215 * abs(math.sin(heading))
+        assert 1.5 < corner < 2.0, heading
+
+
 @given(st.floats(-2, 6), st.floats(-2, 6))
 def test_fence_distance_of_a_square_is_exact(x: float, y: float):
     d = Geofence.of([(0, 0), (4, 0), (4, 4), (0, 4)]).outside(x, y)

@@ -1,4 +1,4 @@
-"""Rotation matrices from roll, pitch and yaw."""
+"""Rotation matrices from roll, pitch and yaw, and back."""
 
 from __future__ import annotations
 
@@ -21,3 +21,10 @@ def rotation_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:
         [-sp * np.ones_like(cy), cp * sr, cp * cr],
     ]
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def rpy_of(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch, yaw [rad] of a (3, 3) rotation, the inverse of `rotation_rpy`; pitch within a right angle."""
+    r = np.asarray(rotation)
+    roll, yaw = np.arctan2(r[2, 1], r[2, 2]), np.arctan2(r[1, 0], r[0, 0])
+    return float(roll), float(np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))), float(yaw)

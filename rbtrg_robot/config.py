@@ -122,6 +122,8 @@ class StackConfig(BaseModel):
 
     def lidar_mount(self) -> Extrinsics:
         """Pose of the LiDAR in base_link."""
+        if not self.simulated:
+            return self.unitree_options().mount()
         return self.mount or LIDARS[self.lidar].mount
 
     def unitree_options(self) -> UnitreeOptions:

@@ -25,6 +25,7 @@ from hal.unitree.layout import (
     CDR_HEADER,
     LOW_STATE_CDR,
     SPORT_MODE_STATE_CDR,
+    low_state_checksum,
 )
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE
 
@@ -64,6 +65,14 @@ class Faults:
     """On its back; RecoveryStand rights it within a second."""
     stuck: bool = False
     """Getting up and lying down are accepted without effect."""
+    low_bent: bool = False
+    """A bit of LowState is not what it was when its checksum was taken."""
+    l1_yaw: float = 0.0
+    """[rad] the L1 is turned about its own z axis."""
+    l1_leak: float = 0.0
+    """Share of its z rate that the L1's gyro shows in x."""
+    unsigned: bool = False
+    """LowState has no checksum."""
     garbage: bool = False
     """Every tenth message of each topic is cut off."""
     babble: bool = False
@@ -194,10 +203,13 @@ class RobotSide:
         translation, rpy = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
         if self.faults.upright_l1:
             rpy = (0.0, 0.0, 0.0)
-        self._mount = (rotation_rpy(*rpy), np.array(translation))
+        about_itself = rotation_rpy(0.0, 0.0, self.faults.l1_yaw)
+        self._mount = (rotation_rpy(*rpy) @ about_itself, np.array(translation))
         (cr, cp, cy), (sr, sp, sy) = np.cos(np.array(rpy) / 2), np.sin(np.array(rpy) / 2)
         about_z = _product((cy, 0.0, 0.0, sy), (cp, 0.0, sp, 0.0))
-        self._turned = tuple(_product(tuple(about_z), (cr, sr, 0.0, 0.0)))
+        half = 0.5 * self.faults.l1_yaw
+        turned = _product(tuple(about_z), (cr, sr, 0.0, 0.0))
+        self._turned = tuple(_product(tuple(turned), (math.cos(half), 0.0, 0.0, math.sin(half))))
 
     # -- services --------------------------------------------------------------------------------------------------
 
@@ -321,7 +333,7 @@ class RobotSide:
                 self._tick = now // 1_000_000
                 self._write_low()
             if not f.low_silent:
-                self._put(LOW_STATE, CDR_HEADER + self._low.tobytes())
+                self._put(LOW_STATE, self._low_bytes())
         if now >= self._sport_due:
             self._sport_due = max(self._sport_due + NS // 50, now)
             if self.motion and not f.sport_silent:
@@ -330,10 +342,11 @@ class RobotSide:
         if self._lidar == "l1" and now >= self._imu_due:
             self._imu_due = max(self._imu_due + NS // 250, now)
             turn = self._mount[0].T
+            gyro = turn @ self.body.gyro
             raw = RawImu(
                 stamp,
                 _product(self._quaternion(), self._turned),
-                turn @ self.body.gyro,
+                gyro + np.array([self.faults.l1_leak * gyro[2], 0.0, 0.0]),
                 turn @ self.body.accel,
             )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
@@ -376,6 +389,13 @@ class RobotSide:
         low["foot_force"] = 60
         low["motor_state_first_mode"] = 1
         low["motor_state_modes"]["mode"] = 1
+
+    def _low_bytes(self) -> bytes:
+        low = self._low[0]
+        low["crc"] = 0 if self.faults.unsigned else low_state_checksum(CDR_HEADER + self._low.tobytes())
+        data = bytearray(CDR_HEADER + self._low.tobytes())
+        data[100] ^= self.faults.low_bent
+        return bytes(data)
 
     def _sport_bytes(self, stamp: int) -> bytes:
         sport, body = self._sport[0], self.body

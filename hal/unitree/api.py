@@ -15,8 +15,7 @@ from typing import Any
 SPORT = "sport"
 MOTION_SWITCHER = "motion_switcher"
 OBSTACLES_AVOID = "obstacles_avoid"
-ROBOT_STATE = "robot_state"
-SERVICES = (SPORT, MOTION_SWITCHER, OBSTACLES_AVOID, ROBOT_STATE)
+SERVICES = (SPORT, MOTION_SWITCHER, OBSTACLES_AVOID)
 
 
 class Sport(IntEnum):
@@ -62,14 +61,6 @@ class ObstaclesAvoid(IntEnum):
     """{is_remote_commands_from_api}: true while commands come from here, false again at the end."""
 
 
-class RobotStateApi(IntEnum):
-    """Robot state service."""
-
-    SERVICE_SWITCH = 1001
-    SET_REPORT_FREQUENCY = 1002
-    SERVICE_LIST = 1003
-
-
 BUSY = 7002
 """Motion switcher: try again."""
 
@@ -93,8 +84,6 @@ CODES = {
     4201: "action took too long",
     4202: "sport service is not initialised",
     4205: "sport service is not initialised",
-    5201: "service could not be switched",
-    5202: "service is protected",
     7001: "mode switcher refused the parameter",
     7002: "mode switcher is busy",
     7003: "mode switcher event failed",

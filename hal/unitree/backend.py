@@ -271,7 +271,8 @@ class UnitreeBackend:
         if t.low_age(now) > o.state_timeout:
             self._mover.confirm_reset()
             self._away = now
-            return Phase.DISCONNECTED, f"no LowState for {t.low_age(now):.1f} s: check cable and robot"
+            why = f"unreadable, {t.low_unread}" if t.low_unread else "check cable and robot"
+            return Phase.DISCONNECTED, f"no LowState for {t.low_age(now):.1f} s: {why}"
         if self._away is not None:
             # What its sport service said before tells nothing of a robot that may have been switched off and on.
             missed = (now - self._away) / NS

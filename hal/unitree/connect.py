@@ -51,6 +51,11 @@ def wait_for_robot(
         if now > deadline:
             break
         sleep(0.01)
+    if telemetry.low is None and telemetry.low_unread:
+        raise BackendError(
+            f"LowState from the robot {where}, but it cannot be read: {telemetry.low_unread}; is this a Go2-W? "
+            "unitree.check_crc=false takes it unchecked"
+        )
     if telemetry.low is None:
         raise BackendError(
             f"no LowState from the robot {where}: is it switched on, is the cable in, is this the robot's network "

@@ -1,4 +1,4 @@
-"""Fixed-size messages of the robot as numpy records: LowState, LowCmd, SportModeState; checksum; motor order.
+"""Fixed-size messages of the robot as numpy records: LowState, SportModeState; checksum; motor order.
 
 On the wire (CDR) every number is aligned to its own size and structs are not padded; the checksum is taken over the
 padded C struct instead. Both layouts come from one field list. Decoding is a view: no copy, about a microsecond.
@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.lowlevel import LowCommand
 from hal.unitree.api import WireError
 
 Field = tuple[str, Any] | tuple[str, Any, int]
@@ -69,21 +68,6 @@ LOW_STATE: list[Field] = [
     ("power_v", "<f4"),
     ("power_a", "<f4"),
     ("fan_frequency", "<u2", 4),
-    ("reserve", "<u4"),
-    ("crc", "<u4"),
-]
-LOW_CMD: list[Field] = [
-    *_HEAD,
-    (
-        "motor_cmd",
-        [("mode", "u1"), *((name, "<f4") for name in ("q", "dq", "tau", "kp", "kd")), ("reserve", "<u4", 3)],
-        20,
-    ),
-    ("bms_cmd", [("off", "u1"), ("reserve", "u1", 3)]),
-    ("wireless_remote", "u1", 40),
-    ("led", "u1", 12),
-    ("fan", "u1", 2),
-    ("gpio", "u1"),
     ("reserve", "<u4"),
     ("crc", "<u4"),
 ]
@@ -167,10 +151,8 @@ def c_dtype(fields: list[Field]) -> np.dtype[np.void]:
 
 
 LOW_STATE_CDR = cdr_dtype(LOW_STATE)
-LOW_CMD_CDR = cdr_dtype(LOW_CMD)
 SPORT_MODE_STATE_CDR = cdr_dtype(SPORT_MODE_STATE)
 LOW_STATE_C = c_dtype(LOW_STATE)
-LOW_CMD_C = c_dtype(LOW_CMD)
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation of a little-endian XCDR1 message."""
@@ -178,7 +160,7 @@ CDR_HEADER = b"\x00\x01\x00\x00"
 
 def view(data: bytes, dtype: np.dtype[np.void]) -> np.void:
     """The message as a numpy record that shares memory with `data`. Raises WireError when it is too short."""
-    if len(data) < 4 + dtype.itemsize or data[1] != 1:
+    if len(data) < 4 + dtype.itemsize or data[:2] != CDR_HEADER[:2]:
         raise WireError(f"message of {len(data)} bytes, expected {4 + dtype.itemsize} little-endian")
     return np.frombuffer(data, dtype=dtype, count=1, offset=4)[0]
 
@@ -187,19 +169,33 @@ _REVERSED_BITS = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 
 def crc32(words: NDArray[np.uint32]) -> int:
-    """CRC-32/MPEG-2 over little-endian words, each fed most significant byte first.
+    """CRC-32/MPEG-2 over little-endian words, each fed most significant byte first."""
+    return _crc(words.astype(">u4").tobytes())
 
-    zlib computes the reflected sibling of this code, so the bits are reversed before and after.
+
+def _crc(stream: bytes) -> int:
+    """zlib computes the reflected sibling of this code, so the bits are reversed before and after."""
+    return int(f"{zlib.crc32(stream.translate(_REVERSED_BITS)) ^ 0xFFFFFFFF:032b}"[::-1], 2)
+
+
+def low_state_checksum(data: bytes) -> int:
+    """What `crc` of this LowState should be: over its C struct without the last word (`crc` itself)."""
+    return _crc(np.frombuffer(data, np.uint8)[_CHECKED].tobytes())
+
+
+def _checked(cdr: np.dtype[np.void], c: np.dtype[np.void]) -> NDArray[np.intp]:
+    """Where in a message the bytes of the checksum stand, in its order: words of the C struct, high byte first.
+
+    Padding, which CDR has not, is taken from the message's first byte, which is 0. Found by copying a message whose bytes
+    are their own places, low and high byte in turn.
     """
-    stream = words.astype(">u4").tobytes().translate(_REVERSED_BITS)
-    return int(f"{zlib.crc32(stream) ^ 0xFFFFFFFF:032b}"[::-1], 2)
-
-
-def checksum(message: np.void, c_layout: np.dtype[np.void]) -> int:
-    """Checksum of a LowState or LowCmd record: over its C struct without the last word (`crc` itself)."""
-    record = np.zeros(1, c_layout)
-    _assign(record[0], message)
-    return crc32(np.frombuffer(record.tobytes(), "<u4")[:-1])
+    places = np.arange(4, 4 + cdr.itemsize)
+    found = np.zeros(c.itemsize, np.intp)
+    for shift in (0, 8):
+        record = np.zeros(1, c)
+        _assign(record[0], np.frombuffer((places >> shift & 0xFF).astype(np.uint8).tobytes(), cdr)[0])
+        found += np.frombuffer(record.tobytes(), np.uint8).astype(np.intp) << shift
+    return found.reshape(-1, 4)[:-1, ::-1].ravel()
 
 
 def _assign(target: np.void, source: np.void) -> None:
@@ -216,25 +212,4 @@ def _assign(target: np.void, source: np.void) -> None:
             _assign(target[name], source[name])
 
 
-POSITION_STOP = 2.146e9
-VELOCITY_STOP = 16000.0
-"""Targets that mean "no command" to the motor board [rad], [rad/s]."""
-
-
-def pack_low_command(command: LowCommand) -> bytes:
-    """LowCmd on the wire, with checksum: motors 0..15 as commanded, 16..19 off.
-
-    For bench work with the motion service released; the drive path of this project never publishes it.
-    """
-    record = np.zeros(1, LOW_CMD_CDR)
-    message = record[0]
-    message["head"] = (0xFE, 0xEF)
-    message["level_flag"] = 0xFF
-    motors = message["motor_cmd"]
-    motors["q"], motors["dq"] = POSITION_STOP, VELOCITY_STOP
-    message["motor_cmd_first_mode"] = 0x01
-    message["motor_cmd_modes"]["mode"][:15] = 0x01
-    for name in ("q", "dq", "tau", "kp", "kd"):
-        motors[name][:16] = getattr(command, name)
-    message["crc"] = checksum(message, LOW_CMD_C)
-    return CDR_HEADER + record.tobytes()
+_CHECKED = _checked(LOW_STATE_CDR, LOW_STATE_C)

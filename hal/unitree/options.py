@@ -8,6 +8,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.lidar.spec import LIDARS
+from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics
 
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
@@ -27,6 +28,18 @@ class UnitreeSettings(BaseModel):
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
         default=0.0, description="[rad] yaw of the LowState IMU in base_link (some units: pi/2)"
+    )
+    check_crc: bool = Field(
+        default=True, description="LowState whose checksum is wrong is not believed; one without (0) is"
+    )
+    lidar_time_offset: float = Field(
+        default=0.0, ge=-0.1, le=0.1, description="[s] added to the LiDAR's stamps (one XT16: -0.005)"
+    )
+    l1_yaw: float = Field(
+        default=0.0, description="[rad] of the L1 about its own z axis, which gravity cannot see"
+    )
+    l1_gyro_leak: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="share of its z rate that the L1's gyro shows in x and in y"
     )
     l1_imu_wxyz: bool = Field(default=True, description="the L1 stores its quaternion w, x, y, z")
     max_vx: float = Field(default=0.8, gt=0, le=3.0, description="[m/s]")
@@ -71,10 +84,15 @@ class UnitreeOptions(UnitreeSettings):
 
     def mount(self) -> Extrinsics:
         """LiDAR in base_link."""
+        mount = LIDARS[self.lidar].mount if self.lidar in LIDARS else Extrinsics((0.0, 0.0, 0.0))
         if self.lidar_mount is not None:
             x, y, z, roll, pitch, yaw = self.lidar_mount
-            return Extrinsics((x, y, z), (roll, pitch, yaw))
-        return LIDARS[self.lidar].mount if self.lidar in LIDARS else Extrinsics((0.0, 0.0, 0.0))
+            mount = Extrinsics((x, y, z), (roll, pitch, yaw))
+        if self.lidar == "l1" and self.l1_yaw != 0.0:
+            mount = Extrinsics(
+                mount.translation, rpy_of(rotation_rpy(*mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw))
+            )
+        return mount
 
     def capabilities(self) -> Capabilities:
         """What the robot may be asked for with these settings: the vendor's own gaits, held well below their limits."""

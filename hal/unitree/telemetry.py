@@ -14,7 +14,7 @@ from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan,
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import Mount, RawCloud, RawImu, decode_cloud, decode_imu, sweep
-from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
+from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 from hal.unitree.options import UnitreeOptions
 
@@ -49,6 +49,7 @@ class Telemetry:
         self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)
         mount = options.mount()
         self._mount = Mount(rotation_rpy(*mount.rpy), np.array(mount.translation))
+        self._leak = np.array([*options.l1_gyro_leak, 0.0])
         self._topic = options.topic()
         self.low_clock = ClockOffset()
         self.lidar_clock = ClockOffset()
@@ -64,6 +65,8 @@ class Telemetry:
         self._last: dict[type, int] = {}
         self.bad: Counter[str] = Counter()
         """Unreadable messages by topic."""
+        self.low_unread = ""
+        """Why the newest LowState was not believed; empty when it was."""
         self._gravity = np.zeros(3)
         self._gravity_count = 0
         self.mount_error: float | None = None
@@ -100,6 +103,8 @@ class Telemetry:
             return take(data, now)
         except WireError as error:
             self.bad[topic] += 1
+            if topic == LOW_STATE:
+                self.low_unread = str(error)
             if self.bad[topic] in (1, 10, 100) or self.bad[topic] % 1000 == 0:
                 log.warning("%s: unreadable message %d: %s", topic, self.bad[topic], error)
             return None
@@ -113,6 +118,9 @@ class Telemetry:
     def _take_low(self, data: bytes, now: int) -> np.void | None:
         """The message if it is new."""
         low = view(data, LOW_STATE_CDR)
+        if self._options.check_crc and low["crc"] not in (0, low_state_checksum(data)):
+            raise WireError("its checksum is wrong")
+        self.low_unread = ""
         tick = int(low["tick"])
         if self._tick is not None:
             step = (tick - self._tick) % 2**32
@@ -171,7 +179,10 @@ class Telemetry:
     def _take_l1_imu(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
         raw = decode_imu(data, self._options.l1_imu_wxyz)
         self.lidar_clock.observe(raw.stamp, now)
-        gyro, accel = self._mount.rotation @ raw.gyro, self._mount.rotation @ raw.accel
+        gyro, accel = (
+            self._mount.rotation @ (raw.gyro - raw.gyro[2] * self._leak),
+            self._mount.rotation @ raw.accel,
+        )
         self._judge_mount(raw, gyro, accel)
         if self._options.imu != "l1":
             return []
@@ -210,7 +221,8 @@ class Telemetry:
         # The end of the sweep is what was just received; its start lies a sweep earlier.
         duration = round(float(points["time"].max()) * NS)
         self.lidar_clock.observe(start + duration, now)
-        end = self.lidar_clock.convert(start + duration, now)
+        end = self.lidar_clock.convert(start + duration, now) + round(self._options.lidar_time_offset * NS)
+        end = min(end, now)
         return [LidarScan(self._after(LidarScan, end - duration), points)]
 
     # -- values ----------------------------------------------------------------------------------------------------

@@ -549,6 +549,66 @@ def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
         assert world.cause == "balance stand, takes velocity"
 
 
+def in_base(world: World) -> np.ndarray:
+    """(n, 3) points of a sweep that comes within the next second."""
+    scan = next(s for s in world.run(1.0) if isinstance(s, LidarScan)).points
+    mount = world.backend.capabilities.lidar_mount
+    local = np.stack([scan["x"], scan["y"], scan["z"]], axis=1).astype(np.float64)
+    return local @ rotation_rpy(*mount.rpy).T + mount.translation
+
+
+def test_an_l1_turned_about_itself_is_set_right_by_its_yaw():
+    usual = in_base(ready())
+    yaw = -2.15
+    turned = ready(Faults(l1_yaw=yaw), options=UnitreeOptions(lidar="l1", l1_yaw=yaw))
+    np.testing.assert_allclose(in_base(turned), usual, atol=1e-4)
+    assert turned.cause == "balance stand, takes velocity"
+    unset = in_base(ready(Faults(l1_yaw=yaw)))
+    assert np.abs(unset - usual).max() > 1.0
+
+
+def test_the_z_rate_that_leaks_into_the_l1s_gyro_is_taken_out():
+    def rates(leak: float) -> np.ndarray:
+        options = UnitreeOptions(lidar="l1", imu="l1", l1_gyro_leak=(leak, 0.0))
+        samples = ready(Faults(l1_leak=0.15), options=options).run(2.0, wz=0.4)
+        return [s for s in samples if isinstance(s, ImuSample)][-1].gyro
+
+    assert rates(0.15) == pytest.approx([0.0, 0.0, 0.38], abs=0.01)
+    assert np.linalg.norm(rates(0.0) - [0.0, 0.0, 0.38]) > 0.04
+
+
+def test_the_lidars_stamps_are_shifted_by_its_time_offset():
+    def stamps(offset: float) -> np.ndarray:
+        world = ready(options=UnitreeOptions(lidar="l1", lidar_time_offset=offset))
+        return np.array([s.stamp - world.epoch for s in world.run(1.0) if isinstance(s, LidarScan)])
+
+    np.testing.assert_array_equal(stamps(0.0) - stamps(-0.005), 5_000_000)
+
+
+def test_low_state_with_a_wrong_checksum_is_not_believed():
+    world = ready()
+    world.run(2.0, vx=0.5)
+    world.faults.low_bent = True
+    state = world.until(Phase.DISCONNECTED, 0.5, vx=0.5)
+    assert "unreadable, its checksum is wrong" in state.cause
+    world.run(0.4, vx=0.5)
+    assert abs(world.body.v) < REST
+    world.faults.low_bent = False
+    world.until(Phase.READY, 2.0)
+    unreadable = world.backend.diagnostics()["unreadable_messages"]
+    assert isinstance(unreadable, dict)
+    assert unreadable["rt/lowstate"] > 200
+
+
+def test_a_robot_whose_checksums_are_always_wrong_is_an_error_with_the_setting_that_takes_them():
+    options = {"lidar": "l1", "connect_timeout": 1.0}
+    world = World(Faults(low_bent=True), options=UnitreeOptions(**options))
+    with pytest.raises(BackendError, match=r"its checksum is wrong; .*unitree.check_crc=false"):
+        world.backend.connect()
+    ready(Faults(low_bent=True), options=UnitreeOptions(**options, check_crc=False))
+    ready(Faults(unsigned=True))
+
+
 def test_garbage_on_every_topic_is_counted_and_survived():
     world = ready(Faults(garbage=True))
     samples = world.run(3.0, vx=0.4)

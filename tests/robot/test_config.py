@@ -95,3 +95,11 @@ def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.Mo
     assert (options.topic(), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
     assert options.mount() == Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))
     assert options.capabilities().max_vx == 0.5
+
+
+def test_mapping_and_backend_agree_on_where_the_lidar_is() -> None:
+    sets = ["backend=unitree", "lidar=l1", "unitree.l1_yaw=-2.15"]
+    for mount in ([], ["mount={translation: [0.3, 0.0, 0.0], rpy: [0.0, 2.8, 0.1]}"]):
+        config = load(None, sets + mount)
+        assert config.lidar_mount() == config.unitree_options().capabilities().lidar_mount
+        assert abs(config.lidar_mount().rpy[2]) > 0.5

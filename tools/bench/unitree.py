@@ -95,9 +95,4 @@ def _messages(report: Report) -> None:
     theirs = _best(lambda: idl.RequestMessage.__idl__.serialize(body), 50)
     report.add("unitree.move_encode", 1e6 * ours, "us", baseline=1e6 * theirs)
 
-    record = np.zeros(1, layout.LOW_CMD_CDR)[0]
-    report.add(
-        "unitree.low_command_checksum",
-        1e6 * _best(lambda: layout.checksum(record, layout.LOW_CMD_C), 50),
-        "us",
-    )
+    report.add("unitree.low_state_checksum", 1e6 * _best(lambda: layout.low_state_checksum(low), 500), "us")

@@ -25,7 +25,7 @@ from hal.types import (
 )
 from hal.unitree.connect import open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
-from hal.unitree.link import DryRunLink, Link
+from hal.unitree.link import DRY_RUN, DryRunLink, Link
 from hal.unitree.mover import Mover
 from hal.unitree.options import UnitreeOptions
 from hal.unitree.rpc import Rpc
@@ -252,11 +252,11 @@ class UnitreeBackend:
     def _judge(self, t: Telemetry, now: int) -> None:
         """Phase and cause from what is known now."""
         before = (self._phase, self._cause)
-        self._phase, self._cause = self._verdict(t, now)
+        self._phase, cause = self._verdict(t, now)
         if self._phase is not before[0]:
             self._refusal = ""
-        if self._refusal:
-            self._cause += f"; {self._refusal}"
+        parts = (f"{DRY_RUN}: {cause}" if self._dry_run else cause, self._refusal)
+        self._cause = "; ".join(part for part in parts if part)
         halting = self._phase in (Phase.DISCONNECTED, Phase.FAULT)
         if halting and before[0] in (Phase.READY, Phase.MOVING):
             self._halt()
@@ -297,7 +297,7 @@ class UnitreeBackend:
             return Phase.STANDING, "joints are locked: request stand"
         if self._guardian is not None and not self._guardian.ready:
             return Phase.STANDING, "waiting for the guardian process"
-        note, ignored = self._mover.note, self._mover.ignored(now, t)
+        note, ignored = self._mover.note, self._ignored(t, now)
         if ignored > 1.5:
             note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
         # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
@@ -319,10 +319,14 @@ class UnitreeBackend:
             return "guardian process lost: recover starts it again"
         if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
             return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
-        ignored = self._mover.ignored(now, t)
+        ignored = self._ignored(t, now)
         if ignored > o.ignored_timeout:
             return f"robot ignores Move for {ignored:.0f} s: request recover"
         return ""
+
+    def _ignored(self, t: Telemetry, now: int) -> float:
+        """Seconds for which Move was sent in vain; a dry run sends none."""
+        return 0.0 if self._dry_run else self._mover.ignored(now, t)
 
     def _restart_guardian(self) -> None:
         if not self._guarded or (self._guardian is not None and self._guardian.alive()):

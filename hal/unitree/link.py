@@ -17,6 +17,8 @@ LOW_STATE = "rt/lowstate"
 SPORT_STATE = "rt/sportmodestate"
 L1_IMU = "rt/utlidar/imu"
 L1_CLOUD = "rt/utlidar/cloud"
+DRY_RUN = "dry run, nothing is sent"
+"""The cause of every phase then begins with it."""
 
 log = logging.getLogger(__name__)
 

@@ -206,6 +206,8 @@ def posture(
             continue
         if f"{what} refused" in state.cause:
             _fail(state.cause)
+        if state.cause.startswith("dry run"):  # the robot does not do it, and says so
+            return
         if state.phase in POSTURES[what]:
             if state.phase == "stopped":
                 print(f"it stands; `rbtrg-robot resume` lets it drive ({state.estop_cause})")

@@ -233,8 +233,12 @@ def test_dry_run_sends_nothing_and_says_what_it_would():
     world = World(dry_run=True)
     world.backend.connect()
     world.run(0.5)
-    assert world.phase is Phase.READY
-    world.run(1.0, vx=0.4)
+    assert (world.phase, world.cause) == (
+        Phase.READY,
+        "dry run, nothing is sent: balance stand, takes velocity",
+    )
+    world.run(13.0, vx=0.4)
+    assert world.phase is Phase.READY, "that it does not move is no fault"
     world.backend.request(ModeRequest.SIT)
     world.run(1.0)
     world.backend.request(ModeRequest.STOP)

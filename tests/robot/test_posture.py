@@ -20,6 +20,12 @@ from rbtrg_robot.runfiles import RunLock
     ("what", "answer", "status", "told"),
     [
         ("sit", ("sitting", "seated", False), 0, "sitting: seated"),
+        (
+            "sit",
+            ("ready", "dry run, nothing is sent: balance stand", False),
+            0,
+            "ready: dry run, nothing is sent",
+        ),
         ("recover", ("fault", "fallen: it could not turn itself over", False), 1, "fault: fallen"),
         ("stand", ("sitting", "seated; stand refused: stop is latched", True), 1, "refused: stop is latched"),
         ("recover", ("stopped", "standing", True), 0, "`rbtrg-robot resume` lets it drive"),

@@ -1,0 +1,47 @@
+"""Compile every kernel of the stack and leave it in numba's cache: one process per part, as many at once as there are cores.
+
+    python -m tools.warm
+
+Without it each worker of pytest compiles for itself what another one is compiling at that moment.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+PARTS = ("planner", "robot", "elevation", "odometry", "unitree")
+"""The longest first."""
+
+
+def warm(part: str) -> float:
+    """Seconds it took. Raises what the part raises."""
+    began = time.monotonic()
+    if part == "unitree":
+        from hal.unitree.options import UnitreeOptions
+        from hal.unitree.telemetry import Telemetry
+
+        Telemetry(None, UnitreeOptions()).warm_up()  # type: ignore[arg-type]
+    else:
+        from rbtrg_robot.config import load
+        from rbtrg_robot.lockstep import build_stages
+        from rbtrg_robot.robot_process import build
+
+        config = load(None, [], scene="flat")
+        stage = build(config) if part == "robot" else build_stages(config, [part])[part][0]
+        stage.warm_up()
+        stage.close()
+    return time.monotonic() - began
+
+
+def main() -> None:
+    """All parts."""
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        for part, seconds in zip(PARTS, pool.map(warm, PARTS), strict=True):
+            print(f"{part}: {seconds:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

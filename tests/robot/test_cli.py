@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,30 @@ def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.Comp
     )
 
 
+Here = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Here:
+    """The command in this process, which has imported everything already."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+        monkeypatch.setattr(sys, "argv", ["rbtrg-robot", *arguments])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capfd.readouterr()
+        code = ended.value.code
+        assert isinstance(code, int)
+        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
+
+    return call
+
+
 def free_port() -> int:
     """A port nobody listens on."""
     with socket.socket() as probe:
@@ -42,33 +67,43 @@ def free_port() -> int:
         return port
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("up", "--scene", "moon"), "moon"),
-        (("up", "--set", "nonsense.key=1"), "nonsense"),
-        (("up", "--set", "port=12"), "port"),
-        (("up", "--config", "/nowhere/c.yaml"), "/nowhere/c.yaml"),
-        (("up", "--controller", "policy", "--policy", "/nowhere"), "/nowhere"),
-        (("up", "--without", "coffee"), "coffee"),
-        (("up", "--viewer"), "--render"),
-        (("up", "--backend", "unitree", "--viewer"), "--backend sim"),
-        (("up", "--set", "unitree.move_rate=500"), "unitree.move_rate"),
-        (("posture", "sit"), "rbtrg-robot up"),
-        (("up", "--map", "/nowhere/map.npz"), "/nowhere/map.npz"),
-        (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
-        (("status",), "rbtrg-robot up"),
-        (("goal", "1", "2"), "rbtrg-robot up"),
-        (("stop",), "rbtrg-robot up"),
-        (("down",), "rbtrg-robot up"),
-        (("replay", "/nowhere.mcap"), "/nowhere.mcap"),
-        (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),
-        (("topic", "hz", "/coffee"), "coffee"),
-        (("scene", "show", "moon"), "moon"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_1(arguments: tuple[str, ...], words: str, tmp_path: Path) -> None:
-    done = run(*arguments, tmp_path=tmp_path)
+BAD = [
+    (("up", "--scene", "moon"), "moon"),
+    (("up", "--set", "nonsense.key=1"), "nonsense"),
+    (("up", "--set", "port=12"), "port"),
+    (("up", "--config", "/nowhere/c.yaml"), "/nowhere/c.yaml"),
+    (("up", "--controller", "policy", "--policy", "/nowhere"), "/nowhere"),
+    (("up", "--without", "coffee"), "coffee"),
+    (("up", "--viewer"), "--render"),
+    (("up", "--backend", "unitree", "--viewer"), "--backend sim"),
+    (("up", "--set", "unitree.move_rate=500"), "unitree.move_rate"),
+    (("posture", "sit"), "rbtrg-robot up"),
+    (("up", "--map", "/nowhere/map.npz"), "/nowhere/map.npz"),
+    (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
+    (("status",), "rbtrg-robot up"),
+    (("goal", "1", "2"), "rbtrg-robot up"),
+    (("stop",), "rbtrg-robot up"),
+    (("down",), "rbtrg-robot up"),
+    (("replay", "/nowhere.mcap"), "/nowhere.mcap"),
+    (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),
+    (("topic", "hz", "/coffee"), "coffee"),
+    (("scene", "show", "moon"), "moon"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD)
+def test_bad_input_is_one_line_and_status_1(here: Here, arguments: tuple[str, ...], words: str) -> None:
+    told(here(*arguments), words)
+
+
+@pytest.mark.parametrize(("arguments", "words"), [BAD[0], (("status",), "rbtrg-robot up")])
+def test_bad_input_ends_a_process_of_its_own_likewise(
+    arguments: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    told(run(*arguments, tmp_path=tmp_path), words)
+
+
+def told(done: subprocess.CompletedProcess[str], words: str) -> None:
     assert done.returncode == 1, done.stderr
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1, done.stderr
@@ -125,7 +160,7 @@ def test_a_fault_of_the_program_is_one_line_and_its_traceback_a_file(
     kept.unlink()
 
 
-def test_a_truncated_log_plays_and_says_so(tmp_path: Path) -> None:
+def test_a_truncated_log_plays_and_says_so(here: Here, tmp_path: Path) -> None:
     path = tmp_path / "log_0.mcap"
     with LogWriter(path, {}) as writer:
         for i in range(2000):
@@ -138,18 +173,15 @@ def test_a_truncated_log_plays_and_says_so(tmp_path: Path) -> None:
         writer.write(t.CMD_VEL, command, 1_999_000_000, 0, 1)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
-    check = run("log", "check", str(path), tmp_path=tmp_path)
+    check = here("log", "check", str(path))
     assert check.returncode == 1
     assert "recover" in check.stdout
-    info = json.loads(run("log", "info", str(path), "--json", tmp_path=tmp_path).stdout)
+    info = json.loads(here("log", "info", str(path), "--json").stdout)
     count = info["topics"]["/imu/data"]["count"]
     assert 500 < count < 2000
-    fixed = run("log", "recover", str(path), tmp_path=tmp_path)
+    fixed = here("log", "recover", str(path))
     assert fixed.returncode == 0
-    assert (
-        run("log", "check", str(tmp_path / "log_0.recovered.mcap"), tmp_path=tmp_path).stdout
-        == "no problems found\n"
-    )
+    assert here("log", "check", str(tmp_path / "log_0.recovered.mcap")).stdout == "no problems found\n"
     port = str(free_port())
     played = run("replay", str(path), "--rate", "4", "--port", port, tmp_path=tmp_path)
     assert played.returncode == 0, played.stderr
@@ -167,16 +199,16 @@ def test_replay_never_publishes_what_moves_a_robot(tmp_path: Path) -> None:
         assert f"not replayed: 1 x {name}" in played.stdout
 
 
-def test_config_show_and_schema(tmp_path: Path) -> None:
-    shown = run("config", "show", "--set", "tracker.max_speed=0.3", tmp_path=tmp_path)
+def test_config_show_and_schema(here: Here) -> None:
+    shown = here("config", "show", "--set", "tracker.max_speed=0.3")
     assert "max_speed: 0.3" in shown.stdout
-    schema = json.loads(run("config", "schema", tmp_path=tmp_path).stdout)
+    schema = json.loads(here("config", "schema").stdout)
     assert schema["additionalProperties"] is False
 
 
-def test_scene_show_gives_goals_and_a_picture(tmp_path: Path) -> None:
+def test_scene_show_gives_goals_and_a_picture(here: Here, tmp_path: Path) -> None:
     picture = tmp_path / "yard.png"
-    done = run("scene", "show", "yard", "--json", "--png", str(picture), tmp_path=tmp_path)
+    done = here("scene", "show", "yard", "--json", "--png", str(picture))
     record = json.loads(done.stdout)
     assert {"platform", "behind_wall", "home"} <= set(record["goals"])
     assert picture.read_bytes()[:4] == b"\x89PNG"

@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numba import njit
 
-from hal.types import Array
+from hal.types import Array, Extrinsics
 
 LEGS: Final = ("FR", "FL", "RR", "RL")
 MOTORS: Final = tuple(f"{leg}_{part}" for leg in LEGS for part in ("hip", "thigh", "calf")) + tuple(
@@ -46,9 +46,9 @@ BODY_LENGTH: Final = 0.70
 BODY_WIDTH: Final = 0.43
 IMU_POSITION: Final = (-0.02557, 0.0, 0.04232)
 """IMU in base_link; its axes are base_link's."""
-L1_MOUNT: Final = ((0.28945, 0.0, -0.046825), (0.0, 2.8782, 0.0))
-"""Built-in L1 LiDAR: translation [m] and roll, pitch, yaw in base_link (it looks forward-down, upside down)."""
-XT16_MOUNT: Final = ((0.1634, 0.0, 0.116), (0.0, 0.0, math.pi / 2))
+L1_MOUNT: Final = Extrinsics((0.28945, 0.0, -0.046825), (0.0, 2.8782, 0.0))
+"""Built-in L1 LiDAR in base_link (it looks forward-down, upside down)."""
+XT16_MOUNT: Final = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, math.pi / 2))
 """Hesai XT16 as carried by a public Go2-W set-up."""
 
 

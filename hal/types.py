@@ -7,7 +7,7 @@ trunk centre, x forward, y left, z up. Arrays are float64 unless said otherwise 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -180,10 +180,8 @@ class Capabilities:
     max_gap: float = 0.10
     """Widest gap crossed [m]."""
     strafe: bool = False
-    lidar: str = "xt16"
-    lidar_mount: Extrinsics = field(
-        default_factory=lambda: Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 1.5707963267948966))
-    )
+    lidar: str = "none"
+    lidar_mount: Extrinsics = Extrinsics((0.0, 0.0, 0.0))
 
 
 Sample = ImuSample | JointSample | LidarScan | RobotState | GroundTruth

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hal.go2w import XT16_MOUNT
 from hal.lidar.spec import LIDARS
 from mapping import elevation_kernels as kernels
 from mapping.elevation_params import ElevationParams
@@ -37,7 +38,7 @@ CONTRADICTED = 0.25
 """Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
-XT16_ORIGIN = (0.1634, 0.0, 0.116)
+XT16_ORIGIN = XT16_MOUNT.translation
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_rpy
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
 from mapping.deskew import deskew, mount_matrix
@@ -33,8 +34,6 @@ from mapping.pose_stream import PoseStream
 from mapping.startup import WINDOW, Before, Startup, put_at, start
 from mapping.wheel_odometry import WheelOdometry, velocities
 from mapping.wheel_scale import WheelScale
-
-XT16_MOUNT = Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * math.pi))
 
 ZERO = np.zeros(6)
 HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)

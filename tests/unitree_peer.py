@@ -171,6 +171,7 @@ def main() -> int:
             state = {
                 "t": time.monotonic(), "v": body.v, "wz": body.wz, "x": body.x, "y": body.y,
                 "yaw": body.yaw, "mode": peer.robot.mode, "command": peer.robot.command, "phase": body.phase.value,
+                "ended": peer.robot.ended,
                 "moves": [round(at / NS, 4) for at in peer.robot.moves],
             }  # fmt: skip
             peer.robot.moves.clear()

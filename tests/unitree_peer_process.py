@@ -9,8 +9,6 @@ import sys
 from pathlib import Path
 from threading import Thread
 
-import numpy as np
-
 ROOT = Path(__file__).parents[1]
 REST = 0.05
 """[m/s]; below it the robot is at rest."""
@@ -66,19 +64,10 @@ class PeerProcess:
                 return float(since) - moment
         return math.nan
 
-    def rest_after(self, moment: float) -> float:
-        """Seconds from `moment` (monotonic) until the robot was at rest for good."""
-        moving = [
-            r["t"]
-            for r in self.reports
-            if r["t"] >= moment and (abs(r["v"]) > REST or abs(r["wz"]) > TURNING)
-        ]
-        return max(moving) - moment if moving else 0.0
-
-    def limit_after(self, moment: float) -> float:
-        """Half a second [s], plus what the machine stole: the gaps in the peer's 50 Hz reports show it."""
-        times = [r["t"] for r in self.reports if moment - 0.1 <= r["t"] <= moment + 1.0]
-        return 0.5 + 3.0 * max(0.0, max(np.diff(times)) - 0.04)
+    @property
+    def at_rest(self) -> bool:
+        """Whether the robot stands now."""
+        return abs(self.last["v"]) < REST and abs(self.last["wz"]) < TURNING
 
     def end(self) -> None:
         self.process.kill()

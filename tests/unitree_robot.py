@@ -184,6 +184,8 @@ class RobotSide:
         self.motion = "" if self.faults.released else "ai-w"
         self.mode = {Phase.READY: 1, Phase.STANDING: 8}.get(body.phase, 5)
         self.command = (0.0, 0.0)
+        self.ended = ""
+        """What ended the last motion: "stop" (StopMove), "zero" (a zero Move), "hold" (no Move for a second), "other"."""
         self.avoid_remote = False
         self._commanded_at = -(10**18)
         self._deaf_until = -(10**18)
@@ -200,7 +202,8 @@ class RobotSide:
         """When a Move came [ns]; whoever reads it empties it."""
         self._low = np.zeros(1, LOW_STATE_CDR)
         self._sport = np.zeros(1, SPORT_MODE_STATE_CDR)
-        translation, rpy = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
+        mount = go2w.L1_MOUNT if lidar == "l1" else go2w.XT16_MOUNT
+        translation, rpy = mount.translation, mount.rpy
         if self.faults.upright_l1:
             rpy = (0.0, 0.0, 0.0)
         about_itself = rotation_rpy(0.0, 0.0, self.faults.l1_yaw)
@@ -267,7 +270,7 @@ class RobotSide:
     def release(self, now: int) -> None:
         """What the app can do at any time: the motion service goes, torque drops."""
         self.motion, self._busy_until = "", now + round(self.faults.busy * NS)
-        self.command = (0.0, 0.0)
+        self._end("other")
         self.body.drive(0.0, 0.0)
 
     def _serve_sport(self, number: int, parameter: dict, now: int) -> int:
@@ -277,13 +280,14 @@ class RobotSide:
             case Sport.MOVE:
                 self._move(parameter["x"], parameter["z"], now)
             case Sport.STOP_MOVE:
-                self.command = (0.0, 0.0)
+                self._end("stop")
             case Sport.STAND_UP:
                 self._stood_up = True
                 if self.body.phase is not Phase.READY:
                     self.body.request(ModeRequest.STAND)
                     self._deaf_until = now + round(self.faults.deaf * NS)
-                self.mode, self.command = 6, (0.0, 0.0)
+                self.mode = 6
+                self._end("other")
             case Sport.BALANCE_STAND:
                 if self.body.phase is Phase.READY:
                     self.mode = 1
@@ -292,12 +296,12 @@ class RobotSide:
                 self.body.request(ModeRequest.RECOVER)
                 self.mode = 8
             case Sport.STAND_DOWN:
-                self.command = (0.0, 0.0)
+                self._end("other")
                 if self._stood_up:
                     self.body.request(ModeRequest.SIT)
                     self.mode, self._stood_up = 5, False
             case Sport.DAMP:
-                self.command = (0.0, 0.0)
+                self._end("other")
                 self.body.request(ModeRequest.DAMP)
                 self.mode = 7
             case Sport.EULER:
@@ -309,14 +313,22 @@ class RobotSide:
     def _move(self, vx: float, wz: float, now: int) -> None:
         self.moves.append(now)
         if self.mode in (1, 3) and now >= self._deaf_until and self.motion:
+            if (vx, wz) == (0.0, 0.0):
+                self._end("zero")
+            elif self.command == (0.0, 0.0):
+                self.ended = ""
             self.command, self._commanded_at = (vx, wz), now
+
+    def _end(self, why: str) -> None:
+        if self.command != (0.0, 0.0):
+            self.command, self.ended = (0.0, 0.0), why
 
     # -- telemetry -------------------------------------------------------------------------------------------------
 
     def step(self, now: int) -> None:
         """Advance the body and write the telemetry that is due."""
         if now - self._commanded_at > HOLD * NS:
-            self.command = (0.0, 0.0)
+            self._end("hold")
         if self._upright_at is not None and now >= self._upright_at:
             self.faults.fallen, self._upright_at = False, None
         if self.mode in (1, 3):

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.types import NS, Extrinsics
 
 Kind = Literal["spinning", "rosette", "hemisphere"]
@@ -152,7 +153,7 @@ LIDARS: dict[str, LidarSpec] = {
         rings=16,
         firings=2000,
         elevation=(radians(-15.0), radians(15.0)),
-        mount=Extrinsics((0.1634, 0.0, 0.116), (0.0, 0.0, 0.5 * pi)),
+        mount=XT16_MOUNT,
         min_range=0.05,
         max_range=80.0,
         range_sigma=0.01,
@@ -179,7 +180,7 @@ LIDARS: dict[str, LidarSpec] = {
         rings=1,
         firings=2160,
         elevation=(0.0, 0.5 * pi),
-        mount=Extrinsics((0.28945, 0.0, -0.046825), (0.0, 2.8782, 0.0)),
+        mount=L1_MOUNT,
         min_range=0.05,
         max_range=20.0,
         range_sigma=0.02,

@@ -94,7 +94,7 @@ def dress_trunk(base: mujoco.MjsBody) -> None:
     visual(base, LAMP, type=SPHERE, size=[0.010, 0.0, 0.0], pos=[0.344, 0.0, 0.012])
     visual(base, LENS, type=SPHERE, size=[0.044, 0.0, 0.0], pos=[0.290, 0.0, -0.052])
     visual(base, DARK, type=CYLINDER, size=[0.046, 0.012, 0.0], pos=[0.288, 0.0, -0.026])
-    x, y, z = go2w.XT16_MOUNT[0]
+    x, y, z = go2w.XT16_MOUNT.translation
     visual(base, STEEL, type=CYLINDER, size=[0.040, 0.010, 0.0], pos=[x, y, z - 0.048])
     visual(base, DARK, type=CYLINDER, size=[0.046, 0.034, 0.0], pos=[x, y, z - 0.004])
     visual(base, LENS, type=CYLINDER, size=[0.0465, 0.016, 0.0], pos=[x, y, z])

@@ -15,8 +15,7 @@ from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.model import HIDDEN, build
 from hal.types import Array
 
-# By default MuJoCo writes its warnings to a file in the working directory.
-mujoco.set_mju_user_warning(logging.getLogger("hal.mujoco").warning)
+log = logging.getLogger(__name__)
 
 STAND_KP = 70.0
 STAND_KD = 5.0
@@ -64,6 +63,8 @@ class Simulation:
         command_delay: float = 0.0,
         boxes: Sequence[tuple[float, float, float]] = (),
     ) -> None:
+        # By default MuJoCo writes its warnings, of all simulations of a process, to a file in the working directory.
+        mujoco.set_mju_user_warning(log.warning)
         self.height = np.ascontiguousarray(height, np.float32)
         self.resolution = float(resolution)
         self.origin = (float(origin[0]), float(origin[1]))

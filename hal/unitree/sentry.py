@@ -6,6 +6,8 @@ The robot holds the last Move for a second. The guardian beside the driver short
 with its computer and is cut off with its cable. This process runs on the robot's side of the cable, for example on the
 onboard computer. It hears the same Moves that the robot hears; when they cease without a stop it sends StopMove until the
 robot confirms. It asks nothing of the driver and never moves the robot.
+
+It is the one module of this library with a command line: the robot's computer needs nothing of the stack but this.
 """
 
 from __future__ import annotations

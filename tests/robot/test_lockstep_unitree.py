@@ -110,9 +110,7 @@ FAULTS = {
         rest=1.5,  # a second of patience
         orders=("recover", "resume"),
     ),
-    "LiDAR": Fault(
-        _fault("lidar_silent"), "held (lidar is 3.6 s old)", "goal: moving (GOAL)", rest=1.5, ended=False
-    ),
+    "LiDAR": Fault(_fault("lidar_silent"), "held (lidar is 3.", "goal: moving (GOAL)", rest=1.5, ended=False),
 }
 
 

@@ -32,18 +32,22 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     caution = 1.0 + 6.0 * max(0.0, abs(m.wz) - 0.1)
     # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
     caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
-    slowed = way * m.speed < p.blocked_speed * abs(m.vx)
     flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08 and abs(m.wz) < 0.15
+    stuck = way * m.speed < 0.3 * abs(m.vx)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
+    weight = m.force[0, 2] + m.force[1, 2] + m.force[2, 2] + m.force[3, 2]
     for leg in range(4):
         back = -way * m.force[leg, 0]
         others = way * (total - m.force[leg, 0]) / 3.0
         behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
         pushed = back > 0.4 * p.blocked_force * caution and back + others > p.blocked_force * caution
         lags = behind > p.blocked_lag * caution and back > 5.0 * caution
-        if way != 0.0 and slowed and (pushed or lags):
+        # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the slow signs.
+        back -= way * m.grade[0] * m.force[leg, 2]
+        others += way * m.grade[0] * (weight - m.force[leg, 2]) / 3.0
+        if way != 0.0 and (pushed or lags):
             m.blocked[leg] += dt
-        elif flat and way != 0.0 and back > 5.0 and back + others > 0.5 * p.blocked_force:
+        elif (flat or stuck) and way != 0.0 and back > 5.0 and back + others > 0.5 * p.blocked_force:
             # Pushed back weakly but for long: on slippery ground the others cannot push harder.
             m.blocked[leg] += 0.15 * dt
         else:

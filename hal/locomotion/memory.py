@@ -28,6 +28,10 @@ MEMORY = np.dtype(
         ("contact", "i8", (4,)),
         ("load", "f8", (4,)),  # commanded vertical force [N]
         ("load_cap", "f8", (4,)),  # its upper bound after touch-down [N]
+        ("skid", "f8"),  # yaw rate the wheels roll at beyond the trunk's own [rad/s]
+        ("slips", "i8", (4,)),
+        ("friction", "f8", (4,)),  # of each wheel, learnt from slip
+        ("grip", "f8", (4,)),  # torque each wheel may have by it [Nm]
         ("mode", "i8"),  # of the climb, see hal.locomotion.climb
         ("leg", "i8"),  # lifted
         ("queued", "i8"),  # lifted next, or -1

@@ -94,8 +94,6 @@ class VmcParams(NamedTuple):
     """0 switches it off."""
     blocked_force: float = 30.0
     """Backward force on a wheel, compared with the mean of the others, that means blocked [N]."""
-    blocked_speed: float = 5.0
-    """Share of the wanted speed above which nothing counts as blocked."""
     brake: float = 200.0
     """How fast the robot stops to climb [m/s^2]."""
     still: float = 0.20

@@ -21,7 +21,7 @@ class VmcController:
     """Model-based locomotion (`hal.lowlevel.Locomotion`). Uses joint encoders, joint torques, attitude and gyro only."""
 
     def __init__(self, params: VmcParams | None = None, period: float = 0.005) -> None:
-        """`period`: control period [s], 2 to 10 ms."""
+        """`period`: control period [s], 1 to 10 ms."""
         if not 0.001 <= period <= 0.010:
             raise ValueError(f"the control period must lie in 1..10 ms, got {period * 1e3:g} ms")
         self.params = params or VmcParams()

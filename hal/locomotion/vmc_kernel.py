@@ -40,6 +40,7 @@ from hal.locomotion.geometry import (
     rotate,
 )
 from hal.locomotion.params import VmcParams
+from hal.locomotion.traction import FRICTION_MAX, learn_friction, limit_traction
 from hal.types import Array
 
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
@@ -92,6 +93,7 @@ def vmc_tick(
             m.contact[leg] = 1
             m.load[leg] = 0.25 * MASS * GRAVITY
             m.load_cap[leg] = p.force_max
+            m.friction[leg] = FRICTION_MAX
             m.force[leg, 2] = m.load[leg]
             m.place[leg, 0] = centres[leg, 0] - HIP_X * SX[leg]
             m.place[leg, 1] = centres[leg, 1] - (HIP_Y + THIGH_Y + TREAD_Y) * SY[leg]
@@ -120,8 +122,8 @@ def vmc_tick(
     radius = WHEEL_RADIUS * p.rolling
     velocity = np.empty((4, 3))
     spin = np.empty(4)
+    rolled = np.empty(4)
     rise = 0.0
-    speed = 0.0
     total = 0.0
     for leg in range(4):
         for axis in range(3):
@@ -136,11 +138,10 @@ def vmc_tick(
         spin[leg] = dq[3 * leg + 1] + dq[3 * leg + 2] + pitch_rate
         total += weight[leg]
         rise -= weight[leg] * velocity[leg, 2]
-        speed += weight[leg] * (
-            WHEEL_RADIUS * (dq[12 + leg] + spin[leg]) * forward[leg, 0] - velocity[leg, 0]
-        )
+        rolled[leg] = WHEEL_RADIUS * (dq[12 + leg] + spin[leg]) * forward[leg, 0] - velocity[leg, 0]
     rise /= total
-    m.speed += dt / (dt + 0.03) * (speed / total - m.speed)
+    speed = learn_friction(m, tau, axles, rolled, weight, dt)
+    m.speed += dt / (dt + 0.03) * (speed - m.speed)
 
     # --- commands
     climbing = m.mode != DRIVE
@@ -206,14 +207,22 @@ def vmc_tick(
     if stopped:
         m.yaw_i = 0.0
     else:
-        m.yaw_i = clip(m.yaw_i + p.yaw_ki * yaw_error * dt, -3.0 * share, 3.0 * share)
+        # A robot that is held turns nowhere: the integral must not take the drive from the wheels of one side meanwhile.
+        held = m.slips[0] + m.slips[1] + m.slips[2] + m.slips[3] > 0 and abs(m.speed) < 0.5 * abs(m.vx)
+        if not held or yaw_error * m.yaw_i < 0.0:
+            m.yaw_i += p.yaw_ki * yaw_error * dt
+        m.yaw_i = clip(m.yaw_i, -3.0 * share, 3.0 * share)
     turn = m.wz + (0.0 if stopped else p.yaw_kp * yaw_error + m.yaw_i)
+    m.skid = turn - omega[2]
     limit = p.wheel_torque
     nose_up = pitch_wanted - pitch if m.vx >= 0.0 else pitch - pitch_wanted
     if nose_up > 0.5 * p.nose_up:
         limit *= clip(2.0 - 2.0 * nose_up / p.nose_up, 0.0, 1.0)
-    if stopped:
-        m.speed_i *= 1.0 - dt / 0.5
+    slides = m.speed * m.vx < -0.05 * abs(
+        m.vx
+    )  # back down a hill: wheels that grip again must not throw the trunk round
+    if stopped or slides:
+        m.speed_i *= 1.0 - dt / (0.5 if stopped else 0.1)
     elif abs(m.vx - m.speed) < 0.3:
         m.speed_i = clip(m.speed_i + p.speed_ki * (m.vx - m.speed) * dt, -2.5, 2.5)
     still = (abs(omega[2]) < 0.05 and abs(m.speed) < 0.03) or (climbing and abs(m.speed) < 0.25)
@@ -235,6 +244,7 @@ def vmc_tick(
     if halt:
         rolling = 0.1  # axles that hurry back to their places would keep a stopping robot moving
     total_load = max(m.load[0] + m.load[1] + m.load[2] + m.load[3], 50.0)
+    torque = np.empty(4)
     for leg in range(4):
         goal_x = -pull * SX[leg] + com[0]
         before = m.place[leg, 0]
@@ -307,3 +317,9 @@ def vmc_tick(
             if not climbing:
                 drive_torque += WHEEL_RADIUS * DRIVEN * push[0] * m.load[leg] / total_load
             out[OUT_TAU, wheel] = hold_torque + friction + drive_torque
+        torque[leg] = out[OUT_TAU, wheel] - friction
+    if m.hold == 0:
+        limited = torque.copy()
+        limit_traction(limited, m.grip)
+        for leg in range(4):
+            out[OUT_TAU, 12 + leg] += limited[leg] - torque[leg]

@@ -32,6 +32,8 @@ from hal.types import (
     VelocityCommand,
 )
 
+CONTROL_PERIOD = 0.005
+"""Of the model-based controller [s], or the multiple of the time step nearest to it."""
 IMU_PERIOD = NS // 200
 JOINT_PERIOD = NS // 50
 TRUTH_PERIOD = NS // 50
@@ -61,7 +63,7 @@ class MujocoBackend:
             self.controller = PolicyController(o.policy_dir or "")
         else:
             warm_up()  # before the clock runs: compiling takes seconds
-            self.controller = VmcController(period=max(o.timestep, 0.005))
+            self.controller = VmcController(period=o.timestep * max(1, round(CONTROL_PERIOD / o.timestep)))
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
         draw = np.random.default_rng(np.random.SeedSequence([o.seed, 0xF12]))
         self.friction = (

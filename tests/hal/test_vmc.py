@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 
 from hal import go2w
+from hal.locomotion.climb import DRIVE
 from hal.locomotion.contact import turn_share
 from hal.locomotion.geometry import distribute, inverse3, leg_weight, level_frame
 from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import VmcParams
+from hal.locomotion.traction import limit_traction
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
-from tools.bench.envelope_cliff import creep_to_edge
-from tools.bench.envelope_driving import stopping_time
-from tools.bench.envelope_trial import Conditions, drive
-from tools.bench.envelope_turning import CURVES, CURVING, turn_on_bar, turn_on_ramp
+from tools.bench._envelope_cliff import creep_to_edge
+from tools.bench._envelope_driving import stopping_time
+from tools.bench._envelope_trial import Conditions, drive
+from tools.bench._envelope_turning import CURVES, CURVING, turn_on_bar, turn_on_ramp
 
 
 def _simulation(slope: float = 0.0) -> Simulation:
@@ -93,6 +95,71 @@ def test_drives_straight_at_the_commanded_speed(vx: float) -> None:
     assert moved[0] == pytest.approx(vx, rel=0.08)
     assert abs(moved[1]) < 0.02
     assert controller.ground_speed() == pytest.approx(vx, rel=0.1)
+
+
+@pytest.mark.parametrize("period", [0.002, 0.004, 0.010])
+def test_any_control_period_from_100_to_500_hz_will_do(period: float) -> None:
+    x = np.arange(300) * 0.02 - 2.0
+    height = np.broadcast_to(0.2 * np.maximum(x, 0.0), (150, 300)).astype(np.float32)
+    sim = Simulation(height, 0.02, (-2.0, -1.5), timestep=period)
+    controller = VmcController(period=period)
+    sim.reset(x=-1.0)
+    _run(sim, controller, 0.5, 0.0, 4.0)
+    assert sim.position[0] == pytest.approx(0.75, abs=0.2)  # a ramp of 11 degrees on the way
+    assert sim.rotation[2, 2] > 0.98
+    _run(sim, controller, 0.0, 0.5, 2.0)
+    assert sim.yaw > 0.6
+
+
+def test_limited_traction_stays_in_the_cone_and_goes_to_the_same_side() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        wanted = rng.normal(0.0, 4.0, 4)
+        grip = rng.uniform(0.0, 5.0, 4)
+        torque = wanted.copy()
+        limit_traction(torque, grip)
+        assert (np.abs(torque) <= grip + 1e-12).all()
+        for front, rear in ((0, 2), (1, 3)):
+            room = grip[front] + grip[rear]
+            side = np.clip(wanted[front] + wanted[rear], -room, room)
+            assert torque[front] + torque[rear] == pytest.approx(side, abs=1e-9)
+        if (np.abs(wanted) <= grip).all():
+            np.testing.assert_allclose(torque, wanted, atol=1e-12)
+
+
+def test_a_slipping_wheel_s_friction_is_learnt_and_bounds_it() -> None:
+    sim, controller = _simulation(slope=0.2), VmcController()
+    sim.reset(x=0.0)
+    slippery = sim.model.geom("FR_wheel").id
+    sim.model.geom_friction[slippery, 0] = 0.15
+    least = np.ones(4)
+    for _ in range(20):
+        _run(sim, controller, 0.4, 0.0, 0.1)
+        least = np.minimum(least, controller._memory["friction"][0])
+    assert least[0] < 0.7
+    assert (least[1:] > 0.9).all()
+    assert sim.position[0] > 0.4  # the other three take it up
+    memory = controller._memory[0]
+    normal = np.array([-memory["slope_x"], -memory["slope_y"], 1.0])
+    load = memory["force"] @ (normal / np.linalg.norm(normal))
+    assert (memory["grip"] <= 1.3 * memory["friction"] * load * go2w.WHEEL_RADIUS + 0.3).all()
+
+
+@pytest.mark.parametrize(("course", "run"), [("step_up_5", 0), ("step_up_10", 1)])
+def test_steps_are_climbed_slowly_too(course: str, run: int) -> None:
+    # The wheels of one side spun while the turn integral starved those of the other: nothing looked blocked.
+    assert drive(VmcController(), course, run, Conditions(speed=0.15)).passed
+
+
+def test_a_hill_too_slippery_to_climb_is_not_a_step() -> None:
+    x = np.arange(300) * 0.02 - 2.0
+    height = np.broadcast_to(np.tan(np.radians(20.0)) * np.maximum(x, 0.0), (150, 300)).astype(np.float32)
+    sim, controller = Simulation(height, 0.02, (-2.0, -1.5), friction=0.3), VmcController()
+    sim.reset(x=-0.6)
+    for _ in range(60):
+        _run(sim, controller, 0.4, 0.0, 0.1)
+        assert controller._memory["mode"][0] == DRIVE
+        assert sim.rotation[2, 2] > 0.8
 
 
 def test_turns_in_place_at_the_commanded_rate() -> None:

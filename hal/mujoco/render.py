@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import ctypes.util
 import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,11 +52,24 @@ class View:
     """Time constant [s] with which the camera follows the robot."""
 
 
+def egl_works() -> bool:
+    """Whether EGL opens a context. Tried in another process: PyOpenGL cannot change over to OSMesa once it has loaded EGL."""
+    if ctypes.util.find_library("EGL") is None:
+        return False
+    probe = "from mujoco.egl import GLContext; GLContext(16, 16).make_current()"
+    try:
+        return (
+            subprocess.run([sys.executable, "-c", probe], capture_output=True, timeout=30.0).returncode == 0
+        )
+    except subprocess.TimeoutExpired:
+        return False
+
+
 def gl_context(width: int, height: int) -> Any:
-    """An off-screen OpenGL context, current: EGL, or OSMesa where there is no EGL. MUJOCO_GL=egl|osmesa decides alone."""
+    """An off-screen OpenGL context, current: EGL, or OSMesa where EGL does not work. MUJOCO_GL=egl|osmesa decides alone."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if wanted not in ("egl", "osmesa"):
-        wanted = "egl" if ctypes.util.find_library("EGL") else "osmesa"
+        wanted = "egl" if egl_works() else "osmesa"
     try:
         if wanted == "egl":
             from mujoco.egl import GLContext

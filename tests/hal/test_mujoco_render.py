@@ -13,7 +13,7 @@ from PIL import Image
 
 from hal import go2w
 from hal.mujoco.options import Obstacle
-from hal.mujoco.render import Film, RenderError, View, gl_context, launch_viewer
+from hal.mujoco.render import Film, RenderError, View, egl_works, gl_context, launch_viewer
 from hal.mujoco.video import write_mp4
 from hal.scenes import Scene
 from hal.types import NS, GroundTruth, JointSample, Sample
@@ -140,7 +140,7 @@ def test_what_cannot_be_drawn_is_said_in_words(tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize(
-    ("wanted", "has_egl", "taken"),
+    ("wanted", "works", "taken"),
     [
         ("", True, "egl"),
         ("", False, "osmesa"),
@@ -149,8 +149,8 @@ def test_what_cannot_be_drawn_is_said_in_words(tmp_path: Path, monkeypatch: pyte
         ("glfw", False, "osmesa"),
     ],
 )
-def test_egl_is_taken_or_osmesa_where_there_is_none(
-    wanted: str, has_egl: bool, taken: str, monkeypatch: pytest.MonkeyPatch
+def test_egl_is_taken_or_osmesa_where_it_does_not_work(
+    wanted: str, works: bool, taken: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Context:
         def __init__(self, kind: str) -> None:
@@ -164,8 +164,26 @@ def test_egl_is_taken_or_osmesa_where_there_is_none(
         module.GLContext = lambda width, height, kind=kind: Context(kind)  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, f"mujoco.{kind}", module)
     monkeypatch.setenv("MUJOCO_GL", wanted)
-    monkeypatch.setattr("ctypes.util.find_library", lambda name: "libEGL.so.1" if has_egl else None)
+    monkeypatch.setattr("hal.mujoco.render.egl_works", lambda: works)
     assert gl_context(16, 16).kind == taken
+
+
+def test_egl_that_is_there_but_opens_nothing_does_not_work(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    broken = tmp_path / "mujoco"
+    broken.mkdir()
+    (broken / "__init__.py").touch()
+    (broken / "egl.py").write_text("def GLContext(width, height):\n    raise ImportError('no device')\n")
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: "libEGL.so.1")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    assert not egl_works()
+    (broken / "egl.py").write_text(
+        "class GLContext:\n    def __init__(self, w, h): ...\n    def make_current(self): ...\n"
+    )
+    assert egl_works()
+    monkeypatch.setattr("ctypes.util.find_library", lambda name: None)
+    assert not egl_works()
 
 
 @pytest.mark.parametrize(("wanted", "other"), [("egl", "osmesa"), ("osmesa", "egl")])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import platform
 from dataclasses import dataclass, field
@@ -52,13 +53,14 @@ class Report:
         return all(row.ok for row in self.rows)
 
     def to_json(self) -> str:
-        """`{"bench", "machine", "rows": [{"key", "value", "unit", "limit", "baseline"}]}`; NaN becomes null."""
+        """`{"bench", "machine", "rows": [{"key", "value", "unit", "limit", "at_least", "baseline"}]}`; NaN and infinity become null."""
         rows = [
             {
                 "key": r.key,
-                "value": r.value if r.value == r.value else None,
+                "value": r.value if math.isfinite(r.value) else None,
                 "unit": r.unit,
                 "limit": r.limit,
+                "at_least": r.at_least,
                 "baseline": r.baseline,
             }
             for r in self.rows

@@ -9,8 +9,8 @@ import numpy as np
 from hal.lowlevel import Locomotion
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
-from tools.bench.envelope_terrain import RESOLUTION
-from tools.bench.envelope_trial import DT, TIPPED
+from tools.bench._envelope_terrain import RESOLUTION
+from tools.bench._envelope_trial import DT, TIPPED
 
 DEPTH = 0.5
 """Of the edge [m]."""

@@ -11,8 +11,8 @@ from hal.lowlevel import Locomotion
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 from planning.tracking import PathTracker, TrackerParams, TrackPhase
-from tools.bench.envelope_terrain import RESOLUTION, course, rolling_ground
-from tools.bench.envelope_trial import DT, TIPPED
+from tools.bench._envelope_terrain import RESOLUTION, course, rolling_ground
+from tools.bench._envelope_trial import DT, TIPPED
 
 SPEED = 0.5
 """[m/s]"""

@@ -9,7 +9,7 @@ import numpy as np
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
-from tools.bench.envelope_terrain import RESOLUTION, course
+from tools.bench._envelope_terrain import RESOLUTION, course
 
 DT = 0.005
 RUNS = (

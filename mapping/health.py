@@ -146,7 +146,7 @@ class HealthMonitor:
             bad = f"only {match.points} points in the scan"
         elif scans:
             young = scans < s.young
-            again = self.lost or (self.gap(stamp) > s.gap_again and not young)
+            again = self.lost or self.gap(stamp) > s.gap_again
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif match.on_planes < s.min_on_planes and not young:

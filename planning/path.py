@@ -179,23 +179,9 @@ def _join(
             break
         around = _way([end, *xy[: k + 1]], yaw, body)
         direct = _way([end, xy[k]], yaw, body)
-        if _no_worse(direct, around, terrain, body, limits):
+        if _excess(direct, around, terrain, body, limits) <= _SLACK:
             return [end, *xy[k:]]
     return [end, *xy]
-
-
-def _no_worse(direct: Array, around: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> bool:
-    """Whether `direct` poses (n, 3) are no worse than those `around` in the worst pose and in all poses together.
-
-    Means would not do: the way around has more level ground and turns in it, and so a lower mean over the same edge.
-    """
-    if not len(direct) or not len(around):
-        return True
-    step, raw = (steps_under(terrain, poses, body.length, body.width).max() for poses in (direct, around))
-    got, want = (terrain_features(terrain, poses, body) / body.scales for poses in (direct, around))
-    peak = (got.max(axis=0) - want.max(axis=0)).max()
-    total = (got.sum(axis=0) - want.sum(axis=0)).max() * limits.spacing
-    return bool(step <= max(limits.max_step, raw + 1e-6) and max(peak, total) <= _SLACK_JOIN)
 
 
 def _passable(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> bool:
@@ -237,8 +223,6 @@ def _dense(body: BodyModel, limits: PathLimits) -> BodyModel:
 
 _SLACK = 0.02
 """Scaled risk by which a rounded corner may exceed the sharp one: the height noise of one cell."""
-_SLACK_JOIN = 0.05
-"""The same for leaving out a node: an edge is met under a slightly other angle."""
 _SLACK_PEAK = 0.005
 """Share of a feature's scale by which the path's maximum may exceed the route's: what sampling alone makes of it."""
 

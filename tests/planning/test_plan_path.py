@@ -91,20 +91,6 @@ def test_a_node_behind_the_robot_is_not_visited_first():
     assert path.initial_turn == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("kerb", [0.0, 0.05, 0.09])
-@pytest.mark.parametrize("aside", [(0.05, 0.03), (0.08, 0.0), (0.03, -0.06), (-0.02, 0.09), (0.2, 0.0)])
-def test_a_node_beside_the_robot_is_not_turned_to_on_the_way_over_a_kerb(kerb, aside):
-    x = np.tile(np.arange(151) * 0.04, (101, 1))
-    noise = 0.004 * np.random.default_rng(1).standard_normal(x.shape)
-    height = (kerb * ((x > 2.6) & (x < 2.7)) + noise).astype(np.float32)
-    grid = ElevationGrid(height, np.ones(x.shape, bool), (0.0, 0.0), 0.04)
-    nodes = np.array([[2.0, 2.0, 0.0], [2.69, 1.92, 0.0], [3.35, 1.95, 0.0], [4.2, 1.95, 0.0]])
-    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1], [1, 2], [2, 3]]), np.zeros(3))
-    request = PlanRequest((2.0 + aside[0], 2.0 + aside[1]), 3, start_yaw=0.0)
-    path = make_path(plan(graph, grid, request), grid, BODY)
-    assert abs(path.initial_turn) < np.radians(30.0)
-
-
 def test_start_at_the_goal_is_a_single_point():
     grid, graph = zigzag()
     path = make_path(plan(graph, grid, PlanRequest(2, 2, 0.3, 1.2)), grid, BODY)

@@ -8,7 +8,14 @@ import pytest
 from hal import go2w
 from hal.locomotion.climb import DRIVE
 from hal.locomotion.contact import turn_share
-from hal.locomotion.geometry import distribute, inverse3, leg_weight, level_frame
+from hal.locomotion.geometry import (
+    contact_geometry,
+    distribute,
+    fit_plane,
+    inverse3,
+    leg_weight,
+    level_frame,
+)
 from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import VmcParams
 from hal.locomotion.traction import limit_traction
@@ -69,6 +76,60 @@ def test_leg_weight_matches_the_simulator_s_model() -> None:
         torque.ravel(), bias, atol=0.1
     )  # the links' small sideways offsets are left out
     assert com[2] == pytest.approx(data.subtree_com[0][2] - data.qpos[2], abs=2e-3)
+
+
+def test_plane_through_the_wheels_matches_weighted_least_squares() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(50):
+        points = rng.normal([0.0, 0.0, -0.4], [0.2, 0.2, 0.03], (4, 3))
+        weight = rng.uniform(0.05, 1.0, 4)
+        mean = weight @ points / weight.sum()
+        rel = points - mean
+        normal = rel[:, :2].T @ (weight[:, None] * rel[:, :2]) + 1e-4 * np.eye(2)  # the damping
+        slope = np.linalg.solve(normal, rel[:, :2].T @ (weight * rel[:, 2]))
+        expected = (mean[2] - slope @ mean[:2], *slope)
+        np.testing.assert_allclose(fit_plane(points, weight), expected, atol=1e-9)
+
+
+def test_contact_points_lie_on_the_tread_and_move_as_their_jacobians_say() -> None:
+    rng = np.random.default_rng(8)
+    rot = level_frame(np.array([0.99, 0.06, -0.08, 0.0]) / np.linalg.norm([0.99, 0.06, -0.08]))
+    slope = np.array([0.2, -0.1])
+    q = go2w.STAND + rng.normal(0.0, 0.1, 16)
+
+    def at(joints: np.ndarray) -> tuple[np.ndarray, ...]:
+        centres = go2w.wheel_centres(joints) @ rot.T
+        jac = np.array([rot @ j for j in go2w.wheel_jacobians(joints)])
+        return centres, *contact_geometry(joints, rot, centres, jac, *slope)
+
+    centres, points, jacobians, forward, axles = at(q)
+    np.testing.assert_allclose(np.linalg.norm(points - centres, axis=1), go2w.WHEEL_RADIUS, atol=1e-9)
+    normal = np.array([*-slope, 1.0]) / np.sqrt(1.0 + slope @ slope)
+    for leg in range(4):
+        # The lowest point of the wheel's disc above the plane: no other point of its rim lies lower along the normal.
+        u, v = np.linalg.svd(axles[leg].reshape(1, 3))[2][1:]
+        angle = np.linspace(0.0, 2 * np.pi, 3600)
+        rim = centres[leg] + go2w.WHEEL_RADIUS * (np.outer(np.cos(angle), u) + np.outer(np.sin(angle), v))
+        assert points[leg] @ normal == pytest.approx((rim @ normal).min(), abs=1e-6)
+        assert forward[leg] @ normal == pytest.approx(0.0, abs=1e-9)
+        # Wheels locked: the material point of the tread moves with the calf.
+        for joint in range(3):
+            turn = rot[:, 0] if joint == 0 else axles[leg]
+            moved = q.copy()
+            moved[3 * leg + joint] += 1e-6
+            velocity = (at(moved)[0][leg] - centres[leg]) / 1e-6 + np.cross(turn, points[leg] - centres[leg])
+            np.testing.assert_allclose(jacobians[leg][:, joint], velocity, atol=1e-4)
+
+
+def test_contact_forces_are_those_the_simulator_s_ground_exerts() -> None:
+    sim, controller = _simulation(), VmcController()
+    sim.reset(x=0.5)
+    _run(sim, controller, 0.0, 0.0, 2.0)
+    force = controller._memory["force"][0]
+    # A quasi-static estimate: 8 percent of the weight is as good as it is at rest.
+    assert force[:, 2].sum() == pytest.approx(go2w.MASS * 9.81, rel=0.08)
+    assert np.abs(force[:, :2].sum(axis=0)).max() < 6.0
+    assert (controller._memory["contact"][0] == 1).all()
 
 
 def test_distribution_meets_the_wrench_and_the_bounds() -> None:

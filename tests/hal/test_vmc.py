@@ -212,6 +212,18 @@ def test_steps_are_climbed_slowly_too(course: str, run: int) -> None:
     assert drive(VmcController(), course, run, Conditions(speed=0.15)).passed
 
 
+def test_a_slow_curve_is_no_step_and_a_stop_after_it_stands() -> None:
+    for speed, rate in ((0.12, 0.04), (0.15, -0.08), (0.3, 0.1)):
+        sim, controller = _simulation(), VmcController()
+        sim.reset()
+        for _ in range(40):
+            _run(sim, controller, speed, rate, 0.1)
+            assert controller._memory["mode"][0] == DRIVE
+        before = sim.position
+        _run(sim, controller, 0.0, 0.0, 1.0)
+        assert np.linalg.norm(sim.position - before) < 0.02
+
+
 def test_a_hill_too_slippery_to_climb_is_not_a_step() -> None:
     x = np.arange(300) * 0.02 - 2.0
     height = np.broadcast_to(np.tan(np.radians(20.0)) * np.maximum(x, 0.0), (150, 300)).astype(np.float32)

@@ -32,6 +32,8 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     caution = 1.0 + 6.0 * max(0.0, abs(m.wz) - 0.1)
     # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
     caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
+    flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08
+    straight = abs(m.wz) < min(0.15, 0.2 * abs(m.vx))
     stuck = way * m.speed < 0.3 * abs(m.vx)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     weight = m.force[0, 2] + m.force[1, 2] + m.force[2, 2] + m.force[3, 2]
@@ -46,7 +48,12 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
         others += way * m.grade[0] * (weight - m.force[leg, 2]) / 3.0
         if way != 0.0 and (pushed or lags):
             m.blocked[leg] += dt
-        elif stuck and way != 0.0 and back > 5.0 and back + others > 0.5 * p.blocked_force:
+        elif (
+            ((flat and straight) or stuck)
+            and way != 0.0
+            and back > 5.0
+            and back + others > 0.5 * p.blocked_force
+        ):
             # Pushed back weakly but for long: on slippery ground the others cannot push harder.
             m.blocked[leg] += 0.15 * dt
         else:

@@ -7,7 +7,9 @@ from collections import deque
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import NS
 
 Pose2 = tuple[float, float, float]
@@ -23,9 +25,11 @@ STUCK_ANGLE = 0.5
 SAME_PLACE = 1.0
 """[m]"""
 TRAIL_SPACING = 0.05
-TRAIL_LENGTH = 60
-STOOD = 0.25
-"""[m] beside a place of base_link the ground still counts as stood on: about half the body's width."""
+TRAIL_LENGTH = 100
+TRAIL_ANGLE = 0.1
+"""A turn on the spot is part of the trail, too [rad]."""
+COVERED = 0.05
+"""[m] beside the body's rectangle the ground still counts as covered by it."""
 
 
 UNDER = 0.45
@@ -75,33 +79,54 @@ class ProgressMonitor:
 
 
 class Trail:
-    """The last 3 m of the way the robot came."""
+    """The last few metres of the way the robot came."""
 
     def __init__(self) -> None:
         self._poses: deque[Pose2] = deque(maxlen=TRAIL_LENGTH)
 
     def add(self, pose: Pose2) -> None:
-        """Remember a pose, every 5 cm."""
-        if not self._poses or math.dist(self._poses[-1][:2], pose[:2]) >= TRAIL_SPACING:
+        """Remember a pose, every 5 cm and 0.1 rad."""
+        last = self._poses[-1] if self._poses else None
+        if (
+            last is None
+            or math.dist(last[:2], pose[:2]) >= TRAIL_SPACING
+            or abs(wrap(last[2] - pose[2])) >= TRAIL_ANGLE
+        ):
             self._poses.append(pose)
 
     def reach(self, pose: Pose2, distance: float) -> float:
-        """How far straight along the heading, at most `distance` [m], the body stays on ground it stood on.
+        """How far straight along the heading, at most `distance` [m], the body stays on ground it covered.
 
         Negative: backward, which also wins a tie. 0.0 while the robot came from nowhere.
         """
         if len(self._poses) < 2:
             return 0.0
-        stood = np.array(self._poses)[:, :2]
         x, y, yaw = pose
         runs = []
         for sign in (-1.0, 1.0):
             run = 0.0
             while run < distance:
-                ahead = sign * min(run + TRAIL_SPACING, distance)
-                place = (x + ahead * math.cos(yaw), y + ahead * math.sin(yaw))
-                if np.hypot(*(stood - place).T).min() > STOOD:
+                ahead = min(run + TRAIL_SPACING, distance)
+                # The end that leads, its corners and its middle, in the frame of the body now.
+                tip = sign * (ahead + BODY_LENGTH / 2)
+                side = BODY_WIDTH / 2 * np.array([-1.0, 0.0, 1.0])
+                points = np.column_stack(
+                    [
+                        x + tip * math.cos(yaw) - side * math.sin(yaw),
+                        y + tip * math.sin(yaw) + side * math.cos(yaw),
+                    ]
+                )
+                if not self._covered(points):
                     break
-                run = abs(ahead)
+                run = ahead
             runs.append(run)
-        return -runs[0] if runs[0] >= runs[1] else runs[1]
+        return -runs[0] if runs[0] > 0.0 and runs[0] >= runs[1] else runs[1]
+
+    def _covered(self, points: NDArray[np.float64]) -> bool:
+        """Whether the body stood over all of these, (n, 2) [m]."""
+        trail = np.array(self._poses)
+        dx, dy = (points[:, None, k] - trail[:, k] for k in (0, 1))
+        c, s = np.cos(trail[:, 2]), np.sin(trail[:, 2])
+        along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
+        inside = (along < BODY_LENGTH / 2 + COVERED) & (across < BODY_WIDTH / 2 + COVERED)
+        return bool(inside.any(axis=1).all())

@@ -24,7 +24,9 @@ from tests.unitree_peer_process import REST, PeerProcess
 
 ROOT = Path(__file__).parents[2]
 DRIVER = """
-import sys, time
+import signal, sys, time
+# A KeyboardInterrupt may land in a callback of the DDS library, where Python drops it.
+signal.signal(signal.SIGINT, signal.SIG_DFL)
 from hal.types import VelocityCommand
 from hal.unitree import make_backend
 from hal.unitree.options import UnitreeOptions

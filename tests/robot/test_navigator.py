@@ -486,7 +486,7 @@ def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stoo
     for i in range(20):
         world.pose = (0.05 * i, 0.0, 0.0)
         world.run(0.1)
-    for heading, along in ((1.8, -1.0), (2.6, 1.0), (0.4, -1.0)):
+    for heading, along in ((math.pi - 0.05, 1.0), (0.05, -1.0)):
         world.goal(goal_id=f"to{heading}")
         world.answer()
         world.pose = (0.95, 0.0, heading)  # an edge stalled the turn here
@@ -510,6 +510,22 @@ def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stoo
         assert len(world.last(t.PLAN_REQUEST).avoid) == 0, "the ground ahead did not hold it"
 
 
+def test_a_turn_that_stalls_across_the_way_is_not_left_blindly(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    world.answer()
+    world.pose = (0.95, 0.0, 1.8)
+    world.tracker_phase = "aligning"
+    paths, requests = world.count(t.PATH_COMMAND), world.count(t.PLAN_REQUEST)
+    world.run(5.5)
+    assert world.status.recoveries == 1
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    moves = [m for x, m in world.out if x is t.PATH_COMMAND][paths:]
+    assert all(len(m.x) == 0 for m in moves), "halts only"
+
+
 def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
     world.goal()
     world.answer()
@@ -525,9 +541,10 @@ def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
     [
         ((1.0, 0.0, 0.0), -0.6),
         ((1.0, 0.0, math.pi), 0.6),
-        ((1.0, 0.0, math.pi / 2), -0.25),
-        ((1.0, 0.1, math.pi / 2), -0.35),
-        ((1.0, 0.0, math.radians(45.0)), -0.35),
+        ((1.0, 0.0, 0.1), -0.15),
+        ((1.0, 0.0, math.pi - 0.1), 0.15),
+        ((1.0, 0.0, 0.5), 0.0),  # turned across the way the body would cover ground that it did not
+        ((1.0, 0.0, math.pi / 2), 0.0),
         ((0.5, 2.0, 0.0), 0.0),
     ],
 )

@@ -1,7 +1,7 @@
 """Friction limits: how much each wheel may push along the ground, and who takes over what a wheel cannot push.
 
-The vertical distribution decides what every wheel carries; here the torques that the wheel motors are about to give are held inside the
-friction cone of that load. What one wheel has to give up goes to the other wheel of its side, which keeps the turning moment.
+The vertical distribution decides what every wheel carries; here the wheels' feed-forward torques (hill, acceleration, speed integral) are held inside the
+friction cone of the load each wheel feels; the speed loop in the motors stays free. What one wheel has to give up goes to the other wheel of its side, which keeps the turning moment.
 The friction of every wheel is learnt from its slip: a wheel that runs away from the others uses all the friction there is.
 """
 

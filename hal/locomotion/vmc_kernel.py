@@ -218,9 +218,8 @@ def vmc_tick(
     nose_up = pitch_wanted - pitch if m.vx >= 0.0 else pitch - pitch_wanted
     if nose_up > 0.5 * p.nose_up:
         limit *= clip(2.0 - 2.0 * nose_up / p.nose_up, 0.0, 1.0)
-    slides = m.speed * m.vx < -0.05 * abs(
-        m.vx
-    )  # back down a hill: wheels that grip again must not throw the trunk round
+    # Sliding back down a hill: wheels that grip again must not throw the trunk round.
+    slides = m.speed * m.vx < -0.05 * abs(m.vx)
     if stopped or slides:
         m.speed_i *= 1.0 - dt / (0.5 if stopped else 0.1)
     elif abs(m.vx - m.speed) < 0.3:

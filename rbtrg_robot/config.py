@@ -18,15 +18,15 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
 from hal.mujoco.options import CAPABILITIES, SimOptions
-from hal.safety import GateParams
+from hal.safety.gate import GateParams
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics
 from hal.unitree.options import UnitreeOptions, UnitreeSettings
-from mapping.elevation_params import ElevationParams
-from mapping.odometry import OdometryParams
-from planning.body_risk import BodyModel
-from planning.graph import GraphParams
-from planning.tracking import TrackerParams
+from mapping.elevation.params import ElevationParams
+from mapping.odometry.pipeline import OdometryParams
+from planning.graph.graph import GraphParams
+from planning.risk.body import BodyModel
+from planning.tracking.tracker import TrackerParams
 from rbtrg_robot import __version__
 from rbtrg_robot.params import (
     ElevationStageParams,

@@ -38,7 +38,7 @@ class Process:
 PROCESSES: tuple[Process, ...] = (
     Process(
         "robot",
-        "rbtrg_robot.robot_process:main",
+        "rbtrg_robot.hosts.robot:main",
         0.005,
         cpu=90,
         memory=700,
@@ -79,7 +79,7 @@ PROCESSES: tuple[Process, ...] = (
     ),
     Process(
         "navigator",
-        "rbtrg_robot.stages.navigator:build",
+        "rbtrg_robot.stages.navigation.navigator:build",
         0.1,
         cpu=10,
         memory=250,
@@ -98,7 +98,7 @@ PROCESSES: tuple[Process, ...] = (
     ),
     Process(
         "recorder",
-        "rbtrg_robot.recorder:main",
+        "rbtrg_robot.log.recorder:main",
         1.0,
         cpu=30,
         memory=300,

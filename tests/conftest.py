@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 LONGEST_FIRST = (
-    "test_live.py",
-    "test_lockstep_explore.py",
-    "test_unitree_dds.py",
-    "test_lockstep.py",
-    "test_warm_up.py",
-    "test_cli.py",
-    "test_lockstep_unitree.py",
-    "test_vmc.py",
-    "test_graph_update.py",
-    "test_odometry.py",
-    "test_lockstep_restart.py",
+    "rbtrg_robot/process/test_live.py",
+    "rbtrg_robot/hosts/test_explore.py",
+    "hal/unitree/test_dds.py",
+    "rbtrg_robot/hosts/test_lockstep.py",
+    "rbtrg_robot/stages/test_warm_up.py",
+    "rbtrg_robot/cli/test_cli.py",
+    "rbtrg_robot/hosts/test_unitree.py",
+    "hal/locomotion/test_vmc.py",
+    "planning/graph/test_update.py",
+    "mapping/odometry/test_pipeline.py",
+    "rbtrg_robot/hosts/test_restart.py",
 )
 """More than 15 s each on two cores; the rest follows in the order of collection."""
 
@@ -27,5 +29,6 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Stable: files keep their order otherwise."""
-    rank = {name: number for number, name in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    here = Path(__file__).parent
+    rank = {here / name: number for number, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: rank.get(item.path, len(rank)))

@@ -19,14 +19,14 @@ import numpy as np
 
 from hal.go2w import WHEEL_RADIUS, wheel_centres
 from hal.lidar.spec import LIDARS, LidarSpec
+from hal.rotation import rotation
 from hal.scenes import Scene
 from hal.scenes.survey import relief
 from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
-from mapping.elevation import ElevationMap
-from mapping.elevation_params import ElevationParams
-from mapping.odometry import LidarInertialOdometry
-from mapping.odometry_types import OdometryParams, ScanOdometry
-from mapping.rotation import rotation
+from mapping.elevation.map import ElevationMap
+from mapping.elevation.params import ElevationParams
+from mapping.odometry.pipeline import LidarInertialOdometry
+from mapping.odometry.types import OdometryParams, ScanOdometry
 from rbtrg_robot.params import ElevationStageParams
 from tools.synthetic import SyntheticRun
 from tools.synthetic_motion import Motion

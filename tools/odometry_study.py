@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from hal.types import NS, Array, Extrinsics, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
-from rbtrg_robot.convert import imu_sample, joint_sample, lidar_scan, xyz, xyzw, yaw_of
-from rbtrg_robot.lockstep import Lockstep
-from rbtrg_robot.messages import decode, stamp_of
+from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.topics import Topic
-from tools.bench._perception_odometry import drive, errors
+from rbtrg_robot.wire.convert import imu_sample, joint_sample, lidar_scan, xyz, xyzw, yaw_of
+from rbtrg_robot.wire.messages import decode, stamp_of
+from tools.bench.perception.odometry import drive, errors
 
 ENGINES = ("kiss_icp", "small_gicp")
 PATIENCE = 40.0

@@ -26,8 +26,8 @@ def warm(part: str) -> float:
         Telemetry(None, UnitreeOptions()).warm_up()  # type: ignore[arg-type]
     else:
         from rbtrg_robot.config import load
-        from rbtrg_robot.lockstep import build_stages
-        from rbtrg_robot.robot_process import build
+        from rbtrg_robot.hosts.lockstep import build_stages
+        from rbtrg_robot.hosts.robot import build
 
         config = load(None, [], scene="flat")
         stage = build(config) if part == "robot" else build_stages(config, [part])[part][0]

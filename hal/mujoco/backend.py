@@ -12,12 +12,12 @@ from hal.contract import BackendError
 from hal.lidar.caster import make_caster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
+from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController, warm_up
 from hal.lowlevel import Locomotion, LowState
-from hal.mujoco.modes import Modes
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.options import CAPABILITIES, Obstacle, Push, SimOptions
-from hal.mujoco.policy import PolicyController
+from hal.mujoco.postures.modes import Modes
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
 from hal.scenes import Scene
@@ -150,7 +150,7 @@ class MujocoBackend:
         self._modes.posture(command)
 
     def request(self, mode: ModeRequest) -> None:
-        """Start a transition; see `hal.mujoco.modes`."""
+        """Start a transition; see `hal.mujoco.postures.modes`."""
         self._check_connected()
         self._modes.request(mode)
 

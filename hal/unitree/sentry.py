@@ -21,8 +21,9 @@ import time
 from collections.abc import Callable
 
 from hal.contract import BackendError
-from hal.unitree import api, check
+from hal.unitree import api
 from hal.unitree.api import Request, WireError
+from hal.unitree.factory import check
 from hal.unitree.guardian import SILENCE, Order
 
 log = logging.getLogger(__name__)

@@ -57,8 +57,8 @@ def goal(
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.goal import goal_request
-    from rbtrg_robot.runfiles import read_state
+    from rbtrg_robot.process.runfiles import read_state
+    from rbtrg_robot.stages.navigation.goal import goal_request
 
     x, y, goal_yaw, name = _target(target, read_state(robot))
     if yaw is not None:
@@ -100,7 +100,7 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from rbtrg_robot import topics as t
-    from rbtrg_robot.reasons import words
+    from rbtrg_robot.stages.navigation.reasons import words
 
     console = Console(stderr=True)
     began = time.monotonic()
@@ -155,7 +155,7 @@ def cancel(robot: Robot = "go2w") -> None:
     """Cancel the present goal; the robot stops."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.messages import header, make
+    from rbtrg_robot.wire.messages import header, make
 
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
@@ -229,7 +229,7 @@ def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
     """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState)."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.messages import header, make
+    from rbtrg_robot.wire.messages import header, make
 
     with connect(robot) as bus:
         bus.subscribe([t.ROBOT_STATE])

@@ -103,7 +103,7 @@ def map_save(file: Path, robot: Robot = "go2w") -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.messages import header, make
+    from rbtrg_robot.wire.messages import header, make
 
     target = file.resolve()
     with connect(robot) as bus:
@@ -126,7 +126,7 @@ def map_save(file: Path, robot: Robot = "go2w") -> None:
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
     """Check this machine: libraries, port, shared memory, clock, rendering. Exit status 1 on a fault."""
-    from rbtrg_robot.doctor import Level, examine
+    from rbtrg_robot.process.doctor import Level, examine
 
     worst = 0
     for finding in examine(port):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rbtrg_robot.bus import Bus
-from rbtrg_robot.runfiles import read_state
+from rbtrg_robot.process.runfiles import read_state
+from rbtrg_robot.wire.bus import Bus
 
 
 def connect(robot: str) -> Bus:

@@ -51,8 +51,8 @@ def replay(
         return
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"--rate must be positive, got {rate}")
-    from rbtrg_robot.logfile import log_files
-    from rbtrg_robot.replay import Controls, Report, keyboard, play
+    from rbtrg_robot.log.file import log_files
+    from rbtrg_robot.log.replay import Controls, Report, keyboard, play
 
     log_files(file)
     stopped: list[int] = []
@@ -94,9 +94,9 @@ def _progress(seconds: float, controls: Any) -> None:
 
 def _replay_bus(robot: str, port: int) -> Any:
     """The running stack's bus when it has no robot of its own, else a router of our own."""
-    from rbtrg_robot.bus import Bus
     from rbtrg_robot.config import ConfigError
-    from rbtrg_robot.runfiles import NotRunning, read_state
+    from rbtrg_robot.process.runfiles import NotRunning, read_state
+    from rbtrg_robot.wire.bus import Bus
 
     try:
         state = read_state(robot)
@@ -122,8 +122,8 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
         raise ConfigError(f"{out} exists; name another file with --out")
     from rich.progress import Progress
 
-    from rbtrg_robot.logstats import summarize
-    from rbtrg_robot.rerun import rerun as run_again
+    from rbtrg_robot.hosts.offline import rerun as run_again
+    from rbtrg_robot.log.stats import summarize
 
     clock = summarize(file).topics.get("/clock")
     total = (clock.last - clock.first) / 1e9 if clock else None
@@ -149,7 +149,7 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
 @log_app.command("info")
 def log_info(file: Path, as_json: Json = False) -> None:
     """Counts, rates, gaps, metadata."""
-    from rbtrg_robot.logstats import summarize
+    from rbtrg_robot.log.stats import summarize
 
     summary = summarize(file)
     if as_json:
@@ -170,7 +170,7 @@ def log_info(file: Path, as_json: Json = False) -> None:
 @log_app.command("check")
 def log_check(file: Path, as_json: Json = False) -> None:
     """Say what is wrong with a log; exit 1 if anything is."""
-    from rbtrg_robot.logstats import summarize
+    from rbtrg_robot.log.stats import summarize
 
     summary = summarize(file)
     problems = summary.problems()
@@ -189,7 +189,7 @@ def log_recover(
     as_json: Json = False,
 ) -> None:
     """Write an indexed file from one whose recorder was killed."""
-    from rbtrg_robot.logfile import recover
+    from rbtrg_robot.log.file import recover
 
     target = out or file.with_name(f"{file.stem}.recovered.mcap")
     count, damage = recover(file, target)
@@ -212,7 +212,7 @@ def draw(log: Path, out: Path) -> None:
     """With a progress bar where there is a terminal."""
     from rich.progress import Progress
 
-    from rbtrg_robot.film import film
+    from rbtrg_robot.log.film import film
 
     with Progress(disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("film", total=None)

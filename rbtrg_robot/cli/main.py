@@ -50,7 +50,7 @@ def main() -> None:
     except (KeyboardInterrupt, BrokenPipeError):
         sys.exit(130)
     except Exception as error:  # noqa: BLE001  the last place where an error can become one line
-        from rbtrg_robot.errors import OPERATOR_ERRORS, describe
+        from rbtrg_robot.process.errors import OPERATOR_ERRORS, describe
 
         text = describe(error)
         if not isinstance(error, OPERATOR_ERRORS):

@@ -57,7 +57,7 @@ def up(
     if detach:
         _detach()
         return
-    from rbtrg_robot.zygote import Zygote
+    from rbtrg_robot.process.zygote import Zygote
 
     with Zygote() as zygote:  # imports while this process does
         from rbtrg_robot.config import ConfigError, load
@@ -110,7 +110,7 @@ def up(
 
 def refuse_second(robot: str) -> None:
     """Before anything is written: raises AlreadyRunning with the pid of the stack that is up."""
-    from rbtrg_robot.runfiles import AlreadyRunning, NotRunning, read_state
+    from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, read_state
 
     try:
         pid = int(read_state(robot)["pid"])
@@ -124,11 +124,11 @@ def _check(config: Any) -> None:
     if config.simulated:
         config.load_scene()
         if config.controller == "policy":
-            from hal.mujoco.policy import PolicyController
+            from hal.locomotion.policy import PolicyController
 
             PolicyController(config.policy_dir)
         if config.viewer:
-            from hal.mujoco.render import RenderError, require_display
+            from hal.mujoco.view.render import RenderError, require_display
             from rbtrg_robot.config import ConfigError
 
             try:
@@ -136,17 +136,17 @@ def _check(config: Any) -> None:
             except RenderError as error:
                 raise ConfigError(str(error)) from error
     else:
-        from hal.unitree import check
+        from hal.unitree.factory import check
 
         check(config.interface)
     if config.map_file:
-        from mapping.elevation import ElevationMap
+        from mapping.elevation.map import ElevationMap
 
         ElevationMap(config.elevation).load_prior(Path(config.map_file))
 
 
 def _run_folder(base: Path, label: str) -> Path:
-    from rbtrg_robot.logfile import LogError
+    from rbtrg_robot.log.file import LogError
 
     name = f"{time.strftime('%Y%m%d-%H%M%S')}_{Path(label).stem}_{os.getpid()}"
     folder = (base / name).resolve()
@@ -159,7 +159,7 @@ def _run_folder(base: Path, label: str) -> Path:
 
 def _supervise(config: Any, zygote: Any) -> int:
     from rbtrg_robot.cli.table import Screen
-    from rbtrg_robot.supervisor import StartFailed, Supervisor
+    from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 
     stopped: list[int] = []
     for sign in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -178,7 +178,7 @@ def _supervise(config: Any, zygote: Any) -> int:
 
 def _detach() -> None:
     """The same command line without --detach, in a session of its own."""
-    from rbtrg_robot.runfiles import NotRunning, read_state, run_dir
+    from rbtrg_robot.process.runfiles import NotRunning, read_state, run_dir
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"
@@ -219,7 +219,7 @@ def _detach() -> None:
 
 def down(robot: Robot = "go2w") -> None:
     """Stop the stack of a robot."""
-    from rbtrg_robot.runfiles import NotRunning, read_state
+    from rbtrg_robot.process.runfiles import NotRunning, read_state
 
     pid = int(read_state(robot)["pid"])
     os.kill(pid, signal.SIGTERM)

@@ -80,7 +80,7 @@ def goal_line(robot: dict[str, Any]) -> str:
     goal = robot.get("goal")
     if not goal or not goal["id"]:
         return "goal: none"
-    from rbtrg_robot.reasons import words
+    from rbtrg_robot.stages.navigation.reasons import words
 
     text = f"goal: {goal['state']} ({goal['x']:.2f}, {goal['y']:.2f})"
     if goal["state"] == "moving" and not goal["detail"]:

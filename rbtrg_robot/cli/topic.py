@@ -40,7 +40,7 @@ def topic_list(log: LogFile = None) -> None:
     from rbtrg_robot import topics as t
 
     if log is not None:
-        from rbtrg_robot.logstats import summarize
+        from rbtrg_robot.log.stats import summarize
 
         for name, s in sorted(summarize(log).topics.items()):
             print(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
@@ -68,7 +68,7 @@ def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator
     """Messages, bytes and the seconds they came in: once of a log, every second of a running stack."""
     wanted = _topic(name)
     if log is not None:
-        from rbtrg_robot.logstats import summarize
+        from rbtrg_robot.log.stats import summarize
 
         found = summarize(log).topics.get(wanted.name)
         if found is None:
@@ -102,13 +102,13 @@ def topic_echo(
     robot: Robot = "go2w",
 ) -> None:
     """Print messages of a topic."""
-    from rbtrg_robot.messages import decode
-    from rbtrg_robot.show import as_text
+    from rbtrg_robot.cli.show import as_text
+    from rbtrg_robot.wire.messages import decode
 
     wanted = _topic(name)
     shown = 0
     if log is not None:
-        from rbtrg_robot.logfile import read_run
+        from rbtrg_robot.log.file import read_run
 
         for entry in read_run(log):
             if entry.topic == wanted.name:

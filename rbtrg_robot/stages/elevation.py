@@ -11,11 +11,14 @@ import numpy as np
 
 from hal.go2w import MOTORS
 from hal.types import Extrinsics, JointSample
-from mapping.contacts import wheel_contacts
-from mapping.elevation import ElevationMap, ElevationParams
-from mapping.patch import MapError
+from mapping.elevation.exchange import MapError
+from mapping.elevation.map import ElevationMap, ElevationParams
+from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import (
+from rbtrg_robot.params import ElevationStageParams
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import (
     BASE,
     MAP,
     ODOM,
@@ -31,11 +34,8 @@ from rbtrg_robot.convert import (
     xyz,
     xyzw,
 )
-from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import decode, encode, header, make, stamp_of
-from rbtrg_robot.params import ElevationStageParams
-from rbtrg_robot.stage import Outputs
-from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import decode, encode, header, make, stamp_of
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""

@@ -7,13 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from hal.rotation import rotation
 from hal.types import Extrinsics
-from mapping.odometry import LidarInertialOdometry
-from mapping.odometry_types import FastPose, ScanOdometry
-from mapping.rotation import rotation
-from mapping.wheel_odometry import WheelOdometry
+from mapping.odometry.pipeline import LidarInertialOdometry
+from mapping.odometry.types import FastPose, ScanOdometry
+from mapping.odometry.wheels import WheelOdometry
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import (
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import (
     BASE,
     IMU,
     LIDAR,
@@ -33,10 +35,8 @@ from rbtrg_robot.convert import (
     xyzw,
     yaw_of,
 )
-from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import array, header, make, stamp_of
-from rbtrg_robot.stage import Outputs
-from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import array, header, make, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""

@@ -7,22 +7,22 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
+from mapping.elevation.exchange import MapError, MapMirror, MapPatch
 from mapping.grid import ElevationGrid
-from mapping.patch import MapError, MapMirror, MapPatch
-from planning.body_risk import BodyModel
 from planning.errors import NoRoute, NoRouteReason, PlanningError
-from planning.frontier import FrontierMemory
-from planning.graph import GraphParams, TraversalGraph
-from planning.path import Path, PathLimits, face_in_the_way, make_path, still_safe
-from planning.risk_table import RiskTable
-from planning.search import Plan, PlanRequest, plan
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path.path import Path, PathLimits, face_in_the_way, make_path, still_safe
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.frontier import FrontierMemory
+from planning.search.plan import Plan, PlanRequest, plan
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
-from rbtrg_robot.messages import STORE, array, header, make
 from rbtrg_robot.params import PlannerParams
-from rbtrg_robot.reasons import Reason
-from rbtrg_robot.stage import Outputs
+from rbtrg_robot.stages.navigation.reasons import Reason
+from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
+from rbtrg_robot.wire.messages import STORE, array, header, make
 
 REASONS = {
     NoRouteReason.BAD_INPUT: Reason.INVALID,

@@ -6,8 +6,8 @@ import logging
 from typing import Any
 
 from hal.contract import UP, Backend
-from hal.safety import GateInputs, GateStatus, SafetyGate, StopCause
-from hal.tilt import TiltFilter
+from hal.safety.gate import GateInputs, GateStatus, SafetyGate, StopCause
+from hal.safety.tilt import TiltFilter
 from hal.types import (
     NS,
     GroundTruth,
@@ -20,13 +20,13 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
-from rbtrg_robot import messages
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import imu_msg, joint_msg, scan_msg, truth_msg, yaw_of
-from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import array, header, make, stamp_of
-from rbtrg_robot.stage import Outputs
+from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire import messages
+from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import array, header, make, stamp_of
 
 log = logging.getLogger(__name__)
 

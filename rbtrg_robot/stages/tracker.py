@@ -7,14 +7,14 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from planning.tracking import PathError, PathTracker, TrackerParams, TrackOutput
+from planning.tracking.tracker import PathError, PathTracker, TrackerParams, TrackOutput
 from rbtrg_robot import topics as t
-from rbtrg_robot.convert import BASE, up_tilt, yaw_of
-from rbtrg_robot.frames import MapFrame
-from rbtrg_robot.messages import header, make, stamp_of
 from rbtrg_robot.params import FreshnessParams
-from rbtrg_robot.stage import Outputs
+from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import BASE, up_tilt, yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import header, make, stamp_of
 
 
 class TrackerStage:

@@ -9,7 +9,7 @@ import pytest
 
 from hal.lidar import LIDARS
 from hal.types import GroundTruth
-from tools.bench._perception_odometry import drive, errors
+from tools.bench.perception.odometry import drive, errors
 from tools.odometry_study import RecordedDrive
 from tools.synthetic import arena_run
 

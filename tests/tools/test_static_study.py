@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.body_risk import BodyModel
-from planning.graph import TraversalGraph
-from planning.risk_table import RiskTable
-from planning.search import VARIANTS, PlanRequest, plan
-from tools.bench._static_floor import edge_peaks, least_maxima
-from tools.bench._static_table import markdown
-from tools.bench.static import SCENES, Instance, changed, interval, macro, measure, values
+from planning.graph.graph import TraversalGraph
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.plan import VARIANTS, PlanRequest, plan
+from tools.bench.static.floor import edge_peaks, least_maxima
+from tools.bench.static.study import SCENES, Instance, changed, interval, macro, measure, values
+from tools.bench.static.table import markdown
 
 
 def made_up():

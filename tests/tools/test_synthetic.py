@@ -10,7 +10,7 @@ import pytest
 from hal.go2w import JOINT_RANGE, WHEEL_RADIUS, wheel_centres
 from hal.rotation import rotation_rpy
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan
-from mapping.wheel_odometry import leg_velocity
+from mapping.odometry.wheels import leg_velocity
 from tools.synthetic import SensorNoise, arena_run, clearing_run, feature_run, soak_run
 from tools.synthetic_motion import Motion, leg_angles, legs, quaternions
 from tools.synthetic_scenes import FEATURES, OBSTACLE

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.bus import Bus
-from rbtrg_robot.goal import goal_request
-from rbtrg_robot.messages import stamp_of
 from rbtrg_robot.processes import PROCESSES
-from tools.bench._live import running
+from rbtrg_robot.stages.navigation.goal import goal_request
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.messages import stamp_of
+from tools.bench.live.stack import running
 from tools.bench.report import Report
 
 DRIVING, RESTING = 0.4, 0.05

@@ -8,8 +8,8 @@ import time
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
-from rbtrg_robot.convert import yaw_of
-from rbtrg_robot.lockstep import Lockstep
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.report import Report
 
 

@@ -1,0 +1,262 @@
+"""The robot's state machine: which motions the motors follow in which phase, how phases end, and why.
+
+| phase | motors | left by |
+|---|---|---|
+| damped | soft dampers | STAND, RECOVER |
+| sitting | brake, fold the legs, then hold | STAND, RECOVER, DAMP; timeout, fall -> fault |
+| standing | fold, stretch, take the stance | done -> ready; timeout, fall -> fault |
+| ready, moving | locomotion controller | SIT, DAMP, STOP; fall -> fault |
+| stopped | locomotion controller at zero velocity | RESUME, SIT, DAMP |
+| fault | soft dampers | RECOVER, DAMP |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from hal import go2w
+from hal.contract import fulfilled, refusal
+from hal.lowlevel import Locomotion, LowCommand, LowState
+from hal.mujoco.postures.motion import Keyframe, Motion, damped, level_stance, up
+from hal.mujoco.postures.righting import UPRIGHT, Righting
+from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
+
+STAND_TIMEOUT = 6.0
+"""[s] from the start of getting up to a checked stance."""
+RECOVER_TIMEOUT = 24.0
+"""[s] from the request to the last try of turning over."""
+SIT_TIMEOUT = 6.0
+"""[s] from the request to seated."""
+FOLDED_WITHIN = 0.35
+"""[rad] of every leg joint from the folded pose counts as lying; 0.08 on level ground and on slopes."""
+TALL = 0.25
+"""Mean height [m] of base_link above the wheels' lowest points that counts as standing; folded it is 0.17, in stance 0.39."""
+STANCE_TIME = 0.5
+"""[s] the controller holds the stance before the robot counts as ready."""
+FALLEN_UP = 0.5
+"""Cosine of the tilt from which a robot counts as fallen (60 deg)..."""
+FALLEN_TIME = 0.15
+"""... when it lasts this long [s]."""
+STEADY_SPEED = 0.35
+"""Wheel speed [rad/s] below which the robot counts as standing still."""
+MOVING_TIME = 0.5
+"""Phase `moving` ends this long [s] after the last command that was not zero."""
+
+
+class Modes:
+    """See the module. `step` once per control tick."""
+
+    def __init__(self, controller: Locomotion) -> None:
+        self._controller = controller
+        self.phase = Phase.DISCONNECTED
+        self.cause = "not connected"
+        self._velocity = VelocityCommand(0)
+        self._posture = PostureCommand(0)
+        self._latched = False
+        self._act: Callable[[LowState], LowCommand] = self._damp
+        self._motion: Motion | None = None
+        self._righting: Righting | None = None
+        self._deadline = np.inf
+        self._tilted_since: float | None = None
+        self._moved = -np.inf
+        self._doing = ""
+        self._damped = damped()
+        self._pending: ModeRequest | None = None
+        self._recover_until = -np.inf
+
+    # --- asked from outside ----------------------------------------------------------------------------------------
+    def drive(self, velocity: VelocityCommand) -> None:
+        """Velocity until the next call."""
+        self._velocity = velocity
+
+    def posture(self, posture: PostureCommand) -> None:
+        """Posture until the next call."""
+        self._posture = posture
+
+    def request(self, mode: ModeRequest) -> None:
+        """Takes effect with the next `step`; the last request before it counts, but a STOP is never overtaken."""
+        if mode is ModeRequest.STOP:
+            self._latched = True
+        elif mode is ModeRequest.RESUME:
+            self._latched = False
+        else:
+            self._pending = mode
+
+    def begin(self, state: LowState, seated: bool) -> None:
+        """The robot was just connected: on its wheels, or lying."""
+        self._latched = False
+        self._pending = None
+        self._velocity, self._posture = VelocityCommand(0), PostureCommand(0)
+        self._tilted_since = None
+        if seated:
+            self._enter(Phase.SITTING, "connected, seated", self._hold_seat)
+            self._motion = Motion(state, [Keyframe(0.5, go2w.FOLDED)], kp=40.0)
+        else:
+            self._take_stance(state, "connected, taking its stance", state.time + STAND_TIMEOUT)
+
+    def disconnect(self) -> None:
+        """Nobody drives the robot any more."""
+        self._enter(Phase.DISCONNECTED, "disconnected", self._damp)
+
+    def fault(self, reason: str) -> None:
+        """Damp the motors; only RECOVER or DAMP lead out."""
+        self._enter(Phase.FAULT, reason, self._damp)
+
+    # --- ticking ---------------------------------------------------------------------------------------------------
+    def step(self, state: LowState) -> LowCommand:
+        """One control tick."""
+        if self._pending is not None:
+            mode, self._pending = self._pending, None
+            self._handle(mode, state)
+        self._watch_fall(state)
+        return self._act(state)
+
+    def _enter(self, phase: Phase, cause: str, act: Callable[[LowState], LowCommand]) -> None:
+        self.phase, self.cause, self._act = phase, cause, act
+        self._motion = None
+        self._righting = None
+        self._deadline = np.inf
+
+    def _handle(self, mode: ModeRequest, state: LowState) -> None:
+        why = refusal(mode, self.phase, stopped=self._latched, upright=up(state) > UPRIGHT)
+        if why:
+            self.cause = f"{self.cause.split('; ')[0]}; {why}"
+        elif fulfilled(mode, self.phase):
+            return
+        elif mode is ModeRequest.DAMP:
+            self._enter(Phase.DAMPED, "damp requested", self._damp)
+        elif mode is ModeRequest.SIT:
+            self._enter(Phase.SITTING, "sit requested: stopping", self._stop_to_sit)
+            self._deadline = state.time + SIT_TIMEOUT
+        else:
+            self._recover_until = state.time + RECOVER_TIMEOUT if mode is ModeRequest.RECOVER else -np.inf
+            if up(state) > UPRIGHT:
+                self._get_up(state, f"{mode.value} requested: getting up")
+            else:
+                self._turn_over(state, "recover requested: turning onto its belly")
+
+    def _turn_over(self, state: LowState, cause: str) -> None:
+        self._enter(Phase.STANDING, cause, self._right)
+        self._righting = Righting(state, self._recover_until)
+
+    def _watch_fall(self, state: LowState) -> None:
+        if (
+            self._righting is not None
+            or self.phase in (Phase.FAULT, Phase.DAMPED, Phase.DISCONNECTED)
+            or up(state) > FALLEN_UP
+        ):
+            self._tilted_since = None
+        elif self._tilted_since is None:
+            self._tilted_since = state.time
+        elif state.time - self._tilted_since >= FALLEN_TIME:
+            tilt = np.degrees(np.arccos(np.clip(up(state), -1.0, 1.0)))
+            if self.phase is Phase.STANDING and state.time < self._recover_until:
+                self._turn_over(state, f"fell again (tilt {tilt:.0f} deg): turning onto its belly")
+                return
+            self.fault(f"fallen: tilt {tilt:.0f} deg; clear the place and request recover")
+
+    # --- what the motors do ----------------------------------------------------------------------------------------
+    def _damp(self, state: LowState) -> LowCommand:
+        return self._damped
+
+    def _hold_seat(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        return self._motion.step(state.time)
+
+    def _stop_to_sit(self, state: LowState) -> LowCommand:
+        """Brake first: a robot that folds its legs at speed tips over."""
+        steady = np.abs(state.dq[go2w.WHEELS]).max() < STEADY_SPEED
+        if steady or state.time > self._deadline - SIT_TIMEOUT / 2:
+            self._enter(Phase.SITTING, "sit requested: folding its legs", self._fold)
+            self._motion = Motion(state, [Keyframe(2.0, self._folded(state))], kp=120.0)
+            self._deadline = state.time + SIT_TIMEOUT / 2
+            return self._motion.step(state.time)
+        return self._controller.step(state, VelocityCommand(self._velocity.stamp), self._posture)
+
+    def _fold(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        if np.abs(state.q[:12] - go2w.FOLDED[:12]).max() < FOLDED_WITHIN and self._motion.done(state.time):
+            self.cause = "seated"
+            self._act = self._hold_seat
+        elif state.time > self._deadline:
+            self.fault(f"did not lie down within {SIT_TIMEOUT:.0f} s: free its legs, then request recover")
+            return self._damped
+        return self._motion.step(state.time)
+
+    @staticmethod
+    def _folded(state: LowState) -> Array:
+        """FOLDED with the wheels where they have turned to."""
+        q = go2w.FOLDED.copy()
+        q[go2w.WHEELS] = state.q[go2w.WHEELS]
+        return q
+
+    def _get_up(self, state: LowState, cause: str, deadline: float | None = None) -> None:
+        self._enter(Phase.STANDING, cause, self._stretch)
+        frames = [Keyframe(1.0, go2w.FOLDED), Keyframe(0.2, go2w.FOLDED)]
+        self._motion = Motion(state, frames, kp=120.0)
+        self._stretching = False
+        self._deadline = state.time + STAND_TIMEOUT if deadline is None else deadline
+
+    def _stretch(self, state: LowState) -> LowCommand:
+        assert self._motion is not None
+        if self._motion.done(state.time):
+            if self._stretching:
+                self._take_stance(state, self.cause, self._deadline)
+                return self._act(state)
+            # Folded and on the ground: its slope is known now.
+            self._stretching = True
+            self._motion = Motion(state, [Keyframe(1.5, level_stance(state))], kp=150.0)
+        return self._motion.step(state.time)
+
+    def _take_stance(self, state: LowState, cause: str, deadline: float) -> None:
+        self._enter(Phase.STANDING, cause, self._stance)
+        self._deadline = deadline
+        self._stance_since = state.time
+        self._controller.reset()
+
+    def _stance(self, state: LowState) -> LowCommand:
+        steady = np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED and up(state) > 0.8 and tall(state)
+        if not steady:
+            self._stance_since = state.time
+        if state.time - self._stance_since >= STANCE_TIME:
+            self._enter(Phase.READY, "standing", self._walk)
+            self._recover_until = -np.inf
+            self._moved = -np.inf
+        elif state.time > self._deadline:
+            self.fault(f"does not stand still on its wheels after {STAND_TIMEOUT:.0f} s; request recover")
+            return self._damped
+        posture = replace(self._posture, height=None)  # up first, then as low as wanted
+        return self._controller.step(state, VelocityCommand(self._velocity.stamp), posture)
+
+    def _walk(self, state: LowState) -> LowCommand:
+        v = self._velocity
+        if self._latched:
+            if self.phase is not Phase.STOPPED:
+                self.phase, self.cause = Phase.STOPPED, "stop requested; request resume"
+            v = VelocityCommand(v.stamp)
+        else:
+            if v.vx != 0.0 or v.vy != 0.0 or v.wz != 0.0:
+                self._moved = state.time
+            moving = state.time - self._moved < MOVING_TIME
+            phase = Phase.MOVING if moving else Phase.READY
+            doing = self._controller.warning() or ("driving" if moving else "standing")
+            if phase is not self.phase or doing != self._doing:
+                self.phase, self.cause, self._doing = phase, doing, doing
+        return self._controller.step(state, v, self._posture)
+
+    def _right(self, state: LowState) -> LowCommand:
+        assert self._righting is not None
+        command = self._righting.step(state)
+        if self._righting.upright:
+            self._get_up(state, "on its belly again: getting up")
+        elif self._righting.failed:
+            self.fault("fallen: it could not turn itself over; put it on its wheels, then request recover")
+        return command
+
+
+def tall(state: LowState) -> bool:
+    """Whether the legs are stretched enough to stand."""
+    return go2w.WHEEL_RADIUS - float(go2w.wheel_centres(state.q)[:, 2].mean()) > TALL

@@ -1,0 +1,117 @@
+"""What goes into the safety gate and what comes out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.types import RobotState
+
+
+class GateParams(BaseModel):
+    """Thresholds of the safety gate. The velocity and acceleration limits are the robot's `Capabilities`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    deadman: float = Field(
+        default=0.2, gt=0, le=0.5, description="[s] age of a command at which velocity is zero"
+    )
+    deadman_ramp: float = Field(default=0.08, ge=0, description="[s] before that, the velocity ramps down")
+    future: float = Field(default=0.05, ge=0, description="[s] a stamp may lie ahead of the clock")
+    max_tilt: float = Field(default=0.70, gt=0, description="[rad] between trunk and gravity; latches")
+    min_battery: float = Field(default=0.10, ge=0, lt=1, description="state of charge [0..1]; latches")
+    max_motor_temperature: float = Field(default=90.0, description="[deg C]; latches")
+    sensor_timeout: dict[str, float] = Field(
+        default={"state": 0.5, "imu": 0.2, "joints": 0.3, "lidar": 1.0},
+        description="[s] oldest accepted sample by sensor; every sensor named must be alive",
+    )
+    not_moving_warn: float = Field(default=1.0, gt=0, description="[s] commanded but not moving: flagged")
+    not_moving_stop: float = Field(
+        default=12.0, gt=0, description="[s] the same, latches; longer than a recovery"
+    )
+    moving_stop: float = Field(default=1.0, gt=0, description="[s] moving but not commanded, latches")
+    moving_speed: float = Field(
+        default=0.3, gt=0, description="[m/s] counts as moving; yaw rates double, in rad/s"
+    )
+    braking_time: float = Field(default=1.0, gt=0, description="[s] in which a moving robot comes to rest")
+    fence_margin: float = Field(
+        default=0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH),
+        ge=0,
+        description="[m] from base_link to what must stay inside, along the motion",
+    )
+    fence_horizon: float = Field(
+        default=0.8, gt=0, description="[s] of motion that must stay inside the geofence"
+    )
+
+
+class RefusalReason(StrEnum):
+    """Why a command was not accepted."""
+
+    NOT_FINITE = "not finite"
+    WRONG_FRAME = "wrong frame"
+    OVER_LIMIT = "over limit"
+    FROM_FUTURE = "from the future"
+    TOO_OLD = "too old"
+    OUT_OF_ORDER = "out of order"
+    LATCHED = "stopped until resume"
+
+
+class StopCause(StrEnum):
+    """What latched the gate."""
+
+    OPERATOR = "emergency stop"
+    TILT = "tilt"
+    BATTERY = "battery low"
+    MOTOR_TEMPERATURE = "motor too hot"
+    ROBOT_FAULT = "robot fault"
+    NOT_MOVING = "commanded but not moving"
+    MOVING = "moving but not commanded"
+    PROCESS_LOST = "process lost"
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A command that was not accepted."""
+
+    reason: RefusalReason
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class GateInputs:
+    """What the gate may know of the robot at an instant. None: not known, which holds the robot where it matters."""
+
+    state: RobotState | None = None
+    tilt: float | None = None
+    """Angle between the trunk's z axis and gravity [rad], see `hal.safety.tilt.TiltFilter`."""
+    velocity: tuple[float, float, float] | None = None
+    """Measured vx, vy [m/s], wz [rad/s] in base_link; None skips the two motion checks."""
+    pose: tuple[float, float, float] | None = None
+    """x, y [m], yaw [rad] in `map`; needed only with a geofence."""
+    stamps: Mapping[str, int] = field(default_factory=dict)
+    """Newest stamp [ns] by sensor: "imu", "joints", "lidar". "state" is taken from `state`."""
+
+
+@dataclass(frozen=True, slots=True)
+class GateStatus:
+    """Snapshot for `status`, the log and the operator."""
+
+    latched: bool
+    cause: str
+    """Why the gate is latched, in plain words; empty when it is not."""
+    hold: str
+    """Why the velocity is held at zero although the gate is not latched; empty when it is not."""
+    not_moving: bool
+    """Commanded but not moving for longer than `not_moving_warn`."""
+    motion_unchecked: bool
+    """No measured velocity: neither "commanded but not moving" nor "moving but not commanded" would be noticed."""
+    accepted: int
+    refused: dict[str, int]
+    """Count by RefusalReason, in the order of the enum; only reasons that occurred."""
+    command_age: float | None
+    """[s] at the last output; None without an accepted command."""

@@ -1,0 +1,41 @@
+"""Makes the backend of a real robot, or says what is missing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hal.contract import BackendError
+
+if TYPE_CHECKING:
+    from hal.unitree.backend import UnitreeBackend
+    from hal.unitree.options import UnitreeOptions
+
+
+class MissingExtra(BackendError):
+    """The optional DDS package is not installed."""
+
+
+def check(interface: str) -> None:
+    """Whether a robot can be looked for on `interface`. Raises MissingExtra, BackendError."""
+    try:
+        import cyclonedds.core  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra(
+            f"the Unitree backend needs DDS ({error}); install it with: pip install 'rbtrg-robot[unitree]'"
+        ) from error
+    from hal.unitree.link import check_interface
+
+    check_interface(interface)
+
+
+def make_backend(
+    interface: str, dry_run: bool = False, options: UnitreeOptions | None = None
+) -> UnitreeBackend:
+    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface."""
+    check(interface)
+    from hal.unitree.backend import UnitreeBackend
+
+    domain = None if options is None else options.domain
+    if domain is None:
+        domain = 1 if interface == "lo" else 0
+    return UnitreeBackend(interface, domain, options, dry_run)

@@ -1,0 +1,218 @@
+"""Maps on disk: the map's own .npz (versioned, exact), and prior maps from .npz grids, point clouds and meshes."""
+
+from __future__ import annotations
+
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.elevation.exchange import MapError, MapPatch
+from mapping.elevation.tiles import CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
+
+FORMAT = "rbtrg_elevation_map"
+VERSION = 1
+PRIOR_SIGMA = 0.04
+"""Height noise of a prior map of unknown making [m]."""
+MAX_EXTENT = 20_000.0
+"""Farthest coordinate of a prior map [m]; beyond it the units are not metres."""
+
+MAX_TILES = 4000
+"""Largest prior map: about 0.7 GB."""
+
+
+def save_store(store: TileStore, path: Path, resolution: float) -> None:
+    """Write all tiles; the file appears complete or not at all. Same map, same bytes. Raises OSError."""
+    path = Path(path)
+    n = store.used * store.size * store.size
+    arrays: dict[str, Any] = {
+        "format": np.array(FORMAT),
+        "version": np.array(VERSION),
+        "frame": np.array("map"),
+        "resolution": np.array(resolution),
+        "tile_cells": np.array(store.size),
+        "tiles": store.tiles[: store.used],
+    }
+    cells = store.cells[:n]
+    arrays |= {name: cells[name].reshape(store.used, store.size, store.size) for name in SAVED}
+    part = path.with_name(path.name + ".part")
+    try:
+        with part.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def restore_store(store: TileStore, patch: MapPatch, settled: int, now: int) -> int:
+    """Write the cells of a read-out back into a store, as seen at `now` [ms] by `settled` points; returns how many are known.
+
+    They count as sent: the reader they came from has them.
+    """
+    layers = patch.layers
+    height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
+    known = (source == CONTACT) | (source == LIDAR)
+    row, col = np.nonzero(known | np.isfinite(upper))
+    at = row, col
+    cell = store.locate((row + patch.cell[0]).astype(np.int64), (col + patch.cell[1]).astype(np.int64))
+    new: NDArray[Any] = np.full(len(row), FRESH, dtype=CELL)
+    new["upper"] = np.where(known[at], np.inf, upper[at])
+    new["height"] = np.where(known[at], height[at], np.nan)
+    new["variance"] = np.where(known[at], layers["variance"][at], np.nan)
+    new["source"] = np.where(known[at], source[at], UNKNOWN)
+    new["count"] = np.where(source[at] == LIDAR, settled, 0)
+    new["seen"] = now
+    store.cells[cell] = new
+    state = (source + 16 * layers["trusted"]).astype(np.uint8)
+    store.differences(*patch.cell, height, upper, state, 0.0)
+    store.touched[np.unique(cell >> (2 * store.shift))] = 1
+    return int(known.sum())
+
+
+def load_into(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:
+    """Put the map in `path` into an empty store of this resolution; returns the number of cells with a height.
+
+    Ours (.npz): exact at the same resolution, resampled (highest surface) at another. A grid (.npz with `height`,
+    `resolution`, `origin`, optional `trusted`), a cloud or a mesh (.ply, .pcd, .stl, .obj): in the `map` frame, metres,
+    z up. Raises MapError, which says what is wrong with the file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MapError(f"{path}: no such map file")
+    if path.suffix.lower() != ".npz":
+        return _import_geometry(store, path, resolution, trust_count)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        raise MapError(f"{path.name}: broken or truncated .npz file ({error})") from error
+    if "format" in data:
+        return _load_own(store, data, path.name, resolution, trust_count)
+    try:
+        height = np.asarray(data["height"], dtype=np.float32)
+        own, origin = float(data["resolution"]), np.asarray(data["origin"], dtype=np.float64)
+        if height.ndim != 2 or origin.shape != (2,) or not own > 0.0:
+            raise ValueError(f"height {height.shape}, origin {origin.shape}, resolution {own}")
+        trusted = np.asarray(data.get("trusted", np.isfinite(height)), dtype=bool)
+        if trusted.shape != height.shape:
+            raise ValueError(f"trusted {trusted.shape} does not fit height {height.shape}")
+    except KeyError as error:
+        raise MapError(
+            f"{path.name}: a map .npz needs height, resolution and origin; {error} is missing"
+        ) from error
+    except (ValueError, TypeError) as error:
+        raise MapError(f"{path.name}: height must be 2-D, origin x, y, resolution metres: {error}") from error
+    return _enter(
+        store, np.where(trusted, height, np.nan), own, (origin[0], origin[1]), resolution, trust_count
+    )
+
+
+def _load_own(
+    store: TileStore, data: dict[str, NDArray], name: str, resolution: float, trust_count: int
+) -> int:
+    if str(data["format"]) != FORMAT:
+        raise MapError(f"{name}: not an elevation map but {data['format']}")
+    if int(data.get("version", 0)) != VERSION:
+        raise MapError(f"{name}: map version {data.get('version')}; this program reads version {VERSION}")
+    try:
+        own, size, tiles = float(data["resolution"]), int(data["tile_cells"]), data["tiles"]
+        shape = (len(tiles), size, size)
+        if tiles.shape != (len(tiles), 2) or any(data[field].shape != shape for field in SAVED):
+            raise ValueError("arrays do not fit together")
+    except (KeyError, ValueError, TypeError) as error:
+        raise MapError(f"{name}: damaged map ({error}): take another copy") from error
+    if abs(own - resolution) < 1e-9 and size == store.size:
+        n = size * size
+        for k, (row, col) in enumerate(tiles):
+            slot = store.allocate(int(row), int(col))
+            cells = store.cells[slot * n : (slot + 1) * n]
+            for field in SAVED:
+                cells[field] = data[field][k].reshape(-1)
+            cells["seen"] = PRIOR
+            store.touched[slot] = 1
+        return int(np.count_nonzero(data["source"] != UNKNOWN))
+    known = data["source"] == LIDAR
+    tile, r, c = np.nonzero(known)
+    x, y = (tiles[tile, 1] * size + c) * own, (tiles[tile, 0] * size + r) * own
+    return _enter_points(store, x, y, data["height"][known], own, resolution, trust_count)
+
+
+def _import_geometry(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:
+    from hal.scenes.gridding import grid
+    from hal.scenes.readers import read_geometry
+    from hal.scenes.scene import SceneError
+
+    try:
+        geometry = read_geometry(path)
+        if len(geometry.triangles) == 0:
+            x, y, z = geometry.vertices.T
+            return _enter_points(store, x, y, z, resolution, resolution, trust_count)
+        height, origin = grid(geometry, resolution, path.name)
+    except SceneError as error:
+        raise MapError(str(error)) from error
+    return _enter(store, height, resolution, origin, resolution, trust_count)
+
+
+def _enter(
+    store: TileStore,
+    height: NDArray[np.float32],
+    own: float,
+    origin: tuple[float, float],
+    resolution: float,
+    trust_count: int,
+) -> int:
+    """Known cells of a dense grid."""
+    r, c = np.nonzero(np.isfinite(height))
+    return _enter_points(
+        store, origin[0] + c * own, origin[1] + r * own, height[r, c], own, resolution, trust_count
+    )
+
+
+def _enter_points(
+    store: TileStore, x: NDArray, y: NDArray, z: NDArray, own: float, resolution: float, trust_count: int
+) -> int:
+    """Square patches of side `own` around (x, y) at height z onto the lattice; the highest wins."""
+    if len(x) == 0:
+        raise MapError("the prior map holds no known cell")
+    far = float(max(np.abs(x).max(), np.abs(y).max()))
+    if not far <= MAX_EXTENT:
+        raise MapError(
+            f"the prior map reaches {far:.0f} m from the origin: is it in metres and in the map frame?"
+        )
+    # coarser cells cover several of ours
+    n = max(1, int(np.ceil(own / resolution - 1e-6)))
+    offset = (np.arange(n) - (n - 1) / 2) * (own / n)
+    rows = [np.floor((y + d) / resolution + 0.5).astype(np.int64) for d in offset]
+    cols = [np.floor((x + d) / resolution + 0.5).astype(np.int64) for d in offset]
+    tiles = np.unique(np.concatenate([_tiles_of(i, j, store.shift) for i in rows for j in cols]), axis=0)
+    if len(tiles) > MAX_TILES:
+        raise MapError(
+            f"the prior map covers {len(tiles)} tiles, more than {MAX_TILES}: cut it or use a coarser resolution"
+        )
+    store.reserve(store.used + len(tiles))
+    for row, col in tiles.tolist():
+        store.allocate(row, col)
+    top: NDArray[np.float32] = np.full(len(store.cells), -np.inf, dtype=np.float32)
+    for i in rows:
+        for j in cols:
+            np.maximum.at(top, store.locate(i, j), z.astype(np.float32))
+    index = np.flatnonzero(top > -np.inf)
+    cells = store.cells[index]
+    cells["height"], cells["variance"] = top[index], PRIOR_SIGMA**2
+    cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, PRIOR
+    store.cells[index] = cells
+    store.touched[index >> (2 * store.shift)] = 1
+    return len(index)
+
+
+def _tiles_of(i: NDArray[np.int64], j: NDArray[np.int64], shift: int) -> NDArray[np.int64]:
+    """(k, 2) rows and columns of the tiles that cells lie in, each once."""
+    row, col = i >> shift, j >> shift
+    # a raster gives long runs of the same tile: what is left of them is quick to sort
+    new = np.ones(len(row), np.bool_)
+    new[1:] = (np.diff(row) != 0) | (np.diff(col) != 0)
+    found: NDArray[np.int64] = np.unique(np.column_stack([row[new], col[new]]), axis=0)
+    return found

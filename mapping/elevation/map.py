@@ -1,0 +1,351 @@
+"""The elevation map: deskewed scans in, a world-fixed map of heights with their certainty out.
+
+    fuse(scan) -> project -> one measurement per cell -> two-mode Kalman -> height drift of the odometry
+    fuse_ground(wheels) -> support plane where the LiDAR is blind
+    clean() -> what rays look through goes; upper bound of unseen cells
+    take_patches() -> cells that changed, for `MapMirror`
+
+Same calls, same bytes: no clock, no randomness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hal.go2w import XT16_MOUNT
+from hal.lidar.spec import LIDARS
+from mapping.elevation import fusion as kernels
+from mapping.elevation.exchange import MapError, MapPatch
+from mapping.elevation.files import load_into, restore_store, save_store
+from mapping.elevation.params import ElevationParams
+from mapping.elevation.poses import checked_pose
+from mapping.elevation.prior import PriorCheck
+from mapping.elevation.read import MapReader
+from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
+from mapping.elevation.visibility import judge, trace
+from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, support_patch
+from mapping.grid import ElevationGrid
+
+_HITS = 100_000
+"""Most cells one clean-up can look through; the rest waits for the next."""
+UPRIGHT = 0.7
+"""Cosine of the tilt of a trunk that stands on its wheels."""
+CONTRADICTED = 0.25
+"""Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
+CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
+"""Steps of the stamps beyond these [ns] are a clock that was set."""
+XT16_ORIGIN = XT16_MOUNT.translation
+
+
+@dataclass(frozen=True, slots=True)
+class FuseReport:
+    """What became of one scan: points by reason, then cells by outcome."""
+
+    points: int
+    used: int
+    invalid: int
+    """NaN or infinite."""
+    out_of_range: int
+    body: int
+    ceiling: int
+    cells: int
+    agreed: int
+    new: int
+    conflict: int
+    replaced: int
+    overhang: int
+    z_correction: float
+    """Height drift of the odometry taken out so far [m]."""
+
+
+class ElevationMap:
+    """A map in the `map` frame. One instance belongs to one thread."""
+
+    def __init__(self, params: ElevationParams | None = None) -> None:
+        """Noise that `params` leave open is that of an XT16: see `ElevationParams.for_lidar`."""
+        self.params = p = (params or ElevationParams()).for_lidar(LIDARS["xt16"])
+        self.store = TileStore(p.tile_cells)
+        self.epoch = 0
+        self.z_correction = 0.0
+        self.stamp = 0
+        self.scans = 0
+        self._lived = 0
+        self._fresh = True
+        self._rays = 0
+        self._sensor = np.zeros(3)
+        self._prior: PriorCheck | None = None
+        self._buffers(1024)
+        self._limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope])
+        self._body = np.array(p.body_box)
+        self._fuse_rule = np.array(
+            [
+                p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
+                p.drift_sigma**2 / 1000.0, p.trust_sigma**2, p.trust_count, 1000.0 * p.conflict_memory,
+            ]
+        )  # fmt: skip
+        self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
+        self._reader = MapReader(self.store, p)
+
+    def _buffers(self, n: int) -> None:
+        self._cell, self._z = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.float32)
+        self._weight, self._shared = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
+        self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 8), dtype=np.float32)
+        self._slot = np.empty(n, dtype=np.int32)
+        self._ends = np.empty((n, 3), dtype=np.float32)
+
+    def warm_up(self) -> None:
+        """Compile (or load) every kernel on a throw-away map."""
+        other = ElevationMap(self.params)
+        other._prior = PriorCheck()
+        points = np.array([[2.0, 0.1 * k, -0.4 + 0.1 * (k % 2)] for k in range(8)], dtype=np.float32)
+        other.fuse_ground(
+            np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]]), np.zeros(3), (0, 0, 0, 1), 0
+        )
+        other.fuse(points, np.zeros(3), (0, 0, 0, 1), 0)
+        other.clean()
+        for patch in other.take_patches():
+            patch.with_terrain()
+
+    def reset(self) -> None:
+        """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
+        self.store.clear()
+        self.epoch += 1
+        self.z_correction = 0.0
+        self.scans = 0
+        self._rays = 0
+        self._prior = None
+        self._fresh = True
+
+    def fuse(
+        self,
+        points: NDArray[np.float32],
+        position: ArrayLike,
+        orientation: ArrayLike,
+        stamp: int,
+        sensor_origin: ArrayLike = XT16_ORIGIN,
+        attitude_sigma: float | None = None,
+        height_sigma: float | None = None,
+    ) -> FuseReport:
+        """Fuse one scan.
+
+        points (n,3) float32 in base_link, deskewed to `stamp`; position (3,) and orientation (4,) x, y, z, w of
+        base_link in `map`; sensor_origin (3,) in base_link; sigmas of the pose override the parameters [rad, m].
+        Raises MapError for wrong shapes or a pose that is not finite. A stamp up to a second back counts as the last.
+        """
+        p = self.params
+        points = np.asarray(points)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise MapError(f"points must be (n, 3), got {points.shape}")
+        points = np.ascontiguousarray(points, dtype=np.float32)
+        rotation, place = checked_pose(position, orientation)
+        origin = np.asarray(sensor_origin, dtype=np.float64)
+        place[2] += self.z_correction
+        now = self._clock(stamp)
+        if len(points) > len(self._z):
+            self._buffers(2 * len(points))
+        noise = np.array(
+            [
+                p.range_sigma,
+                p.beam_sigma,
+                p.attitude_sigma if attitude_sigma is None else attitude_sigma,
+                p.height_sigma if height_sigma is None else height_sigma,
+            ]
+        )
+        drops = np.zeros(7, dtype=np.int64)
+        absent = np.zeros(2, dtype=np.int64)
+        s = self.store
+        while not kernels.project(
+            points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
+            s.directory, s.first, s.shift,
+            self._cell, self._z, self._weight, self._shared, self._ends, drops, absent,
+        ):  # fmt: skip
+            s.allocate(int(absent[0]), int(absent[1]))
+        m, rays = int(drops[kernels.USED]), int(drops[kernels.RAYS])
+        k, overhangs = kernels.reduce_cells(
+            self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
+            self._which, self._slot, self._sums,
+        )  # fmt: skip
+        if self._prior is not None and not self._prior.done:
+            which, sums = self._which[:k], self._sums[:k]
+            higher = self._prior.level(s, which, sums)
+            if higher != 0.0:  # the prior map counts from another start: take its level
+                self.z_correction -= higher
+                return self.fuse(
+                    points, position, orientation, stamp, sensor_origin, attitude_sigma, height_sigma
+                )
+            self._prior.take(s, which, sums)
+        out = np.zeros(6, dtype=np.int64)
+        residuals = np.zeros(2)
+        kernels.fuse(
+            self._which, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
+            s.touched, 2 * s.shift,
+        )  # fmt: skip
+        if residuals[1] >= p.drift_min_cells:
+            # a dead band, or the estimate would walk: the map follows the corrected scans
+            mean = residuals[0] / residuals[1]
+            self.z_correction -= p.drift_gain * float(
+                np.clip(mean, -0.05, 0.05) - np.clip(mean, -p.drift_free, p.drift_free)
+            )
+        self._rays, self._sensor = rays, place + rotation @ origin
+        self._angle = float(np.hypot(noise[1], noise[2]))
+        self.scans += 1
+        return FuseReport(
+            points=len(points),
+            used=m,
+            invalid=int(drops[kernels.DROP_NAN]),
+            out_of_range=int(drops[kernels.DROP_RANGE]),
+            body=int(drops[kernels.DROP_BODY]),
+            ceiling=int(drops[kernels.DROP_CEILING]),
+            cells=int(out[kernels.CELLS]),
+            agreed=int(out[kernels.AGREED]),
+            new=int(out[kernels.NEW]),
+            conflict=int(out[kernels.CONFLICT]),
+            replaced=int(out[kernels.REPLACED]),
+            overhang=int(out[kernels.OVERHANG]) + overhangs,
+            z_correction=self.z_correction,
+        )
+
+    def fuse_ground(
+        self,
+        wheel_contacts: ArrayLike,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        stamp: int,
+        start: bool | None = None,
+    ) -> int:
+        """Enter the ground under the wheels at low confidence; LiDAR-seen cells stay, and LiDAR overrides it.
+
+        wheel_contacts (k,3) bottoms of the wheels in contact, base_link. `start`: fill a disc instead of the
+        footprint; by default the first time after a reset. Fewer than three tell of their own spots only. Nothing is entered
+        where the LiDAR knows better: under a wheel on a kerb or in the air lies another ground. Returns the number of cells entered.
+        """
+        p = self.params
+        contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
+        rotation, place = checked_pose(position, orientation)
+        place[2] += self.z_correction
+        self._clock(stamp)
+        start = self._fresh if start is None else start
+        half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
+        yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
+        world = contacts @ rotation.T + place
+        patch = support_patch(
+            world[[self._carries(contact) for contact in world]], place[:2], yaw, half, p.start_radius if start else None,
+            p.contact_sigma, p.resolution,
+        )  # fmt: skip
+        if patch is None or rotation[2, 2] < UPRIGHT:
+            return 0
+        self._fresh = self._fresh and len(contacts) < 3
+        s = self.store
+        cell = s.locate(patch.i, patch.j)
+        old = s.cells[cell]
+        seen = old["source"] == LIDAR
+        if np.count_nonzero(np.abs(patch.height - old["height"])[seen] > ROUGH) > CONTRADICTED * seen.sum():
+            return 0
+        take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
+        cell, new = cell[take], old[take]
+        new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
+        s.cells[cell] = new
+        s.touched[np.unique(cell >> (2 * s.shift))] = 1
+        return int(cell.size)
+
+    def _carries(self, contact: NDArray[np.float64]) -> bool:
+        """Whether known ground can carry a wheel at `contact` (3,): the LiDAR knows some at its height around it, or none at all."""
+        if not np.isfinite(contact).all():
+            return False
+        x, y, z = contact
+        res = self.params.resolution
+        reach = np.arange(-round(WHEEL_SPOT / res), round(WHEEL_SPOT / res) + 1)
+        j, i = np.meshgrid(round(x / res) + reach, round(y / res) + reach)
+        cells = self.store.cells[self.store.locate(i.ravel(), j.ravel())]
+        height = cells["height"][cells["source"] == LIDAR]
+        return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
+
+    def clean(self) -> int:
+        """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""
+        p, s = self.params, self.store
+        if self._rays == 0:
+            return 0
+        # neighbouring rays of a dense scan cross the same cells: alternate halves do
+        stride = 2 if self._rays > 8000 else 1
+        n = trace(
+            self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
+            p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
+            s.cells, s.touched, s.mark, *self._looks,
+        )  # fmt: skip
+        rule = p.clean_passes, int(1000 * p.clean_unseen), p.trust_count, p.clearance, self._clock(self.stamp)
+        return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
+
+    def _clock(self, stamp: int) -> int:
+        """Milliseconds lived through; never runs backwards. A source clock that is set (a 1970 boot clock) passes no time."""
+        step = int(stamp) - self.stamp
+        if self.stamp == 0 or not -CLOCK_BACK < step < CLOCK_AHEAD:
+            self.stamp = int(stamp)
+        elif step > 0:
+            self.stamp += step
+            self._lived += step
+        return min(self._lived // 1_000_000, 2**31 - 1)
+
+    # ------------------------------------------------------------------ files
+
+    def save(self, path: Path) -> None:
+        """Write the whole map as a versioned .npz. Raises OSError."""
+        save_store(self.store, path, self.params.resolution)
+
+    def load_prior(self, path: Path) -> int:
+        """Start from a map file (see `mapping.elevation.files`); returns its known cells. Readers see a new epoch.
+
+        The first scan takes the map's level, the first few tell whether it fits at all: see `warning`.
+        Raises MapError and leaves the present map as it is when the file cannot be used.
+        """
+        store = TileStore(self.params.tile_cells)
+        known = load_into(store, path, self.params.resolution, self.params.trust_count)
+        self.reset()
+        self.store = self._reader.store = store
+        self._prior = PriorCheck()
+        return known
+
+    @property
+    def warning(self) -> str:
+        """What an operator should know of the map, in plain words; empty when all is well."""
+        return self._prior.warning if self._prior is not None else ""
+
+    def restore(self, patch: MapPatch) -> int:
+        """Take over what a reader still has of this map after the map itself was lost; returns the known cells.
+
+        Height, variance, trust and upper bounds come back; counts and the memory of what stood there do not. What was
+        bridged is bridged again. Raises MapError for another resolution.
+        """
+        if abs(patch.resolution - self.params.resolution) > 1e-9:
+            raise MapError(f"the copy has cells of {patch.resolution} m, the map {self.params.resolution} m")
+        now = self._clock(patch.stamp)
+        self._fresh = False
+        return restore_store(self.store, patch, self.params.trust_count, now)
+
+    # ------------------------------------------------------------------ reading
+
+    def window(self, x: float, y: float, half: float) -> MapPatch:
+        """The square of half width `half` [m] around (x, y)."""
+        r = self.params.resolution
+        n = int(np.ceil(half / r))
+        return self._reader.read(
+            (round(y / r) - n, round(x / r) - n, 2 * n + 1, 2 * n + 1), self.stamp, self.epoch
+        )
+
+    def full(self) -> MapPatch:
+        """The whole map. Raises MapError while it is empty."""
+        box = self.store.bounds()
+        if box is None:
+            raise MapError("the map is empty: nothing was seen yet")
+        return self._reader.read(box, self.stamp, self.epoch)
+
+    def grid(self) -> ElevationGrid:
+        """The whole map as a grid, unknown heights NaN."""
+        return self.full().grid()
+
+    def take_patches(self) -> list[MapPatch]:
+        """Cells whose height, trust or source changed since the last call: at most one patch per row of tiles."""
+        return self._reader.take_changes(self.stamp, self.epoch)

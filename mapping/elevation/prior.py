@@ -1,0 +1,116 @@
+"""Does a prior map fit? Told by the first scans: what stands where the map says ground, and how high the map lies.
+
+A prior map of another place, or a start pose that is not the robot's, looks right on level ground and fails at walls. The
+evidence is one-sided: a scan may see less of a wall than the map has, but never something where the map knows ground all
+around. Of the first 3000 cells in arena and yard a map that fits has less than 0.1 % of that, one that lies 0.1 m or 2 deg
+off 2 to 9 %, a wrong one 2 to 20 %. 0.05 m off may go unnoticed: it is hardly more than a cell.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
+from mapping.elevation.tiles import LIDAR, PRIOR, TileStore, base_of
+
+ENOUGH = 3000
+"""Cells of the prior map that are compared before the verdict is final: later on the world may have changed."""
+FEW = 1000
+"""Cells below which there is no verdict."""
+STANDS = 0.1
+"""What is this much higher than a cell of the prior map and its neighbours [m] contradicts it."""
+KNOWN = 6
+"""Cells of the 3 x 3 that must be known for a comparison: where a wall's foot was never seen it may stand."""
+MISFIT = 0.01
+"""Share of such cells of a map that does not fit."""
+LEVEL_OFF = 0.05
+"""A map that lies higher or lower than this on the whole [m] is taken at its level: it counts from another start."""
+
+
+class PriorCheck:
+    """Compares the first scans with a prior map, cell by cell, each cell once."""
+
+    def __init__(self) -> None:
+        self.tested = 0
+        self.higher = 0
+        self._levelled = False
+
+    @property
+    def done(self) -> bool:
+        """The verdict is final."""
+        return self.tested >= ENOUGH
+
+    @property
+    def warning(self) -> str:
+        """Words for the operator; empty while nothing speaks against the map."""
+        if self.tested < FEW or self.higher <= MISFIT * self.tested:
+            return ""
+        return (
+            f"the prior map does not fit: things stand on {self.higher / self.tested:.0%} of the ground it knows; "
+            "wrong file or start pose: start again with the right one, or without a prior map"
+        )
+
+    def level(self, store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]) -> float:
+        """How much higher the first scan that meets the prior map lies on the whole [m]; 0 from then on, and within noise.
+
+        which (k,) and sums (k, 8): the scan, see `elevation_kernels.reduce_cells`.
+        """
+        if self._levelled:
+            return 0.0
+        _, off, _ = _differences(store, which, sums)
+        if len(off) < FEW // 2:
+            return 0.0
+        self._levelled = True
+        middle = float(np.median(off))
+        one_level = float(np.median(np.abs(off - middle))) < LEVEL_OFF
+        return middle if one_level and abs(middle) > LEVEL_OFF else 0.0
+
+    def take(self, store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]) -> None:
+        """Compare one scan; see `level`. The cells it met no longer count as those of a prior map."""
+        met, _, higher = _differences(store, which, sums)
+        self.tested += len(met)
+        self.higher += higher
+        store.cells["seen"][met] = 0
+
+
+def _differences(
+    store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]
+) -> tuple[NDArray[np.int64], NDArray[np.float32], int]:
+    """Cells (n,) of the prior map not met before, how much higher the scan lies there (n,) [m], and how many contradict."""
+    met, off = np.empty(len(which), np.int64), np.empty(len(which), np.float32)
+    n, higher = _compare(
+        which, sums, store.cells, store.tiles, store.directory, store.first, store.shift, met, off
+    )
+    return met[:n], off[:n], higher
+
+
+@njit(cache=True)
+def _compare(which, sums, cells, tiles, directory, first, shift, met, off):  # pragma: no cover - compiled
+    """See `_differences`; returns n and how many contradict."""
+    n, higher = 0, 0
+    mask = (1 << shift) - 1
+    for s in range(len(which)):
+        index = which[s]
+        cell = cells[index]
+        if cell.source != LIDAR or cell.seen != PRIOR:
+            continue
+        slot = index >> (2 * shift)
+        i = (np.int64(tiles[slot, 0]) << shift) + ((index >> shift) & mask)
+        j = (np.int64(tiles[slot, 1]) << shift) + (index & mask)
+        known, top = 0, cell.height
+        for a in range(i - 1, i + 2):
+            for b in range(j - 1, j + 2):
+                base = base_of(directory, first, shift, a >> shift, b >> shift)
+                if base >= 0:
+                    h = cells[base + ((a & mask) << shift) + (b & mask)].height
+                    known += h == h
+                    top = h if h > top else top
+        if known < KNOWN:
+            continue
+        z = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT]
+        met[n], off[n] = index, z - cell.height
+        n += 1
+        higher += z - top > STANDS
+    return n, higher

@@ -1,0 +1,121 @@
+"""Reading the map out: dense layers with bridged gaps, and the deltas since the last read."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
+from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.elevation.params import ElevationParams
+from mapping.elevation.tiles import BRIDGED, Layers, TileStore
+
+_BLOCK = 12
+"""Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
+10 m range touches, so that a driving robot pays for the margin around a block once."""
+
+Box = tuple[int, int, int, int]
+"""Lattice row and column of the first cell, rows, columns."""
+
+
+class MapReader:
+    """Turns the tiles of one store into patches."""
+
+    def __init__(self, store: TileStore, params: ElevationParams) -> None:
+        self.store = store
+        self.params = p = params
+        self._rule = bridge_rule(
+            p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap
+        )
+        self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
+        self._result = _Scratch(np.float32)
+        self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
+
+    def read(self, box: Box, stamp: int, epoch: int) -> MapPatch:
+        """Cells of `box`, bridged."""
+        layers = {name: layer.copy() for name, layer in zip(PATCH_LAYERS, self._layers(box), strict=True)}
+        return self._patch(box, stamp, epoch, layers)
+
+    def _patch(self, box: Box, stamp: int, epoch: int, layers: dict[str, NDArray[np.float32]]) -> MapPatch:
+        r = self.params.resolution
+        return MapPatch((box[1] * r, box[0] * r), r, stamp, epoch, layers)
+
+    def _layers(self, box: Box) -> NDArray[np.float32]:
+        """(5, rows, cols) as PATCH_LAYERS, valid until the next call. The margin around it covers a bridge and what its
+        slope is judged by."""
+        p, pad = self.params, self._pad
+        i0, j0, rows, cols = box
+        wide = rows + 2 * pad, cols + 2 * pad
+        height, variance, upper, out, gap = self._floats.take(5, *wide)
+        small = self._bytes.take(5, *wide)
+        count, source, marks = small[0], small[1], small[2:]
+        self.store.read(i0 - pad, j0 - pad, Layers(height, variance, upper, count, source))
+        trusted = trust(height, variance, count, source, p.trust_sigma**2, p.trust_count, p.gate_min)
+        bridge(height, source, trusted, upper, self._rule, out, gap, marks)
+        layers = self._result.take(5, rows, cols)
+        _compose(height, variance, upper, source, trusted, pad, p.trust_sigma**2, layers)
+        return layers
+
+    def take_changes(self, stamp: int, epoch: int) -> list[MapPatch]:
+        """Patches of what reads differently from what the last ones said; at most one per row of tiles and block."""
+        s = self.store
+        slots = np.flatnonzero(s.touched[: s.used])
+        if slots.size == 0:
+            return []
+        s.touched[:] = 0
+        pad = self._pad  # bridging carries a change that far
+        patches = []
+        tiles = s.tiles[slots].astype(np.int64)
+        block = (tiles - tiles.min(axis=0)) // _BLOCK
+        for place in np.unique(block, axis=0):
+            inside = tiles[(block == place).all(axis=1)]
+            row, col = inside.min(axis=0) * s.size - pad
+            rows, cols = (inside.max(axis=0) + 1) * s.size + pad - (row, col)
+            patches += self._changes((int(row), int(col), int(rows), int(cols)), stamp, epoch)
+        return patches
+
+    def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
+        """Patches of what differs from the last ones sent, within a box."""
+        whole = self._layers(box)
+        elevation, _, trusted, upper, source = whole
+        state = (source + 16 * trusted).astype(np.uint8)
+        patches = []
+        for top, bottom, left, right in self.store.differences(
+            box[0], box[1], elevation, upper, state, self.params.patch_step
+        ):
+            cut = whole[:, top:bottom, left:right].copy()
+            part = box[0] + top, box[1] + left, bottom - top, right - left
+            patches.append(self._patch(part, stamp, epoch, dict(zip(PATCH_LAYERS, cut, strict=True))))
+        return patches
+
+
+class _Scratch:
+    """Memory that is used again: fresh pages cost more than the work done in them."""
+
+    def __init__(self, dtype: type) -> None:
+        self._flat: NDArray[Any] = np.empty(0, dtype=dtype)
+
+    def take(self, *shape: int) -> NDArray[Any]:
+        """An array of this shape with anything in it."""
+        n = math.prod(shape)
+        if self._flat.size < n:
+            self._flat = np.empty(n, dtype=self._flat.dtype)
+        return self._flat[:n].reshape(shape)
+
+
+@njit(cache=True)
+def _compose(height, variance, upper, source, trusted, pad, sigma2, out):  # pragma: no cover - compiled
+    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`."""
+    for r in range(out.shape[1]):
+        for c in range(out.shape[2]):
+            a, b = r + pad, c + pad
+            h, s, u = height[a, b], source[a, b], upper[a, b]
+            out[0, r, c] = h
+            out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
+            out[2, r, c] = trusted[a, b]
+            out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
+            out[4, r, c] = s if s < OVER else BRIDGED

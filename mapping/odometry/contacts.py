@@ -1,0 +1,30 @@
+"""Where the wheels touch the ground, from joint angles and torques."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.go2w import WHEEL_RADIUS, wheel_centres
+from hal.types import JointSample
+from mapping.odometry.wheels import leg_velocity
+
+
+def wheel_contacts(joints: JointSample) -> NDArray[np.float64]:
+    """(k, 3) lowest points of the wheels that carry load, base_link [m].
+
+    The wheel's lowest point lies along the normal of the plane through the four wheel centres: on a ramp that is the
+    ramp's normal, whatever the trunk does.
+    """
+    q = np.ascontiguousarray(joints.position, np.float64)
+    dq = np.ascontiguousarray(joints.velocity, np.float64)
+    tau = np.ascontiguousarray(joints.effort, np.float64)
+    contact = np.empty(4, np.bool_)
+    leg_velocity(q, dq, tau, np.zeros(3), np.ones(3), np.empty(3), np.empty(3), contact)
+    centre = wheel_centres(q)
+    normal = np.cross(centre[0] - centre[3], centre[1] - centre[2])
+    length = np.linalg.norm(normal)
+    if length < 1e-6:
+        return np.zeros((0, 3))
+    normal *= np.sign(normal[2]) / length
+    return (centre - WHEEL_RADIUS * normal)[contact]

@@ -1,0 +1,91 @@
+"""Motion compensation: every point to where it would have been measured at the end of the sweep."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.rotation import rotation, rotation_rpy, rotation_vector
+from hal.types import Array, Extrinsics
+
+
+def mount_matrix(mount: Extrinsics) -> Array:
+    """(4, 4) base_link <- sensor; rotation Rz(yaw) Ry(pitch) Rx(roll)."""
+    out = np.eye(4)
+    out[:3, :3] = rotation_rpy(*mount.rpy)
+    out[:3, 3] = mount.translation
+    return out
+
+
+@njit(cache=True)
+def _deskew(
+    xyz: NDArray[np.float32],
+    time: Array,
+    knot: Array,
+    rot: Array,
+    pos: Array,
+    step: Array,
+    out: NDArray[np.float32],
+) -> None:
+    """Point i at time[i] between knots k, k+1 moves by rot[k] Exp(s step[k]) p + pos interpolated, s in [0, 1]."""
+    last = len(knot) - 2
+    k = 0
+    for i in range(len(time)):
+        t = time[i]
+        while k < last and t > knot[k + 1]:
+            k += 1
+        while k > 0 and t < knot[k]:
+            k -= 1
+        s = min(max((t - knot[k]) / (knot[k + 1] - knot[k]), 0.0), 1.0)
+        ax, ay, az = s * step[k, 0], s * step[k, 1], s * step[k, 2]
+        x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
+        # Exp to second order: knots are milliseconds apart.
+        cx, cy, cz = ay * z - az * y, az * x - ax * z, ax * y - ay * x
+        x, y, z = (
+            x + cx + 0.5 * (ay * cz - az * cy),
+            y + cy + 0.5 * (az * cx - ax * cz),
+            z + cz + 0.5 * (ax * cy - ay * cx),
+        )
+        for a in range(3):
+            out[i, a] = (
+                rot[k, a, 0] * x
+                + rot[k, a, 1] * y
+                + rot[k, a, 2] * z
+                + pos[k, a]
+                + s * (pos[k + 1, a] - pos[k, a])
+            )
+
+
+def deskew(
+    xyz: NDArray[np.float32], time: Array, stamps: NDArray[np.int64], track: Array, start: int, lever: Array
+) -> NDArray[np.float32]:
+    """Points (n, 3) in base_link as measured -> (n, 3) float32 in base_link at the last stamp of the track.
+
+    `time` (n,) [s] since `start` [ns]; `stamps` (k,) [ns] and `track` (k, >= 10) poses of the IMU at `lever` (3,) in base_link, ascending.
+    Points measured outside the track are taken at its ends.
+    """
+    first = max(int(np.searchsorted(stamps, start, side="right")) - 1, 0)
+    knots = (stamps[first:] - start) * 1e-9
+    moved = np.concatenate([[True], np.diff(knots) > 0.0])
+    poses = track[first:][moved]
+    knots = knots[moved]
+    if len(knots) < 2:
+        return np.array(xyz, np.float32)
+    rots = np.stack([rotation(q) for q in poses[:, 6:10]])
+    pos = poses[:, :3] - rots @ lever
+    end_rot, end_pos = rots[-1], pos[-1]
+    step = np.stack([rotation_vector(a.T @ b) for a, b in pairwise(rots)])
+    out = np.empty((len(xyz), 3), np.float32)
+    _deskew(
+        np.ascontiguousarray(xyz, np.float32),
+        np.ascontiguousarray(time, np.float64),
+        np.ascontiguousarray(knots),
+        np.ascontiguousarray(end_rot.T @ rots),
+        np.ascontiguousarray((pos - end_pos) @ end_rot),
+        step,
+        out,
+    )
+    return out

@@ -1,0 +1,227 @@
+"""How far a registration can be believed: its covariance, and good | degraded | lost with a reason."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.types import Array
+from mapping.odometry.registration.engines import Match
+
+INDEPENDENT = 60
+"""Points of a scan whose errors are independent."""
+SCATTER = 0.6
+"""Share of the scatter of a scan about the map that does not average out. More of it serves sparse LiDARs where wheels roll
+cleanly (synthetic runs), less of it where they slip and bump (physics)."""
+SLIDING = 0.8
+"""Standard deviation of a registration along a direction that nothing constrains [m]."""
+NORMAL_NOISE = 0.002
+"""Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
+FITS_AGAIN = 0.9, 0.04
+"""Share of points on surfaces and RMS distance from them [m] of a scan that fits beyond doubt."""
+CARRIED = "; if the robot was carried, bring it back or start the stack anew"
+
+
+class Health(StrEnum):
+    """State of localisation. `lost` must stop motion; `degraded` warns: the pose holds, its margin is thin."""
+
+    GOOD = "good"
+    DEGRADED = "degraded"
+    LOST = "lost"
+
+
+class HealthParams(BaseModel):
+    """Limits of the verdict."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    min_on_planes: int = Field(
+        default=30, ge=0, description="points on known surfaces below which registration is not used"
+    )
+    min_points: int = Field(
+        default=60, ge=10, description="registered points below which a scan says nothing"
+    )
+    overlap_low: float = Field(default=0.5, description="share of points in seen map: degraded below")
+    overlap_lost: float = Field(default=0.2, description="registration is not used below")
+    inliers_low: float = Field(
+        default=0.8, description="share of points on the map's surfaces: degraded below"
+    )
+    inliers_lost: float = Field(default=0.6, description="registration is not used below")
+    residual_high: float = Field(
+        default=0.06, description="RMS distance from the map's surfaces: degraded above [m]"
+    )
+    information_low: float = Field(
+        default=0.02, description="least share of surface facing any direction: degraded below"
+    )
+    disagreement: float = Field(
+        default=6.0, description="registration against prediction: degraded above [standard deviations]"
+    )
+    jump: float = Field(
+        default=1.0, description="registration is not used when it moves the prediction further [m]"
+    )
+    young: int = Field(
+        default=10, ge=1, description="scans in the local map below which overlap says nothing"
+    )
+    gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
+    gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
+    sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
+    overlap_again: float = Field(
+        default=0.6, description="after a gap registration is not used below: somewhere else it fits half"
+    )
+    gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
+    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end `lost`")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do with one scan."""
+
+    health: Health
+    reason: str
+    """Plain words; empty when good."""
+    use: bool
+    """The pose may correct the filter."""
+    insert: bool
+    """The scan may enter the local map: never while lost, or one wrong fit would make the next ones fit."""
+    covariance: Array
+    """(6, 6) of the registered pose: position in `odom` [m], rotation about base_link in `odom` axes [rad]."""
+    degenerate: Array
+    """(3,) direction in `odom` in which the scene constrains least (unit)."""
+    degeneracy: float
+    """Share of the surface that faces this direction [0..1/3]; 0 means sliding freely."""
+
+
+class HealthMonitor:
+    """Remembers when scans last fitted."""
+
+    def __init__(self, params: HealthParams) -> None:
+        self.params = params
+        self.lost = False
+        self._last_fit = 0
+        self._fits = 0
+
+    def start(self, stamp: int, lost: bool = False) -> None:
+        """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
+        self.lost, self._last_fit, self._fits = lost, stamp, 0
+
+    def gap(self, stamp: int) -> float:
+        """Time without a usable scan [s]."""
+        return max(stamp - self._last_fit, 0) * 1e-9
+
+    def without_match(self, stamp: int, sigma: float, reason: str) -> tuple[Health, str]:
+        """No registration at `stamp` [ns]; `sigma`: position uncertainty [m] of the dead reckoning."""
+        gap = self.gap(stamp)
+        if gap > self.params.gap_lost or sigma > self.params.sigma_lost:
+            self.lost, self._fits = True, 0
+        if self.lost:
+            return Health.LOST, f"{reason}; dead reckoning for {gap:.1f} s"
+        if gap > self.params.gap_degraded or reason:
+            return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
+        return Health.GOOD, ""
+
+    def judge(
+        self, stamp: int, match: Match, predicted: Array, prior: Array, scans: int, sigma: float
+    ) -> Verdict:
+        """Weigh a registration.
+
+        `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
+        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m].
+        """
+        s = self.params
+        covariance, direction, share = pose_covariance(match, sigma)
+        difference = np.concatenate(
+            [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
+        )
+        # one scan may be off by what all its points share: that is no disagreement
+        shared = sigma**2 / _variance(match, sigma)
+        spread = shared * INDEPENDENT * covariance + prior
+        off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
+        moved = float(np.linalg.norm(difference[:3]))
+        bad, weak, again = "", "", False
+        if match.points < s.min_points:
+            bad = f"only {match.points} points in the scan"
+        elif scans:
+            young = scans < s.young
+            again = self.lost or self.gap(stamp) > s.gap_again
+            if match.overlap < s.overlap_lost and not young:
+                bad = f"scan overlaps the map by {match.overlap:.0%}"
+            elif match.on_planes < s.min_on_planes and not young:
+                bad = f"only {match.on_planes} points on known surfaces"
+            elif match.inliers < s.inliers_lost and not young:
+                bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
+            elif moved > s.jump:
+                bad = f"registration jumped by {moved:.2f} m"
+            elif again and not self._fits_again(match):
+                bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
+            elif match.overlap < s.overlap_low and not young:
+                weak = f"scan overlaps the map by {match.overlap:.0%}"
+            elif match.inliers < s.inliers_low:
+                weak = f"{match.inliers:.0%} of the scan lies on the map's surfaces"
+            elif match.residual > s.residual_high:
+                weak = f"scan is {1e3 * match.residual:.0f} mm off the map"
+            elif share < s.information_low and not young:
+                weak = "nothing constrains the direction ({:+.1f}, {:+.1f}, {:+.1f})".format(*direction)
+            elif off > s.disagreement:
+                weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
+        if bad:
+            bad += CARRIED if again else ""
+            health, reason = self.without_match(stamp, _sigma(prior), bad)
+            return Verdict(health, reason, False, False, covariance, direction, share)
+        self._last_fit = stamp
+        self._fits += 1
+        if self.lost and self._fits < s.recover:
+            reason = "scans fit again, confirming"
+            return Verdict(Health.LOST, reason, True, False, covariance, direction, share)
+        self.lost = False
+        health = Health.DEGRADED if weak else Health.GOOD
+        return Verdict(health, weak, True, True, covariance, direction, share)
+
+    def _fits_again(self, match: Match) -> bool:
+        """A scan after a gap fits as well as one of a robot that knows where it is. Level ground fits everywhere: in a
+        wrong place up to 0.7 of a scan overlaps and up to 0.9 of that lies on surfaces, 5 to 9 cm off them."""
+        s = self.params
+        return (
+            match.overlap >= s.overlap_again
+            and match.inliers >= FITS_AGAIN[0]
+            and match.residual <= FITS_AGAIN[1]
+        )
+
+
+def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
+    """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
+
+    Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
+    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
+    towards where the last one was, and the normals that seem to face them are noise.
+    """
+    h = match.information
+    scale2 = _variance(match, sigma) / INDEPENDENT
+    free = scale2 / SLIDING**2
+    covariance = scale2 * np.linalg.inv(h + np.diag([free] * 3 + [1e-3] * 3))
+    position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
+    values, vectors = np.linalg.eigh(0.5 * (position + position.T))
+    values = np.maximum(values, 0.0)
+    facing = np.maximum(values - NORMAL_NOISE, 0.0)
+    covariance[:3, :3] += vectors @ np.diag(scale2 / (facing + free) - scale2 / (values + free)) @ vectors.T
+    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(values[0])
+
+
+def _variance(match: Match, sigma: float) -> float:
+    """Of one independent point about the map [m^2]."""
+    return sigma**2 + (SCATTER * match.residual) ** 2
+
+
+def _sigma(covariance: Array) -> float:
+    """Largest standard deviation of the position [m]."""
+    return math.sqrt(float(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
+
+
+def _log(matrix: Array) -> Array:
+    """Small rotation vector of a rotation matrix (first order is enough for a test statistic)."""
+    return 0.5 * np.array(
+        [matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]
+    )

@@ -1,0 +1,310 @@
+"""LiDAR-inertial odometry around KISS-ICP, for a robot on wheels and legs.
+
+    imu, joints ──> predict ──> deskew ──> register ──> judge ──> correct ──> local map
+                 (filter)     (to scan end)  (engine)   (health)   (filter)
+
+Results are a function of the samples, not of the order in which topics arrive: a scan waits until IMU and joints have
+passed its end, or until another topic is `patience` ahead. `FastPose` and `WheelOdometry` are the exception: they
+answer at once with what has arrived.
+
+Frame `odom`: below the robot's start, z up along gravity, x along the initial heading; z = 0 is the ground under the wheels
+when joints are known at the start, else base_link itself.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.go2w import XT16_MOUNT
+from hal.rotation import rotation_rpy
+from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
+from mapping.odometry.deskew import deskew, mount_matrix
+from mapping.odometry.health import Health, HealthMonitor, Verdict
+from mapping.odometry.inbox import Inbox
+from mapping.odometry.inertial import InertialFilter
+from mapping.odometry.inertial_kernels import SILENCE
+from mapping.odometry.intake import Sweep
+from mapping.odometry.pose_stream import PoseStream
+from mapping.odometry.registration.engines import Engine, GicpEngine, KissEngine, Match
+from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
+from mapping.odometry.types import FastPose, OdometryParams, ScanOdometry
+from mapping.odometry.wheel_scale import WheelScale
+from mapping.odometry.wheels import WheelOdometry, velocities
+
+ZERO = np.zeros(6)
+HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
+"""Tried in turn after a gap [rad]: registration finds a heading that is 0.15 rad off, a robot out of contact turns further."""
+
+
+class LidarInertialOdometry:
+    """Feed samples in, `poll` for finished scans. One thread."""
+
+    def __init__(self, params: OdometryParams = OdometryParams(), mount: Extrinsics = XT16_MOUNT) -> None:
+        """`mount`: LiDAR in base_link."""
+        self.params = params
+        self.counters: Counter[str] = Counter()
+        self.initialised = False
+        self._engine = make_engine(params)
+        self._filter = InertialFilter(params.inertial)
+        self._monitor = HealthMonitor(params.health)
+        self._mount = mount_matrix(mount)
+        self._lever = np.array(params.inertial.imu_position)
+        self._wheel_noise = np.array(params.inertial.wheel_noise)
+        self._inbox = Inbox(params, self.counters, self._follow_clock)
+        self._imu, self._joints = self._inbox.imu, self._inbox.joints
+        self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
+        self._startup = Startup()
+        self._before: Before | None = None
+        self._scale = WheelScale()
+        self._rolled = math.nan
+        self._misfits = 0
+        self._notes: list[str] = []
+        self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
+
+    # --- samples in ---------------------------------------------------------------------------------------------
+    def add_imu(self, sample: ImuSample) -> FastPose | None:
+        """Take an inertial sample; the pose at its stamp once initialised."""
+        row = self._inbox.take_imu(sample)
+        if row is None:
+            return None
+        if not self.initialised or sample.stamp - self._filter.stamp > 60 * NS:
+            return None
+        return self._stream.on_imu(int(sample.stamp), row, self._health, self._reason)
+
+    def add_joints(self, sample: JointSample) -> WheelOdometry | None:
+        """Take a joint sample (thinned to 50 Hz); wheel-leg odometry at its stamp once initialised."""
+        row = self._inbox.take_joints(sample)
+        if row is None or not self.initialised:
+            return None
+        return self._stream.on_joints(int(sample.stamp), row)
+
+    def add_scan(self, scan: LidarScan) -> None:
+        """Take a scan; `poll` processes it."""
+        self._inbox.take_scan(scan)
+
+    def resume(self, pose: Array, cloud: NDArray[np.float32]) -> None:
+        """Call before the first sample to go on where another odometry ended: `pose` (4, 4) `odom` <- base_link, and what
+        was seen there, `cloud` (n, 3) base_link [m].
+
+        The first scan is registered to that cloud, so that neither pose nor map jumps by what the robot coasted meanwhile;
+        a robot that was carried further than registration reaches becomes `lost`.
+        """
+        self._before = Before(pose, np.ascontiguousarray(cloud, np.float32))
+
+    def poll(self) -> list[ScanOdometry]:
+        """Scans whose IMU and joint data have arrived, processed in order; a second without any scan also reports."""
+        out: list[ScanOdometry] = []
+        while True:
+            sweep = self._inbox.next_sweep()
+            if sweep is not None:
+                result = self._process(sweep)
+            elif (
+                self.initialised
+                and not self._inbox.waiting
+                and 2 * NS < self._inbox.now - self._filter.stamp < 60 * NS
+            ):
+                result = self._coast(self._filter.stamp + NS)
+            else:
+                return out
+            if result is not None:
+                out.append(result)
+
+    # --- one scan -----------------------------------------------------------------------------------------------
+    def _process(self, sweep: Sweep) -> ScanOdometry | None:
+        if not self.initialised:
+            self._initialise(sweep)
+            return None
+        if sweep.end <= self._filter.stamp:
+            self.counters["scan_backward"] += 1
+            return None
+        before, since = self._filter.pose(), self._filter.stamp
+        stamps, track = self._predict(sweep.end)
+        if sweep.problem:
+            return self._dead_reckoned(sweep.problem)
+        xyz = sweep.xyz @ self._mount[:3, :3].T.astype(np.float32) + self._mount[:3, 3].astype(np.float32)
+        cloud = deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
+
+        predicted = self._filter.pose()
+        prior = self._filter.output(ZERO).covariance
+        wide = self._monitor.lost or self._monitor.gap(sweep.end) > 0.5
+        scans = self._engine.scans
+        match = self._engine.align(
+            cloud, predicted @ self._search(), self.params.threshold_lost if wide else self.params.threshold
+        )
+        verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
+        if verdict.use and scans:
+            measured = _rotation_to_body(verdict.covariance, match.pose)
+            # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
+            # scan to scan: gravity has the last word there.
+            measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+            self._filter.update_pose(match.pose, measured)
+        self._misfits = 0 if verdict.use else self._misfits + 1
+        if verdict.insert:
+            self._engine.insert(self._filter.pose())
+        self._learn_scale(before, sweep.end - since, verdict)
+        self._health, self._reason = verdict.health, verdict.reason
+        if self._notes and verdict.health is not Health.LOST:
+            self._health = Health.DEGRADED
+            self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
+        self._notes.clear()
+        self._rejoin()
+        return self._result(cloud, match, predicted, verdict.degenerate, verdict.degeneracy)
+
+    def _initialise(self, sweep: Sweep) -> None:
+        """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
+        imu_stamp, imu = self._imu.between(sweep.end - WINDOW, sweep.end)
+        joint_stamp, joints = self._joints.between(sweep.end - NS // 15, sweep.end)
+        if len(imu) < 5:
+            self.counters["scan_before_imu"] += 1
+            if self.counters["scan_before_imu"] < 10:
+                return
+        if not self._startup.ready(sweep.end, imu_stamp, imu):
+            return
+        joints = joints if self.params.use_joints else joints[:0]
+        start(self._filter, sweep.end, imu_stamp, imu, joint_stamp, joints, self._wheel_noise)
+        if self._before is not None:
+            put_at(self._filter, self._before.pose)
+            self._engine.align(self._before.cloud, self._before.pose, self.params.threshold)
+            self._engine.insert(self._before.pose)
+        self._stream.start(self._filter)
+        self._monitor.start(sweep.end, lost=self._before is not None)
+        self._before = None
+        self.initialised = True
+        self._rejoin()
+
+    def _search(self) -> Array:
+        """(4, 4): after a gap, a heading beside the predicted one, as far as that is uncertain; another for each misfit."""
+        turned = np.eye(4)
+        if self._monitor.lost or self._monitor.gap(self._filter.stamp) > self.params.health.gap_again:
+            reach = 3.0 * math.sqrt(self._filter.p[8, 8])
+            headings = [h for h in HEADINGS if abs(h) <= reach]
+            turned[:3, :3] = rotation_rpy(0.0, 0.0, headings[self._misfits % len(headings)])
+        return turned
+
+    def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
+        """Advance the filter to `end`; the track it took. Notes which data were missing."""
+        for topic, name, buffer in (("joints", "joint", self._joints), ("imu", "IMU", self._imu)):
+            stamps, _ = buffer.between(max(self._filter.stamp, end - NS // 10), end)
+            if len(stamps):
+                continue
+            self.counters[f"scan_without_{topic}"] += 1
+            if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
+                self._notes.append(f"no {name} data")
+        stamps, track = self._advance(end)
+        if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
+            self._notes.append(f"no IMU data for {silence / NS:.1f} s")
+        return stamps, track
+
+    def _advance(self, end: int) -> tuple[NDArray[np.int64], Array]:
+        state = self._filter
+        imu_stamp, imu = self._imu.between(state.stamp, end, beyond=1)
+        joint_stamp, joints = self._joints.between(state.stamp, end)
+        scale = self._scale.value
+        noise = np.hypot(self._wheel_noise, [self._scale.noise, 0.0, 0.0])
+        wheel, sigma, _ = velocities(
+            joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, noise, scale
+        )
+        touching = np.isfinite(sigma[:, 0]).all() and len(wheel) >= 3
+        self._rolled = (
+            float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
+        )
+        return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+
+    def _learn_scale(self, before: Array, interval: int, verdict: Verdict) -> None:
+        """Compare what the wheels rolled since `before` (4, 4), `interval` [ns] ago, with what the scans say, where they constrain the way ahead."""
+        after = self._filter.pose()
+        if not (verdict.health is Health.GOOD and math.isfinite(self._rolled)):
+            self._scale.forget()
+            return
+        moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
+        ahead = after[:3, 0]
+        sigma = math.sqrt(max(float(ahead @ verdict.covariance[:3, :3] @ ahead), 0.0))
+        self._scale.learn(self._rolled, float(moved), interval * 1e-9, sigma)
+        self._stream.scale = self._scale.value
+
+    def _coast(self, until: int) -> ScanOdometry:
+        """No scan came: move the filter on so that a later one finds it near."""
+        self._advance(until)
+        return self._dead_reckoned("no scan")
+
+    def _dead_reckoned(self, reason: str) -> ScanOdometry:
+        covariance = self._filter.output(ZERO).covariance
+        sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+        self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
+        self._rejoin()
+        nothing = Match(self._filter.pose(), 0, 0.0, 0, 0.0, 0.0, np.zeros((6, 6)))
+        return self._result(
+            np.empty((0, 3), np.float32), nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0
+        )
+
+    def _result(
+        self, cloud: NDArray[np.float32], match: Match, predicted: Array, direction: Array, share: float
+    ) -> ScanOdometry:
+        state = self._filter.output(ZERO)
+        return ScanOdometry(
+            stamp=self._filter.stamp,
+            position=state.position,
+            orientation=state.orientation,
+            linear=state.linear,
+            angular=state.angular,
+            covariance=state.covariance,
+            health=self._health,
+            reason=self._reason,
+            overlap=match.overlap,
+            inliers=match.inliers,
+            residual=match.residual,
+            degenerate=direction,
+            degeneracy=share,
+            correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
+            cloud=cloud,
+        )
+
+    def _rejoin(self) -> None:
+        self._stream.rejoin(self._filter)
+        keep = max(min(self._filter.stamp, self._stream.dead.stamp), self._filter.stamp - 5 * NS)
+        self._inbox.forget(keep)
+
+    def _follow_clock(self, stamp: int) -> None:
+        """The source clock was set: go on at the new time with the pose and the map kept."""
+        self._filter.move_clock(stamp)
+        self._stream.move_clock(stamp)
+        # A long time without any message looks the same, and the robot may have been carried meanwhile.
+        self._monitor.start(stamp - round((self.params.health.gap_again + 0.1) * NS))
+        self._notes.append("source clock was set")
+
+    def warm_up(self) -> None:
+        """Compile every kernel."""
+        imu = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], (3, 1))
+        other = LidarInertialOdometry(self.params.model_copy(update={"use_joints": True}))
+        grid = np.stack(np.meshgrid(np.linspace(-3, 3, 60), np.linspace(-3, 3, 60), [-0.4]), -1).reshape(
+            -1, 3
+        )
+        for k in range(12):  # longer than the rest at the start
+            points = np.zeros(len(grid), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
+            points["x"], points["y"], points["z"] = grid.T
+            points["time"] = np.linspace(0.0, 0.09, len(points))
+            start = NS + k * NS // 10
+            other.add_scan(LidarScan(start, points))
+            for i in range(20):
+                stamp = start + 1 + i * 5_000_000
+                other.add_imu(ImuSample(stamp, imu[0, :3], imu[0, 3:]))
+                other.add_joints(JointSample(stamp, np.zeros(16), np.zeros(16), np.zeros(16)))
+            other.poll()
+
+
+def make_engine(params: OdometryParams) -> Engine:
+    """The engine that `params.engine` names."""
+    if params.engine == "kiss_icp":
+        return KissEngine(params.kiss_icp, params.max_range)
+    return GicpEngine(params.small_gicp, params.max_range)
+
+
+def _rotation_to_body(covariance: Array, pose: Array) -> Array:
+    """Rotation part of a (6, 6) covariance from `odom` to base_link axes."""
+    t = np.eye(6)
+    t[3:, 3:] = pose[:3, :3].T
+    return t @ covariance @ t.T

@@ -1,0 +1,1 @@
+"""Engines that find the pose of a scan in the map of the scans before it."""

@@ -1,0 +1,232 @@
+"""Registration engines behind one small interface: KISS-ICP and small_gicp's VGICP, both scan to local map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.rotation import rotation, turn
+from hal.types import Array
+from mapping.odometry.registration.planes import VoxelPlanes
+
+EngineName = Literal["kiss_icp", "small_gicp"]
+ENGINES: tuple[EngineName, ...] = get_args(EngineName)
+REFINEMENTS = 3
+"""Point to plane steps after KISS-ICP."""
+REFINE_DAMPING = 2e-3
+"""Share of facing surface below which a direction is not refined."""
+FEW_PLANES = 50
+"""Points on planes below which their statistics say nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """What registration says about one scan."""
+
+    pose: Array
+    """(4, 4) `odom` <- base_link."""
+    points: int
+    """Points registered."""
+    overlap: float
+    """Share of them that fall into seen parts of the local map [0..1]."""
+    on_planes: int
+    """Points in voxels of the map that have a plane."""
+    inliers: float
+    """Share of those in voxels with a plane that lie on it (within the gate) [0..1]; 1 where the map has too few planes to tell."""
+    residual: float
+    """RMS distance of the inliers from the map's surfaces [m]."""
+    information: Array
+    """(6, 6) mean of J^T J over inliers: position in `odom` [-], rotation about base_link in `odom` axes [m^2]. Singular where the
+    scene does not constrain."""
+
+
+class Engine(Protocol):
+    """Scan-to-map registration with a local map of its own. One thread, deterministic."""
+
+    name: EngineName
+    scans: int
+    """Scans in the local map."""
+    sigma: float
+    """Systematic error of a registered surface [m]."""
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """Register a deskewed cloud (n, 3) in base_link near `guess` (4, 4); correspondences up to 3 x `threshold` [m]."""
+
+    def insert(self, pose: Array) -> None:
+        """Add the cloud of the last `align` to the local map at `pose` (4, 4)."""
+
+
+class KissParams(BaseModel):
+    """KISS-ICP, driven frame by frame."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voxel_size: float = Field(default=0.3, gt=0.05, le=2.0, description="of the local map [m]")
+    map_voxel: float = Field(
+        default=0.15, gt=0.02, le=2.0, description="one point per voxel goes into the map [m]"
+    )
+    source_voxel: float = Field(
+        default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
+    )
+    min_source: int = Field(default=500, ge=0, description="with fewer points the source voxel is halved")
+    max_iterations: int = Field(default=20, ge=1)
+    surface_sigma: float = Field(
+        default=0.008, gt=0, description="systematic error of a registered surface [m]"
+    )
+    convergence: float = Field(default=1e-3, gt=0)
+
+
+class GicpParams(BaseModel):
+    """small_gicp VGICP."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    voxel_size: float = Field(default=0.4, gt=0.05, le=2.0, description="Gaussian voxels of the map [m]")
+    source_voxel: float = Field(
+        default=0.15, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
+    )
+    neighbours: int = Field(default=10, ge=5, description="points behind each covariance")
+    surface_sigma: float = Field(
+        default=0.004, gt=0, description="systematic error of a registered surface [m]"
+    )
+    max_iterations: int = Field(default=20, ge=1)
+    horizon: int = Field(
+        default=600, ge=10, description="scans after which an unseen voxel of the map is forgotten"
+    )
+
+
+class KissEngine:
+    """KISS-ICP's native registration and map; our planes beside them for the last millimetres, where point to point sticks to
+    the rings of earlier scans, and for the quality it does not report."""
+
+    name: EngineName = "kiss_icp"
+
+    def __init__(self, params: KissParams, max_range: float) -> None:
+        from kiss_icp.config import KISSConfig
+        from kiss_icp.mapping import get_voxel_hash_map
+        from kiss_icp.registration import get_registration
+
+        config = KISSConfig()
+        config.data.max_range = max_range
+        config.mapping.voxel_size = params.voxel_size
+        config.registration.max_num_threads = 1  # process-wide: the first instance decides
+        config.registration.max_num_iterations = params.max_iterations
+        config.registration.convergence_criterion = params.convergence
+        self._params = params
+        self.sigma = params.surface_sigma
+        self._map = get_voxel_hash_map(config)
+        self._registration = get_registration(config)
+        self._planes = VoxelPlanes(0.4, max_range)
+        self._frame = np.empty((0, 3))
+        self.scans = 0
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """See Engine."""
+        from kiss_icp.voxelization import voxel_down_sample
+
+        self._frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
+        size = self._params.source_voxel
+        source = voxel_down_sample(self._frame, size)
+        while len(source) < self._params.min_source and size > self._params.map_voxel:
+            size *= 0.5  # open terrain: few returns, all of them needed
+            source = voxel_down_sample(self._frame, size)
+        pose = guess
+        if self.scans:
+            pose = self._registration.align_points_to_map(
+                points=source,
+                voxel_map=self._map,
+                initial_guess=guess,
+                max_correspondance_distance=3.0 * threshold,
+                kernel=threshold,
+            )
+            pose = _refine(self._planes, source, np.ascontiguousarray(pose))
+        return _quality(self._planes, source, np.ascontiguousarray(pose))
+
+    def insert(self, pose: Array) -> None:
+        """See Engine."""
+        self._map.update(self._frame, pose)
+        self._planes.insert(self._frame, np.ascontiguousarray(pose))
+        self.scans += 1
+
+
+class GicpEngine:
+    """small_gicp: distribution to distribution, plane-aware by construction."""
+
+    name: EngineName = "small_gicp"
+
+    def __init__(self, params: GicpParams, max_range: float) -> None:
+        import small_gicp
+
+        self._params = params
+        self.sigma = params.surface_sigma
+        self._max_range = max_range
+        self._planes = VoxelPlanes(0.4, max_range)
+        self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
+        self._map.set_lru(horizon=params.horizon, clear_cycle=10)
+        self._points = np.empty((0, 3))
+        self.scans = 0
+
+    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+        """See Engine."""
+        import small_gicp
+
+        p = self._params
+        self._cloud, _ = small_gicp.preprocess_points(
+            cloud.astype(np.float64), p.source_voxel, num_neighbors=p.neighbours, num_threads=1
+        )
+        self._points = np.ascontiguousarray(self._cloud.points()[:, :3])
+        pose = guess
+        if self.scans:
+            result = small_gicp.align(
+                self._map,
+                self._cloud,
+                guess,
+                max_correspondence_distance=3.0 * threshold,
+                num_threads=1,
+                max_iterations=p.max_iterations,
+            )
+            pose = np.ascontiguousarray(result.T_target_source)
+        return _quality(self._planes, self._points, pose)
+
+    def insert(self, pose: Array) -> None:
+        """See Engine."""
+        self._map.insert(self._cloud, pose)
+        self._planes.insert(self._points, np.ascontiguousarray(pose))
+        self.scans += 1
+
+
+def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
+    """Point to plane steps from `pose` (4, 4): point to point draws a scan towards the rings of the scans before. Directions
+    that no plane faces stay as they are."""
+    for _ in range(REFINEMENTS):
+        h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
+        if inliers < FEW_PLANES:
+            break
+        step = -np.linalg.solve(h / inliers + REFINE_DAMPING * np.eye(6), b / inliers)
+        if not np.abs(step).max() < 0.2:
+            break
+        moved = np.eye(4)
+        turned = np.array([0.0, 0.0, 0.0, 1.0])
+        turn(turned, *step[3:])
+        moved[:3, :3] = rotation(turned) @ pose[:3, :3]
+        moved[:3, 3] = pose[:3, 3] + step[:3]
+        pose = moved
+    return pose
+
+
+def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
+    """Fit of `points` (n, 3), body frame, at `pose` to the planes of the map."""
+    h, _, seen, planar, inliers, total = planes.fit(points, pose, gate=0.15, scale=0.05)
+    return Match(
+        pose=pose,
+        points=len(points),
+        overlap=seen / max(len(points), 1),
+        on_planes=planar,
+        inliers=inliers / planar if planar >= FEW_PLANES else 1.0,
+        residual=float(np.sqrt(total / max(inliers, 1))),
+        information=h / max(inliers, FEW_PLANES),
+    )

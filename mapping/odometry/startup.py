@@ -1,0 +1,119 @@
+"""The first moment of the odometry: when the robot rests, its IMU and legs tell attitude, velocity and height."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.rotation import rotation, turn
+from hal.types import NS, Array
+from mapping.odometry.inertial import InertialFilter
+from mapping.odometry.wheels import velocities
+
+SETTLE = 0.5
+"""The robot must have stood still for this long [s] before gravity is taken from its accelerometer,"""
+PATIENCE_AT_START = 3.0
+"""but a robot that does not stand still starts anyway after this long [s]."""
+SWAY = 0.005
+"""Change of the mean turn rate within the window that is no rest [rad/s]."""
+WINDOW = NS * 7 // 10
+"""Samples that are looked at [ns]."""
+MOVED, TURNED = 0.3, 0.2
+"""How far a robot may have gone and turned, one standard deviation [m, rad], while nobody watched."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Before:
+    """Where the robot was when it was last seen, and what it saw there: an odometry that is started again goes on from it."""
+
+    pose: Array
+    """(4, 4) `odom` <- base_link."""
+    cloud: NDArray[np.float32]
+    """(n, 3) base_link [m]."""
+
+
+class Startup:
+    """Waits for rest; gives up waiting after `PATIENCE_AT_START`."""
+
+    def __init__(self) -> None:
+        self._first_scan = 0
+
+    def ready(self, end: int, stamps: NDArray[np.int64], imu: Array) -> bool:
+        """Whether to start at `end` [ns], given the inertial samples (n, 6) of the last `WINDOW`."""
+        # A trunk that still sways shows a wrong gravity, and the local map would keep that tilt for good.
+        self._first_scan = self._first_scan or end
+        settled = resting(imu) and stamps[-1] - stamps[0] >= SETTLE * NS
+        return not len(imu) or settled or end - self._first_scan >= PATIENCE_AT_START * NS
+
+
+def start(
+    state: InertialFilter,
+    end: int,
+    imu_stamp: NDArray[np.int64],
+    imu: Array,
+    joint_stamp: NDArray[np.int64],
+    joints: Array,
+    wheel_noise: Array,
+) -> None:
+    """Set the filter at `end` [ns] from inertial (n, 6) and joint samples (m, 48; none: z = 0 is base_link)."""
+    level = resting(imu)
+    velocity, height = None, 0.0
+    if len(joints):
+        v, _, h = velocities(
+            joint_stamp[-1:], joints[-1:], imu_stamp, imu, np.zeros(3), state.lever, wheel_noise, 1.0
+        )
+        if math.isfinite(h[0]):
+            velocity, height = v[0], float(h[0])
+    state.start(end, _unrotated(imu_stamp, imu, end, level), level, velocity, height)
+
+
+def put_at(state: InertialFilter, pose: Array) -> None:
+    """Move a filter that was just started to place and heading of `pose` (4, 4); it may be `MOVED` and `TURNED` off."""
+    now = state.pose()
+    yaw = math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(now[1, 0], now[0, 0])
+    c, s = math.cos(yaw), math.sin(yaw)
+    heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    q = np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
+    x, y, z, w = state.x[6:10]
+    state.x[6:10] = (  # q * orientation, q a turn about z
+        q[3] * x - q[2] * y,
+        q[3] * y + q[2] * x,
+        q[3] * z + q[2] * w,
+        q[3] * w - q[2] * z,
+    )
+    state.x[3:6] = heading @ state.x[3:6]
+    state.x[:3] = pose[:3, 3] + rotation(state.x[6:10]) @ state.lever
+    state.p[:3, :3] += np.diag([MOVED**2, MOVED**2, (0.2 * MOVED) ** 2])
+    up = rotation(state.x[6:10])[2]  # of `odom`, in base_link: the axis of the heading
+    state.p[6:9, 6:9] += TURNED**2 * np.outer(up, up)
+
+
+def resting(imu: Array) -> bool:
+    """True when samples (n, 6) show neither rotation nor vibration: gyro bias and gravity only."""
+    if len(imu) < 20:
+        return False
+    quiet = imu[:, :3].std(axis=0).max() < 0.03 and imu[:, 3:].std(axis=0).max() < 0.4
+    # A bias stays what it is, the last of a sway fades: taken for a bias, 1 deg/s of it tilts the map by a degree.
+    half = len(imu) // 2
+    first, second = imu[:half, :3].mean(axis=0), imu[half:, :3].mean(axis=0)
+    steady = np.abs(first - second).max() < SWAY
+    return bool(quiet and steady and np.abs(imu[:, :3].mean(axis=0)).max() < 0.05)
+
+
+def _unrotated(stamps: NDArray[np.int64], imu: Array, end: int, level: bool) -> Array:
+    """Inertial samples (n, 6) turned by the gyro into the axes of base_link at `end`, so that their mean shows gravity there."""
+    if level or not len(imu):
+        return imu
+    out = imu.copy()
+    q = np.array([0.0, 0.0, 0.0, 1.0])
+    later = end
+    for i in range(len(imu) - 1, -1, -1):
+        dt = (later - int(stamps[i])) * 1e-9
+        turn(q, *(-dt * imu[i, :3]))
+        out[i, 3:] = rotation(q) @ imu[i, 3:]
+        later = int(stamps[i])
+    out[-1, :3] = imu[-1, :3]
+    return out

@@ -1,0 +1,98 @@
+"""What the odometry is told and what it answers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from hal.types import Array
+from mapping.odometry.health import Health, HealthParams
+from mapping.odometry.inertial import InertialParams
+from mapping.odometry.registration.engines import EngineName, GicpParams, KissParams
+
+
+class OdometryParams(BaseModel):
+    """The whole odometry."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    engine: EngineName = "kiss_icp"
+    kiss_icp: KissParams = KissParams()
+    small_gicp: GicpParams = GicpParams()
+    inertial: InertialParams = InertialParams()
+    health: HealthParams = HealthParams()
+    min_range: float = Field(default=0.4, ge=0, description="nearer points are dropped [m]")
+    max_range: float = Field(
+        default=20.0, gt=1, description="farther points are dropped; radius of the local map [m]"
+    )
+    max_points: int = Field(default=60_000, ge=1000, description="a larger scan is thinned")
+    threshold: float = Field(default=0.2, gt=0, description="correspondence scale given a prediction [m]")
+    tilt_sigma: float = Field(
+        default=0.5, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
+    )
+    threshold_lost: float = Field(default=0.5, gt=0, description="the same after a gap or while lost [m]")
+    patience: float = Field(
+        default=0.15, gt=0, description="a topic this far behind the others is not waited for [s]"
+    )
+    use_joints: bool = Field(default=True, description="wait for and use joint samples")
+    smoothing: float = Field(
+        default=0.15, gt=0, description="time constant that hides scan corrections from control [s]"
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScanOdometry:
+    """The pose at the end of one scan."""
+
+    stamp: int
+    """END of the scan [ns]."""
+    position: Array
+    """(3,) base_link in `odom` [m]."""
+    orientation: Array
+    """(4,) x, y, z, w: `odom` <- base_link."""
+    linear: Array
+    """(3,) [m/s], base_link."""
+    angular: Array
+    """(3,) [rad/s], base_link."""
+    covariance: Array
+    """(6, 6) of the pose relative to the local map: position [m], rotation [rad], axes of `odom`."""
+    health: Health
+    reason: str
+    """Plain words; empty when good."""
+    overlap: float
+    """Share of the scan in seen parts of the local map [0..1]."""
+    inliers: float
+    """Share of the scan on the map's surfaces [0..1]."""
+    residual: float
+    """RMS distance of the inliers from the map's surfaces [m]."""
+    degenerate: Array
+    """(3,) least constrained direction, `odom`."""
+    degeneracy: float
+    """Share of surface that faces it [0..1/3]."""
+    correction: float
+    """How far registration moved the prediction [m]."""
+    cloud: NDArray[np.float32]
+    """(n, 3) [m] deskewed to `stamp`, base_link; empty where the scan was not usable."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FastPose:
+    """IMU-propagated pose for control: continuous, scan corrections are faded in."""
+
+    stamp: int
+    position: Array
+    """(3,) base_link in `odom` [m]."""
+    orientation: Array
+    """(4,) x, y, z, w."""
+    linear: Array
+    """(3,) [m/s], base_link."""
+    angular: Array
+    """(3,) [rad/s], base_link."""
+    covariance: Array
+    """(6, 6) position [m], rotation [rad], axes of `odom`."""
+    health: Health
+    """Of the newest scan, or worse when it is old."""
+    reason: str

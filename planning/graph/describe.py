@@ -1,0 +1,212 @@
+"""What the corrected graph knows about a node beside its place: frontier, headings that fit, edges in a turn, sight of the robot."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
+from planning.graph.nodes import step_distance2
+from planning.graph.risk import select
+
+RAYS = 16
+HEADINGS = 36
+"""Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
+ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
+WHEEL_RING = (0.15, 0.36)
+"""Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
+NOISE = 3.5
+"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five."""
+EDGE_BASE = 0.12
+"""Distance over which an edge under the wheels is measured [m]."""
+UNKNOWN_RUN = 0.20
+"""Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
+
+
+@njit(cache=True)
+def open_frontier(flags, x0, y0, res, x, y, ring):
+    """True if free ground ends in unseen ground within `ring` of x, y, in two neighbouring directions of sixteen."""
+    rows, cols = flags.shape
+    n = math.ceil((ring + UNKNOWN_RUN) / res)
+    need = math.ceil(UNKNOWN_RUN / res)
+    last = False
+    first = False
+    for a in range(RAYS + 1):
+        if a == RAYS:
+            return last and first
+        dx = math.cos(2.0 * math.pi * a / RAYS) * res
+        dy = math.sin(2.0 * math.pi * a / RAYS) * res
+        run = 0
+        for s in range(1, n + 1):
+            px = x + s * dx
+            py = y + s * dy
+            c = math.floor((px - x0) / res + 0.5)
+            r = math.floor((py - y0) / res + 0.5)
+            if r < 0 or c < 0 or r >= rows or c >= cols:
+                run = need
+                break
+            if flags[r, c] & FACE:
+                break
+            if flags[r, c] & UNSEEN:
+                run += 1
+                if run >= need:
+                    break
+            else:
+                run = 0
+        is_open = run >= need
+        if is_open and last:
+            return True
+        if a == 0:
+            first = is_open
+        last = is_open
+    return False
+
+
+@njit(cache=True)
+def free_headings(flags, x0, y0, res, x, y, length, width):
+    """Bit h is set where the footprint at heading h * 5 deg (the same turned by 180 deg) is on no step."""
+    rows, cols = flags.shape
+    radius = 0.5 * math.hypot(length, width)
+    if step_distance2(flags, x0, y0, res, x, y, radius)[0] >= radius * radius:
+        return ALL_HEADINGS
+    high = np.uint64(0)
+    low = np.uint64(0)
+    for r in range(
+        max(0, math.ceil((y - radius - y0) / res)), min(rows, math.floor((y + radius - y0) / res) + 1)
+    ):
+        dy = y0 + r * res - y
+        for c in range(
+            max(0, math.ceil((x - radius - x0) / res)), min(cols, math.floor((x + radius - x0) / res) + 1)
+        ):
+            flag = flags[r, c]
+            if not flag & FACE:
+                continue
+            dx = x0 + c * res - x
+            for h in range(HEADINGS):
+                cs = math.cos(h * math.pi / HEADINGS)
+                sn = math.sin(h * math.pi / HEADINGS)
+                if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
+                    bit = np.uint64(1) << np.uint64(h)
+                    if flag & HIGH:
+                        high |= bit
+                    if flag & LOW:
+                        low |= bit
+    return ALL_HEADINGS & ~(high & low)
+
+
+@njit(cache=True)
+def turn_is_free(headings, yaw_in, turn):
+    """True if a turn in place by `turn` [rad, signed] from `yaw_in` meets no blocked heading of `headings` (uint64).
+
+    Both ends are left out: they are headings of edges, whose corridors were tested to the full width.
+    """
+    step = math.pi / HEADINGS
+    low = min(yaw_in, yaw_in + turn)
+    high = max(yaw_in, yaw_in + turn)
+    for k in range(math.floor(low / step) + 1, math.ceil(high / step)):
+        if not headings >> np.uint64(k % HEADINGS) & np.uint64(1):
+            return False
+    return True
+
+
+@njit(cache=True)
+def turn_edge(height, trusted, x0, y0, res, x, y):
+    """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope.
+
+    Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
+    nor part of a plate counts; what the map's noise makes of even ground is taken off,
+    and with it ground that is rough all over.
+    """
+    rows, cols = height.shape
+    stride = max(1, round(0.04 / res))
+    base = round(EDGE_BASE / (stride * res))
+    n = math.ceil((WHEEL_RING[1] + 0.5 * EDGE_BASE) / (stride * res))
+    half = round(0.02 / res)
+    r_mid = math.floor((y - y0) / res + 0.5)
+    c_mid = math.floor((x - x0) / res + 0.5)
+    side = 2 * n + 1
+    mean = np.full((side, side), np.nan)
+    for i in range(side):
+        r = r_mid + (i - n) * stride
+        for j in range(side):
+            c = c_mid + (j - n) * stride
+            total = 0.0
+            count = 0
+            for a in range(max(0, r - half), min(rows, r + half + 1)):
+                for b in range(max(0, c - half), min(cols, c + half + 1)):
+                    if trusted[a, b]:
+                        total += height[a, b]
+                        count += 1
+            if count > 0:
+                mean[i, j] = total / count
+    inner = (WHEEL_RING[0] / (stride * res)) ** 2
+    outer = (WHEEL_RING[1] / (stride * res)) ** 2
+    rises = np.empty(side * side, np.float64)
+    most = 0.0
+    for axis in range(2):
+        di = base * (axis == 0)
+        dj = base * (axis == 1)
+        count = 0
+        low = np.inf
+        high = -np.inf
+        for i in range(side - di):
+            for j in range(side - dj):
+                d2 = (i + 0.5 * di - n) ** 2 + (j + 0.5 * dj - n) ** 2
+                rise = mean[i + di, j + dj] - mean[i, j]
+                if inner <= d2 <= outer and rise == rise:
+                    rises[count] = rise
+                    count += 1
+                    low = min(low, rise)
+                    high = max(high, rise)
+        if count > 0:
+            slope = select(rises, count, count // 2)
+            for i in range(count):
+                rises[i] = abs(rises[i] - slope)
+            noise = NOISE * select(rises, count, count // 2)
+            most = max(most, max(high - slope, slope - low) - noise)
+    return most
+
+
+@njit(cache=True)
+def in_sight(flags, x0, y0, res, xa, ya, points, reach):
+    """(n,) bool: which points (n, 2) lie within `reach` and the straight line, three cells wide, is on no step."""
+    rows, cols = flags.shape
+    seen = np.zeros(len(points), np.bool_)
+    for v in range(len(points)):
+        xb = points[v, 0]
+        yb = points[v, 1]
+        d = math.hypot(xb - xa, yb - ya)
+        if d > reach:
+            continue
+        n = max(1, math.ceil(2.0 * d / res))
+        sides = 0
+        for s in range(n + 1):
+            c_mid = math.floor((xa + (xb - xa) * s / n - x0) / res + 0.5)
+            r_mid = math.floor((ya + (yb - ya) * s / n - y0) / res + 0.5)
+            for r in range(max(0, r_mid - 1), min(rows, r_mid + 2)):
+                for c in range(max(0, c_mid - 1), min(cols, c_mid + 2)):
+                    sides |= flags[r, c] & FACE
+            if sides == FACE:
+                break
+        seen[v] = sides != FACE
+    return seen
+
+
+@njit(cache=True)
+def describe_nodes(
+    height, trusted, flags, x0, y0, res, chosen, where, todo, ring, length, width, frontier, headings, edge
+):
+    """Set `frontier`, `headings` and `edge` (ny, nx) of the lattice cells in `todo`."""
+    for j in range(todo.shape[0]):
+        for i in range(todo.shape[1]):
+            if not todo[j, i]:
+                continue
+            frontier[j, i] = False
+            if chosen[j, i] >= 0:
+                x = where[j, i, 0]
+                y = where[j, i, 1]
+                frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring)
+                headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
+                edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y)

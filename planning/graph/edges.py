@@ -1,0 +1,252 @@
+"""The edge test of the corrected graph: the whole footprint, swept along the edge, must stay on drivable ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
+from planning.graph.risk import F32, edge_risk
+
+MARGIN = 0.02
+"""The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
+SECTION = 0.04
+"""Length of one cross-section of the corridor [m]."""
+SMOOTH = 0.30
+"""Ground is averaged over this length before its slope is taken [m]: one stair tread."""
+SLOPE_BASE = 0.42
+"""Slope is taken over this length, the wheelbase [m]."""
+SLOPE_TOLERANCE = 1.05
+"""Factor on the tangent of the slope limit, for map noise."""
+
+
+@njit(cache=True)
+def row_span(y, xa, ya, ux, uy, lo, hi, half):
+    """x interval of the points (x, y) with lo <= along <= hi and |across| <= half of the axis at a, heading u."""
+    low = -np.inf
+    high = np.inf
+    dy = y - ya
+    # along = (x - xa) ux + dy uy ; across = -(x - xa) uy + dy ux
+    for k in range(2):
+        slope = ux if k == 0 else -uy
+        rest = dy * uy if k == 0 else dy * ux
+        a = (lo if k == 0 else -half) - rest
+        b = (hi if k == 0 else half) - rest
+        if abs(slope) < 1e-12:
+            if a > 0.0 or b < 0.0:
+                return 1.0, 0.0
+            continue
+        p = a / slope
+        q = b / slope
+        low = max(low, min(p, q))
+        high = min(high, max(p, q))
+    return xa + low, xa + high
+
+
+@njit(cache=True)
+def corridor_free(
+    height,
+    flags,
+    x0,
+    y0,
+    res,
+    xa,
+    ya,
+    xb,
+    yb,
+    length,
+    width,
+    max_tan,
+    max_gap,
+    min_coverage,
+    sums,
+):
+    """True if the footprint (length x width) can be moved straight from a to b.
+
+    Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
+    `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
+    steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
+    `sums` is scratch, (sections, 8) float64.
+    """
+    rows, cols = height.shape
+    dx = xb - xa
+    dy = yb - ya
+    d = math.sqrt(dx * dx + dy * dy)
+    ux = dx / d
+    uy = dy / d
+    front = 0.5 * length + MARGIN
+    half = 0.5 * width + MARGIN
+    span = d + 2.0 * front
+    n = math.ceil(span / SECTION)
+    sums[:n] = 0.0
+    reach_y = abs(uy) * front + abs(ux) * half
+    r_lo = math.ceil((min(ya, yb) - reach_y - y0) / res)
+    r_hi = math.floor((max(ya, yb) + reach_y - y0) / res)
+    reach_x = abs(ux) * front + abs(uy) * half
+    if (
+        r_lo < 0
+        or r_hi >= rows
+        or min(xa, xb) - reach_x < x0 - res
+        or max(xa, xb) + reach_x > x0 + cols * res
+    ):
+        return False
+    strip = half / 3.0
+    sides = 0
+    holes = False
+    for r in range(r_lo, r_hi + 1):
+        y = y0 + r * res
+        low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
+        c_lo = max(0, math.ceil((low - x0) / res))
+        c_hi = min(cols - 1, math.floor((high - x0) / res))
+        for c in range(c_lo, c_hi + 1):
+            flag = flags[r, c]
+            sides |= flag & FACE
+            if sides == FACE:
+                return False
+            if flag & TIP:
+                return False
+            holes |= flag & HOLE > 0
+            ex = x0 + c * res - xa
+            ey = y - ya
+            i = int((ex * ux + ey * uy + front) / SECTION)
+            i = min(max(i, 0), n - 1)
+            sums[i, 0] += 1.0
+            if flag & UNSEEN:
+                sums[i, 1] += 1.0
+                continue
+            z = height[r, c]
+            if z != z:
+                continue
+            across = ey * ux - ex * uy
+            sums[i, 2] += 1.0
+            sums[i, 3] += z
+            if across > strip:
+                sums[i, 4] += z
+                sums[i, 5] += 1.0
+            elif across < -strip:
+                sums[i, 6] += z
+                sums[i, 7] += 1.0
+    for i in range(n):
+        if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
+            return False
+    if holes and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
+        return False
+    return _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip)
+
+
+@njit(cache=True)
+def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
+    """True if some line along the travel, within `half` of it, is over a hole for more than `max_gap`."""
+    rows, cols = flags.shape
+    step = 0.5 * res
+    most = math.floor((max_gap + res) / step)
+    n = math.ceil((high - low) / step)
+    tracks = math.ceil(2.0 * half / res)
+    for t in range(tracks + 1):
+        across = -half + 2.0 * half * t / tracks
+        run = 0
+        for s in range(n + 1):
+            along = low + s * step
+            c = math.floor((xa + along * ux - across * uy - x0) / res + 0.5)
+            r = math.floor((ya + along * uy + across * ux - y0) / res + 0.5)
+            if 0 <= r < rows and 0 <= c < cols and flags[r, c] & HOLE:
+                run += 1
+                if run > most:
+                    return True
+            else:
+                run = 0
+    return False
+
+
+@njit(cache=True)
+def _not_steep(sums, n, limit, track):
+    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips."""
+    ahead = round(SLOPE_BASE / SECTION)
+    reach = round(0.5 * SMOOTH / SECTION)
+    for i in range(max(1, n - ahead)):
+        j = i + ahead
+        back = 0.0
+        back_n = 0.0
+        fore = 0.0
+        fore_n = 0.0
+        for k in range(max(0, i - reach), min(n, i + reach + 1)):
+            back += sums[k, 3]
+            back_n += sums[k, 2]
+        for k in range(max(0, j - reach), min(n, j + reach + 1)):
+            fore += sums[k, 3]
+            fore_n += sums[k, 2]
+        pitch = 0.0
+        if back_n > 0.0 and fore_n > 0.0 and j < n:
+            # where the averages are cut short at the ends, their centres are nearer than the wheelbase
+            centre_b = 0.5 * (max(0, i - reach) + min(n - 1, i + reach))
+            centre_f = 0.5 * (max(0, j - reach) + min(n - 1, j + reach))
+            pitch = (fore / fore_n - back / back_n) / ((centre_f - centre_b) * SECTION)
+        left = 0.0
+        right = 0.0
+        left_n = 0.0
+        right_n = 0.0
+        for k in range(i, min(n, j + 1)):
+            left += sums[k, 4]
+            left_n += sums[k, 5]
+            right += sums[k, 6]
+            right_n += sums[k, 7]
+        roll = 0.0
+        if left_n > 0.0 and right_n > 0.0:
+            roll = (left / left_n - right / right_n) / track
+        if pitch * pitch + roll * roll > limit * limit:
+            return False
+    return True
+
+
+@njit(cache=True)
+def connect(
+    height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
+    length, width, max_tan, max_gap, min_coverage, radius, risk, revision, version,
+):  # fmt: skip
+    """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
+    ny, nx = chosen.shape
+    sums = np.empty((rank, 8))
+    for j in range(ny):
+        for i in range(nx):
+            for o in range(len(offsets)):
+                jj = j + offsets[o, 0]
+                ii = i + offsets[o, 1]
+                if jj >= ny or ii < 0 or ii >= nx:
+                    continue
+                if chosen[j, i] < 0 or chosen[jj, ii] < 0:
+                    risk[j, i, o] = -1.0
+                    continue
+                xa = where[j, i, 0]
+                ya = where[j, i, 1]
+                xb = where[jj, ii, 0]
+                yb = where[jj, ii, 1]
+                again = moved[j, i] or moved[jj, ii]
+                if not again:
+                    lo_x = min(xa, xb) - margin
+                    hi_x = max(xa, xb) + margin
+                    lo_y = min(ya, yb) - margin
+                    hi_y = max(ya, yb) + margin
+                    for k in range(len(boxes)):
+                        if (
+                            lo_x < boxes[k, 2]
+                            and hi_x > boxes[k, 0]
+                            and lo_y < boxes[k, 3]
+                            and hi_y > boxes[k, 1]
+                        ):
+                            again = True
+                            break
+                if not again:
+                    continue
+                risk[j, i, o] = -1.0
+                revision[j, i, o] = version
+                if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
+                    continue
+                if corridor_free(
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
+                    min_coverage, sums,
+                ):  # fmt: skip
+                    risk[j, i, o] = edge_risk(
+                        height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
+                    )

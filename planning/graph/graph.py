@@ -1,0 +1,303 @@
+"""The Traversal Risk Graph: where the robot may stand and which straight moves connect those places.
+
+After Lee et al., "TRG-planner" (RA-L 2025). `mode="native"` reproduces the released planner for comparison with
+published figures, its defects included; `mode="corrected"` (the default) is for driving.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.describe import ALL_HEADINGS
+from planning.graph.file import read_graph, write_graph
+from planning.graph.lattice import Lattice
+from planning.graph.native import build_native
+from planning.graph.params import Changed, GraphParams, Window, changed_windows, checked_start
+
+__all__ = ["GraphParams", "TraversalGraph"]
+
+SNAP_DISTANCE = 0.50
+"""Endpoints farther than this from every node [m] are not on the graph."""
+
+
+class TraversalGraph:
+    """Nodes on the ground and undirected edges with a native risk, as CSR over both directions.
+
+    Arrays are replaced, never written to, when the graph changes; `version` rises with each change.
+
+    Attributes:
+        nodes: (n, 3) float64 x, y, z in the grid's frame [m].
+        indptr: (n + 1,) int64; the edges that leave node i are `indptr[i]:indptr[i + 1]`, targets ascending.
+        indices: (nnz,) int32 target nodes.
+        risk: (nnz,) float32 native risk, the same in both directions.
+        frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
+        turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; 0 where
+            not known (native, `from_edges`).
+        free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
+            clear of obstacles at the node; `planning.graph.graph.describe.turn_is_free` reads it. All set where not known.
+        node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
+        node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
+        edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived
+            from the map for an edge is still true while the edge's revision is not above the version it was
+            derived at; cells outside every footprint pose do not matter.
+        version: int, 1 after a build.
+    """
+
+    nodes: NDArray[np.float64]
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.int32]
+    risk: NDArray[np.float32]
+    frontier: NDArray[np.bool_]
+    turn_edge: NDArray[np.float32]
+    free_headings: NDArray[np.uint64]
+    node_ids: NDArray[np.int64]
+    node_revision: NDArray[np.int64]
+    edge_revision: NDArray[np.int64]
+
+    def __init__(
+        self,
+        params: GraphParams,
+        seed: int,
+        start_xy: tuple[float, float] | None,
+        granted_xy: tuple[float, float] | None = None,
+    ) -> None:
+        self.params = params
+        self.seed = int(seed)
+        self.start_xy = start_xy
+        self.granted_xy = start_xy if granted_xy is None else granted_xy
+        self.version = 0
+        self._lattice: Lattice | None = None
+        self._next_id = 0
+
+    # -- making one ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def build(
+        cls,
+        grid: ElevationGrid,
+        start_xy: tuple[float, float],
+        params: GraphParams | None = None,
+        seed: int = 0,
+        granted_xy: tuple[float, float] | None = None,
+    ) -> TraversalGraph:
+        """The graph of all terrain reachable from `start_xy` [m]. Same arguments, same graph.
+
+        Unseen ground in sight within `blind_radius` of `granted_xy` is taken for granted: where the robot stood first
+        (None: at `start_xy`). Whoever builds a graph anew on the way passes the place of the first.
+
+        Raises:
+            NoRoute: the grid has no trusted cell, or the start is off the map or on no valid ground.
+            PlanningError: an argument has the wrong type or is not finite.
+        """
+        params = params or GraphParams()
+        start = checked_start(grid, start_xy)
+        graph = cls(params, seed, start, granted_xy)
+        if params.mode == "native":
+            graph._build_native(grid)
+        elif not graph._refresh(grid, ()):
+            raise NoRoute(
+                NoRouteReason.START_NOT_ON_GRAPH,
+                f"no drivable ground within {SNAP_DISTANCE} m of {start}: drive the robot to open, seen ground",
+            )
+        return graph
+
+    @classmethod
+    def from_edges(
+        cls,
+        nodes: NDArray[np.floating],
+        edges: NDArray[np.integer],
+        risk: NDArray[np.floating],
+        frontier: NDArray[np.bool_] | None = None,
+    ) -> TraversalGraph:
+        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,). It cannot be updated."""
+        nodes = np.ascontiguousarray(nodes, dtype=np.float64)
+        edges = np.asarray(edges)
+        risk = np.asarray(risk, dtype=np.float32)
+        if nodes.ndim != 2 or nodes.shape[1] != 3 or not np.isfinite(nodes).all():
+            raise PlanningError(f"nodes must be finite with shape (n, 3), got shape {nodes.shape}")
+        if edges.shape != (len(risk), 2) or not np.issubdtype(edges.dtype, np.integer):
+            raise PlanningError(
+                f"edges must be integers of shape ({len(risk)}, 2), got {edges.dtype} {edges.shape}"
+            )
+        if len(edges) and (edges.min() < 0 or edges.max() >= len(nodes)):
+            raise PlanningError(f"edges name nodes outside 0..{len(nodes) - 1}")
+        graph = cls(GraphParams(), 0, None)
+        n = len(nodes)
+        graph._publish(
+            nodes, edges, risk, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
+        )
+        return graph
+
+    def _build_native(self, grid: ElevationGrid) -> None:
+        """Grow the whole graph anew; nodes that stand where they stood keep their ids."""
+        assert self.start_xy is not None
+        built = build_native(grid.height, grid.origin, grid.resolution, self.start_xy, self.params, self.seed)
+        if built is None:
+            raise NoRoute(
+                NoRouteReason.START_NOT_ON_GRAPH,
+                f"no free ground beside the start {self.start_xy}: begin on open ground",
+            )
+        nodes, edges, risk = built
+        version = self.version + 1
+        ids = np.arange(len(nodes))
+        if version > 1:
+            known = dict(zip(map(tuple, self.nodes[:, :2].tolist()), self.node_ids.tolist(), strict=True))
+            ids = np.array([known.get((float(x), float(y)), -1) for x, y in nodes[:, :2]], dtype=np.int64)
+            fresh = ids < 0
+            ids[fresh] = self._next_id + np.arange(np.count_nonzero(fresh))
+        self._next_id = max(self._next_id, int(ids.max(initial=-1)) + 1)
+        self._publish(
+            nodes,
+            edges,
+            risk,
+            None,
+            None,
+            None,
+            ids,
+            np.full(len(nodes), version),
+            np.full(len(edges), version),
+        )
+
+    def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
+        """Recompute the lattice in `windows` and publish what is reachable; False if nothing was there to do."""
+        assert self.start_xy is not None
+        assert self.granted_xy is not None
+        if self._lattice is None:
+            self._lattice = Lattice(self.params, self.seed, self.granted_xy)
+        before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
+        if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
+            return False
+        built = self._lattice.reachable(grid, self.start_xy, SNAP_DISTANCE, before)
+        self._publish(*built)
+        return len(self.nodes) > 0
+
+    def _publish(
+        self,
+        nodes: NDArray[np.floating],
+        edges: NDArray[np.integer],
+        risk: NDArray[np.floating],
+        frontier: NDArray[np.bool_] | None,
+        turn_edge: NDArray[np.float32] | None,
+        free_headings: NDArray[np.uint64] | None,
+        ids: NDArray[np.integer],
+        node_revision: NDArray[Any],
+        edge_revision: NDArray[Any],
+    ) -> None:
+        """Set all public arrays from an undirected edge list (m, 2) and raise `version`."""
+        n = len(nodes)
+        source = np.concatenate([edges[:, 0], edges[:, 1]]).astype(np.int64)
+        target = np.concatenate([edges[:, 1], edges[:, 0]]).astype(np.int64)
+        order = np.argsort(source * max(n, 1) + target, kind="stable")
+        self.nodes = np.ascontiguousarray(nodes, dtype=np.float64)
+        self.indptr = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=n))]).astype(np.int64)
+        self.indices = target[order].astype(np.int32)
+        self.risk = np.tile(np.asarray(risk, dtype=np.float32), 2)[order]
+        self.edge_revision = np.tile(np.asarray(edge_revision, dtype=np.int64), 2)[order]
+        self.node_revision = np.asarray(node_revision, dtype=np.int64)
+        self.node_ids = np.asarray(ids, dtype=np.int64)
+        self.frontier = (
+            np.zeros(n, dtype=np.bool_) if frontier is None else np.asarray(frontier, dtype=np.bool_)
+        )
+        self.turn_edge = (
+            np.zeros(n, dtype=np.float32) if turn_edge is None else np.asarray(turn_edge, dtype=np.float32)
+        )
+        self.free_headings = np.full(n, ALL_HEADINGS) if free_headings is None else free_headings
+        self.version += 1
+
+    # -- asking it ----------------------------------------------------------------------------------------------
+
+    @property
+    def edges(self) -> NDArray[np.int64]:
+        """(m, 2) undirected edges, lower index first, in CSR order."""
+        source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
+        keep = source < self.indices
+        return np.stack([source[keep], self.indices[keep].astype(np.int64)], axis=1)
+
+    def nearest_node(self, xy: tuple[float, float], max_distance: float = SNAP_DISTANCE) -> int | None:
+        """Index of the node nearest to x, y [m] (lowest index on a tie), None if farther than `max_distance`."""
+        x, y = float(xy[0]), float(xy[1])
+        if not (np.isfinite(x) and np.isfinite(y)):
+            raise NoRoute(
+                NoRouteReason.BAD_INPUT, f"the position ({x}, {y}) is not finite: give x, y in metres"
+            )
+        if not len(self.nodes):
+            return None
+        d2 = (self.nodes[:, 0] - x) ** 2 + (self.nodes[:, 1] - y) ** 2
+        best = int(np.argmin(d2))
+        return best if d2[best] <= max_distance**2 else None
+
+    def avoiding(self, discs: NDArray[np.floating]) -> TraversalGraph:
+        """This graph, for a query, without the edges that touch any of the discs (k, 3): x, y, radius [m]."""
+        source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
+        a, b = self.nodes[source, :2], self.nodes[self.indices, :2]
+        keep = np.ones(len(source), dtype=np.bool_)
+        for x, y, radius in discs:
+            ab, ac = b - a, np.array([x, y]) - a
+            along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
+            keep &= np.hypot(*(ac - along[:, None] * ab).T) > radius
+        out = copy.copy(self)
+        out._lattice = None
+        out.indptr = np.concatenate([[0], np.cumsum(np.bincount(source[keep], minlength=len(self.nodes)))])
+        out.indices, out.risk, out.edge_revision = (
+            self.indices[keep],
+            self.risk[keep],
+            self.edge_revision[keep],
+        )
+        return out
+
+    # -- keeping it up to date ----------------------------------------------------------------------------------
+
+    def update(
+        self, grid: ElevationGrid, changed: Changed, start_xy: tuple[float, float] | None = None
+    ) -> bool:
+        """Rebuild the part of the graph whose terrain changed; True if the graph is not the same as before.
+
+        `grid` is the whole map as it is now; it may have grown since the last call (same resolution, cells aligned).
+        `changed` tells where it differs: a bool mask over `grid`, or windows (row0, col0, row1, col1), ends
+        exclusive. Cells that the previous grid did not have count as changed by themselves. `start_xy` is where the
+        robot is now [m]: the graph holds what is reachable from there (None: from where it was).
+        """
+        if self.start_xy is None:
+            raise PlanningError("a graph made from edges has no map to update it from")
+        start = checked_start(grid, self.start_xy if start_xy is None else start_xy)
+        windows = changed_windows(grid, changed)
+        before = (self.node_ids, self.indices)
+        moved = start != self.start_xy
+        self.start_xy = start
+        if self.params.mode == "native":
+            if windows or moved:
+                self._build_native(grid)
+        elif not self._refresh(grid, windows) and moved and self.nearest_node(start) is None:
+            self._refresh(grid, (), force=True)
+        return not (np.array_equal(before[0], self.node_ids) and np.array_equal(before[1], self.indices))
+
+    # -- files --------------------------------------------------------------------------------------------------
+
+    def save(self, path: str | Path) -> None:
+        """Write the graph as npz. The suffix is not changed."""
+        header = {
+            "params": self.params.model_dump(),
+            "seed": self.seed,
+            "start": self.start_xy,
+            "granted": self.granted_xy,
+            "version": self.version,
+        }
+        write_graph(path, header, self.__dict__)
+
+    @classmethod
+    def load(cls, path: str | Path) -> TraversalGraph:
+        """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it. Raises PlanningError."""
+        header, params, arrays = read_graph(path)
+        graph = cls(params, header["seed"], header["start"], header["granted"])
+        graph.__dict__.update(arrays)
+        graph.version = int(header["version"])
+        graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
+        return graph

@@ -1,0 +1,329 @@
+"""From a route over the graph to a path the robot can follow: smooth, re-checked on the map, with a speed for each point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
+from planning.path.spline import curve, distance_to_polyline, reach_limits
+from planning.risk.body import (
+    BodyModel,
+    aggregate,
+    edge_poses,
+    sweep_poses,
+    terrain_features,
+    terrain_of,
+    turn_angle,
+)
+from planning.risk.footprint import steps_under
+from planning.risk.terrain import Terrain, heights_at
+from planning.search.plan import Plan
+
+Array = NDArray[np.float64]
+SIDE = 0.5
+"""[m] beside the corners of a route that its path, its corridor and what lies under the body's rim stay within."""
+
+
+class PathLimits(BaseModel):
+    """What the path may ask of the robot."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    max_speed: float = Field(default=0.8, gt=0.0, description="fastest [m/s]")
+    min_speed: float = Field(default=0.1, gt=0.0, description="slowest while moving [m/s]")
+    max_accel: float = Field(default=0.6, gt=0.0, description="speeding up and braking [m/s^2]")
+    lateral_accel: float = Field(default=0.6, gt=0.0, description="in curves [m/s^2]")
+    max_yaw_rate: float = Field(default=0.8, gt=0.0, description="in curves [rad/s]")
+    max_slope: float = Field(default=0.436, gt=0.0, description="steepest ground; half speed there [rad]")
+    max_step: float = Field(default=0.10, gt=0.0, description="highest vertical face under the body [m]")
+    spacing: float = Field(default=0.02, gt=0.0, description="distance between samples [m]")
+    corridor: float = Field(default=0.08, gt=0.0, description="farthest the path leaves the route [m]")
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A path in the `map` frame."""
+
+    points: Array = field(repr=False)
+    """(n, 3) x, y, z of the ground [m]."""
+    yaw: Array = field(repr=False)
+    """(n,) direction of travel [rad]."""
+    speed: Array = field(repr=False)
+    """(n,) [m/s] upper bound; 0 at the end."""
+    s: Array = field(repr=False)
+    """(n,) planar distance along the path [m]."""
+    route: Array = field(repr=False)
+    """(m, 2) the polyline it follows: start, nodes, goal [m]."""
+    initial_turn: float | None
+    """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
+    goal_yaw: float | None
+    """Heading wanted at the end [rad]; the last `yaw` is the direction of travel."""
+    raw_corners: int
+    """Corners of the route that stayed sharp because rounding them left the corridor or raised the risk."""
+    worst: tuple[float, float, float]
+    """Largest d_fb [m], a_lr [deg], p_int [m] on the path when it was made."""
+    worst_step: float
+    """Highest vertical face under the body on the path when it was made [m]."""
+    limits: PathLimits = field(repr=False)
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return float(self.s[-1])
+
+
+def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimits | None = None) -> Path:
+    """Smooth `plan` into a path from the requested start to the requested goal.
+
+    A requested position that is not a node is the path's first (last) point, a goal only where the ground between it
+    and its node can be driven over; a node that only leads there is left out when the direct way is no worse. Each corner is rounded as far as the corridor allows, less where the body's risk
+    on the curve would be above the route's, not at all where even that fails.
+    """
+    limits = limits or PathLimits()
+    wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
+    ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
+    terrain = _terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
+    vertices = _vertices(plan, terrain, body, limits)
+    start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
+    if len(vertices) == 1:
+        xy, raw = vertices, 0
+        yaw = np.array([start_yaw if start_yaw is not None else (goal_yaw or 0.0)])
+    else:
+        xy, raw = _smooth(vertices, terrain, body, limits)
+        yaw = _headings(xy)
+    poses = np.column_stack([xy, yaw])
+    sparse = _thin(poses, 0.05)
+    features = terrain_features(terrain, poses[sparse], body)
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    speed = _speeds(s, yaw, s[sparse], features, body, limits)
+    worst = features[:, :3].max(axis=0).tolist()
+    return Path(
+        np.column_stack([xy, heights_at(terrain, xy)]),
+        yaw,
+        speed,
+        s,
+        vertices,
+        None if start_yaw is None else turn_angle(start_yaw, float(yaw[0])),
+        goal_yaw,
+        raw,
+        (worst[0], worst[1], worst[2]),
+        float(steps_under(terrain, poses[sparse], body.length, body.width).max()),
+        limits,
+    )
+
+
+def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
+    """Whether a path made on an earlier map still holds on this one, and if not, what is in the way.
+
+    It does not hold when `face_in_the_way` finds one, or when the graph lost the ground around a corner of the route.
+    """
+    face = face_in_the_way(path, grid, body)
+    if face:
+        return False, face
+    for x, y in path.route.tolist():
+        if graph.nearest_node((x, y)) is None:
+            return False, f"no drivable ground left around ({x:.2f}, {y:.2f})"
+    return True, ""
+
+
+def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
+    """The highest face under the body on that part of the path which lies on `grid`; empty while all are within the limit."""
+    poses = np.column_stack([path.points[:, :2], path.yaw])[_thin(path.points, 0.05)]
+    x0, y0, x1, y1 = grid.extent
+    poses = poses[((poses[:, :2] >= (x0, y0)) & (poses[:, :2] <= (x1, y1))).all(axis=1)]
+    if not len(poses):
+        return ""
+    step = steps_under(_terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
+    bad = int(np.argmax(step))
+    if step[bad] <= max(path.limits.max_step, path.worst_step) + 0.02:
+        return ""
+    return f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
+
+
+def _terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
+    """What a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
+    return terrain_of(grid.around(xy, body.circumradius + SIDE), body)
+
+
+def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits) -> Array:
+    """(n, 2) corners of the route with the requested end points on it."""
+    xy = [plan.points[k, :2] for k in range(len(plan.points))]
+    start, goal = plan.request.start, plan.request.goal
+    if not isinstance(start, (int, np.integer)):
+        xy = _join(np.array(start, dtype=np.float64), xy, plan.request.start_yaw, terrain, body, limits)
+    if not isinstance(goal, (int, np.integer)) and plan.reaches_goal:
+        end = np.array(goal, dtype=np.float64)
+        # The goal may lie in what its node keeps clear of: then the path ends at the node.
+        if _passable(_leg(xy[-1], end, body), terrain, body, limits):
+            xy = _join(end, xy[::-1], None, terrain, body, limits)[::-1]
+    keep = [xy[0]]
+    for p in xy[1:]:
+        if np.hypot(*(p - keep[-1])) > 1e-3:
+            keep.append(p)
+    return np.array(keep)
+
+
+def _join(
+    end: Array, xy: list[Array], yaw: float | None, terrain: Terrain, body: BodyModel, limits: PathLimits
+) -> list[Array]:
+    """`xy` with `end` before it, in place of those first nodes where going there only makes a detour."""
+    body = _dense(body, limits)
+    for k in range(1, len(xy)):
+        if np.hypot(*(xy[k - 1] - end)) > SNAP_DISTANCE:
+            break
+        around = _way([end, *xy[: k + 1]], yaw, body)
+        direct = _way([end, xy[k]], yaw, body)
+        if _excess(direct, around, terrain, body, limits) <= _SLACK:
+            return [end, *xy[k:]]
+    return [end, *xy]
+
+
+def _passable(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> bool:
+    """Whether ground off the graph is seen, within the step limit and no steeper than the slope limit."""
+    if not len(poses):
+        return True
+    features = terrain_features(terrain, poses, body)
+    # The corner bands' centres are three quarters of a side apart; the tilt's formula takes the whole width.
+    pitch = np.arctan(features[:, 0] / (0.75 * body.length)).max()
+    roll = np.arctan(np.tan(np.radians(features[:, 1])) / 0.75).max()
+    step = steps_under(terrain, poses, body.length, body.width).max()
+    return bool(
+        step <= limits.max_step and max(pitch, roll) <= limits.max_slope and features[:, 3].max() <= 0.5
+    )
+
+
+def _way(stops: list[Array], yaw: float | None, body: BodyModel) -> Array:
+    """(n, 3) poses of driving straight from stop to stop, with the turns between, from heading `yaw` (None: any)."""
+    out = [np.empty((0, 3))]
+    for a, b in pairwise(stops):
+        leg = _leg(a, b, body)
+        if not len(leg):
+            continue
+        if yaw is not None:
+            out.append(sweep_poses(a[0], a[1], yaw, leg[0, 2], body))
+        out.append(leg)
+        yaw = float(leg[0, 2])
+    return np.concatenate(out)
+
+
+def _leg(a: Array, b: Array, body: BodyModel) -> Array:
+    return edge_poses(a, b, body) if np.hypot(*(b - a)) > 1e-6 else np.empty((0, 3))
+
+
+def _dense(body: BodyModel, limits: PathLimits) -> BodyModel:
+    """`body` with pose sets as dense as the path's samples, so that maxima compare like with like."""
+    return body.model_copy(update={"edge_step": limits.spacing})
+
+
+_SLACK = 0.02
+"""Scaled risk by which a rounded corner may exceed the sharp one: the height noise of one cell."""
+_SLACK_PEAK = 0.005
+"""Share of a feature's scale by which the path's maximum may exceed the route's: what sampling alone makes of it."""
+
+
+def _excess(poses: Array, raw: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> float:
+    """How much riskier `poses` are than `raw`, in scaled risk: the worst of mean-and-tail risk and each core maximum."""
+    if not len(poses) or not len(raw):
+        return 0.0
+    step = steps_under(terrain, poses, body.length, body.width).max()
+    if step > limits.max_step and step > steps_under(terrain, raw, body.length, body.width).max() + 1e-6:
+        return float("inf")
+    got, want = terrain_features(terrain, poses, body), terrain_features(terrain, raw, body)
+    (mean, tail), (raw_mean, raw_tail) = aggregate(got, body), aggregate(want, body)
+    rise = body.weight_mean * (mean - raw_mean) + body.weight_tail * (tail - raw_tail)
+    peak = (got.max(axis=0) - want.max(axis=0)) / body.scales
+    return float(max(rise[:3].sum(), rise[3], peak.max()))
+
+
+def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, int]:
+    """Samples (n, 2) of the rounded route and the number of corners left sharp."""
+    reach = reach_limits(vertices, limits.corridor)
+    raw = _corner_poses(vertices, _dense(body, limits))
+    peak = _peak(np.concatenate(raw), terrain, body)
+    while True:
+        xy, owner = curve(vertices, reach, limits.spacing)
+        poses = np.column_stack([xy, _headings(xy)])
+        away = distance_to_polyline(xy, vertices)
+        shrink = []
+        for i in np.flatnonzero(reach > 0.0).tolist():
+            mine = poses[owner == i]
+            over = _peak(mine, terrain, body) - peak > _SLACK_PEAK * body.scales[:3]
+            risky = over.any() or _excess(mine, raw[i], terrain, body, limits) > _SLACK
+            if risky or away[owner == i].max() > limits.corridor:
+                shrink.append(i)
+        if not shrink:
+            return xy, int((reach[1:-1] == 0.0).sum())
+        for i in shrink:
+            reach[i] = 0.5 * reach[i] if reach[i] > 0.06 else 0.0
+
+
+def _corner_poses(vertices: Array, body: BodyModel) -> list[Array]:
+    """Per vertex the poses of the sharp route around it: half a leg, the turn, half a leg."""
+    middle = 0.5 * (vertices[1:] + vertices[:-1])
+    out = []
+    for i in range(len(vertices)):
+        v = vertices[i]
+        before = _leg(middle[i - 1], v, body) if i > 0 else np.empty((0, 3))
+        after = _leg(v, middle[i], body) if i < len(middle) else np.empty((0, 3))
+        turn = np.empty((0, 3))
+        if len(before) and len(after):
+            turn = sweep_poses(v[0], v[1], before[0, 2], after[0, 2], body)
+        out.append(np.concatenate([before, turn, after]))
+    return out
+
+
+def _peak(poses: Array, terrain: Terrain, body: BodyModel) -> Array:
+    """(3,) largest core features of the poses."""
+    return terrain_features(terrain, poses, body)[:, :3].max(axis=0)
+
+
+def _headings(xy: Array) -> Array:
+    """(n,) direction of travel [rad]: mean of the chords before and after; the chord after at a sharp corner."""
+    chord = np.arctan2(*np.diff(xy, axis=0).T[::-1])
+    yaw = np.append(chord, chord[-1])
+    bend = (np.diff(chord) + np.pi) % (2.0 * np.pi) - np.pi
+    smooth = np.abs(bend) < np.radians(15.0)
+    yaw[1:-1] = np.where(smooth, chord[:-1] + 0.5 * bend, chord[1:])
+    return (yaw + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def _thin(rows: Array, spacing: float) -> NDArray[np.int64]:
+    """Indices of rows (x, y, ...) about `spacing` apart, both ends in."""
+    if len(rows) < 3:
+        return np.arange(len(rows))
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
+    count = max(2, int(np.ceil(s[-1] / spacing)) + 1)
+    return np.unique(np.searchsorted(s, np.linspace(0.0, s[-1], count) - 1e-9))
+
+
+def _speeds(
+    s: Array, yaw: Array, s_features: Array, features: Array, body: BodyModel, limits: PathLimits
+) -> Array:
+    """(n,) [m/s] from curvature, body risk and slope, with braking for everything ahead; 0 at the end."""
+    ds = np.maximum(np.diff(s), 1e-9)
+    bend = np.abs((np.diff(yaw) + np.pi) % (2.0 * np.pi) - np.pi) / ds
+    curvature = np.zeros(len(s))
+    curvature[:-1] = bend
+    curvature[1:] = np.maximum(curvature[1:], bend)
+    curvature = np.maximum(curvature, 1e-6)
+    scaled = features / body.scales
+    risk = np.minimum(scaled[:, :3], body.clip).sum(axis=1) + features[:, 3]
+    # The corner bands' centres are three quarters of the body apart.
+    pitch = np.arctan(features[:, 0] / (0.75 * body.length))
+    share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
+    careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk), 1.0 - 0.5 * share)
+    speed = np.minimum(np.sqrt(limits.lateral_accel / curvature), limits.max_yaw_rate / curvature)
+    speed = np.minimum(speed, np.interp(s, s_features, careful))
+    speed = np.clip(speed, limits.min_speed, limits.max_speed)
+    speed[-1] = 0.0
+    for i in range(len(s) - 2, -1, -1):
+        speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + 2.0 * limits.max_accel * ds[i]))
+    for i in range(1, len(s)):
+        speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + 2.0 * limits.max_accel * ds[i - 1]))
+    return speed

@@ -1,0 +1,69 @@
+"""The graph as the search kernels take it: one slot per directed edge."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planning.graph.graph import TraversalGraph
+from planning.risk.turns import TURN_COST
+
+
+class Roads(NamedTuple):
+    """See the module."""
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    indptr: NDArray[np.int64]
+    source: NDArray[np.int32]
+    target: NDArray[np.int32]
+    reverse: NDArray[np.int64]
+    """Slot of the opposite direction."""
+    length: NDArray[np.float64]
+    """Planar [m]."""
+    heading: NDArray[np.float64]
+    """Heading source -> target [rad]."""
+    risk: NDArray[np.float32]
+    room: NDArray[np.uint64]
+    """(nodes,) `TraversalGraph.free_headings`: where the robot may turn in place."""
+    turn_rate: NDArray[np.float64]
+    """(nodes,) [m/rad] what an edge under the wheels adds to a turn in place."""
+
+
+def roads_of(graph: TraversalGraph) -> Roads:
+    """The graph's arrays with length, heading and opposite of every directed edge."""
+    x = np.ascontiguousarray(graph.nodes[:, 0], dtype=np.float64)
+    y = np.ascontiguousarray(graph.nodes[:, 1], dtype=np.float64)
+    indptr = np.ascontiguousarray(graph.indptr, dtype=np.int64)
+    target = np.ascontiguousarray(graph.indices, dtype=np.int32)
+    source = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(indptr))
+    dx, dy = x[target] - x[source], y[target] - y[source]
+    return Roads(
+        x,
+        y,
+        indptr,
+        source,
+        target,
+        _reverse_slots(indptr, source, target),
+        np.hypot(dx, dy),
+        np.arctan2(dy, dx),
+        np.ascontiguousarray(graph.risk, dtype=np.float32),
+        np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
+        np.where(graph.turn_edge > graph.params.max_turn_step, TURN_COST, 0.0),
+    )
+
+
+@njit(cache=True)
+def _reverse_slots(indptr: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Slot of the opposite direction of every slot, -1 where it is missing."""
+    out = np.full(target.size, -1, np.int64)
+    for s in range(target.size):
+        j = target[s]
+        for o in range(indptr[j], indptr[j + 1]):
+            if target[o] == source[s]:
+                out[s] = o
+                break
+    return out

@@ -1,0 +1,171 @@
+"""Body risk of a graph's edges and turns on one map, evaluated once and shared between queries."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import TraversalGraph
+from planning.risk.body import BodyModel, terrain_of
+from planning.risk.pose_sets import Weights
+from planning.risk.roads import Roads, roads_of
+from planning.risk.tables import Tables, evaluate_edges
+from planning.risk.terrain import Laid
+
+
+def weights_of(body: BodyModel) -> Weights:
+    """`body` as plain numbers for the kernels."""
+    return Weights(
+        body.scales,
+        body.clip,
+        body.weight_mean,
+        body.weight_tail,
+        body.weight_native,
+        body.weight_body,
+        body.weight_unknown,
+        body.edge_step,
+        float(np.radians(body.sweep_step)),
+    )
+
+
+class RiskTable:
+    """What queries on one graph, map and body share. Pass it to `plan`; it fills itself and never changes a result.
+
+    When graph or map change, make a new one with the old as `previous`: edges under which no cell changed keep their
+    evaluations.
+    """
+
+    def __init__(
+        self,
+        graph: TraversalGraph,
+        grid: ElevationGrid,
+        body: BodyModel,
+        previous: RiskTable | None = None,
+    ) -> None:
+        self.graph = graph
+        self.version = graph.version
+        self.grid = grid
+        self.body = body
+        self.laid: Laid = terrain_of(grid, body).laid(body.length, body.width)
+        self.roads: Roads = roads_of(graph)
+        self._ids = graph.node_ids
+        self._tables: dict[tuple[float, float], Tables] = {}
+        if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
+            self._carry(previous)
+
+    def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
+        """True while the table belongs to these inputs."""
+        return (
+            graph is self.graph and graph.version == self.version and grid is self.grid and body == self.body
+        )
+
+    def tables(self, body: BodyModel) -> Tables:
+        """Evaluations under the weights of `body`, which differs from the table's own only in them."""
+        key = (body.weight_mean, body.weight_tail)
+        if key not in self._tables:
+            slots = self.roads.target.size
+            self._tables[key] = Tables(
+                np.full((slots, 2), np.nan),
+                np.full(slots, -1, np.int64),
+                np.full((256, 2), np.nan),
+                np.zeros(1, np.int64),
+            )
+        return self._tables[key]
+
+    def keep(self, body: BodyModel, tables: Tables) -> None:
+        """Take back the tables of `body` after a search, which may have made them larger."""
+        self._tables[(body.weight_mean, body.weight_tail)] = tables
+
+    def evaluate_edges(self) -> None:
+        """Evaluate all edges now, so that no query has to: on a large graph, most of a query's time."""
+        evaluate_edges(self.laid, weights_of(self.body), self.roads, self.tables(self.body))
+
+    def evaluated(self) -> tuple[int, int]:
+        """Directed edges and turns evaluated so far, over all weights."""
+        edges = sum(int((~np.isnan(t.edge[:, 0])).sum()) for t in self._tables.values())
+        return edges, sum(int((~np.isnan(t.turns[:, 0])).sum()) for t in self._tables.values())
+
+    def _carry(self, old: RiskTable) -> None:
+        """Take over what `old` knows of edges that are the same here and have the same ground under them."""
+        offset = (np.array([self.laid.ox, self.laid.oy]) - (old.laid.ox, old.laid.oy)) * self.laid.inv
+        dc, dr = (int(v) for v in np.round(offset))
+        if not len(old._ids) or np.abs(offset - (dc, dr)).max() > 1e-6:  # no node, or other cells
+            return
+        known = np.argsort(old._ids, kind="stable")
+        at = known[np.searchsorted(old._ids, self._ids, sorter=known).clip(max=max(len(known) - 1, 0))]
+        here = (
+            (old._ids[at] == self._ids)
+            & (old.roads.x[at] == self.roads.x)
+            & (old.roads.y[at] == self.roads.y)
+        )
+        slots = _same_slots(self.roads, old.roads, np.where(here, at, -1))
+        changed = _changed(
+            self.laid.height, self.laid.trusted, self.laid.stride,
+            old.laid.height, old.laid.trusted, old.laid.stride, dr, dc,
+        )  # fmt: skip
+        same = (slots >= 0) & _untouched(self.roads, self.laid, changed)
+        for key, tables in old._tables.items():
+            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+            self.tables(body).edge[same] = tables.edge[slots[same]]
+
+
+@njit(cache=True)
+def _same_slots(roads: Roads, old: Roads, node: np.ndarray) -> np.ndarray:
+    """(slots,) slot of the same edge in `old`, -1 = none; `node` is each node's index there."""
+    out = np.full(roads.target.size, -1, np.int64)
+    for slot in range(roads.target.size):
+        i, j = node[roads.source[slot]], node[roads.target[slot]]
+        if i < 0 or j < 0:
+            continue
+        for k in range(old.indptr[i], old.indptr[i + 1]):
+            if old.target[k] == j:
+                out[slot] = k
+                break
+    return out
+
+
+@njit(cache=True)
+def _changed(
+    height: np.ndarray,
+    trusted: np.ndarray,
+    stride: int,
+    old_height: np.ndarray,
+    old_trusted: np.ndarray,
+    old_stride: int,
+    dr: int,
+    dc: int,
+) -> np.ndarray:
+    """(rows + 1, stride + 1) summed-area table of cells that are not what they were; dr, dc: cell [0, 0] in the old."""
+    rows, old_rows = height.size // stride, old_height.size // old_stride
+    out = np.zeros((rows + 1, stride + 1), np.int32)
+    for r in range(rows):
+        total = 0
+        for c in range(stride):
+            a, b = r + dr, c + dc
+            same = False
+            if 0 <= a < old_rows and 0 <= b < old_stride:
+                i, j = r * stride + c, a * old_stride + b
+                same = height[i] == old_height[j] and trusted[i] == old_trusted[j]
+            total += not same
+            out[r + 1, c + 1] = out[r, c + 1] + total
+    return out
+
+
+@njit(cache=True)
+def _untouched(roads: Roads, laid: Laid, changed: np.ndarray) -> np.ndarray:
+    """(slots,) edges with no changed cell in the box that the footprint does not leave on its way."""
+    rows, cols = changed.shape[0] - 1, changed.shape[1] - 1
+    out = np.zeros(roads.target.size, np.bool_)
+    for slot in range(roads.target.size):
+        i, j = roads.source[slot], roads.target[slot]
+        x0, x1 = min(roads.x[i], roads.x[j]), max(roads.x[i], roads.x[j])
+        y0, y1 = min(roads.y[i], roads.y[j]), max(roads.y[i], roads.y[j])
+        c0, c1 = int(np.floor((x0 - laid.ox) * laid.inv)), int(np.ceil((x1 - laid.ox) * laid.inv))
+        r0, r1 = int(np.floor((y0 - laid.oy) * laid.inv)), int(np.ceil((y1 - laid.oy) * laid.inv))
+        c0, c1 = c0 - laid.reach - 1, c1 + laid.reach + 2
+        r0, r1 = r0 - laid.reach - 1, r1 + laid.reach + 2
+        if c0 < 0 or r0 < 0 or c1 > cols or r1 > rows:
+            continue
+        out[slot] = changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0
+    return out

@@ -1,0 +1,159 @@
+"""Checking a request and putting its start and goal on the graph."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason
+from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
+
+Place = tuple[float, float] | int
+
+_DISC = 0.30
+"""Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""
+_SEEN = 0.70
+"""Share of trusted cells in that disc from which the ground counts as seen."""
+
+
+def is_node(place: object) -> bool:
+    """True for a node index, False for a position."""
+    return isinstance(place, (int, np.integer)) and not isinstance(place, bool)
+
+
+def position(graph: TraversalGraph, place: Place, name: str) -> tuple[float, float]:
+    """x, y [m] of a place. Raises NoRoute for anything else than a node index or two finite numbers."""
+    if is_node(place):
+        if not 0 <= place < len(graph.nodes):  # type: ignore[operator]
+            raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} node {place} is not in 0..{len(graph.nodes) - 1}")
+        x, y = graph.nodes[place, :2]  # type: ignore[index]
+        return float(x), float(y)
+    try:
+        x, y = (float(v) for v in place)  # type: ignore[union-attr]
+    except (TypeError, ValueError):
+        raise NoRoute(
+            NoRouteReason.BAD_INPUT, f"{name} must be x, y in metres or a node index; got {place!r}"
+        ) from None
+    if not (np.isfinite(x) and np.isfinite(y)):
+        raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} ({x}, {y}) is not finite: give x, y in metres")
+    return x, y
+
+
+def on_map(grid: ElevationGrid, xy: tuple[float, float]) -> bool:
+    """True when x, y lies in a cell of the grid."""
+    x0, y0, x1, y1 = grid.extent
+    half = grid.resolution / 2
+    return x0 - half <= xy[0] <= x1 + half and y0 - half <= xy[1] <= y1 + half
+
+
+def snap(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float]) -> int | None:
+    """The nearest node within the snap distance that no wall separates from x, y; None when there is none.
+
+    A wall is a face above the graph's step limit on the straight line. Native graphs know no step limit, graphs
+    made from arrays were not built on this map: they take the nearest node where every line is blocked.
+    """
+    nearest = graph.nearest_node(xy, SNAP_DISTANCE)
+    if nearest is None or graph.params.mode == "native":
+        return nearest
+    d2 = (graph.nodes[:, 0] - xy[0]) ** 2 + (graph.nodes[:, 1] - xy[1]) ** 2
+    near = np.flatnonzero(d2 <= SNAP_DISTANCE**2)
+    for k in near[np.argsort(d2[near], kind="stable")].tolist():
+        if step_on_line(grid, xy, (graph.nodes[k, 0], graph.nodes[k, 1])) <= graph.params.max_step:
+            return k
+    return nearest if graph.start_xy is None else None
+
+
+def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Highest face [m] between successive trusted cells on the straight line a -> b."""
+    n = int(np.ceil(np.hypot(b[0] - a[0], b[1] - a[1]) / (0.5 * grid.resolution))) + 1
+    t = np.linspace(0.0, 1.0, n)
+    col, row = _cells(grid, a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]))
+    ok = grid.trusted[row, col]
+    z = grid.height[row, col][ok]
+    return float(np.abs(np.diff(z)).max(initial=0.0))
+
+
+def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float) -> str:
+    """`unseen`, `blocked` (a face above `max_step` within the disc) or `free`: the ground around x, y."""
+    if not on_map(grid, xy):
+        return "unseen"
+    reach = int(np.ceil(_DISC / grid.resolution))
+    (c,), (r,) = _cells(grid, np.array([xy[0]]), np.array([xy[1]]))
+    rows = slice(max(r - reach, 0), r + reach + 1)
+    cols = slice(max(c - reach, 0), c + reach + 1)
+    z, ok = grid.height[rows, cols], grid.trusted[rows, cols]
+    dr, dc = np.mgrid[
+        rows.start - r : rows.start - r + z.shape[0], cols.start - c : cols.start - c + z.shape[1]
+    ]
+    disc = dr**2 + dc**2 <= (_DISC / grid.resolution) ** 2
+    if ok[disc].mean() < _SEEN:
+        return "unseen"
+    for axis in (0, 1):
+        step = np.abs(np.diff(np.where(ok & disc, z, np.nan), axis=axis))
+        if np.nanmax(step, initial=0.0) > max_step:
+            return "blocked"
+    return "free"
+
+
+def _cells(
+    grid: ElevationGrid, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    col = np.floor((x - grid.origin[0]) / grid.resolution + 0.5).astype(np.int64)
+    row = np.floor((y - grid.origin[1]) / grid.resolution + 0.5).astype(np.int64)
+    return np.clip(col, 0, grid.shape[1] - 1), np.clip(row, 0, grid.shape[0] - 1)
+
+
+def start_node(graph: TraversalGraph, grid: ElevationGrid, start: Place) -> int:
+    """Node of the start. Raises NoRoute when it is off the map or off the graph."""
+    xy = position(graph, start, "start")
+    if is_node(start):
+        return int(start)  # type: ignore[arg-type]
+    _require_on_map(grid, xy, "start")
+    node = snap(graph, grid, xy)
+    if node is None:
+        raise NoRoute(
+            NoRouteReason.START_NOT_ON_GRAPH,
+            f"no drivable node within {SNAP_DISTANCE:.2f} m of the start ({xy[0]:.2f}, {xy[1]:.2f}): "
+            "drive the robot to open, seen ground",
+        )
+    return node
+
+
+def goal_node(graph: TraversalGraph, grid: ElevationGrid, goal: Place, allow_frontier: bool) -> int | None:
+    """Node of the goal; None when a frontier has to do. Raises NoRoute when neither can be."""
+    xy = position(graph, goal, "goal")
+    if is_node(goal):
+        return int(goal)  # type: ignore[arg-type]
+    if not allow_frontier:
+        _require_on_map(grid, xy, "goal")
+    node = snap(graph, grid, xy)
+    if node is not None:
+        return node
+    where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
+    ground = ground_at(grid, xy, graph.params.max_step)
+    if ground == "blocked":
+        raise NoRoute(
+            NoRouteReason.GOAL_IN_OBSTACLE,
+            f"{where} is in a known obstacle, no drivable node within {SNAP_DISTANCE:.2f} m: move it to free ground",
+        )
+    if allow_frontier:
+        return None
+    if ground == "unseen":
+        raise NoRoute(
+            NoRouteReason.GOAL_UNKNOWN, f"the ground at {where} was not seen yet: allow a frontier or move it"
+        )
+    raise NoRoute(
+        NoRouteReason.GOAL_IN_OBSTACLE,
+        f"no drivable node within {SNAP_DISTANCE:.2f} m of {where}: move it to ground the robot can reach",
+    )
+
+
+def _require_on_map(grid: ElevationGrid, xy: tuple[float, float], name: str) -> None:
+    if not on_map(grid, xy):
+        x0, y0, x1, y1 = grid.extent
+        raise NoRoute(
+            NoRouteReason.OUTSIDE_MAP,
+            f"{name} ({xy[0]:.2f}, {xy[1]:.2f}) is outside the map, x {x0:.2f}..{x1:.2f}, y {y0:.2f}..{y1:.2f} m: "
+            "move it inside, or extend the map",
+        )

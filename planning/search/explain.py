@@ -1,0 +1,142 @@
+"""Why a route costs what it does: moments of all its pose sets, and the plan that tells them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planning.risk.body import FEATURES, BodyModel
+from planning.risk.pose_sets import Weights, route_moments, turn
+from planning.risk.table import RiskTable, weights_of
+from planning.risk.terrain import Laid
+from planning.risk.turns import edge_turn_cost
+from planning.search.request import SETS, Plan, PlanRequest, Transition
+
+
+@dataclass(slots=True)
+class Route:
+    """A sequence of nodes at places that may have been moved."""
+
+    nodes: tuple[int, ...]
+    xy: NDArray[np.float64]
+    """(n, 2) [m]"""
+    risk: NDArray[np.float64]
+    """(n - 1,) native risk of the edges; a moved edge keeps that of the graph's."""
+    flip: NDArray[np.bool_]
+    """(n - 1,) edges that the search evaluates from their far end."""
+    start_yaw: float
+    goal_yaw: float
+    """[rad], NaN = any."""
+    turn_rate: NDArray[np.float64]
+    """(n,) [m/rad] what an edge under the wheels adds to a turn at each point."""
+    moments: NDArray[np.float64]
+    """(n - 1, 3, 3, 4), see `route_moments`."""
+
+    @classmethod
+    def along(
+        cls, table: RiskTable, start: int, slots: NDArray[np.int64], start_yaw: float, goal_yaw: float
+    ) -> Route:
+        """The route over these directed edges from node `start`."""
+        roads = table.roads
+        nodes = (start, *roads.target[slots].tolist())
+        xy = np.column_stack([roads.x[list(nodes)], roads.y[list(nodes)]])
+        flip = slots > roads.reverse[slots]
+        out = cls(
+            nodes,
+            xy,
+            roads.risk[slots].astype(np.float64),
+            flip,
+            start_yaw,
+            goal_yaw,
+            roads.turn_rate[list(nodes)],
+            np.empty((len(slots), 3, 3, 4)),
+        )
+        out.evaluate(table.laid, weights_of(table.body), 0, len(slots))
+        return out
+
+    def evaluate(self, laid: Laid, w: Weights, first: int, last: int) -> None:
+        """Bring the moments of transitions first..last - 1 up to date with `xy`."""
+        route_moments(laid, w, self.xy, self.flip, self.start_yaw, self.goal_yaw, first, last, self.moments)
+
+    @property
+    def length(self) -> NDArray[np.float64]:
+        """(n - 1,) [m]"""
+        return np.hypot(*np.diff(self.xy, axis=0).T)
+
+    def turn_cost(self) -> NDArray[np.float64]:
+        """(n - 1,) [m] for edges under the wheels in each transition's turns."""
+        if len(self.xy) < 2 or not self.turn_rate.any():
+            return np.zeros(len(self.xy) - 1)
+        heading = np.arctan2(*np.diff(self.xy, axis=0).T[::-1])
+        yaw = np.concatenate([[self.start_yaw], heading, [self.goal_yaw]])
+        cost = np.array(
+            [
+                0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn(a, b))
+                for rate, a, b in zip(self.turn_rate, yaw[:-1], yaw[1:], strict=True)
+            ]
+        )
+        cost[-2] += cost[-1]
+        return cost[:-1]
+
+    def terms(self, w: Weights, sweeps: bool = True) -> NDArray[np.float64]:
+        """(n - 1, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
+        a = w.mean * self.moments[:, :, 0] + w.tail * self.moments[:, :, 1]
+        out = np.stack([a[..., :3].sum(axis=-1), a[..., 3]], axis=-1)
+        if not sweeps:
+            out[:, 1:] = -1.0
+        return np.nan_to_num(out, nan=-1.0)
+
+    def cost(self, w: Weights) -> NDArray[np.float64]:
+        """(n - 1,) [m] of each transition (eq. 5), and of edges in its turns."""
+        worst = self.terms(w).max(axis=1)
+        rate = 1.0 + w.native * self.risk + w.body * worst[:, 0] + w.unknown * worst[:, 1]
+        return self.length * rate + self.turn_cost()
+
+
+def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
+    """The plan of a route under the weights of `body`."""
+    w = weights_of(body)
+    length = route.length
+    terms = route.terms(w, sweeps=request.variant != "edge-only")
+    decided = terms.argmax(axis=1)
+    native = 1.0 + w.native * route.risk
+    turns = route.turn_cost() if request.variant not in ("native", "edge-only") else np.zeros(len(length))
+    transitions = []
+    for t in range(len(length)):
+        b, u = float(terms[t, decided[t, 0], 0]), float(terms[t, decided[t, 1], 1])
+        factor = native[t] if request.variant == "native" else native[t] + w.body * b + w.unknown * u
+        sets = [k for k in range(3) if not np.isnan(route.moments[t, k, 0, 0])]
+        mean, tail, peak = (
+            {SETS[k]: dict(zip(FEATURES, route.moments[t, k, m].tolist(), strict=True)) for k in sets}
+            for m in range(3)
+        )
+        transitions.append(
+            Transition(
+                (route.nodes[t], route.nodes[t + 1]),
+                float(length[t]),
+                float(route.risk[t]),
+                b,
+                u,
+                float(length[t] * factor + turns[t]),
+                float(turns[t]),
+                SETS[decided[t, 0]],
+                SETS[decided[t, 1]],
+                mean,
+                tail,
+                peak,
+            )
+        )
+    points = table.graph.nodes[list(route.nodes)].copy()
+    points[:, :2] = route.xy
+    return Plan(
+        route.nodes,
+        float(sum(t.cost for t in transitions)),
+        float((length * native).sum()),
+        float(length.sum()),
+        tuple(transitions),
+        points,
+        request,
+        expanded=expanded,
+    )

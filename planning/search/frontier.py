@@ -1,0 +1,145 @@
+"""Which frontier to drive to when the goal lies beyond known ground.
+
+A frontier's worth is the cost to get there plus the shortest way from there to the goal that known obstacles leave
+open, unknown ground counting as free: what is left can hardly be cheaper. (The straight line instead of that way sends
+the robot into every dead end that points at the goal.) A frontier once chosen is kept until another is better by a clear
+margin, so that a robot between two equal frontiers makes up its mind.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import TraversalGraph
+
+SAME_FRONTIER = 1.0
+"""Frontier nodes within this distance [m] of the one chosen before count as the same frontier."""
+SWITCH_SHARE = 0.10
+SWITCH_LEAST = 0.5
+"""Another frontier must be better by this share of the kept one's worth and by at least this much [m]."""
+LOOKED = 0.5
+"""Frontier nodes within this distance [m] of the robot or of a place looked from already show nothing new."""
+ARRIVED = 0.3
+"""This close to a frontier [m] the robot has seen what there is to see from it."""
+CELL = 0.2
+"""Raster of the way through unknown ground [m]."""
+KEEP_OFF = 0.2
+"""That way keeps this far from known obstacles [m]: a little less than half the body, for it must not be too long."""
+OBSTACLE = 0.25
+"""A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
+CLOSED = 1e3
+"""Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
+
+
+class FrontierMemory:
+    """What a robot on its way to one goal remembers of frontiers; goes into `PlanRequest` and is fed by its plans."""
+
+    def __init__(self) -> None:
+        self.chosen: tuple[float, float] | None = None
+        """x, y [m] of the frontier on the way to."""
+        self.seen: list[tuple[float, float]] = []
+        """Frontiers looked from already."""
+
+    def at(self, xy: tuple[float, float]) -> None:
+        """The robot plans from x, y [m]: what it has come to it has seen."""
+        if self.chosen is not None and math.dist(self.chosen, xy) < ARRIVED:
+            self.seen.append(self.chosen)
+
+
+def open_frontiers(
+    graph: TraversalGraph, start: int, seen: Sequence[tuple[float, float]]
+) -> NDArray[np.bool_]:
+    """(n,) frontier nodes that are worth driving to from node `start`."""
+    out = graph.frontier.copy()
+    for x, y in [(graph.nodes[start, 0], graph.nodes[start, 1]), *seen]:
+        out &= np.hypot(graph.nodes[:, 0] - x, graph.nodes[:, 1] - y) > LOOKED
+    return out
+
+
+def worth_keeping(kept: float, best: float) -> bool:
+    """Whether the frontier chosen before stays chosen although another is better; cost so far plus way to go [m]."""
+    return kept - best < max(SWITCH_LEAST, SWITCH_SHARE * kept)
+
+
+def way_to_go(
+    grid: ElevationGrid, points: NDArray[np.float64], goal: tuple[float, float]
+) -> NDArray[np.float64]:
+    """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
+
+    Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way.
+    """
+    x0, y0, x1, y1 = grid.extent
+    # one cell of free ground around the map: who leaves it may go around everything
+    ox, oy = x0 - CELL, y0 - CELL
+    shape = (math.ceil((y1 - oy) / CELL) + 2, math.ceil((x1 - ox) / CELL) + 2)
+    blocked = np.zeros(shape, np.bool_)
+    _block(grid.height, grid.trusted, grid.resolution, CELL, CELL, blocked)
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * CELL
+    straight = np.hypot(x + ox - goal[0], y + oy - goal[1])
+    rim = np.ones(shape, np.bool_)
+    rim[1:-1, 1:-1] = False
+    inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
+    # the goal may stand close to something
+    seeds = straight <= 1.5 * CELL if inside else rim
+    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim)
+    col = np.clip(np.floor((points[:, 0] - ox) / CELL + 0.5).astype(np.int64), 1, shape[1] - 2)
+    row = np.clip(np.floor((points[:, 1] - oy) / CELL + 0.5).astype(np.int64), 1, shape[0] - 2)
+    # a node may stand nearer to an obstacle than KEEP_OFF: the best of the cells around it
+    near = np.min([way[row + i, col + j] for i in (-1, 0, 1) for j in (-1, 0, 1)], axis=0)
+    line = np.hypot(points[:, 0] - goal[0], points[:, 1] - goal[1])
+    return np.where(np.isfinite(near), np.maximum(near, line), line + CLOSED)
+
+
+@njit(cache=True)
+def _block(height, trusted, res, dx, dy, blocked):
+    """Mark raster cells within `KEEP_OFF` of a face; dx, dy: cell [0, 0] of the grid seen from the raster's [m]."""
+    rows, cols = height.shape
+    for r in range(rows):
+        for c in range(cols):
+            if not trusted[r, c]:
+                continue
+            face = False
+            for k in range(1, 3):
+                if r + k < rows and trusted[r + k, c] and abs(height[r + k, c] - height[r, c]) > OBSTACLE:
+                    face = True
+                if c + k < cols and trusted[r, c + k] and abs(height[r, c + k] - height[r, c]) > OBSTACLE:
+                    face = True
+            if not face:
+                continue
+            x = (c + 0.5) * res + dx
+            y = (r + 0.5) * res + dy
+            for j in range(math.ceil((y - KEEP_OFF) / CELL), math.floor((y + KEEP_OFF) / CELL) + 1):
+                for i in range(math.ceil((x - KEEP_OFF) / CELL), math.floor((x + KEEP_OFF) / CELL) + 1):
+                    if (i * CELL - x) ** 2 + (j * CELL - y) ** 2 <= KEEP_OFF**2:
+                        blocked[j, i] = True
+
+
+@njit(cache=True)
+def _flood(blocked, way, free):
+    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked."""
+    rows, cols = way.shape
+    heap = [(0.0, 0, 0) for _ in range(0)]
+    for r in range(rows):
+        for c in range(cols):
+            if way[r, c] < np.inf:
+                heapq.heappush(heap, (way[r, c], r, c))
+    while heap:
+        d, r, c = heapq.heappop(heap)
+        if d > way[r, c]:
+            continue
+        for a in range(max(0, r - 1), min(rows, r + 2)):
+            for b in range(max(0, c - 1), min(cols, c + 2)):
+                if blocked[a, b] and not free[a, b]:
+                    continue
+                new = d + CELL * math.hypot(a - r, b - c)
+                if new < way[a, b]:
+                    way[a, b] = new
+                    heapq.heappush(heap, (new, a, b))
+    return way

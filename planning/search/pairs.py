@@ -1,0 +1,254 @@
+"""A* over ordered pairs of nodes for the body-aware cost.
+
+A state is a directed edge (i, j), named by its CSR slot. Nearly all time goes into evaluating pose sets, so both
+searches are lazy: what enters a queue has a lower bound of its cost, its pose sets are evaluated when it comes up, and
+it goes back if that made it dearer. First a search over nodes, backwards from the goal, finds the cost to go without
+turns; that bound lacks so little that the search over pairs then evaluates few turns. The optimum is the one of
+Dijkstra over pairs; the bounds are never above the true cost. Evaluations are kept in tables, NaN = not yet. Paper:
+eq. 3-5.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from planning.graph.describe import turn_is_free
+from planning.risk.footprint import scratch
+from planning.risk.pose_sets import Weights, turn, turn_risk
+from planning.risk.roads import Roads
+from planning.risk.tables import Tables, evaluate_edge
+from planning.risk.terrain import Laid
+from planning.risk.turns import edge_turn_cost, may_turn_off, may_turn_to
+from planning.search.heap import grown, pop, push
+
+
+@njit(cache=True)
+def cost_to_go(
+    laid: Laid,
+    w: Weights,
+    roads: Roads,
+    tables: Tables,
+    start: int,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+) -> np.ndarray:
+    """(nodes,) lower bound of the cost from each node over an end to the goal, exact but for the turns: lazy A* backwards.
+
+    It stops at the start. What was not settled by then costs, together with the straight line from the start, at
+    least what the start costs; that is its bound, and the whole is still consistent. inf: no end can be reached.
+    """
+    work = scratch(laid)
+    x, y, indptr, source, target, reverse, length, _, risk, _, _ = roads
+    edge = tables.edge
+    count = x.size
+    h = np.full(count, np.inf)
+    closed = np.zeros(count, np.bool_)
+    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
+    n = 0
+    for i in range(count):
+        if is_end[i]:
+            h[i] = exit_cost[i]
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, h[i] + np.hypot(x[i] - x[start], y[i] - y[start]), i, -1)
+    while n > 0:
+        i, via = s[0], e[0]
+        n = pop(f, s, e, n)
+        if closed[i]:
+            continue
+        if via >= 0:  # an edge not evaluated when it was pushed
+            if np.isnan(edge[via, 0]):
+                evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, via)
+            rate = 1.0 + w.native * risk[via] + w.body * edge[via, 0] + w.unknown * edge[via, 1]
+            cost = h[source[via]] + length[via] * rate
+            if cost < h[i]:
+                h[i] = cost
+                n = push(f, s, e, n, cost + np.hypot(x[i] - x[start], y[i] - y[start]), i, -1)
+            continue
+        closed[i] = True
+        if i == start:
+            break
+        for out in range(indptr[i], indptr[i + 1]):
+            k = target[out]
+            if closed[k]:
+                continue
+            cost = h[i] + length[out] * (1.0 + w.native * risk[out])
+            if cost >= h[k]:
+                continue
+            known = not np.isnan(edge[out, 0])
+            if known:
+                cost += length[out] * (w.body * edge[out, 0] + w.unknown * edge[out, 1])
+                if cost >= h[k]:
+                    continue
+                h[k] = cost
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, cost + np.hypot(x[k] - x[start], y[k] - y[start]), k, -1 if known else out)
+    for i in range(count):
+        if not closed[i]:
+            h[i] = max(0.0, h[start] - np.hypot(x[i] - x[start], y[i] - y[start]))
+    return h
+
+
+@njit(cache=True)
+def search_pairs(
+    laid: Laid,
+    w: Weights,
+    roads: Roads,
+    tables: Tables,
+    start: int,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+    start_yaw: float,
+    goal_yaw: float,
+    sweeps: bool,
+) -> tuple[float, np.ndarray, int, np.ndarray]:
+    """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
+
+    That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
+    requested. With `sweeps`, turns count, cost more over edges, and are only made where there is room. Returns the cost of the route (inf:
+    none), the slots of its edges, the number of expanded states, and `tables.turns`, which may have grown.
+    """
+    none = np.empty(0, np.int64)
+    turns = tables.turns
+    h = cost_to_go(laid, w, roads, tables, start, is_end, exit_cost)
+    if np.isinf(h[start]):
+        return np.inf, none, 0, turns
+    work = scratch(laid)
+    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = roads
+    edge, turn_at, _, _ = tables
+    used = tables.used[0]
+    slots = target.size
+    best = np.full(slots, np.inf)  # least evaluated cost of each state
+    parent = np.full(slots, -1, np.int64)
+    closed = np.zeros(slots, np.bool_)
+    size = 256
+    f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
+    # Queue entries: where the state was reached from, at what cost, and how far it is evaluated: not at all (0),
+    # its edge (1), its edge and its turns (2).
+    came, base, stage = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int8)
+    n = 0
+    entries = 0
+    expanded = 0
+    slot = -1
+    at = start
+    while True:
+        g = 0.0 if slot < 0 else best[slot]
+        expanded += 1
+        for out in range(indptr[at], indptr[at + 1]):
+            if closed[out]:
+                continue
+            known = not np.isnan(edge[out, 0])
+            rate = 1.0 + w.native * risk[out]
+            if known:
+                rate += w.body * edge[out, 0] + w.unknown * edge[out, 1]
+            cost = g + length[out] * rate
+            if cost >= best[out]:
+                continue
+            if entries == came.size:
+                came, base, stage = grown(came), grown(base), grown(stage)
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            came[entries], base[entries], stage[entries] = slot, g, known
+            n = push(f, s, e, n, cost + h[target[out]], out, entries)
+            entries += 1
+        # Take the most promising state and evaluate what its cost still lacks, until one is certain.
+        slot = -1
+        while n > 0:
+            bound, out, entry = f[0], s[0], e[0]
+            n = pop(f, s, e, n)
+            if out < 0:  # the way on from an end: nothing in the queue can be cheaper
+                return best[entry], walk_back(parent, entry), expanded, turns
+            if closed[out]:
+                continue
+            origin = came[entry]
+            if stage[entry] == 2:
+                if parent[out] != origin:
+                    continue  # reached more cheaply in the meantime
+                slot = out
+                break
+            at, k = source[out], target[out]
+            if np.isnan(edge[out, 0]):
+                evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, out)
+            b, u = edge[out, 0], edge[out, 1]
+            fixed = 1.0 + w.native * risk[out]
+            cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u)
+            stage[entry] += 1
+            if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
+                stage[entry] = 2
+                b2, u2 = 0.0, 0.0
+                edges = 0.0
+                if origin >= 0:
+                    if turn_at[origin] < 0:
+                        degree = indptr[at + 1] - indptr[at]
+                        while used + degree > len(turns):
+                            turns = _more(turns)
+                        turn_at[origin] = used
+                        used += degree
+                        tables.used[0] = used
+                    row = turn_at[origin] + out - indptr[at]
+                    if np.isnan(turns[row, 0]):
+                        d = turn(heading[origin], heading[out])
+                        if turn_is_free(room[at], heading[origin], d):
+                            turns[row] = turn_risk(laid, work, w, x[at], y[at], heading[origin], d)
+                        else:
+                            turns[row] = np.inf
+                    b2, u2 = turns[row]
+                    if turn_rate[at] > 0.0:
+                        edges = edge_turn_cost(turn_rate[at], turn(heading[origin], heading[out]))
+                elif not np.isnan(start_yaw):
+                    d = turn(start_yaw, heading[out])
+                    b2, u2 = np.inf, 0.0
+                    if may_turn_off(room[at], start_yaw, d):
+                        b2, u2 = turn_risk(laid, work, w, x[at], y[at], start_yaw, d)
+                    edges = edge_turn_cost(turn_rate[at], d)
+                b, u = max(b, b2), max(u, u2)
+                if is_end[k] and not np.isnan(goal_yaw):
+                    d = turn(heading[out], goal_yaw)
+                    b2, u2 = np.inf, 0.0
+                    if may_turn_to(room[k], heading[out], d):
+                        b2, u2 = turn_risk(laid, work, w, x[k], y[k], heading[out], d)
+                    b, u = max(b, b2), max(u, u2)
+                    edges += edge_turn_cost(turn_rate[k], d)
+                cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u) + edges
+            elif not sweeps:
+                stage[entry] = 2
+            if not cost < best[out]:
+                continue
+            if stage[entry] == 2:
+                best[out] = cost
+                parent[out] = origin
+            n = push(f, s, e, n, cost + h[k], out, entry)
+        if slot < 0:
+            return np.inf, none, expanded, turns
+        closed[slot] = True
+        at = target[slot]
+        if is_end[at]:
+            if n == f.size:
+                f, s, e = grown(f), grown(s), grown(e)
+            n = push(f, s, e, n, best[slot] + exit_cost[at], -1, slot)
+
+
+@njit(cache=True)
+def _more(turns: np.ndarray) -> np.ndarray:
+    """`turns` with room for twice as many."""
+    out = np.full((2 * len(turns), 2), np.nan)
+    out[: len(turns)] = turns
+    return out
+
+
+@njit(cache=True)
+def walk_back(parent: np.ndarray, last: int) -> np.ndarray:
+    """Slots from the start to `last`."""
+    count = 0
+    k = last
+    while k >= 0:
+        count += 1
+        k = parent[k]
+    route = np.empty(count, np.int64)
+    k = last
+    for i in range(count - 1, -1, -1):
+        route[i] = k
+        k = parent[k]
+    return route

@@ -1,0 +1,189 @@
+"""Planning a route: request in, explained plan out (paper eq. 5 and Algorithm 1's query part)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.graph import TraversalGraph
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable, weights_of
+from planning.search.endpoints import Place, goal_node, position, start_node
+from planning.search.explain import Route, describe
+from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
+from planning.search.nodes import search_nodes
+from planning.search.pairs import search_pairs
+from planning.search.refine import refine
+from planning.search.request import SETS, VARIANTS, Plan, PlanRequest, Transition, Variant
+
+__all__ = [
+    "SETS",
+    "VARIANTS",
+    "Plan",
+    "PlanRequest",
+    "RiskTable",
+    "Transition",
+    "Variant",
+    "plan",
+    "plan_many",
+]
+
+
+def plan(
+    graph: TraversalGraph,
+    grid: ElevationGrid,
+    request: PlanRequest,
+    body: BodyModel | None = None,
+    table: RiskTable | None = None,
+) -> Plan:
+    """The cheapest route for `request`.
+
+    `table` carries evaluations from earlier queries on the same graph, map and body; the result does not depend
+    on it. Raises NoRoute with a reason when there is none, PlanningError when an argument makes no sense.
+    """
+    body = body or BodyModel()
+    table = _table(graph, grid, body, table)
+    start_yaw, goal_yaw = _check(grid, request)
+    start = start_node(graph, grid, request.start)
+    goal = goal_node(graph, grid, request.goal, request.allow_frontier)
+    found = None if goal is None else _to_goal(table, request, start, goal, start_yaw, goal_yaw)
+    if found is None and request.allow_frontier:
+        found = _to_frontier(table, request, start, start_yaw)
+    if found is None:
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "start and goal are on the graph but not connected, or only by turns for which there is no room: "
+            "choose another goal, or clear the way",
+        )
+    return found
+
+
+def plan_many(
+    graph: TraversalGraph,
+    grid: ElevationGrid,
+    start: Place,
+    goals: Sequence[Place],
+    body: BodyModel | None = None,
+    *,
+    start_yaw: float | None = None,
+    goal_yaws: Sequence[float | None] | None = None,
+    variant: Variant = "full",
+    table: RiskTable | None = None,
+) -> list[Plan | NoRoute]:
+    """One plan per goal, or the reason why there is none; all goals share their evaluations.
+
+    The cheapest goal: `min((p for p in plans if isinstance(p, Plan)), key=lambda p: p.cost)`.
+    """
+    body = body or BodyModel()
+    table = _table(graph, grid, body, table)
+    yaws = [None] * len(goals) if goal_yaws is None else list(goal_yaws)
+    if len(yaws) != len(goals):
+        raise PlanningError(f"goal_yaws must have one entry per goal: {len(goals)}, got {len(yaws)}")
+    out: list[Plan | NoRoute] = []
+    for goal, yaw in zip(goals, yaws, strict=True):
+        try:
+            out.append(plan(graph, grid, PlanRequest(start, goal, start_yaw, yaw, variant), body, table))
+        except NoRoute as none:
+            out.append(none)
+    return out
+
+
+def _table(graph: TraversalGraph, grid: ElevationGrid, body: BodyModel, table: RiskTable | None) -> RiskTable:
+    if table is None:
+        return RiskTable(graph, grid, body)
+    if not table.fits(graph, grid, body):
+        raise PlanningError("the risk table belongs to another graph, map or body: make a new one")
+    return table
+
+
+def _check(grid: ElevationGrid, request: PlanRequest) -> tuple[float, float]:
+    """Both yaws as floats (NaN = any) of a request whose fields make sense."""
+    if not grid.trusted.any():
+        raise NoRoute(NoRouteReason.NO_TERRAIN, "the map holds no trusted cell yet: wait for the first scans")
+    if request.variant not in VARIANTS:
+        raise PlanningError(f"variant must be one of {', '.join(VARIANTS)}; got {request.variant!r}")
+    yaws = []
+    for name, yaw in (("start_yaw", request.start_yaw), ("goal_yaw", request.goal_yaw)):
+        if yaw is not None and not np.isfinite(yaw):
+            raise NoRoute(NoRouteReason.BAD_INPUT, f"{name} is {yaw}: give radians, or None for any heading")
+        yaws.append(np.nan if yaw is None else float(yaw))
+    return yaws[0], yaws[1]
+
+
+def _to_goal(
+    table: RiskTable, request: PlanRequest, start: int, goal: int, start_yaw: float, goal_yaw: float
+) -> Plan | None:
+    """The plan to a node, None when it is not connected to the start."""
+    ends = np.zeros(len(table.graph.nodes), np.bool_)
+    ends[goal] = True
+    xy = (float(table.roads.x[goal]), float(table.roads.y[goal]))
+    return _search(table, request, start, ends, np.zeros(len(ends)), xy, start_yaw, goal_yaw)
+
+
+def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: float) -> Plan:
+    """The plan to the frontier with the least cost so far plus way to go (see `planning.search.plan.frontier`)."""
+    nodes = table.graph.nodes[:, :2]
+    goal = position(table.graph, request.goal, "goal")
+    ends = open_frontiers(table.graph, start, request.seen_frontiers)
+    if not ends.any():
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "the goal cannot be reached over known ground and no frontier is left to look from: "
+            "choose another goal, or clear the way",
+        )
+    to_go = way_to_go(table.grid, nodes, goal)
+    best = _search(table, request, start, ends, to_go, goal, start_yaw, np.nan)
+    if best is None:
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "neither the goal nor a frontier can be reached over known ground: "
+            "drive the robot to where it has room to turn, or choose another goal",
+        )
+    if request.previous_frontier is not None:
+        near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
+        kept = _search(table, request, start, ends & near, to_go, goal, start_yaw, np.nan)
+        if kept is not None and worth_keeping(
+            kept.cost + to_go[kept.nodes[-1]], best.cost + to_go[best.nodes[-1]]
+        ):
+            best = kept
+    x, y, _ = best.points[-1]
+    return replace(best, reaches_goal=False, frontier=(float(x), float(y)))
+
+
+def _search(
+    table: RiskTable,
+    request: PlanRequest,
+    start: int,
+    ends: NDArray[np.bool_],
+    exit_cost: NDArray[np.float64],
+    xy: tuple[float, float],
+    start_yaw: float,
+    goal_yaw: float,
+) -> Plan | None:
+    """Run the variant's search from a node to the best of the end nodes."""
+    body = table.body
+    if request.variant == "mean-only":
+        body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
+    w = weights_of(body)
+    if ends[start]:
+        route, cost, expanded = np.empty(0, np.int64), 0.0, 0
+    elif request.variant == "native":
+        cost, route, expanded = search_nodes(w, table.roads, start, ends, exit_cost, *xy)
+    else:
+        sweeps = request.variant != "edge-only"
+        tables = table.tables(body)
+        cost, route, expanded, turns = search_pairs(
+            table.laid, w, table.roads, tables, start, ends, exit_cost, start_yaw, goal_yaw, sweeps
+        )
+        table.keep(body, tables._replace(turns=turns))
+    if not np.isfinite(cost):
+        return None
+    found = Route.along(table, start, route, start_yaw, goal_yaw)
+    if request.variant == "refined":
+        found = refine(table, found)
+    return describe(table, request, body, found, expanded)

@@ -1,0 +1,94 @@
+"""What goes into planning and what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planning.search.endpoints import Place
+
+Variant = Literal["native", "edge-only", "mean-only", "full", "refined"]
+VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full", "refined")
+"""native: the graph's own cost; edge-only: no turns; mean-only: no tails; full: the paper's method; refined: full, then
+`planning.search.plan.refine`."""
+SETS = ("edge", "sweep", "terminal sweep")
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """Where from, where to. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
+
+    start: Place
+    goal: Place
+    start_yaw: float | None = None
+    goal_yaw: float | None = None
+    variant: Variant = "full"
+    allow_frontier: bool = False
+    """For a goal that cannot be reached over known ground, plan to the most promising frontier instead."""
+    previous_frontier: tuple[float, float] | None = None
+    """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
+    seen_frontiers: tuple[tuple[float, float], ...] = ()
+    """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
+
+
+@dataclass(frozen=True, slots=True)
+class Transition:
+    """One edge of the route with the turn before it (and after it, at the goal), and why it costs what it does."""
+
+    nodes: tuple[int, int]
+    length: float
+    """Planar [m]."""
+    risk: float
+    """Native risk r of the edge [-]."""
+    body: float
+    """B [-]."""
+    unknown: float
+    """U [-]."""
+    cost: float
+    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, and `turn_cost`."""
+    turn_cost: float
+    """[m] for turning in place over an edge before the edge (or after it, at the goal), see `planning.risk.turns`."""
+    body_from: str
+    """Pose set that decided B: one of `SETS`."""
+    unknown_from: str
+    """Pose set that decided U."""
+    mean: dict[str, dict[str, float]]
+    """Per pose set and feature (`FEATURES`): mean of the scaled values."""
+    tail: dict[str, dict[str, float]]
+    """Per pose set and feature: mean of the largest tenth."""
+    peak: dict[str, dict[str, float]]
+    """Per pose set and feature: largest value, unscaled [m, deg, m, -]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A route over the graph and its explanation."""
+
+    nodes: tuple[int, ...]
+    """Node indices, start to goal."""
+    cost: float
+    """[m], under the searched variant."""
+    native_cost: float
+    """[m], sum of l (1 + sigma r) of the same route."""
+    length: float
+    """Planar length of the route [m]."""
+    transitions: tuple[Transition, ...]
+    points: NDArray[np.float64] = field(repr=False)
+    """(n, 3) x, y, z [m], `map`: the nodes, inner ones moved by a refinement."""
+    request: PlanRequest
+    reaches_goal: bool = True
+    """False when the plan ends at a frontier, from where the robot has to look again."""
+    frontier: tuple[float, float] | None = None
+    """x, y [m] of that frontier."""
+    expanded: int = 0
+    """States the search expanded."""
+
+    @property
+    def maxima(self) -> tuple[float, float, float, float]:
+        """Largest d_fb [m], a_lr [deg], p_int [m], u [-] of any pose of the route, turns included."""
+        sets = [p for t in self.transitions for p in t.peak.values()]
+        d, a, p, u = (max((s[f] for s in sets), default=0.0) for f in ("d_fb", "a_lr", "p_int", "u"))
+        return d, a, p, u

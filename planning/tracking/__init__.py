@@ -1,0 +1,7 @@
+"""From a path and the robot's pose to a velocity command."""
+
+from planning.tracking.path import PathError, TrackPath
+from planning.tracking.tracker import PathTracker
+from planning.tracking.types import TrackerParams, TrackOutput, TrackPhase
+
+__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPath", "TrackPhase", "TrackerParams"]

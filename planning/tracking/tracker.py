@@ -1,0 +1,301 @@
+"""Path tracking for a base that turns in place and cannot strafe.
+
+One control step: predict the pose through the drive's lag, find the place on the path (progress never goes back, so
+a path may cross itself), steer with curvature feed-forward plus line-of-sight guidance (aim = path heading
++ atan(-cross_track / lookahead)), and drive as fast as the path's profile, the slope, the heading error and the way
+to the goal allow. Where the aim is more than `turn_threshold` off, the base stops and turns in place first. At the
+end it stops on the goal and turns to the requested yaw; a miss is corrected a few times by driving straight to the
+goal, then accepted and reported.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from planning.tracking.path import PathError, TrackPath, make_path, wrap
+from planning.tracking.types import TrackerParams, TrackOutput, TrackPhase
+
+__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerParams"]
+
+_WINDOW = 0.6
+"""How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
+_BACK = 0.4
+"""How far behind the progress [m] the robot may be after sliding back and still steer by the place where it is."""
+_START_WINDOW = 1.5
+"""The same for a new path: the robot drove on while it was planned."""
+_SETTLE_TIME = 1.5
+"""Longest wait for standstill at the goal [s]."""
+_MAX_DRIFT = 0.35
+"""Bound of the learnt sideways drift [rad]."""
+
+
+class PathTracker:
+    """Holds one path at a time. `set_path`, then `step` at a steady rate (50 Hz); `clear` forgets the path."""
+
+    def __init__(self, params: TrackerParams | None = None) -> None:
+        self.params = params or TrackerParams()
+        self._vx = 0.0
+        self._wz = 0.0
+        self._now: int | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the path; the next steps brake to zero."""
+        self._path: TrackPath | None = None
+        self._goal_yaw: float | None = None
+        self._path_id = 0
+        self._reverse = False
+        self._phase = TrackPhase.IDLE
+        self._s = 0.0
+        self._started = False
+        self._drift = 0.0
+        self._tries = 0
+        self._missed = False
+        self._settle_since: int | None = None
+        self._correcting: TrackPath | None = None
+
+    def pause(self) -> None:
+        """The robot is being held still: start from zero velocity when it goes on."""
+        self._vx = self._wz = 0.0
+
+    def set_path(
+        self,
+        points: ArrayLike,
+        yaw: ArrayLike | None,
+        speed: ArrayLike | float,
+        goal_yaw: float | None = None,
+        path_id: int = 0,
+        reverse: bool = False,
+    ) -> None:
+        """Follow a new path from the next step on, without stopping where it continues the old one.
+
+        points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) [rad] or None; speed: (n,) or scalar [m/s], see
+        `make_path`; goal_yaw [rad] of the body at the end, or None; reverse: drive backwards, trunk last.
+        Raises PathError and keeps the old path.
+        """
+        p = self.params
+        if goal_yaw is not None and not math.isfinite(goal_yaw):
+            raise PathError("goal_yaw must be finite or None")
+        path = make_path(points, yaw, speed, **self._limits())
+        drift = self._drift if self._phase is TrackPhase.FOLLOWING and reverse == self._reverse else 0.0
+        self.clear()
+        self._path, self._goal_yaw, self._path_id, self._reverse = path, goal_yaw, path_id, reverse
+        self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, drift))
+        self._phase = TrackPhase.FOLLOWING
+        self._tries = p.goal_retries
+
+    def step(
+        self, now: int, x: float, y: float, yaw: float, v: float, wz: float, slope: float = 0.0
+    ) -> TrackOutput:
+        """Command for this instant.
+
+        now [ns]; x, y [m], yaw [rad]: base_link in `map`; v forward [m/s], wz [rad/s]: measured; slope: inclination
+        of the ground [rad]. Never raises: input that is not finite gives zero velocity and `fault`.
+        """
+        dt = 0.0 if self._now is None else (now - self._now) * 1e-9
+        self._now = now
+        dt = min(max(dt, 0.0), 0.1)
+        if not all(map(math.isfinite, (x, y, yaw, v, wz, slope))):
+            self._vx = self._wz = 0.0
+            return TrackOutput(
+                phase=self._phase, path_id=self._path_id, fault="pose or velocity is not finite"
+            )
+        path = self._path
+        if path is None or self._phase in (TrackPhase.IDLE, TrackPhase.DONE):
+            return self._finish(x, y, yaw, dt)
+        if self._phase is TrackPhase.FINAL_TURN:
+            return self._final(path, now, x, y, yaw, v, wz, dt)
+        return self._follow(path, now, x, y, yaw, v, wz, slope, dt)
+
+    # -- driving ---------------------------------------------------------------------------------------------------
+
+    def _follow(
+        self,
+        path: TrackPath,
+        now: int,
+        x: float,
+        y: float,
+        yaw: float,
+        v: float,
+        wz: float,
+        slope: float,
+        dt: float,
+    ) -> TrackOutput:
+        p = self.params
+        line = self._correcting or path
+        sign = -1.0 if self._reverse else 1.0
+        course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
+        ahead = self._s + (_WINDOW if self._started else _START_WINDOW)
+        s = line.project(x, y, max(self._s - _BACK, 0.0), min(ahead, line.length))
+        self._s = max(s, self._s)
+        self._started = True
+        left = line.length - s
+        error = wrap(line.at(line.heading, s) - course)
+        cross = _cross(line, s, x, y)
+        goal_x, goal_y = path.goal
+        report: dict[str, Any] = {
+            "distance_left": left,
+            "cross_track": cross,
+            "heading_error": error,
+            "progress": self._s if self._correcting is None else path.length,
+            "goal_distance": math.hypot(goal_x - x, goal_y - y),
+            "path_id": self._path_id,
+        }
+        away = math.hypot(x - line.at(line.x, s), y - line.at(line.y, s))
+        if away > p.max_cross_track:
+            self._vx = self._wz = 0.0
+            return TrackOutput(phase=self._phase, fault=f"{away:.1f} m off the path", **report)
+
+        # Pose when a command of now takes effect.
+        travel = sign * v * p.lag
+        course_p = course + wz * p.lag
+        mid = course + 0.5 * wz * p.lag
+        x_p, y_p = x + travel * math.cos(mid), y + travel * math.sin(mid)
+        s_p = line.project(x_p, y_p, s, min(s + _WINDOW, line.length))
+        cross_p = _cross(line, s_p, x_p, y_p)
+        along_p = left - travel * math.cos(error)
+        if along_p <= 0.005:
+            self._phase = TrackPhase.FINAL_TURN
+            self._settle_since = now
+            return self._final(path, now, x, y, yaw, v, wz, dt)
+
+        # Whether to stop and turn is told by where the base is: at a sharp corner the prediction's heading jumps with
+        # every bit of speed, and a base that stops for that never comes to the corner.
+        back_to = math.atan2(-cross_p, p.lookahead) - self._drift
+        off = wrap(line.at(line.heading, s) + back_to - course_p)
+        # From rest, turning first costs little and saves the swing out of the corridor that a bend would need.
+        at_rest = self._vx == 0.0 and abs(v) < 0.05
+        if abs(off) > (0.5 if at_rest else 1.0) * p.turn_threshold:
+            self._phase = TrackPhase.ALIGNING
+        elif self._phase is TrackPhase.ALIGNING and abs(off) < p.turn_release:
+            self._phase = TrackPhase.FOLLOWING
+        if self._phase is TrackPhase.ALIGNING:
+            self._slew(0.0, self._turn_rate(off) if abs(v) < 0.25 else 0.0, dt)
+            return TrackOutput(self._vx, self._wz, self._phase, **report)
+
+        off = wrap(line.at(line.heading, s_p) + back_to - course_p)
+        # The mean of here and of where the command acts: the profile bounds both.
+        speed = min(line.at(line.speed, s), line.at(line.speed, s_p))
+        speed = min(speed, math.sqrt(2.0 * p.max_decel * max(along_p, 0.0)))
+        speed *= self._slope_factor(slope)
+        free = 0.3 * p.turn_threshold
+        speed *= min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
+        speed = max(speed, p.min_speed)
+        rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
+        if abs(v) > 0.1 and abs(cross) < 0.3 and abs(off) < free:
+            self._drift += p.drift_gain * cross_p / p.lookahead * dt
+            self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, self._drift))
+        if abs(rate) > p.max_yaw_rate:  # keep the bend's shape: slow down rather than cut or widen it
+            speed = max(p.min_speed, speed * p.max_yaw_rate / abs(rate))
+        self._slew(sign * speed, rate, dt)
+        return TrackOutput(self._vx, self._wz, self._phase, **report)
+
+    def _final(
+        self, path: TrackPath, now: int, x: float, y: float, yaw: float, v: float, wz: float, dt: float
+    ) -> TrackOutput:
+        """At the end: rest, correct the position if it is out of tolerance, turn to the goal yaw."""
+        p = self.params
+        goal_x, goal_y = path.goal
+        distance = math.hypot(goal_x - x, goal_y - y)
+        turn = 0.0 if self._goal_yaw is None else wrap(self._goal_yaw - yaw)
+        predicted = 0.0 if self._goal_yaw is None else wrap(self._goal_yaw - yaw - wz * p.lag)
+        resting = abs(v) < 0.05 and self._vx == 0.0
+        waited = self._settle_since is not None and now - self._settle_since > _SETTLE_TIME * 1e9
+        report: dict[str, Any] = {
+            "distance_left": distance,
+            "heading_error": turn,
+            "progress": path.length,
+            "goal_distance": distance,
+            "path_id": self._path_id,
+        }
+        if not (resting or waited):
+            self._slew(0.0, 0.0, dt)
+            return TrackOutput(self._vx, self._wz, self._phase, **report)
+        # Hysteresis: the first stop must be inside the tolerance, turning on the spot may then wander a little.
+        turning = self._settle_since is None
+        if distance > p.goal_tolerance * (1.5 if turning else 0.9) and self._tries > 0:
+            self._tries -= 1
+            self._correct(x, y, yaw, goal_x, goal_y)
+            self._slew(0.0, 0.0, dt)
+            return TrackOutput(0.0, self._wz, self._phase, **report)
+        self._settle_since = None
+        if abs(turn) <= p.yaw_tolerance and abs(predicted) <= 0.6 * p.yaw_tolerance:
+            self._slew(0.0, 0.0, dt)
+            if abs(wz) < 0.1 and self._wz == 0.0:
+                self._phase = TrackPhase.DONE
+                self._missed = distance > 1.5 * p.goal_tolerance
+                return self._finish(x, y, yaw, dt)
+        else:
+            self._slew(0.0, self._turn_rate(predicted), dt)
+        return TrackOutput(0.0, self._wz, self._phase, **report)
+
+    def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:
+        """Drive straight to the goal, whichever end of the robot is nearer to pointing at it."""
+        bearing = math.atan2(goal_y - y, goal_x - x)
+        self._reverse = abs(wrap(bearing - yaw)) > math.pi / 2.0
+        self._correcting = make_path(
+            [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self._limits()
+        )
+        self._s, self._started, self._drift = 0.0, False, 0.0
+        # Aligning, not following: short of the goal there is no room to bend towards it.
+        self._phase = TrackPhase.ALIGNING
+
+    def _finish(self, x: float, y: float, yaw: float, dt: float) -> TrackOutput:
+        self._slew(0.0, 0.0, dt)
+        if self._path is None:
+            return TrackOutput(self._vx, self._wz, self._phase)
+        goal_x, goal_y = self._path.goal
+        distance = math.hypot(goal_x - x, goal_y - y)
+        return TrackOutput(
+            self._vx,
+            self._wz,
+            self._phase,
+            heading_error=0.0 if self._goal_yaw is None else wrap(self._goal_yaw - yaw),
+            progress=self._path.length,
+            goal_distance=distance,
+            path_id=self._path_id,
+            missed=self._missed,
+        )
+
+    # -- helpers ---------------------------------------------------------------------------------------------------
+
+    def _limits(self) -> dict[str, float]:
+        p = self.params
+        return {
+            "min_speed": p.min_speed,
+            "max_speed": p.max_speed,
+            "max_decel": p.max_decel,
+            "lateral_accel": p.lateral_accel,
+            "max_yaw_rate": 0.8 * p.max_yaw_rate,  # the rest is for corrections
+        }
+
+    def _turn_rate(self, error: float) -> float:
+        """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
+        p = self.params
+        rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
+        return math.copysign(max(rate, 0.15), error)
+
+    def _slope_factor(self, slope: float) -> float:
+        p = self.params
+        share = (abs(slope) - p.slope_free) / max(p.slope_slow - p.slope_free, 1e-6)
+        return 1.0 - (1.0 - p.slope_factor) * min(1.0, max(0.0, share))
+
+    def _slew(self, speed: float, rate: float, dt: float) -> None:
+        """Move the command towards speed [m/s] and rate [rad/s] within the accelerations."""
+        p = self.params
+        slowing = abs(speed) < abs(self._vx) or speed * self._vx < 0.0
+        # Braking may be harder than planned: tracking errors cost distance.
+        change = (2.0 * p.max_decel if slowing else p.max_accel) * dt
+        self._vx += max(-change, min(change, speed - self._vx))
+        rate = max(-p.max_yaw_rate, min(p.max_yaw_rate, rate))
+        self._wz += max(-p.max_yaw_accel * dt, min(p.max_yaw_accel * dt, rate - self._wz))
+
+
+def _cross(path: TrackPath, s: float, x: float, y: float) -> float:
+    """Signed distance of x, y from the path at arc length s [m], left positive."""
+    dx, dy = x - path.at(path.x, s), y - path.at(path.y, s)
+    heading = path.at(path.heading, s)
+    return math.cos(heading) * dy - math.sin(heading) * dx

@@ -1,0 +1,73 @@
+"""The live host: one stage, one process, one thread, on Zenoh."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+
+from rbtrg_robot import topics
+from rbtrg_robot.processes import Process
+from rbtrg_robot.stages.stage import Outputs, Stage
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire import messages
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.heart import Heart
+
+log = logging.getLogger(__name__)
+
+
+class Node:
+    """Drives a stage: inbox -> `on`, clock -> `tick`, outputs -> bus."""
+
+    def __init__(self, process: Process, stage: Stage, bus: Bus, *, simulated: bool) -> None:
+        self._stage = stage
+        self._bus = bus
+        self._simulated = simulated
+        self._period = round(process.period * 1e9)
+        self._tick = -1
+        self._undecodable = 0
+        self._heart = Heart(bus, process.name)
+        for topic in stage.outputs:
+            bus.advertise(topic)
+        bus.subscribe(stage.inputs)
+        if simulated:
+            bus.subscribe([topics.CLOCK])
+        self.now = 0
+
+    def restore(self, restored: dict[Topic, bytes]) -> None:
+        """Hand over the newest messages from before a restart."""
+        for topic, payload in restored.items():
+            self._publish(self._stage.on(topic, messages.decode(payload, topic.type)))
+
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Until `stopping()`."""
+        while not stopping():
+            self._heart.beat()
+            wait = 0.1 if self._simulated else self._period / 1e9
+            for received in self._bus.take(min(wait, 0.1)):
+                try:
+                    message = received.decode()
+                except messages.MessageError as error:
+                    self._undecodable += 1
+                    if self._undecodable in (1, 10, 100, 1000):
+                        log.warning("message %d refused: %s", self._undecodable, error)
+                    continue
+                if received.topic is topics.CLOCK:
+                    self.advance(messages.stamp_of(message))
+                else:
+                    self._publish(self._stage.on(received.topic, message))
+            if not self._simulated:
+                self.advance(time.time_ns())
+
+    def advance(self, now: int) -> None:
+        """Move the clock; one tick when a period boundary was passed, however many were missed."""
+        self.now = now
+        tick = now // self._period
+        if tick != self._tick:
+            self._tick = tick
+            self._publish(self._stage.tick(now))
+
+    def _publish(self, outputs: Outputs) -> None:
+        for topic, message in outputs:
+            self._bus.publish(topic, message, messages.stamp_of(message) or self.now)

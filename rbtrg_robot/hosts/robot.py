@@ -1,0 +1,208 @@
+"""The robot process: a backend behind the gate, paced by the wall clock. Not a hosted stage: it makes the time of the others."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from hal.contract import Backend
+from hal.safety.gate import SafetyGate
+from hal.safety.geofence import Geofence
+from hal.types import NS
+from rbtrg_robot import topics as t
+from rbtrg_robot.processes import BY_NAME, PROCESSES
+from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire import messages
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.heart import Heart
+from rbtrg_robot.wire.messages import stamp_of
+
+log = logging.getLogger(__name__)
+
+START_LIMIT = 150.0
+"""Longest wait [s] for the other processes before simulated time starts without them."""
+
+
+def build(config: Any, restored: dict[Topic, bytes] | None = None) -> RobotStage:
+    """From the stack's configuration. Raises BackendError, SceneError.
+
+    A restarted simulator goes on where the last one died: `restored` holds its newest truth.
+    """
+    watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
+    backend = _simulator(config, restored or {}) if config.simulated else _hardware(config)
+    area = config.allowed_area()
+    gate = SafetyGate(backend.capabilities, config.gate, Geofence.of(area) if area else None)
+    return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
+
+
+def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
+    from hal.mujoco.backend import MujocoBackend
+    from hal.mujoco.options import SimOptions
+
+    options = SimOptions(
+        controller=config.controller,
+        policy_dir=config.policy_dir or None,
+        lidar=config.lidar,
+        lidar_mount=config.mount,
+        seed=config.seed,
+        start=config.origin,
+        **config.sim,
+    )
+    if t.TRUTH in restored:
+        truth = messages.decode(restored[t.TRUTH], t.TRUTH.type)
+        place = truth.pose.pose
+        start = (place.position.x, place.position.y, yaw_of(place.orientation))
+        options = replace(options, start=start, start_time=stamp_of(truth) // STEP * STEP)
+    backend = MujocoBackend(config.load_scene(), options)
+    if backend.notice:
+        log.info("%s", backend.notice)
+    return backend
+
+
+def _hardware(config: Any) -> Backend:
+    from hal.unitree.factory import make_backend
+
+    backend: Backend = make_backend(
+        config.interface, dry_run=config.dry_run, options=config.unitree_options()
+    )
+    return backend
+
+
+class Pace:
+    """Keeps a simulator on the wall clock, and measures how well it keeps up."""
+
+    WINDOW = 2.0
+    MOST_BEHIND = 0.1
+    """[s] of lag that is caught up; more is given away, or the simulator would race after a stall."""
+
+    def __init__(self, now: int) -> None:
+        self._wall = time.monotonic()
+        self._source = now
+        self._history: deque[tuple[float, int]] = deque()
+
+    def target(self) -> int:
+        """Where the source clock should stand [ns]."""
+        return self._source + int((time.monotonic() - self._wall) * NS)
+
+    def at(self, now: int) -> float:
+        """The source clock has reached `now`; returns the real-time factor over the last 2 s."""
+        wall = time.monotonic()
+        behind = self.target() - now
+        if behind > self.MOST_BEHIND * NS:
+            self._source -= behind
+        self._history.append((wall, now))
+        while wall - self._history[0][0] > self.WINDOW:
+            self._history.popleft()
+        (w0, n0), (w1, n1) = self._history[0], self._history[-1]
+        return (n1 - n0) / NS / (w1 - w0) if w1 > w0 + 0.2 else 1.0
+
+
+class Window:
+    """MuJoCo's viewer on the running simulation. A closed window stays closed; the robot goes on."""
+
+    PERIOD = 0.04
+
+    def __init__(self, backend: Any) -> None:
+        """Raises RenderError where there is no display."""
+        from hal.mujoco.view.render import launch_viewer
+
+        self._handle = launch_viewer(backend.simulation.model, backend.simulation.data)
+        self._due = 0.0
+
+    def show(self) -> None:
+        """Call once per turn; draws 25 times a second."""
+        now = time.monotonic()
+        if now >= self._due and self._handle.is_running():
+            self._due = now + self.PERIOD
+            self._handle.sync()
+
+    def close(self) -> None:
+        """Take the window away."""
+        self._handle.close()
+
+
+def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Topic, bytes]) -> None:
+    """The process: paced by the wall clock."""
+    heart = Heart(bus, BY_NAME["robot"].name)
+    heart.beat("starting")
+    stage = build(config, restored)
+    window: Window | None = None
+    now = stage.start_time if config.simulated else time.time_ns()
+    try:
+        stage.warm_up()
+        changes: deque[tuple[str, bool]] = deque()
+
+        def changed(process: str, alive: bool) -> None:
+            changes.append((process, alive))
+            bus.wake()
+
+        bus.watch_processes(changed)
+        for topic in stage.outputs:
+            bus.advertise(topic)
+        bus.subscribe(stage.inputs)
+        for topic, payload in restored.items():
+            stage.on(topic, messages.decode(payload, topic.type))
+        if config.simulated and not restored:
+            _wait_for_all(bus, heart, config, stopping)
+        window = Window(stage.backend) if config.viewer else None
+        pace = Pace(now)
+        undecodable = 0
+        while not stopping():
+            heart.beat()
+            ahead = (now + STEP - pace.target()) / NS if config.simulated else STEP / NS
+            inbox = bus.take(min(max(ahead, 0.0), 0.005))
+            while changes:
+                stage.alive(*changes.popleft())
+            for received in inbox:
+                try:
+                    stage.on(received.topic, received.decode())
+                except messages.MessageError as error:  # a broken command is no command
+                    undecodable += 1
+                    if undecodable in (1, 10, 100, 1000):
+                        log.warning("message %d refused: %s", undecodable, error)
+            if not config.simulated:
+                now = time.time_ns()
+                publish(bus, stage.tick(now), now)
+                continue
+            target = pace.target()
+            while now + STEP <= target and not stopping():
+                now += STEP
+                publish(bus, stage.tick(now), now)
+                stage.realtime_factor = pace.at(now)
+                if bus.waiting:
+                    break
+            if window is not None:
+                window.show()
+    finally:
+        if window is not None:
+            window.close()
+        stage.close()
+
+
+def _wait_for_all(bus: Bus, heart: Heart, config: Any, stopping: Callable[[], bool]) -> None:
+    """Simulated time starts when every process listens: nobody misses the first messages, so a re-run sees the same."""
+    missing = {p.name for p in PROCESSES if p.name not in ("robot", *config.without)}
+    if not config.record:
+        missing.discard("recorder")
+    bus.subscribe([t.HEARTBEAT])
+    deadline = time.monotonic() + START_LIMIT
+    while missing and not stopping() and time.monotonic() < deadline:
+        heart.beat("starting", f"waiting for {', '.join(sorted(missing))}")
+        for received in bus.take(0.1):
+            if received.topic is t.HEARTBEAT:
+                beat = received.decode()
+                if beat.state == "ready":
+                    missing.discard(beat.process)
+
+
+def publish(bus: Bus, outputs: Outputs, now: int) -> None:
+    """Send what a tick gave."""
+    for topic, message in outputs:
+        bus.publish(topic, message, stamp_of(message) or now)

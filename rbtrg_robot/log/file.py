@@ -1,0 +1,286 @@
+"""MCAP log files: writing, reading, and what can be said about one.
+
+Profile `ros2`, CDR payloads as they were on the wire, `ros2msg` schemas, zstd chunks of 1 MiB. `log_time` is when
+the message was recorded, `publish_time` its source clock; both in ns. rosbag2, Foxglove and rosbags read these files.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType, Writer
+from zstandard import ZstdError
+
+from rbtrg_robot import __version__
+from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.wire.messages import definition, type_hash
+
+CHUNK_BYTES = 1024 * 1024
+METADATA = "run"
+CONFIG = "config.yaml"
+
+# What rosbag2 stores per channel; rosbags and `ros2 bag play` want it.
+_OFFERED_QOS = """- history: keep_last
+  depth: 10
+  reliability: {reliability}
+  durability: {durability}
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: automatic
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class LogError(RuntimeError):
+    """A log file cannot be read or written; the message tells what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One recorded message."""
+
+    topic: str
+    type: str
+    data: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+
+
+class LogWriter:
+    """One MCAP file. Deterministic: the same messages and metadata give the same bytes."""
+
+    def __init__(
+        self, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes] | None = None
+    ) -> None:
+        """Create `path`. Raises LogError."""
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            # Unbuffered: what a flush wrote must survive the death of this process.
+            self._file = path.open("wb", buffering=0)
+            fcntl.flock(self._file, fcntl.LOCK_EX)  # tells `is_being_written`; gone with this process
+        except OSError as error:
+            raise LogError(f"cannot write {path}: {error.strerror}; choose another --log-dir") from error
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._writer.start(profile="ros2", library=f"rbtrg-robot {__version__}")
+        self._writer.add_metadata(METADATA, dict(metadata))
+        for name, data in (attachments or {}).items():
+            self._writer.add_attachment(0, 0, name, "application/yaml", data)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._since_flush = 0
+        self.first_time: int | None = None
+        self.messages = 0
+        self.flush()
+
+    def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int, sequence: int = 0) -> None:
+        """Append a message; times in ns."""
+        self._channel(topic)
+        self._add(topic.name, data, log_time, publish_time, sequence)
+
+    def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
+        """Append a message of another file with its schema, whatever it is."""
+        if entry.topic not in self._channels:
+            if entry.type not in self._schemas:
+                self._schemas[entry.type] = (
+                    self._writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
+                )
+            self._channels[entry.topic] = self._writer.register_channel(
+                channel.topic, channel.message_encoding, self._schemas[entry.type], channel.metadata
+            )
+        self._add(entry.topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+
+    def _add(self, name: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
+        if self.first_time is None:
+            self.first_time = log_time
+        self._since_flush += 1
+        self.messages += 1
+        self._writer.add_message(self._channels[name], log_time, data, publish_time, sequence % 2**32)
+
+    def _channel(self, topic: Topic) -> None:
+        if topic.name in self._channels:
+            return
+        if topic.type not in self._schemas:
+            self._schemas[topic.type] = self._writer.register_schema(
+                topic.type, "ros2msg", definition(topic.type).encode()
+            )
+        metadata = {
+            "offered_qos_profiles": _OFFERED_QOS.format(
+                reliability="best_effort" if topic.qos is Qos.SENSOR else "reliable",
+                durability="transient_local" if topic.qos is Qos.LATCHED else "volatile",
+            ),
+            "topic_type_hash": type_hash(topic.type),
+        }
+        self._channels[topic.name] = self._writer.register_channel(
+            topic.name, "cdr", self._schemas[topic.type], metadata
+        )
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Close the current chunk and hand everything to the system: a kill after this loses nothing before it."""
+        if self._since_flush:
+            # The library offers no public way to end a chunk early; without it a slow stream loses everything.
+            self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]
+            self._since_flush = 0
+        buffered: Any = self._writer._Writer__stream  # type: ignore[attr-defined]
+        buffered.flush()
+
+    def close(self) -> None:
+        """Write the index and close."""
+        if self._file.closed:
+            return
+        self._writer.finish()
+        buffered: Any = self._writer._Writer__stream  # type: ignore[attr-defined]
+        buffered.flush()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@dataclass(slots=True)
+class LogContents:
+    """What a pass over a file found besides its messages; filled while `messages` runs."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    damage: str = ""
+    """Where and why reading ended early; empty for an intact file."""
+    indexed: bool = False
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+
+def read_log(
+    path: Path, contents: LogContents | None = None
+) -> Iterator[tuple[Entry, Schema | None, Channel]]:
+    """Messages in file order, up to the first damage. Raises LogError when it is no MCAP file at all."""
+    found = contents if contents is not None else LogContents()
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise LogError(f"cannot read {path}: {error.strerror}") from error
+    with stream:
+        count = 0
+        try:
+            for record in StreamReader(stream, record_size_limit=512 * 1024 * 1024).records:
+                if isinstance(record, Schema):
+                    found.schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    found.channels[record.id] = record
+                elif isinstance(record, Metadata):
+                    found.metadata[record.name] = dict(record.metadata)
+                elif isinstance(record, Attachment):
+                    found.attachments[record.name] = record.data
+                elif isinstance(record, Message):
+                    channel = found.channels[record.channel_id]
+                    schema = found.schemas.get(channel.schema_id)
+                    entry = Entry(
+                        channel.topic,
+                        schema.name if schema else "",
+                        record.data,
+                        record.log_time,
+                        record.publish_time,
+                        record.sequence,
+                    )
+                    count += 1
+                    yield entry, schema, channel
+            found.indexed = True
+        except (McapError, ZstdError, ValueError, KeyError, EOFError, MemoryError, struct.error) as error:
+            if not found.channels and not found.metadata:
+                raise LogError(f"{path} is not an MCAP file") from error
+            found.damage = f"after {count} messages: {type(error).__name__}"
+
+
+def log_files(path: Path) -> list[Path]:
+    """The files of a run: `path` itself, or all .mcap files of a folder in order. Raises LogError."""
+    if path.is_dir():
+        files = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
+        if not files:
+            raise LogError(f"no .mcap file in {path}")
+        return files
+    if not path.exists():
+        raise LogError(f"there is no {path}")
+    return [path]
+
+
+def read_run(path: Path, contents: LogContents | None = None) -> Iterator[Entry]:
+    """Messages of a file or of all files of a run's folder, in order."""
+    for file in log_files(path):
+        found = contents if contents is not None else LogContents()
+        found.schemas.clear()
+        found.channels.clear()
+        for entry, _schema, _channel in read_log(file, found):
+            yield entry
+
+
+def first_of(path: Path) -> LogContents:
+    """Metadata and attachments of a run without reading its messages."""
+    contents = LogContents()
+    for _ in read_log(log_files(path)[0], contents):
+        break
+    return contents
+
+
+def recover(path: Path, out: Path) -> tuple[int, str]:
+    """Write what can be read of `path` to a new, indexed file. (messages, damage found). Raises LogError."""
+    if out.exists():
+        raise LogError(f"{out} exists; name another file with --out")
+    contents = LogContents()
+    records = read_log(path, contents)
+    first = next(records, None)  # metadata and attachments stand before the first message
+    with LogWriter(out, contents.metadata.get(METADATA, {}), contents.attachments) as writer:
+        if first is not None:
+            writer.copy(*first)
+            for record in records:
+                writer.copy(*record)
+        return writer.messages, contents.damage
+
+
+def is_being_written(path: Path) -> bool:
+    """A LogWriter has it open."""
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def is_intact(path: Path) -> bool:
+    """True when a file has its index, without reading the messages."""
+    try:
+        with open(path, "rb") as stream:
+            return make_reader(stream).get_summary() is not None
+    except Exception:  # noqa: BLE001 - any failure to read the summary means the same thing
+        return False

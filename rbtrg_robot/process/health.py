@@ -1,0 +1,189 @@
+"""What the supervisor knows of processes and topics, from heartbeats; and the status it makes of it."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.processes import Process
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import decode, stamp_of
+
+RATE_SHARE = 0.8
+"""A topic is well at this share of its nominal rate."""
+WINDOW = 2.0
+"""Rates are measured over about this long [s]."""
+SIMULATED_RATE_FLOOR = 0.5
+"""A slow simulator slows every topic; its real-time factor is reported beside."""
+
+
+@dataclass(slots=True)
+class TopicHealth:
+    """Counts of one publisher's topic."""
+
+    history: list[tuple[float, int]] = field(default_factory=list)
+    newest: int = 0
+
+    def add(self, wall: float, count: int, newest: int) -> None:
+        """From a heartbeat; `wall` in s, monotonic."""
+        if self.history and count < self.history[-1][1]:
+            self.history.clear()  # the publisher restarted
+        if self.history and self.history[-1][1] == 0:
+            self.history.clear()  # it has only just begun: silence before that is no low rate
+        self.history.append((wall, count))
+        while len(self.history) > 2 and wall - self.history[1][0] > WINDOW:
+            self.history.pop(0)
+        self.newest = newest
+
+    @property
+    def rate(self) -> float:
+        """[Hz of the wall clock]."""
+        if len(self.history) < 2:
+            return 0.0
+        (t0, n0), (t1, n1) = self.history[0], self.history[-1]
+        return (n1 - n0) / (t1 - t0) if t1 > t0 else 0.0
+
+
+class Health:
+    """Everything heard from the bus. Fed by the supervisor's loop, read by `status`."""
+
+    WATCHED = (
+        t.HEARTBEAT,
+        t.ROBOT_STATE,
+        t.GOAL_STATUS,
+        t.ODOM,
+        t.ODOM_HEALTH,
+        t.TRACKER_STATE,
+        t.MAP_STATUS,
+        t.TF_STATIC,
+    )
+
+    def __init__(self, simulated: bool) -> None:
+        self._simulated = simulated
+        self._frame = MapFrame()
+        self.newest: dict[Topic, Any] = {}
+        self.beats: dict[str, tuple[float, Any]] = {}
+        self.topics: dict[str, TopicHealth] = {}
+
+    def take(self, topic: Topic, payload: bytes) -> Any:
+        """One message of WATCHED."""
+        message = decode(payload, topic.type)
+        if topic is t.HEARTBEAT:
+            wall = time.monotonic()
+            self.beats[message.process] = (wall, message)
+            for name, count, newest in zip(message.topic, message.published, message.newest, strict=True):
+                self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
+        elif topic is t.TF_STATIC:
+            self._frame.take(message)
+        else:
+            self.newest[topic] = message
+        return message
+
+    def forget(self, process: str) -> None:
+        """It died: its last heartbeat says nothing any more."""
+        self.beats.pop(process, None)
+
+    def beat_age(self, process: str) -> float | None:
+        """Seconds since the last heartbeat; None before the first."""
+        beat = self.beats.get(process)
+        return None if beat is None else time.monotonic() - beat[0]
+
+    @property
+    def source_now(self) -> int:
+        """Source clock [ns] as far as it is known here."""
+        if not self._simulated:
+            return time.time_ns()
+        state = self.newest.get(t.ROBOT_STATE)
+        return 0 if state is None else stamp_of(state)
+
+    @property
+    def realtime_factor(self) -> float:
+        """Source seconds per wall second."""
+        state = self.newest.get(t.ROBOT_STATE)
+        return float(state.realtime_factor) if state is not None else math.nan
+
+    def topic_row(self, topic: Topic) -> dict[str, Any]:
+        """Rate, age and verdict of one topic."""
+        seen = self.topics.get(topic.name)
+        rate = seen.rate if seen else 0.0
+        age = (self.source_now - seen.newest) / 1e9 if seen and seen.newest else None
+        if topic.rate == 0 or (topic in (t.CLOCK, t.TRUTH) and not self._simulated):
+            ok = True
+        else:
+            share = RATE_SHARE
+            if self._simulated and self.realtime_factor < 1.0:
+                share *= max(self.realtime_factor, SIMULATED_RATE_FLOOR)
+            ok = rate >= share * topic.rate
+        if topic is t.HEARTBEAT:
+            rate, age, ok = 2.0 * len(self.beats), None, True
+        return {"topic": topic.name, "rate": round(rate, 1), "nominal": topic.rate, "age": age, "ok": ok}
+
+    def unhealthy_topics(self, expected: tuple[Topic, ...]) -> list[str]:
+        """Names of the topics among `expected` that are not well."""
+        return [topic.name for topic in expected if not self.topic_row(topic)["ok"]]
+
+    def robot_row(self) -> dict[str, Any]:
+        """The robot and its goal in one flat record."""
+        row: dict[str, Any] = {"realtime_factor": None}
+        state = self.newest.get(t.ROBOT_STATE)
+        if state is not None:
+            row |= {
+                "mode": state.phase,
+                "cause": state.cause,
+                "estop": bool(state.estop),
+                "estop_cause": state.estop_cause,
+                "hold": state.hold,
+                "battery": state.battery,
+                "realtime_factor": round(state.realtime_factor, 3),
+                "refused": {
+                    k: int(v) for k, v in zip(state.refused_reason, state.refused_count, strict=True)
+                },
+            }
+        odom = self.newest.get(t.ODOM)
+        if odom is not None:
+            pose, twist = odom.pose.pose, odom.twist.twist
+            x, y, yaw = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+            row |= {
+                "x": x,
+                "y": y,
+                "z": pose.position.z + self._frame.z,
+                "yaw": yaw,
+                "speed": twist.linear.x,
+                "yaw_rate": twist.angular.z,
+                "pose_age": round((self.source_now - stamp_of(odom)) / 1e9, 2),
+            }
+        health = self.newest.get(t.ODOM_HEALTH)
+        if health is not None:
+            row |= {"localization": health.health, "localization_reason": health.reason}
+        elevation = self.newest.get(t.MAP_STATUS)
+        if elevation is not None:
+            row["map_warning"] = elevation.warning
+        goal = self.newest.get(t.GOAL_STATUS)
+        if goal is not None:
+            row["goal"] = {
+                "id": goal.id,
+                "state": goal.state,
+                "reason": goal.reason,
+                "detail": goal.detail,
+                "x": goal.x,
+                "y": goal.y,
+                "distance_left": goal.distance_left,
+                "replans": goal.replans,
+                "recoveries": goal.recoveries,
+            }
+        tracker = self.newest.get(t.TRACKER_STATE)
+        if tracker is not None:
+            row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold}
+        return row
+
+
+def expected_topics(rows: list[Process], *, simulated: bool) -> tuple[Topic, ...]:
+    """Topics with a nominal rate that these processes publish."""
+    names = {row.name for row in rows}
+    unreal = () if simulated else (t.CLOCK, t.TRUTH)
+    return tuple(x for x in t.TOPICS if x.owner in names and x.rate and x not in unreal)

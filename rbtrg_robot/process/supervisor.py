@@ -1,0 +1,340 @@
+"""`up`: spawns every process, restarts what dies or hangs, hosts the Zenoh router, and knows how the stack is."""
+
+from __future__ import annotations
+
+import base64
+import json
+import logging
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from hal.types import LYING, Phase
+from rbtrg_robot import __version__
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.process.child import FATAL
+from rbtrg_robot.process.health import Health, expected_topics
+from rbtrg_robot.process.runfiles import RunLock
+from rbtrg_robot.process.zygote import Forked, Zygote
+from rbtrg_robot.processes import PROCESSES, Process
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Bus
+
+log = logging.getLogger(__name__)
+
+BACKOFF = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Seconds before the n-th restart in a row."""
+SETTLED = 30.0
+"""A process that ran this long [s] starts over in BACKOFF."""
+START_LIMIT = 180.0
+"""Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
+SHARED_MEMORY = Path("/dev/shm")
+LAST_WISH = 0.9
+"""The recorder's own seconds after all others have ended."""
+
+
+class StartFailed(RuntimeError):
+    """The stack did not come up; the message names the process and its last words."""
+
+
+@dataclass(slots=True)
+class Child:
+    """One supervised process."""
+
+    row: Process
+    forked: Forked | None = None
+    started: float = 0.0
+    restarts: int = 0
+    in_a_row: int = 0
+    due: float = 0.0
+    fatal: str = ""
+    usage: psutil.Process | None = None
+    cpu: float = 0.0
+    memory: float = 0.0
+    log_path: Path = field(default_factory=Path)
+
+    @property
+    def alive(self) -> bool:
+        """The process exists."""
+        return self.forked is not None and self.forked.poll() is None
+
+
+class Supervisor:
+    """Lives in the main thread: the parent-death signal of the others fires when this thread ends."""
+
+    def __init__(self, config: StackConfig, zygote: Zygote, say: Callable[[str], None]) -> None:
+        self._config = config
+        self._zygote = zygote
+        self._say = say
+        rows = [p for p in PROCESSES if p.name not in config.without]
+        if not config.record:
+            rows = [p for p in rows if p.name != "recorder"]
+        self._children = {row.name: Child(row) for row in rows}
+        self._expected = expected_topics(rows, simulated=config.simulated)
+        self._health = Health(config.simulated)
+        self._kept: dict[Topic, bytes] = {}
+        self._lock = threading.Lock()
+        self._snapshot = b"{}"
+        self._ready = False
+        self._usage_due = 0.0
+        self._goal_said = ""
+        self._estop_said = self._away_said = False
+        self._map_said = ""
+        self.began = time.monotonic()
+
+    # --- life -------------------------------------------------------------------------------------------------
+
+    def run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
+        """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning."""
+        lock = RunLock(self._config.robot)
+        try:
+            with Bus(self._config.endpoint, "supervisor", self._config.domain, router=True) as bus:
+                self._write_state(lock)
+                restored = {topic for child in self._children.values() for topic in child.row.restores}
+                self._bus = bus
+                bus.subscribe({*Health.WATCHED, *restored})
+                bus.serve("status", lambda _: self._answer())
+                try:
+                    for child in self._children.values():
+                        self._spawn(child)
+                    while not stopping():
+                        self._turn(lock)
+                        on_turn(self.status())
+                finally:
+                    self._stop_all()
+        finally:
+            lock.release()
+
+    def _turn(self, lock: RunLock) -> None:
+        for received in self._bus.take(0.1):
+            if any(received.topic in c.row.restores for c in self._children.values()):
+                self._kept[received.topic] = received.payload
+            if received.topic in Health.WATCHED:
+                message = self._health.take(received.topic, received.payload)
+                self._narrate(received.topic, message)
+        self._mend()
+        self._measure()
+        with self._lock:
+            self._snapshot = json.dumps(self.status()).encode()
+        if not self._ready and self._well():
+            self._ready = True
+            self._say(f"ready after {time.monotonic() - self.began:.1f} s")
+            state = self._health.newest.get(t.ROBOT_STATE)
+            if state is not None and state.phase in LYING:
+                self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")
+            self._write_state(lock)  # after the word: who waits for the state prints what was said
+
+    def _write_state(self, lock: RunLock) -> None:
+        lock.write_state(
+            robot=self._config.robot,
+            endpoint=self._config.endpoint,
+            domain=self._config.domain,
+            backend=self._config.backend,
+            scene=self._config.scene,
+            log_dir=self._config.log_dir if self._config.record else "",
+            ready=self._ready,
+        )
+
+    def _well(self) -> bool:
+        for child in self._children.values():
+            beat = self._health.beats.get(child.row.name)
+            if not child.alive or beat is None or beat[1].state != "ready":
+                return False
+        if "robot" in self._children:
+            state = self._health.newest.get(t.ROBOT_STATE)
+            if state is None or state.phase not in ("ready", "moving", "stopped", *LYING):
+                return False
+        return not self._health.unhealthy_topics(self._expected)
+
+    # --- processes --------------------------------------------------------------------------------------------
+
+    def _spawn(self, child: Child) -> None:
+        name = child.row.name
+        restored = {
+            topic.name: base64.b64encode(self._kept[topic]).decode()
+            for topic in child.row.restores
+            if topic in self._kept
+        }
+        spec = {
+            "process": name,
+            "config": self._config.model_dump(mode="json"),
+            "restored": restored,
+        }
+        child.log_path = Path(self._config.log_dir) / f"{name}.log"
+        child.forked = self._zygote.fork(spec, child.log_path)
+        child.started = time.monotonic()
+        child.usage = psutil.Process(child.forked.pid)
+        child.usage.cpu_percent()
+
+    def _mend(self) -> None:
+        now = time.monotonic()
+        for child in self._children.values():
+            name = child.row.name
+            if child.fatal:
+                continue
+            if child.forked is None:
+                if now >= child.due:
+                    self._spawn(child)
+                continue
+            code = child.forked.poll()
+            if code is None:
+                self._end_if_hung(child, now)
+                continue
+            self._health.forget(name)
+            words = last_words(child.log_path)
+            child.forked = None
+            if not self._ready and (code == FATAL or child.in_a_row >= 2):
+                raise StartFailed(
+                    f"{name} failed to start: {words or f'exit status {code}'} ({child.log_path})"
+                )
+            if code == FATAL:
+                child.fatal = words
+                self._say(f"{name} gave up: {words}")
+                continue
+            child.in_a_row = 0 if now - child.started > SETTLED else child.in_a_row
+            wait = BACKOFF[min(child.in_a_row, len(BACKOFF) - 1)]
+            child.in_a_row += 1
+            child.restarts += 1
+            child.due = now + wait
+            how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+            self._say(f"{name} ended ({how}); restarting in {wait:.1f} s: {child.row.loss}")
+
+    def _end_if_hung(self, child: Child, now: float) -> None:
+        name = child.row.name
+        age = self._health.beat_age(name)
+        beat = self._health.beats.get(name)
+        if age is None or beat is None or beat[1].state != "ready":
+            silent = now - child.started > START_LIMIT
+        else:
+            silent = age > child.row.hang
+        if silent and child.forked is not None:
+            self._say(f"{name} hangs; killing it")
+            child.forked.kill()
+            child.forked.wait()
+
+    def _stop_all(self) -> None:
+        """The robot's side first, the recorder last so that the log holds the end."""
+        children = [c for c in self._children.values() if c.forked is not None]
+        recorder = [c for c in children if c.row.name == "recorder"]
+        others = [c for c in children if c.row.name != "recorder"]
+        segments = {path for c in children if c.usage is not None for path in shared_segments(c.usage)}
+        end({c.forked: c.row.farewell for c in others if c.forked})
+        end({c.forked: LAST_WISH for c in recorder if c.forked})
+        # Zenoh removes what a process leaves only when the next one starts.
+        for path in segments:
+            path.unlink(missing_ok=True)
+
+    # --- knowledge --------------------------------------------------------------------------------------------
+
+    def _measure(self) -> None:
+        now = time.monotonic()
+        if now < self._usage_due:
+            return
+        self._usage_due = now + 1.0
+        for child in self._children.values():
+            if child.alive and child.usage is not None:
+                try:
+                    child.cpu = child.usage.cpu_percent()
+                    child.memory = child.usage.memory_info().rss / 1e6
+                except psutil.Error:
+                    child.cpu = child.memory = 0.0
+
+    def _narrate(self, topic: Topic, message: Any) -> None:
+        if topic is t.GOAL_STATUS:
+            text = f"goal {message.id[:8]} {message.state}" if message.id else ""
+            if message.reason:
+                text += f": {message.reason}" + (f" ({message.detail})" if message.detail else "")
+            if text and text != self._goal_said and message.state not in ("accepted", "idle"):
+                self._say(text)
+            self._goal_said = text
+        elif topic is t.ROBOT_STATE:
+            if bool(message.estop) != self._estop_said:
+                self._estop_said = bool(message.estop)
+                self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
+            away = message.phase == Phase.DISCONNECTED
+            if away != self._away_said:
+                self._away_said = away
+                self._say(f"robot {message.phase}: {message.cause}" if away else "robot is back")
+        elif topic is t.MAP_STATUS and message.warning != self._map_said:
+            self._map_said = message.warning
+            self._say(f"map: {message.warning or 'well again'}")
+
+    def _answer(self) -> bytes:
+        with self._lock:
+            return self._snapshot
+
+    def status(self) -> dict[str, Any]:
+        """What `status --json` prints."""
+        rows = []
+        for name, child in self._children.items():
+            age = self._health.beat_age(name)
+            beat = self._health.beats.get(name)
+            if child.fatal:
+                state = f"failed: {child.fatal}"
+            elif not child.alive:
+                state = "restarting"
+            else:
+                state = beat[1].state if beat else "starting"
+            rows.append(
+                {
+                    "process": name,
+                    "pid": child.forked.pid if child.forked else None,
+                    "state": state,
+                    "restarts": child.restarts,
+                    "cpu": round(child.cpu, 1),
+                    "memory_mb": round(child.memory, 1),
+                    "heartbeat_age": None if age is None else round(age, 2),
+                    "dropped": int(beat[1].dropped) if beat else 0,
+                }
+            )
+        return {
+            "version": __version__,
+            "pid": os.getpid(),
+            "ready": self._ready,
+            "uptime": round(time.monotonic() - self.began, 1),
+            "log_dir": self._config.log_dir if self._config.record else "",
+            "processes": rows,
+            "topics": [self._health.topic_row(topic) for topic in t.TOPICS],
+            "robot": self._health.robot_row(),
+        }
+
+
+def end(limits: dict[Forked, float]) -> None:
+    """SIGTERM, then SIGKILL to those that exceed their limit [s]; returns when all are gone."""
+    for process in limits:
+        if process.poll() is None:
+            process.terminate()
+    began = time.monotonic()
+    for process, limit in sorted(limits.items(), key=lambda entry: entry[1]):
+        try:
+            process.wait(max(0.0, began + limit - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def shared_segments(process: psutil.Process) -> set[Path]:
+    """Zenoh's shared memory that a process has mapped: its own and that of those it talks to."""
+    try:
+        mapped = [Path(m.path) for m in process.memory_maps()]
+    except psutil.Error:
+        return set()
+    return {path for path in mapped if path.parent == SHARED_MEMORY and path.suffix == ".zenoh"}
+
+
+def last_words(path: Path) -> str:
+    """The last line a process wrote."""
+    try:
+        lines = path.read_text(errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    return lines[-1].removeprefix("fatal: ") if lines else ""

@@ -1,0 +1,125 @@
+"""A goal as the navigator holds it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.reasons import Reason
+from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.messages import header, make, stamp_of
+
+
+class GoalState(StrEnum):
+    """Lifecycle: accepted -> planning -> moving <-> recovering -> one of the terminal states."""
+
+    IDLE = "idle"
+    ACCEPTED = "accepted"
+    PLANNING = "planning"
+    MOVING = "moving"
+    RECOVERING = "recovering"
+    REACHED = "reached"
+    REJECTED = "rejected"
+    ABORTED = "aborted"
+    CANCELLED = "cancelled"
+    PREEMPTED = "preempted"
+
+    @property
+    def active(self) -> bool:
+        """Still being worked on."""
+        return self in _ACTIVE
+
+    @property
+    def terminal(self) -> bool:
+        """Ended."""
+        return self is not GoalState.IDLE and self not in _ACTIVE
+
+
+_ACTIVE = (GoalState.ACCEPTED, GoalState.PLANNING, GoalState.MOVING, GoalState.RECOVERING)
+
+
+@dataclass(slots=True)
+class Goal:
+    """One goal in frame `map`."""
+
+    id: str
+    x: float
+    y: float
+    yaw: float | None
+    accepted: int
+    """Source clock [ns]."""
+    timeout: float = 0.0
+    """[s]; 0 = never."""
+    state: GoalState = GoalState.ACCEPTED
+    reason: Reason = Reason.NONE
+    detail: str = ""
+    replans: int = 0
+    recoveries: int = 0
+    frontier: bool = False
+    risk: float = 0.0
+
+    @classmethod
+    def from_request(cls, message: Any, now: int) -> Goal:
+        """From rbtrg_msgs/GoalRequest."""
+        yaw = message.yaw if message.has_yaw else None
+        return cls(message.id, message.x, message.y, yaw, now, message.timeout)
+
+    @classmethod
+    def from_pose(cls, message: Any, now: int) -> Goal:
+        """From geometry_msgs/PoseStamped, as RViz sends it."""
+        p, q = message.pose.position, message.pose.orientation
+        return cls(f"rviz-{stamp_of(message)}", p.x, p.y, yaw_of(q), now)
+
+    @classmethod
+    def from_status(cls, message: Any, now: int) -> Goal:
+        """As a navigator that is gone told it last."""
+        yaw = message.yaw if message.has_yaw else None
+        return cls(message.id, message.x, message.y, yaw, now)
+
+    @property
+    def finite(self) -> bool:
+        """All numbers are numbers."""
+        return all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout))
+
+    def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
+        """Enter a terminal state."""
+        self.state, self.reason, self.detail = state, reason, detail
+
+    def status(self, now: int, distance_left: float) -> Any:
+        """rbtrg_msgs/GoalStatus in frame `map`; `now` [ns], `distance_left` along the path [m]."""
+        return make(
+            t.GOAL_STATUS.type,
+            header=header(now, "map"),
+            id=self.id,
+            state=self.state.value,
+            reason=self.reason.value,
+            detail=self.detail,
+            x=self.x,
+            y=self.y,
+            yaw=self.yaw or 0.0,
+            has_yaw=self.yaw is not None,
+            distance_left=distance_left if self.state is GoalState.MOVING else 0.0,
+            replans=self.replans,
+            recoveries=self.recoveries,
+            risk=self.risk,
+            frontier=self.frontier,
+        )
+
+
+def goal_request(
+    stamp: int, goal_id: str, x: float, y: float, yaw: float | None = None, **fields: Any
+) -> Any:
+    """rbtrg_msgs/GoalRequest for a place [m] and heading [rad] in frame `map`; `stamp` [ns]."""
+    return make(
+        t.GOAL_REQUEST.type,
+        header=header(stamp, "map"),
+        id=goal_id,
+        x=x,
+        y=y,
+        yaw=yaw or 0.0,
+        has_yaw=yaw is not None,
+        **fields,
+    )

@@ -1,0 +1,350 @@
+"""The navigator owns the goal: it asks for routes, hands paths to the tracker, and knows when to give up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from hal.safety.geofence import Geofence
+from hal.types import NS, Phase
+from rbtrg_robot import topics as t
+from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.stages.navigation.goal import Goal, GoalState
+from rbtrg_robot.stages.navigation.path_order import PathOrder
+from rbtrg_robot.stages.navigation.plan_query import PlanQuery
+from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
+from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import header, make
+
+REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
+"""Reasons that refuse a goal when its first plan meets them; later they abort it."""
+PLANNER_SILENT = "the planner is silent"
+LOOK_AGAIN = 1.0
+"""Seconds from a failed plan to the next try."""
+
+
+class NavigatorStage:
+    """See the module."""
+
+    inputs = (
+        t.GOAL_REQUEST,
+        t.GOAL_POSE,
+        t.PLAN,
+        t.ROUTE_STATUS,
+        t.TRACKER_STATE,
+        t.ODOM,
+        t.ODOM_HEALTH,
+        t.MAP_STATUS,
+        t.ROBOT_STATE,
+        t.TF_STATIC,
+    )
+    outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
+
+    def __init__(self, params: NavigatorParams, area: tuple[tuple[float, float], ...] | None = None) -> None:
+        self._params = params
+        self._area = Geofence.of(area) if area else None
+        self._frame = MapFrame()
+        self._now = 0
+        self._goal: Goal | None = None
+        self._pose: Pose2 | None = None
+        self._seen: dict[Topic, int] = {}
+        self._health = "good"
+        self._health_reason = ""
+        self._robot: Any = None
+        self._tracker: Any = None
+        self._query = PlanQuery()
+        self._plan: Any = None
+        self._route_bad = ""
+        self._no_route = 0
+        self._short = 0
+        self._avoid: list[float] = []
+        self._order = PathOrder()
+        self._progress = ProgressMonitor()
+        self._trail = Trail()
+        self._missing_since = 0
+        self._status_due = 0
+        self._out: Outputs = []
+
+    def warm_up(self) -> None:
+        """Nothing to compile."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    # --- inputs -----------------------------------------------------------------------------------------------
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        self._out = []
+        self._seen[topic] = self._now
+        if topic is t.ODOM:
+            pose = message.pose.pose
+            self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+            self._trail.add(self._pose)
+        elif topic is t.ODOM_HEALTH:
+            self._health, self._health_reason = message.health, message.reason
+        elif topic is t.TRACKER_STATE:
+            self._tracker = message
+        elif topic is t.ROBOT_STATE:
+            self._robot = message
+        elif topic is t.TF_STATIC:
+            self._frame.take(message)
+        elif topic is t.GOAL_REQUEST:
+            self._request(message)
+        elif topic is t.GOAL_POSE:
+            self._accept(Goal.from_pose(message, self._now))
+        elif topic is t.PLAN:
+            self._take_plan(message)
+        elif topic is t.ROUTE_STATUS:
+            if self._query.is_about_route(message):
+                self._route_bad = "" if message.valid else message.detail or "the map changed"
+        elif topic is t.GOAL_STATUS:
+            self._restore(message)
+        return self._out
+
+    def _request(self, message: Any) -> None:
+        if message.action == 1:
+            if self._goal and self._goal.state.active and message.id in ("", self._goal.id):
+                self._end(GoalState.CANCELLED, Reason.CANCELLED)
+            else:
+                self._status()
+        elif self._goal is None or self._goal.id != message.id:
+            self._accept(Goal.from_request(message, self._now))
+        else:
+            self._status()  # a repeat: the sender has not heard the answer yet
+
+    def _accept(self, goal: Goal) -> None:
+        if self._goal and self._goal.state.active:
+            self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
+        self._goal = goal
+        self._no_route = self._short = 0
+        self._avoid = []
+        self._progress = ProgressMonitor()
+        self._plan = None
+        self._query.drop()
+        self._missing_since = 0
+        if not goal.finite:
+            self._end(GoalState.REJECTED, Reason.INVALID)
+        elif self._area is not None and self._area.outside(goal.x, goal.y) > 0.0:
+            self._end(GoalState.REJECTED, Reason.OUTSIDE)
+        elif (trouble := hindrance(self._robot)) is not None:
+            self._end(GoalState.REJECTED, *trouble)
+        else:
+            self._status()
+            self._ask()
+            self._status()
+
+    def _restore(self, message: Any) -> None:
+        # After a crash nobody knows how far the goal had come: say so instead of driving on.
+        if self._goal is None and message.state in [s.value for s in GoalState if s.active]:
+            self._goal = Goal.from_status(message, self._now)
+            self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the navigator restarted")
+
+    def _take_plan(self, message: Any) -> None:
+        goal = self._goal
+        if not goal or not goal.state.active or not self._query.answers(self._now, goal, message):
+            return
+        if self._missing_since:
+            return  # asked before the inputs went: a new route is asked for when they are back
+        self._route_bad = ""
+        if message.ok:
+            self._no_route = 0
+            self._plan = message
+            goal.frontier = not message.reaches_goal
+            goal.risk = float(message.transition_body.max(initial=0.0))
+            goal.state = GoalState.MOVING
+            goal.detail = ""
+            self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
+            self._status()
+            return
+        reason = Reason(message.reason)
+        if reason in REJECTING and self._plan is None and goal.replans == 0:
+            self._end(GoalState.REJECTED, reason, message.detail)
+            return
+        self._no_route += 1
+        if self._no_route > self._params.no_route_retries:
+            # It may only lack the room to turn here: it had room where it came from.
+            first = self._pose is not None and self._progress.tries(self._pose) == 1
+            if reason is Reason.NO_ROUTE and first and self._move_out(goal):
+                self._no_route = 0
+            else:
+                self._end(GoalState.ABORTED, reason, message.detail)
+            return
+        # Noise can close a passage for a moment: stand and look again before giving up.
+        self._stand(goal, message.detail)
+        goal.state = GoalState.PLANNING
+
+    # --- clock ------------------------------------------------------------------------------------------------
+
+    def tick(self, now: int) -> Outputs:
+        """Supervise the goal."""
+        if now < self._now:  # the clock was reset: stamps of before mean nothing
+            self._seen.clear()
+        self._now = now
+        self._out = []
+        goal = self._goal
+        if goal and goal.state.active:
+            self._supervise(goal)
+        if now >= self._status_due or now < self._status_due - NS:
+            self._status()
+        again = self._order.repeat(now, self._tracker)
+        if again is not None:
+            self._out.append((t.PATH_COMMAND, again))
+        return self._out
+
+    def _supervise(self, goal: Goal) -> None:
+        now, p = self._now, self._params
+        if goal.timeout > 0 and now - goal.accepted > goal.timeout * NS:
+            return self._end(GoalState.ABORTED, Reason.TIMEOUT, f"after {goal.timeout:.0f} s")
+        if (trouble := hindrance(self._robot)) is not None:
+            return self._end(GoalState.ABORTED, *trouble)
+        if (missing := self._missing()) is not None:
+            reason, detail = missing
+            if not self._missing_since:
+                self._missing_since = now
+                self._stand(goal, detail)
+            goal.detail = detail
+            if now - self._missing_since > PATIENCE.get(reason, p.patience) * NS:
+                self._end(GoalState.ABORTED, reason, detail)
+            return None
+        if self._missing_since:
+            self._missing_since = 0
+            goal.detail = ""
+            self._plan = None
+            return self._ask()
+        if self._query.open:
+            if self._query.waited(now) > p.patience:
+                return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
+            if self._query.silence(now) > p.plan_retry:
+                if goal.state is GoalState.MOVING:
+                    self._stand(goal, PLANNER_SILENT)
+                self._ask(again=True)
+            return None
+        if goal.state is GoalState.PLANNING:
+            if self._query.age(now) > LOOK_AGAIN:
+                self._replan(goal)
+            return None
+        return self._follow(goal)
+
+    def _follow(self, goal: Goal) -> None:
+        now, p = self._now, self._params
+        on_path = self._order.obeyed(self._tracker)
+        if on_path and self._tracker.phase == "done":
+            self._arrive(goal)
+            return
+        if goal.state is GoalState.MOVING and self._route_bad:
+            self._stand(goal, self._route_bad)
+            self._replan(goal)
+            return
+        if now - self._seen.get(t.ROUTE_STATUS, now) > p.plan_retry * NS:
+            self._stand(goal, PLANNER_SILENT)
+            self._replan(goal)
+            return
+        if self._pose is not None and on_path and self._progress.stuck(now, self._pose):
+            self._recover(goal)
+            return
+        look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > p.replan_period
+        if look and not (self._plan and self._pose and over_edge(self._plan, self._pose)):
+            self._replan(goal)  # on an edge it could not turn into another route
+
+    def _arrive(self, goal: Goal) -> None:
+        """At the end of a path: that is the goal, a frontier, or the last drivable place before the goal."""
+        if goal.state is GoalState.RECOVERING or goal.frontier:
+            goal.state = GoalState.MOVING
+            self._replan(goal)
+            return
+        short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
+        if short <= self._params.goal_tolerance:
+            self._end(GoalState.REACHED, Reason.NONE)
+        elif self._short < self._params.short_retries:
+            self._short += 1  # seen from here the last stretch may be drivable
+            self._replan(goal)
+        else:
+            self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
+
+    def _missing(self) -> tuple[Reason, str] | None:
+        if self._robot is not None and self._robot.phase == Phase.DISCONNECTED:
+            return Reason.DISCONNECTED, self._robot.cause
+        if self._health == "lost":
+            return Reason.LOST, self._health_reason
+        for topic in (t.ODOM, t.MAP_STATUS):
+            age = (self._now - self._seen.get(topic, 0)) / NS
+            if topic not in self._seen or age > self._params.input_timeout:
+                return Reason.PROCESS_LOST, f"no {topic.name} for {age:.1f} s"
+        return None
+
+    def _recover(self, goal: Goal) -> None:
+        """Move out of the place, then replan around it; give up where that was done often enough."""
+        self._progress.reset()
+        assert self._pose is not None
+        if self._progress.tries(self._pose) > self._params.max_recoveries:
+            self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries")
+            return
+        if self._tracker.phase not in TURNING:  # what stalls a turn lies under the robot, not ahead
+            (x, y, yaw), reach = self._pose, self._params.avoid_ahead
+            self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
+        if not self._move_out(goal):
+            goal.recoveries += 1
+            self._replan(goal)
+
+    def _move_out(self, goal: Goal) -> bool:
+        """Move straight over ground it stood on, for which no turn is needed; False when there is none."""
+        reach = self._trail.reach(self._pose, self._params.back_out) if self._pose else 0.0
+        if self._pose is None or reach == 0.0:
+            return False
+        goal.recoveries += 1
+        goal.state = GoalState.RECOVERING
+        goal.detail = "backing out" if reach < 0.0 else "moving out"
+        self._plan = None
+        self._out.append((t.PATH_COMMAND, self._order.straight(self._now, goal.id, self._pose, reach)))
+        self._status()
+        return True
+
+    # --- outputs ----------------------------------------------------------------------------------------------
+
+    def _replan(self, goal: Goal) -> None:
+        goal.replans += 1
+        self._ask()
+
+    def _ask(self, *, again: bool = False) -> None:
+        goal = self._goal
+        if goal is None or self._pose is None:
+            return
+        if self._plan is None:
+            goal.state = GoalState.PLANNING
+        ask = self._query.repeat if again else self._query.ask
+        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._avoid)))
+
+    def _halt(self) -> None:
+        self._progress.reset()
+        self._plan = None
+        self._out.append((t.PATH_COMMAND, self._order.stand(self._now)))
+
+    def _stand(self, goal: Goal, why: str) -> None:
+        goal.detail = why
+        self._halt()
+
+    def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
+        assert self._goal is not None
+        self._goal.end(state, reason, detail)
+        self._query.drop()
+        self._halt()
+        self._status()
+
+    def _status(self) -> None:
+        self._status_due = self._now + NS // 2
+        goal = self._goal
+        if goal is None:
+            status = make(t.GOAL_STATUS.type, header=header(self._now, "map"), state=GoalState.IDLE.value)
+        else:
+            status = goal.status(self._now, self._tracker.distance_left if self._tracker else 0.0)
+        self._out.append((t.GOAL_STATUS, status))
+
+
+def build(config: Any) -> NavigatorStage:
+    """From the stack's configuration."""
+    return NavigatorStage(config.navigator, config.allowed_area())

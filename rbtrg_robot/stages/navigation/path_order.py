@@ -1,0 +1,68 @@
+"""What the tracker was last told to drive, and whether it does."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hal.types import NS
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.wire.messages import header, make
+
+REPEAT = NS // 2
+"""A tracker that works on something else than it was told is told again after this long [ns]."""
+OUT_SPEED = 0.3
+"""[m/s]"""
+
+
+class PathOrder:
+    """Makes rbtrg_msgs/PathCommand in frame `map`. Times in ns."""
+
+    def __init__(self) -> None:
+        self._path: Any = None
+        self._sent = 0
+
+    def route(self, now: int, plan: Any) -> Any:
+        """Drive the path of a Plan."""
+        fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
+        final = plan.has_goal_yaw and plan.reaches_goal
+        path_id = f"{plan.goal_id}/{plan.sequence}"
+        return self._send(now, id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
+
+    def straight(self, now: int, goal_id: str, pose: Pose2, reach: float) -> Any:
+        """Drive straight along the heading, backward where `reach` [m] is negative."""
+        s = np.linspace(0.0, reach, max(2, round(abs(reach) / 0.05) + 1))
+        x, y, yaw = pose
+        return self._send(
+            now,
+            id=f"{goal_id}/straight-{now}",
+            reverse=reach < 0.0,
+            x=x + s * math.cos(yaw),
+            y=y + s * math.sin(yaw),
+            z=0.0 * s,
+            yaw=np.full(len(s), yaw),
+            speed=np.full(len(s), OUT_SPEED),
+        )
+
+    def stand(self, now: int) -> Any:
+        """Drive nothing."""
+        return self._send(now, id="")
+
+    def _send(self, now: int, **fields: Any) -> Any:
+        self._path = make(t.PATH_COMMAND.type, header=header(now, "map"), **fields)
+        self._sent = now
+        return self._path
+
+    def obeyed(self, tracker: Any) -> bool:
+        """Whether a TrackerState speaks of the newest order."""
+        return self._path is not None and tracker is not None and tracker.path_id == self._path.id
+
+    def repeat(self, now: int, tracker: Any) -> Any | None:
+        """The order again where it is due: a tracker that restarted has no path, one that missed a halt still has one."""
+        if self._path is None or tracker is None or self.obeyed(tracker) or now - self._sent <= REPEAT:
+            return None
+        self._sent = now
+        return self._path

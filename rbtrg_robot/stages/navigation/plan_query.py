@@ -1,0 +1,77 @@
+"""One question to the planner at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hal.types import NS
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.goal import Goal
+from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.wire.messages import header, make
+
+
+class PlanQuery:
+    """Numbers the questions, knows whether one is open, and which answer belongs to it. Times in ns."""
+
+    def __init__(self) -> None:
+        self.open = False
+        self._sequence = 0
+        self._asked = 0
+        self._first_asked = 0
+        self._answered = 0
+
+    def ask(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> Any:
+        """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off."""
+        self._sequence += 1
+        self._first_asked = now
+        return self.repeat(now, goal, pose, avoid)
+
+    def repeat(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> Any:
+        """The open question once more, from where the robot is by now."""
+        self.open = True
+        self._asked = now
+        return make(
+            t.PLAN_REQUEST.type,
+            header=header(now, "map"),
+            goal_id=goal.id,
+            sequence=self._sequence,
+            start_x=pose[0],
+            start_y=pose[1],
+            start_yaw=pose[2],
+            goal_x=goal.x,
+            goal_y=goal.y,
+            goal_yaw=goal.yaw or 0.0,
+            has_goal_yaw=goal.yaw is not None,
+            avoid=np.array(avoid, np.float64),
+        )
+
+    def answers(self, now: int, goal: Goal, message: Any) -> bool:
+        """Whether a Plan answers the open question, which is closed then."""
+        if not self.open or message.goal_id != goal.id or message.sequence != self._sequence:
+            return False
+        self.open = False
+        self._answered = now
+        return True
+
+    def drop(self) -> None:
+        """No answer is wanted any more."""
+        self.open = False
+
+    def is_about_route(self, message: Any) -> bool:
+        """Whether a RouteStatus speaks of the newest route, and no newer one is asked for."""
+        return not self.open and message.sequence == self._sequence
+
+    def waited(self, now: int) -> float:
+        """Since the open question was first asked [s]."""
+        return (now - self._first_asked) / NS
+
+    def silence(self, now: int) -> float:
+        """Since it was asked last [s]."""
+        return (now - self._asked) / NS
+
+    def age(self, now: int) -> float:
+        """Of the newest answer [s]."""
+        return (now - self._answered) / NS

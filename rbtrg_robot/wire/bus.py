@@ -1,0 +1,255 @@
+"""The bus: one Zenoh session, publishers and one inbox. Nothing here knows what the messages mean.
+
+Choices that a measured failure stands behind:
+- sessions close through `with`, and callbacks run `indirect=False`: a Python callback thread keeps a crashed
+  process, and its liveliness token, alive for ever;
+- the callback only appends to a bounded deque: a slow consumer loses old messages instead of queueing without bound;
+- congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
+- loopback, no multicast, one known endpoint.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Self
+
+import zenoh
+from zenoh import ext
+from zenoh.handlers import Callback
+
+from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.wire import keys as wire
+from rbtrg_robot.wire import messages
+
+
+class BusError(RuntimeError):
+    """The bus cannot be reached; the message tells what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """One message as it came: wire bytes and what the attachment says."""
+
+    topic: Topic
+    payload: bytes
+    stamp: int
+    """Publisher's source clock [ns]."""
+    sequence: int
+
+    def decode(self) -> Any:
+        """The message. Raises MessageError."""
+        return messages.decode(self.payload, self.topic.type)
+
+
+def session_config(endpoint: str, *, router: bool) -> zenoh.Config:
+    """Zenoh configuration of the router (`up`) or of a client of it."""
+    config: dict[str, Any] = {
+        "mode": "router" if router else "client",
+        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
+        "timestamping": {"enabled": True},
+        "transport": {
+            "link": {
+                "tx": {
+                    "lease": 2000,
+                    # A scan is half a megabyte; with the default of two 64 kB batches and 1 ms of patience a busy
+                    # machine loses the first ones.
+                    "queue": {
+                        "size": {"data": 16},
+                        "congestion_control": {"drop": {"wait_before_drop": 20_000}},
+                    },
+                }
+            },
+            # Queries through shared memory are lost silently when the receiver stalls. "init": a lazily made pool
+            # sends the first large messages through the socket.
+            "shared_memory": {"mode": "init", "transport_optimization": {"messages": ["put"]}},
+        },
+    }
+    config["listen" if router else "connect"] = {"endpoints": [endpoint]}
+    if not router:
+        config["connect"]["timeout_ms"] = 3000
+        config["listen"] = {"endpoints": []}
+    return zenoh.Config.from_json5(json.dumps(config))
+
+
+class Bus:
+    """One process's access to the topics."""
+
+    def __init__(self, endpoint: str, node: str, domain: int = 0, *, router: bool = False) -> None:
+        """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client)."""
+        self.node = node
+        self.domain = domain
+        zenoh.init_log_from_env_or("off")
+        config = session_config(endpoint, router=router)
+        try:
+            self.session = zenoh.open(config)
+        except zenoh.ZError as error:
+            what = (
+                f"cannot listen on {endpoint}: is another program using the port? Choose one with --port"
+                if router
+                else f"nothing answers on {endpoint}: is the stack up? Start it with `rbtrg-robot up`"
+            )
+            raise BusError(what) from error
+        self._zid = str(self.session.zid())
+        self._held: list[Any] = [
+            self.session.liveliness().declare_token(wire.node_token(domain, self._zid, node))
+        ]
+        self._entities = 1
+        self._signal = threading.Event()
+        self._lock = threading.Lock()
+        self._queues: dict[Topic, deque[tuple[int, Received]]] = {}
+        self._arrived = 0
+        self.dropped = 0
+        self.publishers: dict[Topic, Publisher] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the bus; tokens go at once."""
+        if not self.session.is_closed():
+            self.session.close()
+
+    def publish(self, topic: Topic, message: Any, stamp: int) -> None:
+        """Send one message; `stamp` is the source clock [ns]."""
+        publisher = self.publishers.get(topic)
+        if publisher is None:
+            publisher = self.advertise(topic)
+        publisher.put(messages.encode(message), stamp)
+
+    def advertise(self, topic: Topic) -> Publisher:
+        """Declare a publisher and its token now rather than at the first message."""
+        if topic not in self.publishers:
+            self._entities += 1
+            token = wire.endpoint_token(self.domain, self._zid, self.node, topic, self._entities, "MP")
+            self._held.append(self.session.liveliness().declare_token(token))
+            self.publishers[topic] = Publisher(self.session, topic, self.domain, wire.gid(token))
+        return self.publishers[topic]
+
+    def subscribe(self, wanted: Iterable[Topic]) -> None:
+        """Messages of these topics collect in the inbox, `Topic.depth` of each at most."""
+        for topic in wanted:
+            if topic in self._queues:
+                continue
+            self._queues[topic] = deque()
+            self._entities += 1
+            token = wire.endpoint_token(self.domain, self._zid, self.node, topic, self._entities, "MS")
+            self._held.append(self.session.liveliness().declare_token(token))
+            handler = Callback(self._receiver(topic), indirect=False)
+            name = wire.key(topic, self.domain)
+            if topic.qos is Qos.LATCHED:
+                history = ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+                self._held.append(
+                    ext.declare_advanced_subscriber(self.session, name, handler, history=history)
+                )
+            else:
+                self._held.append(self.session.declare_subscriber(name, handler))
+
+    def _receiver(self, topic: Topic) -> Callable[[zenoh.Sample], None]:
+        queue = self._queues[topic]
+
+        def receive(sample: zenoh.Sample) -> None:
+            data = sample.attachment.to_bytes() if sample.attachment is not None else b""
+            sequence, stamp = wire.parse_attachment(data)
+            received = Received(topic, sample.payload.to_bytes(), stamp, sequence)
+            with self._lock:
+                self._arrived += 1
+                if len(queue) >= topic.depth:
+                    queue.popleft()
+                    # Where latest wins by design, overtaken messages are no loss.
+                    self.dropped += topic.depth > 1
+                queue.append((self._arrived, received))
+            self._signal.set()
+
+        return receive
+
+    def take(self, timeout: float) -> list[Received]:
+        """Everything in the inbox in order of arrival; waits up to `timeout` [s] for the first."""
+        if self._signal.wait(timeout):
+            self._signal.clear()
+        with self._lock:
+            taken = [entry for queue in self._queues.values() for entry in queue]
+            for queue in self._queues.values():
+                queue.clear()
+        taken.sort(key=lambda entry: entry[0])
+        return [received for _, received in taken]
+
+    @property
+    def waiting(self) -> bool:
+        """Something is in the inbox."""
+        return self._signal.is_set()
+
+    def wake(self) -> None:
+        """Make a waiting `take` return."""
+        self._signal.set()
+
+    def watch_processes(self, changed: Callable[[str, bool], None]) -> None:
+        """`changed(process, alive)` for every process on the bus, now and at each change. Runs in Zenoh's thread."""
+
+        def receive(sample: zenoh.Sample) -> None:
+            changed(wire.process_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+
+        pattern = wire.node_token(self.domain, "*", "*")
+        subscriber = self.session.liveliness().declare_subscriber(
+            pattern, Callback(receive, indirect=False), history=True
+        )
+        self._held.append(subscriber)
+
+    def processes(self, timeout: float = 1.0) -> set[str]:
+        """Names of the processes on the bus now."""
+        pattern = wire.node_token(self.domain, "*", "*")
+        replies = self.session.liveliness().get(pattern, timeout=timeout)
+        return {wire.process_of(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None}
+
+    def serve(self, name: str, answer: Callable[[bytes], bytes]) -> None:
+        """Answer queries on a name of the supervisor's own; `answer` runs in Zenoh's thread and must be quick."""
+        full = f"{self.domain}/rbtrg/{name}"
+
+        def receive(query: zenoh.Query) -> None:
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            query.reply(full, answer(payload))
+
+        self._held.append(self.session.declare_queryable(full, Callback(receive, indirect=False)))
+
+    def ask(self, name: str, payload: bytes = b"", timeout: float = 2.0) -> bytes | None:
+        """The first answer to a query, or None when nobody answers in time [s]."""
+        full = f"{self.domain}/rbtrg/{name}"
+        for reply in self.session.get(full, payload=payload, timeout=timeout):
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        return None
+
+
+class Publisher:
+    """One topic's outgoing side."""
+
+    def __init__(self, session: zenoh.Session, topic: Topic, domain: int, endpoint: bytes) -> None:
+        self._gid = endpoint
+        self.count = 0
+        self.newest = 0
+        name = wire.key(topic, domain)
+        qos: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
+        if topic.qos is Qos.COMMAND:
+            qos |= {"priority": zenoh.Priority.REAL_TIME, "express": True}
+        self._publisher: Any
+        if topic.qos is Qos.LATCHED:
+            self._publisher = ext.declare_advanced_publisher(
+                session, name, cache=ext.CacheConfig(max_samples=1), publisher_detection=True, **qos
+            )
+        else:
+            self._publisher = session.declare_publisher(name, **qos)
+
+    def put(self, payload: bytes, stamp: int) -> None:
+        """Send wire bytes."""
+        self.count += 1
+        self.newest = stamp
+        self._publisher.put(payload, attachment=wire.attachment(self.count, stamp, self._gid))

@@ -1,0 +1,283 @@
+"""Values of the libraries to ROS messages and back. Frames are set here and nowhere else."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.go2w import MOTORS
+from hal.types import POINT_DTYPE, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
+from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from rbtrg_robot.wire.messages import STORE, header, make, stamp_of
+
+MAP = "map"
+ODOM = "odom"
+BASE = "base_link"
+LIDAR = "lidar"
+IMU = "imu"
+
+_names = POINT_DTYPE.names or ()
+_offsets: dict[str, int] = {name: entry[1] for name, entry in (POINT_DTYPE.fields or {}).items()}
+_FIELD_TYPES = {"f4": 7, "u2": 4}
+_FIELDS: list[Any] = [
+    STORE.types["sensor_msgs/msg/PointField"](
+        name=name,
+        offset=_offsets[name],
+        datatype=_FIELD_TYPES[POINT_DTYPE[name].str[1:]],
+        count=1,
+    )
+    for name in _names
+]
+_XYZ_FIELDS = _FIELDS[:3]
+
+
+class LayoutError(ValueError):
+    """A message whose arrays do not have the agreed layout."""
+
+
+def vector(values: Any) -> Any:
+    """geometry_msgs/Vector3."""
+    return STORE.types["geometry_msgs/msg/Vector3"](
+        x=float(values[0]), y=float(values[1]), z=float(values[2])
+    )
+
+
+def point(values: Any) -> Any:
+    """geometry_msgs/Point."""
+    return STORE.types["geometry_msgs/msg/Point"](x=float(values[0]), y=float(values[1]), z=float(values[2]))
+
+
+def quaternion(xyzw: Any) -> Any:
+    """geometry_msgs/Quaternion from x, y, z, w."""
+    x, y, z, w = (float(v) for v in xyzw)
+    return STORE.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+
+
+def xyz(message: Any) -> NDArray[np.float64]:
+    """(3,) of a Point or Vector3."""
+    return np.array([message.x, message.y, message.z])
+
+
+def xyzw(message: Any) -> NDArray[np.float64]:
+    """(4,) x, y, z, w of a Quaternion."""
+    return np.array([message.x, message.y, message.z, message.w])
+
+
+def yaw_of(q: Any) -> float:
+    """Heading [rad] of a Quaternion message."""
+    return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
+
+
+def up_tilt(q: Any) -> float:
+    """Angle [rad] between the body's z axis and gravity of a Quaternion message."""
+    return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x * q.x + q.y * q.y))))
+
+
+def yaw_quaternion(yaw: float) -> Any:
+    """Quaternion message of a heading [rad]."""
+    return quaternion((0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
+
+
+def imu_msg(sample: ImuSample) -> Any:
+    """sensor_msgs/Imu; orientation is not given (covariance[0] = -1)."""
+    message = make(
+        "sensor_msgs/msg/Imu",
+        header=header(sample.stamp, BASE),
+        angular_velocity=vector(sample.gyro),
+        linear_acceleration=vector(sample.accel),
+    )
+    message.orientation_covariance[0] = -1.0
+    return message
+
+
+def imu_sample(message: Any) -> ImuSample:
+    """The sample in a sensor_msgs/Imu."""
+    return ImuSample(stamp_of(message), xyz(message.angular_velocity), xyz(message.linear_acceleration))
+
+
+def joint_msg(sample: JointSample) -> Any:
+    """sensor_msgs/JointState with the motors' names in SDK order."""
+    return make(
+        "sensor_msgs/msg/JointState",
+        header=header(sample.stamp, BASE),
+        name=list(MOTORS),
+        position=np.ascontiguousarray(sample.position, np.float64),
+        velocity=np.ascontiguousarray(sample.velocity, np.float64),
+        effort=np.ascontiguousarray(sample.effort, np.float64),
+    )
+
+
+def joint_sample(message: Any) -> JointSample:
+    """The sample in a JointState. Raises LayoutError where names or lengths differ."""
+    if tuple(message.name) != tuple(MOTORS):
+        raise LayoutError("joint names are not the Go2-W's motors in SDK order")
+    if any(len(v) != len(MOTORS) for v in (message.position, message.velocity, message.effort)):
+        raise LayoutError("position, velocity and effort must have one value per motor")
+    return JointSample(stamp_of(message), message.position, message.velocity, message.effort)
+
+
+def scan_msg(scan: LidarScan) -> Any:
+    """PointCloud2 with the fields of `POINT_DTYPE`, frame lidar."""
+    return _cloud(scan.stamp, LIDAR, scan.points, _FIELDS, POINT_DTYPE.itemsize)
+
+
+def lidar_scan(message: Any) -> LidarScan:
+    """The sweep in a PointCloud2. Raises LayoutError where fields differ."""
+    got = [(f.name, f.offset, f.datatype) for f in message.fields]
+    want = [(f.name, f.offset, f.datatype) for f in _FIELDS]
+    if got != want or message.point_step != POINT_DTYPE.itemsize or message.is_bigendian:
+        raise LayoutError(f"cloud fields are {got}, expected {want}")
+    usable = len(message.data) // POINT_DTYPE.itemsize * POINT_DTYPE.itemsize
+    return LidarScan(stamp_of(message), message.data[:usable].view(POINT_DTYPE))
+
+
+def cloud_msg(stamp: int, frame: str, points: NDArray[np.float32]) -> Any:
+    """PointCloud2 with x, y, z of (n, 3) float32 [m]."""
+    return _cloud(stamp, frame, np.ascontiguousarray(points, np.float32), _XYZ_FIELDS, 12)
+
+
+def cloud_points(message: Any) -> NDArray[np.float32]:
+    """(n, 3) float32 of a cloud made by `cloud_msg`. Raises LayoutError."""
+    if message.point_step != 12 or len(message.data) % 12:
+        raise LayoutError(f"expected 12 bytes per point, got {message.point_step}")
+    return message.data.view(np.float32).reshape(-1, 3)
+
+
+def _cloud(stamp: int, frame: str, points: NDArray[Any], fields: list[Any], step: int) -> Any:
+    count = len(points)
+    return STORE.types["sensor_msgs/msg/PointCloud2"](
+        header=header(stamp, frame),
+        height=1,
+        width=count,
+        fields=fields,
+        is_bigendian=False,
+        point_step=step,
+        row_step=step * count,
+        data=points.reshape(-1).view(np.uint8),
+        is_dense=True,
+    )
+
+
+def odometry_msg(
+    stamp: int,
+    position: Any,
+    orientation: Any,
+    linear: Any,
+    angular: Any,
+    covariance: NDArray[np.float64] | None = None,
+    frame: str = ODOM,
+) -> Any:
+    """nav_msgs/Odometry, `frame` -> base_link; twist in base_link; covariance (6, 6) of x, y, z, roll, pitch, yaw."""
+    message = make("nav_msgs/msg/Odometry", header=header(stamp, frame), child_frame_id=BASE)
+    message.pose.pose.position = point(position)
+    message.pose.pose.orientation = quaternion(orientation)
+    message.twist.twist.linear = vector(linear)
+    message.twist.twist.angular = vector(angular)
+    if covariance is not None:
+        message.pose.covariance = np.ascontiguousarray(covariance, np.float64).reshape(36)
+    return message
+
+
+def truth_msg(truth: GroundTruth) -> Any:
+    """Ground truth as nav_msgs/Odometry in frame world."""
+    return odometry_msg(
+        truth.stamp, truth.position, truth.orientation, truth.linear, truth.angular, frame="world"
+    )
+
+
+def transform_msg(stamp: int, parent: str, child: str, translation: Any, orientation: Any) -> Any:
+    """geometry_msgs/TransformStamped, parent <- child."""
+    return STORE.types["geometry_msgs/msg/TransformStamped"](
+        header=header(stamp, parent),
+        child_frame_id=child,
+        transform=STORE.types["geometry_msgs/msg/Transform"](
+            translation=vector(translation), rotation=quaternion(orientation)
+        ),
+    )
+
+
+def rpy_quaternion(rpy: tuple[float, float, float]) -> NDArray[np.float64]:
+    """(4,) x, y, z, w of fixed-axis roll, pitch, yaw [rad]."""
+    cr, cp, cy = (math.cos(a / 2) for a in rpy)
+    sr, sp, sy = (math.sin(a / 2) for a in rpy)
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def static_transforms(stamp: int, lidar: Extrinsics, imu: Extrinsics) -> Any:
+    """tf2_msgs/TFMessage of the sensor mounts."""
+    return make(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[
+            transform_msg(stamp, BASE, LIDAR, lidar.translation, rpy_quaternion(lidar.rpy)),
+            transform_msg(stamp, BASE, IMU, imu.translation, rpy_quaternion(imu.rpy)),
+        ],
+    )
+
+
+def patch_msg(patch: MapPatch) -> Any:
+    """grid_map_msgs/GridMap. grid_map counts cells from the +x, +y corner, column-major; ours from the other one."""
+    layers = list(patch.layers)
+    rows, cols = patch.layers[layers[0]].shape
+    message = make(
+        "grid_map_msgs/msg/GridMap",
+        header=header(patch.stamp, MAP),
+        layers=layers,
+        basic_layers=["elevation"],
+        data=[_layer_msg(patch.layers[name]) for name in layers],
+    )
+    message.info.resolution = patch.resolution
+    message.info.length_x = cols * patch.resolution
+    message.info.length_y = rows * patch.resolution
+    message.info.pose.position = point(
+        (
+            patch.origin[0] + (cols - 1) * patch.resolution / 2,
+            patch.origin[1] + (rows - 1) * patch.resolution / 2,
+            0.0,
+        )
+    )
+    message.info.pose.orientation.w = 1.0
+    return message
+
+
+def _layer_msg(layer: NDArray[np.float32]) -> Any:
+    rows, cols = layer.shape
+    dimension = STORE.types["std_msgs/msg/MultiArrayDimension"]
+    return STORE.types["std_msgs/msg/Float32MultiArray"](
+        layout=STORE.types["std_msgs/msg/MultiArrayLayout"](
+            dim=[
+                dimension(label="column_index", size=rows, stride=rows * cols),
+                dimension(label="row_index", size=cols, stride=cols),
+            ],
+            data_offset=0,
+        ),
+        data=np.ascontiguousarray(layer[::-1, ::-1], np.float32).reshape(-1),
+    )
+
+
+def map_patch(message: Any, epoch: int) -> MapPatch:
+    """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
+    info = message.info
+    cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
+    layers = {}
+    for name, data in zip(message.layers, message.data, strict=True):
+        if data.data.size != rows * cols:
+            raise LayoutError(f"layer {name} has {data.data.size} cells, expected {rows} x {cols}")
+        layers[name] = np.ascontiguousarray(data.data.reshape(rows, cols)[::-1, ::-1])
+    origin = (
+        info.pose.position.x - (cols - 1) * info.resolution / 2,
+        info.pose.position.y - (rows - 1) * info.resolution / 2,
+    )
+    for name in PATCH_LAYERS:
+        if name not in layers:
+            raise LayoutError(f"layer {name} is missing")
+    return MapPatch(origin, info.resolution, stamp_of(message), epoch, layers)

@@ -1,0 +1,54 @@
+"""map <- odom, looked up by every consumer; constant until a correction is published.
+
+In simulation `map` is the scene's own frame and the offset is the start pose the robot was given; on hardware it is
+the identity unless the configuration says where the robot starts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
+
+
+class MapFrame:
+    """The offset of `odom` in `map`; both are gravity-aligned, so it is a translation and a heading."""
+
+    def __init__(self) -> None:
+        self.known = False
+        self.x = 0.0
+        self.y = 0.0
+        self.z = 0.0
+        self.yaw = 0.0
+
+    def take(self, message: Any) -> None:
+        """From a tf2_msgs/TFMessage."""
+        for transform in message.transforms:
+            if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:
+                offset = transform.transform.translation
+                self.x, self.y, self.z = offset.x, offset.y, offset.z
+                self.yaw = yaw_of(transform.transform.rotation)
+                self.known = True
+
+    def pose2(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+        """A planar pose in `odom` as one in `map`."""
+        c, s = math.cos(self.yaw), math.sin(self.yaw)
+        return (
+            self.x + c * x - s * y,
+            self.y + s * x + c * y,
+            math.remainder(yaw + self.yaw, 2 * math.pi),
+        )
+
+    def pose3(
+        self, position: NDArray[np.float64], orientation: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Position (3,) and orientation x, y, z, w in `odom` as in `map`."""
+        x, y, _ = self.pose2(position[0], position[1], 0.0)
+        c, s = math.cos(self.yaw / 2), math.sin(self.yaw / 2)
+        qx, qy, qz, qw = orientation
+        turned = np.array([c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz])
+        return np.array([x, y, position[2] + self.z]), turned

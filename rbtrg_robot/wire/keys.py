@@ -1,0 +1,69 @@
+"""How topics look on Zenoh: the keys, attachments and liveliness tokens of rmw_zenoh.
+
+So RViz, `ros2 topic` and rosbag2 see a ROS 2 graph although no ROS is installed here.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+
+from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.wire.messages import type_hash
+
+ENCAPSULATION_BYTES = 4
+
+_QOS = {
+    Qos.SENSOR: "2:2:1,5:,:,:,,",
+    Qos.STATE: "1:2:1,10:,:,:,,",
+    Qos.LATCHED: "1:1:1,1:,:,:,,",
+    Qos.COMMAND: "1:2:1,1:,:,:,,",
+}
+
+
+def dds_type(typename: str) -> str:
+    """`nav_msgs/msg/Odometry` -> `nav_msgs::msg::dds_::Odometry_`."""
+    package, _, name = typename.split("/")
+    return f"{package}::msg::dds_::{name}_"
+
+
+def key(topic: Topic, domain: int) -> str:
+    """Data key of a topic."""
+    return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.type)}/{type_hash(topic.type)}"
+
+
+def node_token(domain: int, zid: str, node: str) -> str:
+    """Liveliness token of a node; node id 0, empty enclave and namespace."""
+    return f"@ros2_lv/{domain}/{zid}/0/0/NN/%/%/{node}"
+
+
+def process_of(token: str) -> str:
+    """The process a node token belongs to."""
+    return token.rsplit("/", 1)[1]
+
+
+def endpoint_token(domain: int, zid: str, node: str, topic: Topic, entity: int, kind: str) -> str:
+    """Liveliness token of a publisher (`kind` MP) or subscription (MS)."""
+    name = topic.name.replace("/", "%")
+    return (
+        f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{node}/{name}/"
+        f"{dds_type(topic.type)}/{type_hash(topic.type)}/{_QOS[topic.qos]}"
+    )
+
+
+def gid(token: str) -> bytes:
+    """16 bytes that name an endpoint; only identity depends on them."""
+    return hashlib.blake2b(token.encode(), digest_size=16).digest()
+
+
+def attachment(sequence: int, stamp: int, endpoint: bytes) -> bytes:
+    """33 bytes: int64 sequence from 1, int64 source time [ns], length byte, 16-byte gid."""
+    return struct.pack("<qqB16s", sequence, stamp, 16, endpoint)
+
+
+def parse_attachment(data: bytes) -> tuple[int, int]:
+    """(sequence, source time [ns]) of an attachment; (0, 0) where it is not one of ours."""
+    if len(data) != 33:
+        return 0, 0
+    sequence, stamp = struct.unpack_from("<qq", data)
+    return sequence, stamp

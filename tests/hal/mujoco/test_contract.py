@@ -1,0 +1,58 @@
+"""The MuJoCo robot keeps the contract."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from hal.mujoco.backend import MujocoBackend
+from hal.scenes import Scene
+from tests.hal.contract_suite import ContractSuite, Rig
+from tests.places import POLICY, needs_shared
+
+
+def walled_floor() -> Scene:
+    """12 x 12 m of flat ground between low walls."""
+    height = np.zeros((241, 241), np.float32)
+    height[:6] = height[-6:] = height[:, :6] = height[:, -6:] = 0.8
+    return Scene("floor", height, 0.05, (-6.0, -6.0), (-2.0, 0.0, 0.0), {})
+
+
+def rig_of(**options: Any) -> Rig:
+    """The simulated robot, its clock, and what its physics can do to it."""
+    backend = MujocoBackend(walled_floor(), lidar_step=20, caster="numba", **options)
+    sim = backend.simulation
+    follow = sim.apply
+    clock = [0]
+
+    def tick() -> int:
+        clock[0] += 10_000_000
+        return clock[0]
+
+    def fall() -> None:
+        sim.data.qpos[2] += 0.25
+        sim.data.qpos[3:7] = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
+        sim.data.qvel[:] = 0.0
+        mujoco.mj_forward(sim.model, sim.data)
+
+    def hinder(on: bool) -> None:
+        """The motors hold what they were last told."""
+        sim.apply = (lambda _command: None) if on else follow  # type: ignore[method-assign]
+
+    return Rig(backend, tick, fall, hinder)
+
+
+class TestMujoco(ContractSuite):
+    @pytest.fixture
+    def rig(self) -> Rig:
+        return rig_of()
+
+
+@needs_shared
+class TestMujocoWithPolicy(ContractSuite):
+    @pytest.fixture
+    def rig(self) -> Rig:
+        return rig_of(controller="policy", policy_dir=str(POLICY))

@@ -1,0 +1,410 @@
+"""The safety gate: whatever comes in, what goes out is limited, dated and stoppable."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hal.safety.gate import GateInputs, GateParams, RefusalReason, SafetyGate, StopCause
+from hal.safety.geofence import Geofence, GeofenceError
+from hal.safety.tilt import TiltFilter
+from hal.types import NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
+
+CAPS = Capabilities("test", max_vx=1.0, max_wz=1.0, max_accel=1.0, max_alpha=3.0)
+MS = NS // 1000
+TICK = 20 * MS
+
+
+def well(now: int, **changes) -> GateInputs:
+    """Inputs of a healthy robot at `now`."""
+    inputs = GateInputs(
+        state=RobotState(now, Phase.READY), tilt=0.05, stamps={"imu": now, "joints": now, "lidar": now}
+    )
+    return replace(inputs, **changes)
+
+
+def run(gate: SafetyGate, start: int, seconds: float, vx: float = 0.5, wz: float = 0.0, **changes):
+    """Command and drive at 50 Hz; the last output and the time after it."""
+    out, now = VelocityCommand(start), start
+    for _ in range(round(seconds / 0.02)):
+        gate.command(VelocityCommand(now, vx=vx, wz=wz), now)
+        out = gate.output(now, well(now, **changes))
+        now += TICK
+    return out, now
+
+
+def test_a_fresh_command_is_slewed_up_and_passed():
+    gate = SafetyGate(CAPS)
+    speeds = []
+    for k in range(40):
+        gate.command(VelocityCommand(k * TICK, vx=0.5, wz=-0.6), k * TICK)
+        out = gate.output(k * TICK, well(k * TICK))
+        speeds.append(out.vx)
+    assert speeds[0] == 0.0
+    assert np.diff(speeds).max() == pytest.approx(1.0 * 0.02)
+    assert (out.vx, out.wz, out.stamp) == (0.5, -0.6, 39 * TICK)
+    assert gate.status().hold == ""
+
+
+def test_silence_is_zero_at_the_deadline_after_a_short_ramp():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    last_command = now - TICK
+    seen = {}
+    for ms in range(10, 300, 10):
+        out = gate.output(last_command + ms * MS, well(last_command + ms * MS))
+        seen[ms] = out.vx
+    assert seen[110] == 0.5
+    assert 0.0 < seen[170] < 0.3
+    assert seen[200] == 0.0
+    assert all(v == 0.0 for ms, v in seen.items() if ms >= 200)
+    assert gate.status().hold == "no fresh command"
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (VelocityCommand(NS, vx=math.nan), RefusalReason.NOT_FINITE),
+        (VelocityCommand(NS, wz=math.inf), RefusalReason.NOT_FINITE),
+        (VelocityCommand(NS, vx=1.01), RefusalReason.OVER_LIMIT),
+        (VelocityCommand(NS, vx=-1.01), RefusalReason.OVER_LIMIT),
+        (VelocityCommand(NS, wz=-1.5), RefusalReason.OVER_LIMIT),
+        (VelocityCommand(NS, vy=0.1), RefusalReason.OVER_LIMIT),
+        (VelocityCommand(NS, vx=0.1, frame="odom"), RefusalReason.WRONG_FRAME),
+        (VelocityCommand(NS + 100 * MS, vx=0.1), RefusalReason.FROM_FUTURE),
+        (VelocityCommand(NS - 200 * MS, vx=0.1), RefusalReason.TOO_OLD),
+        (VelocityCommand(0, vx=0.1), RefusalReason.TOO_OLD),
+    ],
+)
+def test_bad_commands_are_refused_counted_and_do_not_move(command: VelocityCommand, reason: RefusalReason):
+    gate = SafetyGate(CAPS)
+    for _ in range(3):
+        refusal = gate.command(command, NS)
+        assert refusal is not None
+        assert refusal.reason is reason
+        assert refusal.detail
+    assert gate.status().refused == {reason.value: 3}
+    assert gate.status().accepted == 0
+    for k in range(10):
+        assert gate.output(NS + k * TICK, well(NS + k * TICK)).vx == 0.0
+
+
+def test_an_older_command_does_not_replace_a_newer_one():
+    gate = SafetyGate(CAPS)
+    assert gate.command(VelocityCommand(NS, vx=0.2), NS) is None
+    refusal = gate.command(VelocityCommand(NS - 50 * MS, vx=0.9), NS)
+    assert refusal is not None
+    assert refusal.reason is RefusalReason.OUT_OF_ORDER
+
+
+def test_stop_is_zero_at_once_and_holds_until_resume():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    gate.stop()
+    assert gate.output(now, well(now)).vx == 0.0
+    out, now = run(gate, now, 2.0)
+    assert out.vx == 0.0
+    status = gate.status()
+    assert status.latched
+    assert status.cause == "emergency stop"
+    assert status.refused["stopped until resume"] == 100
+    gate.resume()
+    assert gate.output(now, well(now)).vx == 0.0, "an old command must not come back to life"
+    out, _ = run(gate, now + TICK, 1.0)
+    assert out.vx == 0.5
+
+
+def test_forget_is_zero_until_the_next_fresh_command_without_a_latch():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    gate.forget()
+    assert gate.output(now, well(now)).vx == 0.0
+    assert not gate.status().latched
+    out, _ = run(gate, now + TICK, 1.0)
+    assert out.vx == 0.5
+
+
+def test_the_first_cause_stays():
+    gate = SafetyGate(CAPS)
+    gate.stop(StopCause.PROCESS_LOST, "tracker")
+    gate.stop(StopCause.OPERATOR)
+    assert gate.status().cause == "process lost: tracker"
+
+
+@pytest.mark.parametrize(
+    ("changes", "cause"),
+    [
+        ({"tilt": 0.9}, "tilt: 52 deg, limit 40 deg"),
+        ({"tilt": math.nan}, "tilt"),
+        ({"state": RobotState(0, Phase.READY, battery=0.05)}, "battery low: 5 %, limit 10 %"),
+        (
+            {"state": RobotState(0, Phase.READY, motor_temperature=95.0)},
+            "motor too hot: 95 deg C, limit 90 deg C",
+        ),
+        ({"state": RobotState(0, Phase.FAULT, "fallen")}, "robot fault: fallen"),
+    ],
+)
+def test_conditions_an_operator_must_look_at_latch(changes, cause: str):
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    if "state" in changes:
+        changes = {"state": replace(changes["state"], stamp=now)}
+    assert gate.output(now, well(now, **changes)).vx == 0.0
+    out, now = run(gate, now + TICK, 1.0)
+    assert out.vx == 0.0
+    assert gate.status().cause.startswith(cause)
+    gate.resume()
+    out, now = run(gate, now, 1.0)
+    assert out.vx == 0.5
+    # A condition that persists latches again.
+    if "state" in changes:
+        changes = {"state": replace(changes["state"], stamp=now)}
+    gate.output(now, well(now, **changes))
+    gate.resume()
+    assert gate.output(now, well(now, **changes)).vx == 0.0
+    assert gate.status().latched
+
+
+@pytest.mark.parametrize("sensor", ["state", "imu", "joints", "lidar"])
+def test_a_stale_sensor_holds_and_its_return_releases(sensor: str):
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    limit = GateParams().sensor_timeout[sensor]
+    dead = now - TICK
+    held = []
+    for _ in range(round((limit + 0.3) / 0.02)):
+        gate.command(VelocityCommand(now, vx=0.5), now)
+        inputs = well(now)
+        if sensor == "state":
+            inputs = replace(inputs, state=RobotState(dead, Phase.READY))
+        else:
+            inputs = replace(inputs, stamps={**inputs.stamps, sensor: dead})
+        held.append((now - dead, gate.output(now, inputs).vx))
+        now += TICK
+    assert all(vx == 0.5 for age, vx in held if age <= limit * NS)
+    assert all(vx == 0.0 for age, vx in held if age > limit * NS)
+    assert gate.status().hold.startswith(f"{sensor} is ")
+    out, _ = run(gate, now, 1.0)
+    assert out.vx == 0.5
+
+
+def test_what_was_never_seen_holds():
+    gate = SafetyGate(CAPS)
+    gate.command(VelocityCommand(0, vx=0.5), 0)
+    cases = [
+        (GateInputs(), "no robot state yet"),
+        (well(0, stamps={"imu": 0, "joints": 0}), "no lidar yet"),
+        (well(0, tilt=None), "no attitude yet"),
+        (well(0, state=RobotState(0, Phase.SITTING)), "robot is sitting"),
+        (well(0, stamps={"imu": 5 * NS, "joints": 0, "lidar": 0}), "imu is stamped"),
+    ]
+    for inputs, hold in cases:
+        assert gate.output(0, inputs) == VelocityCommand(0)
+        assert gate.status().hold.startswith(hold)
+
+
+def test_a_command_that_moves_nothing_is_flagged_and_latches_in_the_end():
+    gate = SafetyGate(CAPS, GateParams(not_moving_stop=4.0))
+    _, now = run(gate, 0, 1.0, velocity=(0.0, 0.0, 0.0))
+    assert not gate.status().not_moving
+    _, now = run(gate, now, 1.0, velocity=(0.02, 0.0, 0.0))
+    assert gate.status().not_moving
+    assert not gate.status().latched
+    out, now = run(gate, now, 0.2, velocity=(0.4, 0.0, 0.0))
+    assert not gate.status().not_moving
+    out, now = run(gate, now, 5.0, velocity=(0.0, 0.0, 0.0))
+    assert out.vx == 0.0
+    assert gate.status().cause.startswith("commanded but not moving")
+
+
+def test_moving_without_a_command_latches_after_the_braking_time():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0, velocity=(0.5, 0.0, 0.0))
+    # Braking is not an offence.
+    _, now = run(gate, now, 1.5, vx=0.0, velocity=(0.35, 0.0, 0.0))
+    assert not gate.status().latched
+    _, now = run(gate, now, 1.0, vx=0.0, velocity=(0.35, 0.0, 0.0))
+    assert gate.status().cause.startswith("moving but not commanded")
+
+
+def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
+    fence = Geofence.of([(0, 0), (4, 0), (4, 4), (0, 4)])
+    gate = SafetyGate(CAPS, geofence=fence)
+    out, now = run(gate, 0, 1.0, pose=(2.0, 2.0, 0.0))
+    assert out.vx == 0.5
+    out, now = run(gate, now, 1.0, wz=0.3, pose=(3.5, 2.0, 0.0))
+    assert out.vx == 0.0
+    assert out.wz == pytest.approx(0.3)
+    assert gate.status().hold == "geofence"
+    out, now = run(gate, now, 1.0, pose=(4.3, 2.0, 0.0))
+    assert out.vx == 0.0
+    out, now = run(gate, now, 1.0, pose=(4.3, 2.0, math.pi))
+    assert out.vx == 0.5
+    out, now = run(gate, now, 1.0, vx=-0.4, pose=(4.3, 2.0, 0.0))
+    assert out.vx == -0.4
+    out, now = run(gate, now, 0.1, pose=None)
+    assert out.vx == 0.0
+
+
+@pytest.mark.parametrize(
+    "bad", [[], [(0, 0), (1, 1)], [(0, 0), (1, 1), (2, 2)], [(0, 0), (1, 0), (1, math.nan)], [1, 2, 3]]
+)
+def test_a_fence_without_an_area_is_refused(bad):
+    with pytest.raises(GeofenceError):
+        Geofence.of(bad)
+
+
+@pytest.mark.parametrize(
+    "crossed",
+    [
+        [(0, 0), (4, 4), (4, 0), (0, 3)],  # a bow tie
+        [(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)],  # a corner on another side
+        [(0, 0), (4, 0), (2, 0), (2, 4)],  # a side that doubles back
+        [(0, 0), (4, 0), (4, 4), (2, 2), (0, 4), (0, 1), (2, 2), (0, 0.5)],  # a corner twice
+    ],
+)
+def test_a_fence_whose_sides_meet_is_refused(crossed):
+    with pytest.raises(GeofenceError, match="sides of the geofence cross"):
+        Geofence.of(crossed)
+
+
+def test_a_fence_may_be_closed_by_hand_and_may_have_corners_along_a_side():
+    fence = Geofence.of([(0, 0), (2, 0), (4, 0), (4, 4), (4, 4), (0, 4), (0, 0)])
+    assert len(fence.corners) == 5
+    assert fence.outside(1.0, 2.0) == -1.0
+    dented = Geofence.of([(0, 0), (4, 0), (4, 4), (2, 1), (0, 4)])
+    assert dented.outside(2.0, 2.0) > 0.0
+
+
+def test_the_fence_keeps_the_corners_of_the_body_in():
+    gate = SafetyGate(CAPS, geofence=Geofence.of([(-9, -9), (2, -9), (2, 9), (-9, 9)]))
+    for heading in np.radians(np.arange(-80.0, 81.0, 5.0)):
+        gate.forget()
+        x, now = 1.0, 0
+        for k in range(1, 1000):
+            now = k * TICK
+            gate.command(VelocityCommand(now, vx=0.2), now)
+            x += 0.02 * math.cos(heading) * gate.output(now, well(now, pose=(x, 0.0, float(heading)))).vx
+        corner = x + 0.35 * math.cos(heading) + 0.215 * abs(math.sin(heading))
+        assert 1.5 < corner < 2.0, heading
+
+
+@given(st.floats(-2, 6), st.floats(-2, 6))
+def test_fence_distance_of_a_square_is_exact(x: float, y: float):
+    d = Geofence.of([(0, 0), (4, 0), (4, 4), (0, 4)]).outside(x, y)
+    dx, dy = max(-x, x - 4, 0.0), max(-y, y - 4, 0.0)
+    inside = min(x, 4 - x, y, 4 - y)
+    expected = -inside if inside > 0 else math.hypot(dx, dy)
+    assert d == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_clock_that_goes_back_stops_the_robot():
+    gate = SafetyGate(CAPS)
+    run(gate, 100 * NS, 1.0)
+    gate.output(5 * NS, well(5 * NS))
+    for k in range(20):
+        assert gate.output(5 * NS + k * TICK, well(5 * NS + k * TICK)).vx == 0.0
+
+
+_number = st.one_of(st.floats(-2.0, 2.0), st.sampled_from([math.nan, math.inf, 0.0, 1.0, -1.0]))
+_event = st.one_of(
+    st.tuples(
+        st.just("command"),
+        _number,
+        _number,
+        _number,
+        st.integers(-400, 200),
+        st.sampled_from(["base_link", "map"]),
+    ),
+    st.tuples(st.just("output"), st.integers(0, 300)),
+    st.tuples(st.just("sick"), st.sampled_from(["tilt", "imu", "phase", "battery", "none"])),
+    st.tuples(st.just("stop")),
+    st.tuples(st.just("resume")),
+)
+
+
+@given(st.lists(_event, max_size=60))
+@settings(max_examples=300, deadline=None)
+def test_whatever_the_sequence_the_gate_keeps_its_promises(events):
+    gate, now = SafetyGate(CAPS), NS
+    fresh_until, latched, sick = 0, False, "none"
+    last = VelocityCommand(0)
+    last_now = now
+    for event in events:
+        match event:
+            case ("command", vx, vy, wz, age_ms, frame):
+                command = VelocityCommand(now + age_ms * MS, vx, vy, wz, frame)
+                if gate.command(command, now) is None:
+                    assert not latched
+                    assert abs(vy) <= 1e-6
+                    assert frame == "base_link"
+                    assert abs(vx) <= 1.0 + 1e-6
+                    fresh_until = min(command.stamp, now) + 200 * MS
+            case ("output", ms):
+                now += ms * MS
+                inputs = well(now)
+                if sick == "tilt":
+                    inputs = replace(inputs, tilt=1.2)
+                elif sick == "imu":
+                    inputs = replace(inputs, stamps={**inputs.stamps, "imu": now - NS})
+                elif sick == "phase":
+                    inputs = replace(inputs, state=RobotState(now, Phase.STANDING))
+                elif sick == "battery":
+                    inputs = replace(inputs, state=RobotState(now, Phase.READY, battery=0.01))
+                out = gate.output(now, inputs)
+                latched = latched or sick in ("tilt", "battery")
+                assert abs(out.vx) <= 1.0
+                assert out.vy == 0.0
+                assert abs(out.wz) <= 1.0
+                assert out.frame == "base_link"
+                assert out.stamp == now
+                if latched or sick != "none" or now >= fresh_until:
+                    assert (out.vx, out.vy, out.wz) == (0.0, 0.0, 0.0)
+                dt = min((now - last_now) / NS, 0.1)
+                assert abs(out.vx) <= abs(last.vx) + CAPS.max_accel * dt + 1e-6
+                assert abs(out.wz) <= abs(last.wz) + CAPS.max_alpha * dt + 1e-6
+                assert gate.status().latched == latched
+                last, last_now = out, now
+            case ("sick", what):
+                sick = what
+            case ("stop",):
+                gate.stop()
+                latched, fresh_until = True, 0
+            case ("resume",):
+                gate.resume()
+                latched, fresh_until = False, 0
+
+
+def test_tilt_follows_the_gyro_at_once_and_forgets_its_bias():
+    tilt = TiltFilter()
+    angle, bias = 0.0, 0.02
+    for k in range(1000):
+        rate = 0.8 if 400 <= k < 500 else 0.0  # 0.4 rad about x in 0.5 s
+        angle += rate * 0.005
+        accel = 9.81 * np.array([0.0, math.sin(angle), math.cos(angle)])
+        tilt.update(ImuSample(k * 5 * MS, np.array([rate + bias, 0.0, 0.0]), accel))
+        if k == 399:
+            assert tilt.tilt == pytest.approx(0.0, abs=0.05)
+        if k == 510:
+            assert tilt.tilt == pytest.approx(0.4, abs=0.06)
+    assert tilt.tilt == pytest.approx(0.4, abs=0.05)
+
+
+def test_tilt_is_not_fooled_by_braking_or_shocks_or_nan():
+    tilt = TiltFilter()
+    zero = np.zeros(3)
+    for k in range(100):
+        tilt.update(ImuSample(k * 5 * MS, zero, np.array([0.0, 0.0, 9.81])))
+    for k in range(100, 160):
+        tilt.update(ImuSample(k * 5 * MS, zero, np.array([-4.0, 0.0, 9.81])))
+    assert tilt.tilt is not None
+    assert tilt.tilt < 0.12
+    tilt.update(ImuSample(161 * 5 * MS, zero, np.array([80.0, 0.0, 9.81])))
+    tilt.update(ImuSample(162 * 5 * MS, np.full(3, math.nan), np.zeros(3)))
+    assert tilt.tilt < 0.12
+    assert TiltFilter().tilt is None

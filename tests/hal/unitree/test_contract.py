@@ -1,0 +1,116 @@
+"""The Unitree backend keeps the contract over DDS, with the simulated Go2-W as the robot behind the wire."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.hal.contract_suite import ContractSuite, Rig
+
+pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
+from cyclonedds.domain import DomainParticipant
+
+from hal.scenes import Scene
+from hal.unitree.api import Request, Response
+from hal.unitree.connect import open_link
+from hal.unitree.factory import make_backend
+from hal.unitree.options import UnitreeOptions
+from tests.hal.unitree.peer import Peer
+from tests.hal.unitree.peer_process import PeerProcess
+from tests.hal.unitree.robot import MujocoBody
+from tests.hal.unitree.world import World
+
+DOMAIN = 20 + os.getpid() % 200
+XT16 = UnitreeOptions(lidar="xt16")
+
+
+def walled_floor() -> Scene:
+    """12 x 12 m of flat ground between low walls."""
+    height = np.zeros((241, 241), np.float32)
+    height[:6] = height[-6:] = height[:, :6] = height[:, -6:] = 0.8
+    return Scene("floor", height, 0.05, (-6.0, -6.0), (-2.0, 0.0, 0.0), {})
+
+
+class DdsWorld(World):
+    """The backend's own DDS endpoints against the peer's, on one clock: what is written is there at once."""
+
+    def __init__(self) -> None:
+        body = MujocoBody(walled_floor(), lidar_step=20, caster="numba")
+        super().__init__(options=XT16, body=body)
+        self._dds = open_link("lo", DOMAIN, XT16)
+        self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic() or "")
+
+    def send(self, service: str, request: Request) -> None:
+        self._dds.send(service, request)
+
+    def responses(self, service: str) -> list[Response]:
+        return self._dds.responses(service)
+
+    def take(self, topic: str) -> list[bytes]:
+        return self._dds.take(topic)
+
+    def reachable(self, service: str) -> bool:
+        return self._dds.reachable(service)
+
+    def advance(self, seconds: float) -> None:
+        end = self.elapsed + round(seconds * 1e9)
+        while self.elapsed < end:
+            self.elapsed = min(end, self.elapsed + 2_000_000)
+            self._peer.advance(self.elapsed)
+
+    def leave(self) -> None:
+        """Give the domain back for the next test."""
+        self._dds.close()
+
+
+class TestUnitree(ContractSuite):
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        world = DdsWorld()
+
+        def tick() -> int:
+            world.advance(0.01)
+            return world.now
+
+        def fall() -> None:
+            world.faults.fallen = True
+
+        def hinder(on: bool) -> None:
+            world.faults.stuck = on
+
+        yield Rig(world.backend, tick, fall, hinder)
+        world.leave()
+
+
+@pytest.mark.skipif(
+    not os.environ.get("UNITREE_CONTRACT_LIVE"), reason="takes two minutes: set UNITREE_CONTRACT_LIVE=1"
+)
+class TestUnitreeLive(ContractSuite):
+    """The same with everything as in the field: the robot in another process, the guardian, the clock on the wall."""
+
+    live = True
+    scan_hits = 500
+
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        peer = PeerProcess(DOMAIN, "--body", "mujoco")
+        backend = make_backend("lo", options=XT16.model_copy(update={"domain": DOMAIN}))
+
+        def tick() -> int:
+            time.sleep(0.01)
+            return time.time_ns()
+
+        try:
+            yield Rig(
+                backend,
+                tick,
+                lambda: peer.say("fault fallen=1"),
+                lambda on: peer.say(f"fault stuck={int(on)}"),
+            )
+        finally:
+            backend.close()
+            peer.end()

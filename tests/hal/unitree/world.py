@@ -1,0 +1,107 @@
+"""The Unitree backend and the robot's side in one process and on one clock: nothing waits, everything repeats."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hal.types import NS, Phase, RobotState, VelocityCommand
+from hal.unitree.api import SERVICES, Request, Response
+from hal.unitree.backend import UnitreeBackend
+from hal.unitree.options import UnitreeOptions
+from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
+
+HOST_EPOCH = 1_750_000_000 * NS
+L1 = UnitreeOptions(lidar="l1")
+
+
+class World:
+    """One clock, one robot, and the link between the two; the link can be cut."""
+
+    def __init__(
+        self,
+        faults: Faults | None = None,
+        standing: bool = True,
+        options: UnitreeOptions = L1,
+        body: Any = None,
+        epoch: int = HOST_EPOCH,
+        **kwargs: Any,
+    ) -> None:
+        self.epoch = epoch
+        self.body: Any = body or KinematicBody(standing)
+        topic = options.topic() or ""
+        self.robot = RobotSide(self.body, faults, lidar=options.lidar, topic=topic)
+        self.faults = self.robot.faults
+        self.elapsed = 0
+        self.cut = False
+        self.sent: list[tuple[int, str, Request]] = []
+        self._inbox: dict[str, list[bytes]] = {}
+        self._answers: dict[str, list[Response]] = {}
+        self.backend = UnitreeBackend(
+            "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
+        )
+        self.states: list[RobotState] = []
+        self.samples: list = []
+
+    @property
+    def now(self) -> int:
+        return self.epoch + self.elapsed
+
+    # -- link ----------------------------------------------------------------------------------------------------
+    def send(self, service: str, request: Request) -> None:
+        self.sent.append((self.elapsed, service, request))
+        if not self.cut:
+            self.robot.handle(service, Request.unpack(request.pack()), self.elapsed)
+
+    def responses(self, service: str) -> list[Response]:
+        return self._answers.pop(service, [])
+
+    def take(self, topic: str) -> list[bytes]:
+        return self._inbox.pop(topic, [])
+
+    def reachable(self, service: str) -> bool:
+        return service in SERVICES
+
+    def close(self) -> None:
+        pass
+
+    # -- time ----------------------------------------------------------------------------------------------------
+    def advance(self, seconds: float) -> None:
+        end = self.elapsed + round(seconds * NS)
+        while self.elapsed < end:
+            self.elapsed = min(end, self.elapsed + 2_000_000)
+            self.robot.step(self.elapsed)
+            for service, response in self.robot.responses(self.elapsed):
+                if not self.cut:
+                    self._answers.setdefault(service, []).append(response)
+            for topic, messages in self.robot.outbox().items():
+                if not self.cut:
+                    self._inbox.setdefault(topic, []).extend(messages)
+
+    def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list:
+        """The host's 50 Hz loop."""
+        samples: list = []
+        for _ in range(round(seconds / 0.02)):
+            self.advance(0.02)
+            samples += self.backend.read(self.now)
+            self.backend.drive(VelocityCommand(self.now, vx=vx, wz=wz))
+            self.states.append(self.backend.state())
+        self.samples += samples
+        return samples
+
+    def until(self, phase: Phase, seconds: float, vx: float = 0.0) -> RobotState:
+        for _ in range(round(seconds / 0.02)):
+            if self.backend.state().phase is phase:
+                return self.backend.state()
+            self.run(0.02, vx)
+        raise AssertionError(f"no {phase} within {seconds} s: {self.backend.state()}")
+
+    def apis(self, service: str = "sport") -> list[int]:
+        return [r.api for _, s, r in self.sent if s == service]
+
+    @property
+    def phase(self) -> Phase:
+        return self.backend.state().phase
+
+    @property
+    def cause(self) -> str:
+        return self.backend.state().cause

@@ -1,0 +1,170 @@
+"""Maps on disk: saved, loaded, imported, and refused with a reason."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mapping.elevation.exchange import MapError, MapMirror
+from mapping.elevation.map import ElevationMap
+from mapping.elevation.params import ElevationParams
+from mapping.elevation.tiles import LIDAR
+from tests.places import TERRAIN, needs_shared
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+
+
+def seen_map(**params) -> ElevationMap:
+    """A map of a 4 x 2 m bump, each cell hit three times."""
+    elevation = ElevationMap(ElevationParams(**params))
+    x, y = np.meshgrid(np.arange(-2.0, 2.0, 0.02), np.arange(-1.0, 1.0, 0.02))
+    z = 0.3 * np.exp(-(x**2 + y**2))
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel() - 1.6]).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(points, (3.0, -5.0, 1.6), LEVEL, 10**9 + k * 10**8, (0.0, 0.0, 0.3))
+    return elevation
+
+
+def test_a_saved_map_loads_exactly(tmp_path: Path) -> None:
+    elevation = seen_map()
+    elevation.save(tmp_path / "map.npz")
+    again = ElevationMap()
+    known = again.load_prior(tmp_path / "map.npz")
+    want, got = elevation.full(), again.full()
+    assert known == np.isfinite(elevation.store.cells["height"]).sum() > 4000
+    for name, layer in want.layers.items():
+        np.testing.assert_array_equal(got.layers[name], layer)
+    assert got.origin == want.origin
+    assert again.epoch == 1
+    mirror = MapMirror()
+    for patch in again.take_patches():
+        mirror.apply(patch)
+    assert np.isfinite(mirror.layers["elevation"]).sum() == np.isfinite(got.layers["elevation"]).sum()
+
+
+def test_the_same_map_saves_to_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        seen_map().save(tmp_path / f"{name}.npz")
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.npz", "b.npz"]
+
+
+def test_a_map_loads_at_another_resolution(tmp_path: Path) -> None:
+    seen_map().save(tmp_path / "map.npz")
+    for resolution in (0.02, 0.05, 0.1):
+        again = ElevationMap(ElevationParams(resolution=resolution))
+        again.load_prior(tmp_path / "map.npz")
+        patch = again.window(3.0, -5.0, 0.5)
+        x = patch.origin[0] + patch.resolution * np.arange(patch.shape[1]) - 3.0
+        y = patch.origin[1] + patch.resolution * np.arange(patch.shape[0]) + 5.0
+        truth = 0.3 * np.exp(-(x[None, :] ** 2 + y[:, None] ** 2))
+        # the highest of the cells that fall together: at most one cell of slope above
+        assert np.abs(patch.layers["elevation"] - truth).max() < 0.3 * (resolution + 0.06)
+        assert (patch.layers["trusted"] == 1).all()
+
+
+def test_driving_on_goes_on_from_a_loaded_map(tmp_path: Path) -> None:
+    seen_map().save(tmp_path / "map.npz")
+    again = ElevationMap()
+    again.load_prior(tmp_path / "map.npz")
+    higher = np.array([[2.0, 0.0, 0.2]] * 5, dtype=np.float32)
+    for k in range(4):
+        again.fuse(higher, (1.0, -5.0, 0.6), LEVEL, k * 10**8, (0.0, 0.0, 0.3))
+    assert again.window(3.0, -5.0, 0.0).layers["elevation"][0, 0] == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_plain_grid_is_a_prior_map(tmp_path: Path) -> None:
+    height = np.full((20, 30), 0.25, np.float32)
+    height[5, 5] = np.nan
+    np.savez(tmp_path / "grid.npz", height=height, resolution=0.1, origin=np.array([1.0, 2.0]))
+    elevation = ElevationMap()
+    elevation.load_prior(tmp_path / "grid.npz")
+    patch = elevation.window(2.5, 3.0, 0.3)
+    np.testing.assert_allclose(patch.layers["elevation"], 0.25)
+    assert (patch.layers["source"] == LIDAR).all()
+    assert elevation.window(1.5, 2.5, 0.0).layers["source"][0, 0] != LIDAR
+
+
+def ply(points: np.ndarray) -> str:
+    head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    return head.format(len(points)) + "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in points) + "\n"
+
+
+def pcd(points: np.ndarray) -> str:
+    n = len(points)
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH {}\nHEIGHT 1\nPOINTS {}\nDATA ascii\n"
+    return head.format(n, n) + "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in points) + "\n"
+
+
+@pytest.mark.parametrize(("name", "text"), [("cloud.ply", ply), ("cloud.pcd", pcd)])
+def test_a_cloud_is_a_prior_map(tmp_path: Path, name: str, text) -> None:
+    points = np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.3], [0.4, 0.2, -0.2]])
+    (tmp_path / name).write_text(text(points))
+    elevation = ElevationMap()
+    assert elevation.load_prior(tmp_path / name) == 2
+    assert elevation.window(0.0, 0.0, 0.0).layers["elevation"][0, 0] == pytest.approx(0.3)
+    assert elevation.window(0.4, 0.2, 0.0).layers["elevation"][0, 0] == pytest.approx(-0.2)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("none.npz", None, "no such"),
+        ("text.npz", b"not a zip", "broken"),
+        ("map.ply", b"ply\nrubbish", "ply"),
+        ("map.docx", b"x", "docx"),
+        ("empty.pcd", pcd(np.zeros((0, 3))).encode(), "empty.pcd"),
+        ("far.ply", ply(np.array([[4e6, 5e6, 0.0]])).encode(), "metres"),
+    ],
+)
+def test_a_bad_file_is_refused_in_words_and_changes_nothing(tmp_path: Path, name, content, words) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    elevation = seen_map()
+    before = elevation.full()
+    with pytest.raises(MapError, match=f"(?i){words}"):
+        elevation.load_prior(tmp_path / name)
+    assert elevation.epoch == 0
+    np.testing.assert_array_equal(elevation.full().layers["elevation"], before.layers["elevation"])
+
+
+def test_truncated_incomplete_and_newer_maps_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "map.npz"
+    seen_map().save(path)
+    data = path.read_bytes()
+    arrays = dict(np.load(path))
+    for cut in (10, len(data) // 2, len(data) - 5):
+        path.write_bytes(data[:cut])
+        with pytest.raises(MapError):
+            ElevationMap().load_prior(path)
+    for change, words in (
+        ({"version": np.array(99)}, "version 99"),
+        ({"tiles": np.zeros((1, 2), np.int32)}, "damaged"),
+        ({"format": np.array("other")}, "not an elevation map"),
+    ):
+        np.savez(path, **(arrays | change))
+        with pytest.raises(MapError, match=words):
+            ElevationMap().load_prior(path)
+    np.savez(path, height=np.zeros((3, 3)))
+    with pytest.raises(MapError, match="missing"):
+        ElevationMap().load_prior(path)
+
+
+def test_saving_where_nothing_can_be_written_raises_and_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OSError):  # noqa: PT011 - FileNotFoundError or NotADirectoryError
+        seen_map().save(tmp_path / "absent" / "map.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_shared
+def test_the_maze_sample_covers_its_floor_at_five_centimetres() -> None:
+    elevation = ElevationMap(ElevationParams(resolution=0.05))
+    assert elevation.load_prior(TERRAIN / "maze.ply") > 8000
+    layers = elevation.full().layers
+    # inside the hall's western part nothing is missing but what the blocks hide
+    floor = layers["elevation"][42:80, 25:55]
+    assert np.isfinite(floor).mean() > 0.98
+    assert np.median(floor) == pytest.approx(0.01, abs=0.02)
+    assert 0.4 < np.nanmax(layers["elevation"]) < 1.3

@@ -1,0 +1,274 @@
+"""The elevation map as its users see it: scans in, patches and grids out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hal.lidar.spec import LIDARS
+from mapping.elevation.exchange import MapError, MapMirror
+from mapping.elevation.map import ElevationMap
+from mapping.elevation.params import ElevationParams
+from mapping.elevation.tiles import BRIDGED, CONTACT, LIDAR
+from rbtrg_robot.config import load
+from tools.bench.perception.map import Mapper, registered
+from tools.synthetic import arena_run
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+HEIGHT = 0.40
+SENSOR = np.array([0.1634, 0.0, 0.116])
+WHEELS = np.array([[0.2, 0.2, -HEIGHT], [0.2, -0.2, -HEIGHT], [-0.2, 0.2, -HEIGHT], [-0.2, -0.2, -HEIGHT]])
+
+
+def flat_scan(rng: np.random.Generator, azimuths: int = 2000, noise: float = 0.01) -> np.ndarray:
+    """16 rings on flat ground 0.4 m under base_link, (n,3) float32 base_link."""
+    azimuth = np.radians(np.arange(azimuths) * 360.0 / azimuths)
+    elevation = np.radians(np.arange(-15.0, 0.0, 2.0))
+    a, e = np.meshgrid(azimuth, elevation)
+    r = (HEIGHT + SENSOR[2]) / np.sin(-e) + rng.normal(0.0, noise, a.shape)
+    points = np.stack([r * np.cos(e) * np.cos(a), r * np.cos(e) * np.sin(a), r * np.sin(e)], axis=-1).reshape(
+        -1, 3
+    )
+    return (points + SENSOR).astype(np.float32)
+
+
+def drive(elevation: ElevationMap, scans: int, seed: int = 1, speed: float = 0.05) -> MapMirror:
+    """Drive along x over flat ground, `speed` metres per scan; returns a mirror fed with every delta."""
+    rng = np.random.default_rng(seed)
+    mirror = MapMirror()
+    for k in range(scans):
+        stamp = 10**9 + k * 10**8
+        pose = (k * speed, 0.3, HEIGHT)
+        elevation.fuse_ground(WHEELS, pose, LEVEL, stamp)
+        elevation.fuse(flat_scan(rng), pose, LEVEL, stamp)
+        if k % 3 == 2:
+            elevation.clean()
+        if k % 4 == 3 or k == scans - 1:
+            for patch in elevation.take_patches():
+                mirror.apply(patch)
+    return mirror
+
+
+def test_flat_ground_is_flat_to_five_millimetres() -> None:
+    elevation = ElevationMap()
+    drive(elevation, 40)
+    patch = elevation.full()
+    seen = patch.layers["source"] == LIDAR
+    error = patch.layers["elevation"][seen]
+    assert seen.sum() > 20_000
+    assert np.sqrt(np.mean(error**2)) < 0.005
+    near = elevation.window(1.0, 0.3, 2.5).layers
+    assert near["trusted"][near["source"] == LIDAR].mean() > 0.98
+
+
+def test_a_mirror_fed_with_deltas_equals_the_map() -> None:
+    elevation = ElevationMap()
+    mirror = drive(elevation, 30)
+    whole = elevation.full()
+    row, col = whole.cell
+    rows, cols = whole.shape
+    where = (
+        slice(row - mirror.row, row - mirror.row + rows),
+        slice(col - mirror.col, col - mirror.col + cols),
+    )
+    for name in ("trusted", "source"):
+        assert np.array_equal(mirror.layers[name][where], whole.layers[name])
+    known = np.isfinite(whole.layers["elevation"])
+    assert np.array_equal(np.isfinite(mirror.layers["elevation"][where]), known)
+    gap = np.abs(mirror.layers["elevation"][where][known] - whole.layers["elevation"][known])
+    assert gap.max() <= elevation.params.patch_step + 1e-6
+    assert elevation.take_patches() == []
+
+
+def test_the_whole_map_comes_with_filled_heights_slope_and_step() -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(0.9825, 3.0, 0.005), np.arange(-1.0175, 1.0, 0.005))
+    z = np.where(y > 0.5, 0.3, 0.2 * (x - 1.0)) - HEIGHT  # a ramp of 0.2 beside a block
+    points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(points, (0.0, 0.0, HEIGHT), LEVEL, 1 + k * 10**8)
+    patch = elevation.full().with_terrain()
+    layers = patch.layers
+    assert np.isfinite(layers["filled"]).all()
+    at = lambda name, px, py: layers[name][  # noqa: E731
+        round((py - patch.origin[1]) / patch.resolution), round((px - patch.origin[0]) / patch.resolution)
+    ]
+    assert at("slope", 2.0, -0.4) == pytest.approx(np.arctan(0.2), abs=0.02)
+    assert at("step", 2.0, -0.4) == pytest.approx(0.2 * 0.04, abs=0.003)
+    assert at("step", 2.0, 0.52) == pytest.approx(0.1, abs=0.02)
+    assert np.isnan(at("slope", 0.9, 0.0))
+
+
+def test_same_calls_give_the_same_bytes() -> None:
+    first, second = ElevationMap(), ElevationMap()
+    drive(first, 12)
+    drive(second, 12)
+    for name, layer in first.full().layers.items():
+        assert layer.tobytes() == second.full().layers[name].tobytes(), name
+
+
+def test_cells_lie_on_the_world_lattice() -> None:
+    elevation = ElevationMap(ElevationParams(resolution=0.05))
+    point = np.array([[2.0, -1.0, -0.4]] * 3, dtype=np.float32)
+    elevation.fuse(point, (0.51, 0.26, 0.4), LEVEL, 1)
+    grid = elevation.grid()
+    r, c = np.argwhere(np.isfinite(grid.height))[0]
+    assert grid.origin[0] + c * 0.05 == pytest.approx(2.51, abs=0.025)
+    assert grid.origin[1] + r * 0.05 == pytest.approx(-0.74, abs=0.025)
+    assert (grid.origin[0] / 0.05) % 1 == pytest.approx(0.0, abs=1e-9)
+    assert grid.height[r, c] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_wheels_fill_the_ground_the_lidar_cannot_see_and_yield_to_it() -> None:
+    elevation = ElevationMap()
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 1) > 1000
+    patch = elevation.window(0.0, 0.0, 0.5)
+    assert (patch.layers["source"] == CONTACT).all()
+    assert (patch.layers["trusted"] == 1).all()
+    np.testing.assert_allclose(patch.layers["elevation"], 0.0, atol=1e-5)
+    raised = np.array([[0.6, 0.0, -0.30]] * 4, dtype=np.float32)
+    elevation.fuse(raised, (0.0, 0.0, HEIGHT), LEVEL, 2)
+    elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 3, start=True)
+    seen = elevation.window(0.6, 0.0, 0.0)
+    assert seen.layers["source"][0, 0] == LIDAR
+    assert seen.layers["elevation"][0, 0] == pytest.approx(0.10, abs=1e-3)
+
+
+@pytest.mark.parametrize("rise", [[0.20, 0.09, 0.0, 0.0], [0.10, 0.10, 0.0, 0.0], [0.15, 0.0, 0.15, 0.0]])
+def test_wheels_on_a_kerb_or_in_the_air_make_no_ground_where_the_lidar_knows_another(
+    rise: list[float],
+) -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(-0.6, 0.2, 0.02), np.arange(-0.6, 0.6, 0.02))
+    behind = np.stack([x + 3.0, y, np.full_like(x, -HEIGHT)], axis=-1).reshape(-1, 3).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(behind, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
+    raised = WHEELS + np.column_stack([np.zeros((4, 2)), rise])
+    elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False)
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
+    edge = WHEELS[[0, 2]] + [
+        [0.08, 0.0, rise[0]],
+        [0.0, 0.0, 0.0],
+    ]  # of two, one hangs over the far side of the edge
+    elevation.fuse_ground(edge, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False)
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 5, start=False) > 50
+
+
+def test_wheels_on_a_kerb_the_lidar_knows_make_no_ramp_behind_it() -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(-0.6, 0.26, 0.02), np.arange(-0.6, 0.6, 0.02))
+    z = np.where(x > 0.15, 0.1, 0.0) - HEIGHT
+    kerb = np.stack([x + 3.0, y, z], axis=-1).reshape(-1, 3).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(kerb, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
+    raised = WHEELS + np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1], [0.0] * 3, [0.0] * 3])
+    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) == 0
+    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.11
+
+
+def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:
+    elevation = ElevationMap()
+    raised = WHEELS[[0, 3]] + [[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]
+    entered = elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 1)
+    assert 20 < entered < 50
+    layers = elevation.window(0.0, 0.0, 0.8).layers
+    known = layers["source"] == CONTACT
+    assert known.sum() == entered
+    assert set(np.round(layers["elevation"][known], 3)) == {np.float32(0.0), np.float32(0.1)}
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 2) > 1000  # still the start
+    lying = ElevationMap()
+    assert lying.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), (0.7071, 0.0, 0.0, 0.7071), 1) == 0
+
+
+def test_a_standing_robot_trusts_the_ground_between_the_rings() -> None:
+    elevation = ElevationMap()
+    drive(elevation, 20, speed=0.0)
+    patch = elevation.window(0.0, 0.3, 1.6)
+    assert (patch.layers["source"] == BRIDGED).any()
+    assert patch.layers["trusted"].mean() > 0.9
+    assert np.nanmax(np.abs(patch.layers["elevation"])) < 0.03
+
+
+@pytest.mark.parametrize(
+    ("points", "position", "orientation"),
+    [
+        (np.zeros((3, 4)), (0, 0, 0), LEVEL),
+        (np.zeros(3), (0, 0, 0), LEVEL),
+        (np.zeros((3, 3)), (np.nan, 0, 0), LEVEL),
+        (np.zeros((3, 3)), (0, 0, 0), (0, 0, 0, 0)),
+    ],
+)
+def test_wrong_input_is_refused_by_name(points, position, orientation) -> None:
+    with pytest.raises(MapError):
+        ElevationMap().fuse(points, position, orientation, 1)
+
+
+def test_hostile_points_are_counted_and_survived() -> None:
+    points = np.array(
+        [
+            [np.nan, 0, 0],
+            [2, np.inf, 0],
+            [0.1, 0.0, 0.0],
+            [50, 0, 0],
+            [0.35, 0.29, -0.3],
+            [2, 0, 3.0],
+            [2, 0, -0.4],
+        ],
+        dtype=np.float32,
+    )
+    elevation = ElevationMap()
+    report = elevation.fuse(points, (0, 0, 0.4), LEVEL, -5)
+    assert (report.invalid, report.out_of_range, report.body, report.ceiling, report.used) == (2, 2, 1, 1, 1)
+    assert elevation.fuse(np.zeros((0, 3), np.float32), (0, 0, 0.4), LEVEL, -9).cells == 0
+
+
+def test_a_reset_starts_a_new_epoch_for_readers() -> None:
+    elevation = ElevationMap()
+    mirror = drive(elevation, 4)
+    before = mirror.epoch
+    elevation.reset()
+    elevation.fuse(np.array([[2.0, 0, -0.4]] * 3, dtype=np.float32), (0, 0, HEIGHT), LEVEL, 10**10)
+    for patch in elevation.take_patches():
+        mirror.apply(patch)
+    assert mirror.epoch == before + 1
+    assert np.isfinite(mirror.layers["elevation"]).sum() == 1
+
+
+def test_a_lost_map_comes_back_from_a_reader() -> None:
+    run = arena_run("xt16", duration=4.0)
+    mapper = Mapper(run)
+    mirror = MapMirror()
+    for scan in registered(run):
+        mapper.take(scan)
+        for patch in mapper.map.take_patches():
+            mirror.apply(patch)
+    lost = mapper.map.full()
+    again = ElevationMap(mapper.map.params)
+    assert again.restore(mirror.patch()) > 5000
+    for patch in again.take_patches():  # what reads differently after all goes to the reader again
+        mirror.apply(patch)
+    found = again.full()
+    assert found.layers["elevation"].shape == lost.layers["elevation"].shape
+    was, now = lost.layers["trusted"] > 0.5, found.layers["trusted"] > 0.5
+    assert (was & now).sum() > 0.97 * was.sum()
+    both = was & now
+    off = np.abs(found.layers["elevation"][both] - lost.layers["elevation"][both])
+    assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
+    with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
+        ElevationMap(ElevationParams(resolution=0.05)).restore(lost)
+
+
+def test_the_noise_is_that_of_the_lidar_unless_it_is_set() -> None:
+    assert ElevationMap().params.range_sigma == LIDARS["xt16"].range_sigma
+    params = ElevationParams(beam_sigma=0.004).for_lidar(LIDARS["mid360"])
+    assert (params.range_sigma, params.beam_sigma) == (0.02, 0.004)
+    steep = np.array([[0.5, 0.0, -0.4]] * 3, np.float32)
+    variance = []
+    for name in ("xt16", "mid360"):
+        elevation = ElevationMap(ElevationParams(min_sigma=1e-4).for_lidar(LIDARS[name]))
+        elevation.fuse(steep, np.zeros(3), (0, 0, 0, 1), 0, LIDARS[name].mount.translation)
+        variance.append(np.nanmin(elevation.full().layers["variance"]))
+    assert variance[1] > 1.5 * variance[0]
+    assert load(None, [], lidar="mid360").elevation_params().range_sigma == 0.02
+    assert load(None, ["elevation.range_sigma=0.03"], lidar="mid360").elevation_params().range_sigma == 0.03

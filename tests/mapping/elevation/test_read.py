@@ -1,0 +1,122 @@
+"""The kernels that read the map out: which cells to believe, which gaps to bridge, what to fill."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
+from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN
+from mapping.filling import fill_unknown, slope_and_step
+
+
+def test_trust_equals_numpy() -> None:
+    rng = np.random.default_rng(4)
+    shape = (40, 30)
+    source = rng.choice([UNKNOWN, CONTACT, LIDAR], shape, p=[0.3, 0.1, 0.6]).astype(np.uint8)
+    height = np.where(source > 0, rng.normal(0, 0.03, shape), np.nan).astype(np.float32)
+    variance = rng.uniform(0, 2e-3, shape).astype(np.float32)
+    count = np.where(source == LIDAR, rng.integers(1, 6, shape), 0).astype(np.uint8)
+    support = np.zeros(shape, int)
+    padded_h, padded_n = np.pad(height, 1, constant_values=np.nan), np.pad(count, 1)
+    for a in range(3):
+        for b in range(3):
+            h, n = padded_h[a : a + 40, b : b + 30], padded_n[a : a + 40, b : b + 30]
+            support += (n >= 3) & (np.abs(h - height) <= 0.05)
+    stray = (source == LIDAR) & (count < 3) & (support < 2)
+    want = (source == CONTACT) | ((source == LIDAR) & ~stray & (variance < 1e-3))
+    got = trust(height, variance, count, source, 1e-3, 3, 0.05)
+    assert np.array_equal(got, want)
+    assert np.isnan(height[stray]).all()
+    assert (source[stray] == UNKNOWN).all()
+    assert stray.sum() > 20
+
+
+def bridged(height, upper, *, source=None):
+    """Bridge a map whose finite cells are trusted LiDAR cells, 0.04 m."""
+    height = np.asarray(height, np.float32)
+    known = np.isfinite(height)
+    source = np.where(known, LIDAR, UNKNOWN).astype(np.uint8) if source is None else source
+    rule = bridge_rule(0.04, 0.64, 0.03, 0.47, 0.12, 0.04, 1.4)
+    filled, kind = height.copy(), source.copy()
+    scratch = np.empty((2, *height.shape), np.float32), np.empty((3, *height.shape), np.uint8)
+    bridge(filled, kind, known.copy(), np.asarray(upper, np.float32), rule, *scratch[0], scratch[1])
+    assert np.array_equal(filled[known], height[known])
+    return np.where(kind >= OVER, filled, np.nan)
+
+
+def strips(profile, gaps, rows=20):
+    """A map constant along y with the height `profile` along x, unknown in the column ranges `gaps`."""
+    height = np.tile(np.asarray(profile, np.float32), (rows, 1))
+    for a, b in gaps:
+        height[:, a:b] = np.nan
+    return height
+
+
+def test_a_gap_in_level_ground_is_bridged_where_rays_passed_low() -> None:
+    height = strips(np.zeros(30), [(10, 20)])
+    out = bridged(height, np.full_like(height, 0.05))
+    assert np.array_equal(np.isfinite(out), np.isnan(height))
+    np.testing.assert_allclose(out[np.isfinite(out)], 0.0, atol=1e-6)
+    assert np.isnan(
+        bridged(height, np.full_like(height, 0.3))
+    ).all()  # something lower than the rays may stand there
+    assert np.isnan(bridged(height, np.full_like(height, np.inf))).all()  # a shadow
+    assert np.isnan(bridged(height, np.full_like(height, -0.1))).all()  # a ray went below: a hole
+
+
+def test_a_ramp_is_bridged_and_a_step_is_not() -> None:
+    x = np.arange(40) * 0.04
+    gaps = [(8, 15), (17, 24)]
+    ramp = strips(0.3 * x, gaps)
+    out = bridged(ramp, np.tile(0.3 * x + 0.05, (20, 1)))
+    np.testing.assert_allclose(out[5:15, 8:15], np.tile(0.3 * x[8:15], (10, 1)), atol=1e-5)
+    step = strips(np.where(x > 0.78, 0.10, 0.0), gaps)
+    out = bridged(step, np.full_like(step, 0.11))
+    assert np.isfinite(out[5:15, 8:15]).all()
+    assert np.isnan(out[:, 17:24]).all()
+
+
+def test_the_rim_of_a_hole_stays_unknown() -> None:
+    height = np.zeros((60, 60), np.float32)
+    height[20:40, 20:40] = np.nan
+    upper = np.full_like(height, 0.05)
+    upper[:, 24:] = -0.10  # behind the near edge the rays go below the ground
+    out = bridged(height, upper)
+    assert np.isnan(out[22:38, 20:40]).all()
+
+
+def test_nothing_wider_than_the_limit_is_bridged() -> None:
+    height = strips(np.zeros(60), [(10, 40)], rows=60)
+    assert np.isnan(bridged(height, np.full_like(height, 0.05))).all()
+
+
+def test_fill_takes_the_nearest_known_cell_and_the_lower_bound() -> None:
+    rng = np.random.default_rng(5)
+    height = np.where(rng.random((50, 37)) < 0.03, rng.normal(size=(50, 37)), np.nan).astype(np.float32)
+    out = fill_unknown(height)
+    r, c = np.nonzero(np.isfinite(height))
+    rows, cols = np.indices(height.shape)
+    d = (rows[..., None] - r) ** 2 + (cols[..., None] - c) ** 2
+    nearest = height[r, c]
+    for a, b in np.ndindex(height.shape):
+        assert out[a, b] in nearest[d[a, b] == d[a, b].min()]
+    bound = np.full_like(height, np.nan)
+    bound[0] = -9.0
+    lowered = fill_unknown(height, bound)
+    assert (lowered[0][np.isnan(height[0])] == -9.0).all()
+    assert np.array_equal(lowered[1:], out[1:])
+    assert (fill_unknown(np.full((3, 3), np.nan, np.float32)) == 0.0).all()
+
+
+def test_slope_and_step_of_a_plane_with_an_edge() -> None:
+    x = np.arange(30) * 0.05
+    height = np.tile(0.2 * x + np.where(x > 0.72, 0.15, 0.0), (20, 1)).astype(np.float32)
+    height[3, 3] = np.nan
+    slope, step = slope_and_step(height, 0.05)
+    assert slope[10, 8] == pytest.approx(np.arctan(0.2), abs=1e-4)
+    assert step[10, 14] == pytest.approx(0.16, abs=1e-4)
+    assert step[10, 8] == pytest.approx(0.01, abs=1e-4)
+    assert np.isnan(slope[3, 3])
+    assert np.isnan(step[3, 3])
+    assert np.isfinite(slope[3, 4])

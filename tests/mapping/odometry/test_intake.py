@@ -1,0 +1,241 @@
+"""Hostile input: counted, reported, survived."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hal.lidar import LIDARS
+from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan, Sample
+from mapping.odometry.health import Health
+from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryParams
+from tools.synthetic import arena_run
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    """Three seconds, the last two in motion, a sparse XT16."""
+    run = replace(arena_run("xt16", duration=3.0, seed=5), lidar=LIDARS["xt16"].decimated(8))
+    return [s for s in run.samples() if not isinstance(s, GroundTruth)]
+
+
+def feed(odometry: LidarInertialOdometry, samples: list[Sample]) -> list:
+    out = []
+    for sample in samples:
+        if isinstance(sample, ImuSample):
+            odometry.add_imu(sample)
+        elif isinstance(sample, JointSample):
+            odometry.add_joints(sample)
+        elif isinstance(sample, LidarScan):
+            odometry.add_scan(sample)
+        out += odometry.poll()
+    return out
+
+
+def sane(results: list) -> bool:
+    """Finite, upright, within the arena, in stamp order."""
+    stamps = [r.stamp for r in results]
+    numbers = [np.concatenate([r.position, r.orientation, r.linear, r.covariance.ravel()]) for r in results]
+    return (
+        stamps == sorted(set(stamps))
+        and bool(np.isfinite(numbers).all())
+        and all(np.abs(r.position).max() < 2.0 for r in results)
+    )
+
+
+def with_points(scan: LidarScan, points: np.ndarray) -> LidarScan:
+    return LidarScan(scan.stamp, points)
+
+
+def poison(scan: LidarScan, field: str, value: float) -> LidarScan:
+    points = scan.points.copy()
+    points[field][::3] = value
+    return LidarScan(scan.stamp, points)
+
+
+def all_at_once(scan: LidarScan, time: float) -> LidarScan:
+    points = scan.points.copy()
+    points["time"] = time
+    return LidarScan(scan.stamp, points)
+
+
+SPOILED = {
+    "scan_empty": lambda s: with_points(s, s.points[:0]),
+    "scan_points_not_finite": lambda s: poison(s, "y", np.nan),
+    "scan_points_out_of_time": lambda s: poison(s, "time", -3.0),
+    "scan_too_many_points": lambda s: with_points(s, np.repeat(s.points, 60)),
+    "scan_layout": lambda s: with_points(s, np.zeros((500, 3), np.float32)),  # type: ignore[arg-type]
+    "scan_no_usable_points": lambda s: poison(with_points(s, s.points[:1]), "x", np.inf),
+}
+
+
+@pytest.mark.parametrize("kind", SPOILED)
+def test_spoiled_scans_are_counted_and_survived(samples: list[Sample], kind: str) -> None:
+    scans = [s for s in samples if isinstance(s, LidarScan)]
+    bad = {id(s) for s in scans[12:15]}
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, [SPOILED[kind](s) if id(s) in bad else s for s in samples])
+    assert odometry.counters[kind] >= 3
+    assert sane(results)
+    assert results[-1].health is Health.GOOD
+
+
+@pytest.mark.parametrize("time", [0.0, 0.05])
+def test_equal_point_times_never_abort(samples: list[Sample], time: float) -> None:
+    spoiled = [all_at_once(s, time) if isinstance(s, LidarScan) else s for s in samples]
+    for engine in ("kiss_icp", "small_gicp"):
+        results = feed(LidarInertialOdometry(OdometryParams(engine=engine)), spoiled)
+        assert len(results) > 20
+        assert sane(results)
+
+
+def test_duplicated_and_backward_samples_change_nothing(samples: list[Sample]) -> None:
+    clean = feed(LidarInertialOdometry(), samples)
+    repeated: list[Sample] = []
+    for k, s in enumerate(samples):
+        repeated.append(s)
+        if k > 40 and k % 7 == 0:
+            repeated.append(s)
+            repeated.append(samples[k - 30])
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, repeated)
+    assert [r.position.tobytes() for r in results] == [r.position.tobytes() for r in clean]
+    assert odometry.counters["imu_duplicate"] > 10
+    assert odometry.counters["imu_backward"] > 10
+
+
+def test_bad_inertial_and_joint_values_are_dropped(samples: list[Sample]) -> None:
+    odometry = LidarInertialOdometry()
+    spoiled: list[Sample] = []
+    for k, s in enumerate(samples):
+        if isinstance(s, ImuSample) and k % 10 == 3:
+            s = ImuSample(s.stamp, np.array([np.nan, 0, 0]), s.accel)
+        elif isinstance(s, ImuSample) and k % 10 == 5:
+            s = ImuSample(s.stamp, np.zeros(2), s.accel)
+        elif isinstance(s, JointSample) and k % 4 == 1:
+            s = JointSample(s.stamp, s.position, np.full(16, np.inf), s.effort)
+        spoiled.append(s)
+    results = feed(odometry, spoiled)
+    assert odometry.counters["imu_not_finite"] > 50
+    assert odometry.counters["joints_not_finite"] > 10
+    assert sane(results)
+    assert results[-1].health is Health.GOOD
+
+
+@pytest.mark.parametrize("offset", [1_700_000_000 * NS, -5 * NS])
+def test_a_clock_that_is_set_while_running_is_followed(samples: list[Sample], offset: int) -> None:
+    """A 1970 boot clock corrected by time synchronisation, and one put back by five seconds."""
+    odometry = LidarInertialOdometry()
+    when = samples[0].stamp + 3 * NS // 2
+    moved = [replace(s, stamp=s.stamp + offset) if s.stamp > when else s for s in samples]
+    results = feed(odometry, moved)
+    assert 1 <= sum(odometry.counters[f"{t}_clock_jump"] for t in ("imu", "joints", "scan")) <= 2
+    assert any("clock was set" in r.reason for r in results)
+    assert results[-1].stamp > when + offset
+    assert np.isfinite([r.position for r in results]).all()
+    assert np.linalg.norm(results[-1].position - results[0].position) < 1.0
+    assert results[-1].health is not Health.LOST
+
+
+def test_one_wrong_stamp_is_not_a_new_clock(samples: list[Sample]) -> None:
+    odometry = LidarInertialOdometry()
+    clean = feed(LidarInertialOdometry(), samples)
+    wrong: list[Sample] = []
+    for k, s in enumerate(samples):
+        wrong.append(s)
+        if k % 50 == 20:
+            wrong.append(replace(s, stamp=s.stamp + 10**18 if k % 100 == 20 else 5))
+    results = feed(odometry, wrong)
+    assert [r.position.tobytes() for r in results] == [r.position.tobytes() for r in clean]
+    assert sum(odometry.counters[f"{t}_strange_stamp"] for t in ("imu", "joints", "scan")) > 10
+    assert not any("jump" in name for name in odometry.counters)
+
+
+@given(data=st.data())
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_random_garbage_never_raises(samples: list[Sample], data: st.DataObject) -> None:
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**31)))
+    odometry = LidarInertialOdometry()
+    stream: list[Sample] = []
+    for s in samples[:400]:
+        dice = rng.random()
+        stamp = s.stamp
+        if dice < 0.05:
+            stamp = int(rng.choice([0, -1, 5, s.stamp - NS, s.stamp + NS, 2**61, 2**63 - 1]))
+        if isinstance(s, ImuSample) and dice < 0.1:
+            stream.append(
+                ImuSample(stamp, rng.normal(size=3) * 10 ** rng.uniform(0, 6), s.accel * rng.normal())
+            )
+        elif isinstance(s, JointSample) and dice < 0.1:
+            junk = rng.normal(size=16) * 10 ** rng.uniform(0, 6)
+            stream.append(JointSample(stamp, junk, junk, rng.choice([0.0, np.nan, 1e30]) * junk))
+        elif isinstance(s, LidarScan) and dice < 0.3:
+            points = np.frombuffer(rng.bytes(POINT_DTYPE.itemsize * int(rng.integers(0, 300))), POINT_DTYPE)
+            stream.append(LidarScan(stamp, points))
+        else:
+            stream.append(replace(s, stamp=stamp))
+    with np.errstate(all="ignore"):
+        results = feed(odometry, stream)
+    assert np.isfinite([np.concatenate([r.position, r.orientation]) for r in results]).all()
+
+
+def test_topic_clock_follows_only_a_confirmed_jump() -> None:
+    from collections import Counter
+
+    counters: Counter[str] = Counter()
+    clock = TopicClock("imu", 3, counters)
+    assert [clock.admit(t * NS) for t in (100, 101, 101, 100)] == ["ok", "ok", "drop", "drop"]
+    assert [clock.admit(t * NS) for t in (5000, 102)] == ["drop", "ok"]
+    assert [clock.admit(5000 * NS + k) for k in range(3)] == ["drop", "drop", "jump"]
+    assert clock.newest == 5000 * NS + 2
+    assert clock.admit("now") == "drop"
+    assert counters == {
+        "imu_duplicate": 1,
+        "imu_backward": 1,
+        "imu_strange_stamp": 3,
+        "imu_clock_jump": 1,
+        "imu_stamp": 1,
+    }
+
+
+def test_sample_buffer_cuts_by_stamp() -> None:
+    buffer = SampleBuffer(1, 5)
+    for k in range(8):
+        buffer.append(k, np.array([10.0 * k]))
+    stamps, rows = buffer.between(3, 5)
+    assert stamps.tolist() == [4, 5]
+    assert rows.tolist() == [[40.0], [50.0]]
+    assert buffer.between(3, 5, beyond=1)[0].tolist() == [4, 5, 6]
+    assert buffer.between(0, 9)[0].tolist() == [3, 4, 5, 6, 7]
+    buffer.forget(6)
+    assert buffer.between(0, 9)[0].tolist() == [7]
+    assert buffer.between(7, 9)[0].shape == (0,)
+
+
+def test_scan_end_is_the_last_point_in_time() -> None:
+    from collections import Counter
+
+    points = np.zeros(4, POINT_DTYPE)
+    points["x"] = (1.0, 2.0, 100.0, 3.0)
+    points["time"] = (0.01, 0.02, 0.09, 7.0)
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 1000, 0.5, Counter())
+    assert sweep is not None
+    assert sweep.end == pytest.approx(NS + 90_000_000, abs=10)
+    assert sweep.xyz[:, 0].tolist() == [1.0, 2.0]
+
+
+def test_warm_up_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    results: list = []
+    poll = LidarInertialOdometry.poll
+    monkeypatch.setattr(LidarInertialOdometry, "poll", lambda self: results.extend(poll(self)) or results)
+    odometry = LidarInertialOdometry()
+    odometry.warm_up()
+    assert len(results) >= 3
+    assert all(r.health is Health.GOOD for r in results)
+    assert not odometry.initialised
+    assert not odometry.counters

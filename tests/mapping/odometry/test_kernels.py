@@ -1,0 +1,297 @@
+"""Kernels of the odometry against plain-numpy oracles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hal.go2w import IMU_POSITION, STAND, WHEEL_RADIUS, stand_height, wheel_centres
+from hal.rotation import quaternion, rotation, rotation_vector, skew, turn
+from hal.types import NS
+from mapping.odometry.deskew import deskew, mount_matrix
+from mapping.odometry.inertial import InertialFilter, InertialParams
+from mapping.odometry.inertial_kernels import propagate, update_velocity
+from mapping.odometry.registration.planes import VoxelPlanes
+from mapping.odometry.wheels import leg_velocity
+
+NOISE = np.array([1e-3, 3e-2, 2e-5, 5e-4])
+vectors = st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3).map(np.array)
+
+
+def exp(v: np.ndarray) -> np.ndarray:
+    """Rodrigues."""
+    a = np.linalg.norm(v)
+    k = skew(v / a) if a > 0 else np.zeros((3, 3))
+    return np.eye(3) + np.sin(a) * k + (1 - np.cos(a)) * k @ k
+
+
+@given(vectors, vectors)
+@settings(max_examples=50, deadline=None)
+def test_rotations_agree_with_rodrigues(a: np.ndarray, b: np.ndarray) -> None:
+    q = quaternion(exp(a))
+    np.testing.assert_allclose(rotation(q), exp(a), atol=1e-12)
+    turn(q, *b)
+    np.testing.assert_allclose(rotation(q), exp(a) @ exp(b), atol=1e-12)
+    if np.linalg.norm(a) < 3.0:
+        np.testing.assert_allclose(rotation_vector(exp(a)), a, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("gap", "wheels", "moved"), [(0.4, False, True), (3.0, False, False), (3.0, True, True)]
+)
+def test_what_nobody_hears_comes_to_rest(gap: float, wheels: bool, moved: bool) -> None:
+    """A body at 0.5 m/s and 0.3 rad/s, whose samples stop for a while; wheels alone let it go on."""
+    level = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 9.81])
+    state = InertialFilter(InertialParams())
+    state.start(0, np.tile(level, (5, 1)), False, np.array([0.5, 0.0, 0.0]), 0.4)
+    there, sigma = state.pose(), np.sqrt(state.p[8, 8])
+    stamps = np.array([round((gap + 0.005 * k) * NS) for k in range(3)])
+    rolled = np.arange(20_000_000, stamps[0] if wheels else 0, 20_000_000)
+    speed = np.tile([0.5, 0.0, 0.0], (len(rolled), 1))
+    state.advance(int(stamps[-1]), stamps, np.tile(level, (3, 1)), rolled, speed, 0.1 + 0.0 * speed)
+    way = float(np.linalg.norm(state.pose()[:3, 3] - there[:3, 3]))
+    if moved:
+        assert way > 0.7 * 0.5 * gap
+        assert np.linalg.norm(state.x[3:6]) > 0.4
+    else:
+        assert way < 0.02
+        assert np.linalg.norm(state.x[3:6]) < 0.02
+        assert np.sqrt(np.diag(state.p)[[0, 8]]) == pytest.approx([0.2, np.hypot(0.2, sigma)], rel=0.2)
+
+
+def random_state(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    x = rng.normal(size=16)
+    x[6:10] /= np.linalg.norm(x[6:10])
+    x[10:] *= 0.01
+    root = rng.normal(size=(15, 15)) * 0.1
+    return x, root @ root.T + 0.01 * np.eye(15)
+
+
+def boxplus(x: np.ndarray, d: np.ndarray) -> np.ndarray:
+    out = x.copy()
+    out[:6] += d[:6]
+    out[6:10] = quaternion(rotation(x[6:10]) @ exp(d[6:9]))
+    out[10:] += d[9:]
+    return out
+
+
+def boxminus(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    turned = rotation_vector(rotation(b[6:10]).T @ rotation(a[6:10]))
+    return np.concatenate([a[:6] - b[:6], turned, a[10:] - b[10:]])
+
+
+def test_covariance_propagates_by_the_jacobian_of_the_mean() -> None:
+    """Finite differences through the mean are the oracle of the hand-derived transition matrix."""
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        x, p = random_state(rng)
+        u = np.concatenate([rng.normal(size=3), rng.normal(size=3) + np.array([0, 0, 9.81])])
+        dt = 0.004
+
+        def mean(state: np.ndarray, u: np.ndarray = u, dt: float = dt) -> np.ndarray:
+            out = state.copy()
+            propagate(out, np.zeros((15, 15)), u, dt, NOISE)
+            return out
+
+        centre, eps = mean(x), 1e-5
+        f = np.empty((15, 15))
+        for k in range(15):
+            d = np.zeros(15)
+            d[k] = eps
+            f[:, k] = (boxminus(mean(boxplus(x, d)), centre) - boxminus(mean(boxplus(x, -d)), centre)) / (
+                2 * eps
+            )
+        noise = np.zeros((15, 15))
+        propagate(x.copy(), noise, u, dt, NOISE)
+        after = p.copy()
+        propagate(x.copy(), after, u, dt, NOISE)
+        np.testing.assert_allclose(after, f @ p @ f.T + noise, atol=2e-4)
+
+
+def test_velocity_update_equals_the_textbook_kalman_update() -> None:
+    rng = np.random.default_rng(2)
+    x, p = random_state(rng)
+    sigma = np.array([0.05, 0.08, 0.05])
+    rot = rotation(x[6:10])
+    measured = rot.T @ x[3:6] + 1e-4 * rng.normal(size=3)
+    h = np.zeros((3, 15))
+    h[:, 3:6], h[:, 6:9] = rot.T, skew(rot.T @ x[3:6])
+    gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(sigma**2))
+    expected = boxplus(x, gain @ (measured - rot.T @ x[3:6]))
+    got, cov = x.copy(), p.copy()
+    assert update_velocity(got, cov, measured, sigma, 5.0) == 3
+    np.testing.assert_allclose(boxminus(got, expected), 0.0, atol=1e-6)
+    np.testing.assert_allclose(cov, p - gain @ h @ p, atol=1e-5)
+
+
+def test_velocity_far_off_is_refused() -> None:
+    x, p = random_state(np.random.default_rng(3))
+    before = x.copy()
+    assert update_velocity(x, 1e-4 * p, np.array([30.0, 30.0, 30.0]), np.full(3, 0.05), 5.0) == 0
+    np.testing.assert_array_equal(x, before)
+
+
+def test_pose_update_moves_base_link_to_a_certain_measurement() -> None:
+    f = InertialFilter(InertialParams())
+    f.x, f.p = random_state(np.random.default_rng(4))
+    f.p *= 0.01
+    target = f.pose()
+    target[:3, :3] = target[:3, :3] @ exp(np.array([0.004, -0.003, 0.002]))
+    target[:3, 3] += (0.02, -0.01, 0.03)
+    f.update_pose(target, 1e-10 * np.eye(6))
+    np.testing.assert_allclose(f.pose(), target, atol=2e-4)
+    assert np.linalg.eigvalsh(f.p)[0] > 0.0
+
+
+def joints_of(velocity: np.ndarray, omega: np.ndarray, q: np.ndarray) -> np.ndarray:
+    """Joint rates (16,) that keep four contact points at rest in the world while the trunk moves: the definition, solved per leg."""
+    dq = np.zeros(16)
+    normal = np.array([0.0, 0.0, 1.0])
+    centre = wheel_centres(q)
+    for leg in range(4):
+        axle = np.array([0.0, np.cos(q[3 * leg]), np.sin(q[3 * leg])])
+        down = normal - (normal @ axle) * axle
+        contact = -WHEEL_RADIUS * down / np.linalg.norm(down)
+        columns = []
+        for k in range(3):
+            d = q.copy()
+            d[3 * leg + k] += 1e-6
+            spin = np.array([1.0, 0.0, 0.0]) if k == 0 else axle
+            columns.append((wheel_centres(d)[leg] - centre[leg]) / 1e-6 + np.cross(spin, contact))
+        columns.append(np.cross(axle, contact))
+        wanted = -velocity - np.cross(omega, centre[leg] + contact)
+        dq[[3 * leg, 3 * leg + 1, 3 * leg + 2, 12 + leg]] = np.linalg.pinv(np.stack(columns, 1)) @ wanted
+    return dq
+
+
+def test_leg_velocity_inverts_the_rolling_constraint() -> None:
+    rng = np.random.default_rng(5)
+    for _ in range(10):
+        velocity, omega = rng.normal(size=3), rng.normal(size=3)
+        out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
+        dq = joints_of(velocity, omega, STAND)
+        height = leg_velocity(STAND, dq, np.zeros(16), omega, np.full(3, 0.05), out, sigma, contact)
+        np.testing.assert_allclose(out, velocity, atol=1e-5)
+        np.testing.assert_allclose(sigma, 0.05, rtol=1e-6)
+        assert contact.all()
+        assert height == pytest.approx(stand_height(STAND))
+
+
+def test_contact_follows_the_ground_force_seen_by_the_joints() -> None:
+    from hal.go2w import wheel_jacobians
+
+    tau = np.zeros(16)
+    jacobian = wheel_jacobians(STAND)
+    for leg, force in enumerate((48.0, 48.0, 2.0, 48.0)):
+        tau[3 * leg : 3 * leg + 3] = -jacobian[leg].T @ (0.0, 0.0, force)
+    out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
+    leg_velocity(STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+    assert contact.tolist() == [True, True, False, True]
+    tau[:] = 0.0
+    tau[0] = 1e-9
+    height = leg_velocity(STAND, np.zeros(16), tau, np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+    assert np.isnan(height)
+    assert np.isinf(sigma).all()
+
+
+def test_deskew_moves_points_to_the_end_of_the_sweep() -> None:
+    rng = np.random.default_rng(6)
+    lever = np.array(IMU_POSITION)
+    stamps = NS + np.arange(21) * 5_000_000
+    track = np.zeros((21, 10))
+    q = quaternion(exp(rng.normal(size=3)))
+    omega, velocity = np.array([0.3, -0.8, 0.5]), np.array([0.5, -0.2, 0.1])
+    rots, positions = [], []
+    for k in range(21):
+        rots.append(rotation(q))
+        positions.append(velocity * k * 0.005)
+        track[k, :3], track[k, 6:10] = positions[-1] + rots[-1] @ lever, q
+        turn(q, *(omega * 0.005))
+    xyz = rng.uniform(-8, 8, (200, 3)).astype(np.float32)
+    time = np.sort(rng.uniform(0, 0.1, 200))
+    got = deskew(xyz, time, stamps, track, NS, lever)
+    for i in range(200):
+        s = time[i] / 0.005
+        k = min(int(s), 19)
+        rot = rots[k] @ exp(omega * 0.005 * (s - k))
+        world = rot @ xyz[i] + velocity * time[i]
+        expected = rots[-1].T @ (world - positions[-1])
+        np.testing.assert_allclose(got[i], expected, atol=1e-5)
+
+
+def test_mount_matrix_is_the_fixed_axis_rotation() -> None:
+    from hal.types import Extrinsics
+
+    got = mount_matrix(Extrinsics((1.0, 2.0, 3.0), (0.1, 0.2, 0.3)))
+    expected = exp(np.array([0, 0, 0.3])) @ exp(np.array([0, 0.2, 0])) @ exp(np.array([0.1, 0, 0]))
+    np.testing.assert_allclose(got[:3, :3], expected, atol=1e-12)
+    np.testing.assert_allclose(got[:3, 3], (1, 2, 3))
+
+
+def test_planes_measure_the_distance_and_the_free_direction_of_a_floor() -> None:
+    rng = np.random.default_rng(7)
+    floor = np.column_stack([rng.uniform(-4, 4, (6000, 2)), np.full(6000, 0.25) + rng.normal(0, 0.002, 6000)])
+    planes = VoxelPlanes(0.4, 20.0)
+    planes.insert(floor, np.eye(4))
+    pose = np.eye(4)
+    pose[2, 3] = 0.03
+    h, b, seen, planar, inliers, total = planes.fit(floor[:500], pose, 0.15, 0.05)
+    assert seen > 450
+    assert inliers == planar > 400
+    assert np.sqrt(total / inliers) == pytest.approx(0.03, abs=0.001)
+    assert b[2] / h[2, 2] == pytest.approx(0.03, abs=0.001)
+    values, vectors = np.linalg.eigh(h[:3, :3] / inliers)
+    assert values[1] < 1e-3
+    assert abs(vectors[2, 2]) > 0.999
+
+
+def test_planes_stay_within_their_memory_and_forget_the_far() -> None:
+    planes = VoxelPlanes(0.4, 20.0)
+    rng = np.random.default_rng(8)
+    for k in range(60):
+        pose = np.eye(4)
+        pose[0, 3] = 3.0 * k
+        planes.insert(rng.uniform(-9, 9, (3000, 3)), pose)
+    assert planes._used < 3 * len(planes._keys) // 4 + 1
+    assert int((planes._keys != -1).sum()) == planes._used
+    floor = rng.uniform(-4, 4, (6000, 3)) * (1, 1, 0) + (0, 0, 0.1)
+    planes.insert(floor, pose)
+    assert planes.fit(floor, pose, 0.15, 0.05)[2] > 5000
+    first = np.eye(4)
+    assert planes.fit(rng.uniform(-9, 9, (3000, 3)), first, 0.15, 0.05)[2] == 0
+
+
+def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
+    from mapping.odometry.wheel_scale import WheelScale
+
+    scale = WheelScale()
+    rng = np.random.default_rng(9)
+    for _ in range(600):
+        scale.learn(0.05, 0.05 * (0.93 + 0.05 * rng.normal()), 0.1, 0.002)
+    assert scale.value == pytest.approx(0.93, abs=0.01)
+    for _ in range(100):
+        scale.learn(0.05, 0.0, 0.1, 0.002)
+    assert scale.value == pytest.approx(0.93, abs=0.01)
+    scale.learn(0.25, 0.4, 0.1, 0.002)
+    scale.forget()
+    scale.learn(0.25, 0.25, 0.1, 0.002)
+    assert scale.value == pytest.approx(0.93, abs=0.01)
+
+
+def test_wheels_that_slip_are_believed_less_unless_the_scans_are_as_rough() -> None:
+    from mapping.odometry.wheel_scale import SLIPPING, WheelScale
+
+    rng = np.random.default_rng(4)
+    for sigma, noisy in ((0.002, False), (0.01, True)):
+        scale = WheelScale()
+        for _ in range(50):
+            scale.learn(0.04, 0.04 + sigma * rng.normal(), 0.1, sigma)
+        assert scale.noise < 0.1
+        for _ in range(6):
+            scale.learn(0.08, 0.04, 0.1, sigma)  # 0.4 m/s too fast
+        assert scale.noise == pytest.approx(SLIPPING * (0.3 if noisy else 0.36), rel=0.15)
+        for _ in range(12):
+            scale.learn(0.04, 0.04, 0.1, sigma)
+        assert scale.noise < 0.1

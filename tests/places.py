@@ -1,0 +1,16 @@
+"""Where the checkout is, and reference data that may lie beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED = ROOT.parent / "shared"
+GOLDEN = SHARED / "golden"
+TERRAIN = SHARED / "data" / "terrain"
+POLICY = SHARED / "data" / "policies" / "go2w_rl_sar"
+
+needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="reference data do not lie beside the checkout")
+"""Only the absence of the whole folder skips: a file that is missing in it fails."""

@@ -1,0 +1,214 @@
+"""Local updates give what a full rebuild gives, keep ids and memory, and follow a growing map."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import psutil
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning import PlanningError
+from planning.graph.graph import GraphParams, TraversalGraph
+from tests.planning.graph.scenes import random_scene
+
+PARAMS = GraphParams(blind_radius=0.0)
+ARRAYS = ("nodes", "indptr", "indices", "risk", "frontier", "turn_edge", "node_ids")
+
+
+def _with(grid: ElevationGrid, height: np.ndarray) -> ElevationGrid:
+    return ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+
+
+def _assert_same(a: TraversalGraph, b: TraversalGraph) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_any_change_the_graph_equals_a_full_rebuild(seed: int) -> None:
+    scene = random_scene(seed, size=6.0)
+    rng = np.random.default_rng(seed)
+    z = scene.grid.height.copy()
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS, seed)
+    differing = 0
+    for step in range(12):
+        r, c = rng.integers(0, 130, 2)
+        if np.hypot(r + 10 - 75, c + 10 - 75) < 35:
+            c += 60  # not on the start
+        h, w = rng.integers(2, 30, 2)
+        z = z.copy()
+        z[r : r + h, c : c + w] += rng.choice([0.005, 0.3, -0.3, 1.0]) * rng.standard_normal()
+        grid = _with(scene.grid, z)
+        if step % 2:
+            mask = np.zeros(z.shape, bool)
+            mask[r : r + h, c : c + w] = True
+            changed = graph.update(grid, mask)
+        else:
+            changed = graph.update(grid, [(r, c, r + h, c + w)])
+        _assert_same(graph, TraversalGraph.build(grid, scene.start, PARAMS, seed))
+        differing += changed
+    assert differing >= 4
+    assert graph.version == 13
+
+
+def test_an_obstacle_kills_nodes_at_once_and_they_stay_away_until_it_leaves() -> None:
+    scene = random_scene(1, size=6.0)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
+    before = graph.node_ids.copy()
+    z = scene.grid.height.copy()
+    window = (90, 70, 105, 85)  # 0.6 m square, 1 m high, 0.6 m beside the start
+    z[90:105, 70:85] += 1.0
+    box = (70 * 0.04, 90 * 0.04, 84 * 0.04, 104 * 0.04)
+
+    def inside() -> int:
+        x, y = graph.nodes[:, 0], graph.nodes[:, 1]
+        return int(np.sum((x > box[0] - 0.2) & (x < box[2] + 0.2) & (y > box[1] - 0.2) & (y < box[3] + 0.2)))
+
+    assert inside() > 0
+    for _ in range(5):
+        graph.update(_with(scene.grid, z), [window])
+        assert inside() == 0
+    kept = np.isin(before, graph.node_ids)
+    assert kept.mean() > 0.8, "nodes elsewhere keep their ids"
+    graph.update(scene.grid, [window])
+    assert graph.node_ids.tolist() == before.tolist()
+
+
+def test_revisions_rise_only_where_the_terrain_changed() -> None:
+    scene = random_scene(2, size=7.0)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
+    z = scene.grid.height.copy()
+    z[20:30, 20:30] += 0.01
+    graph.update(_with(scene.grid, z), [(20, 20, 30, 30)])
+    d = np.hypot(graph.nodes[:, 0] - 1.0, graph.nodes[:, 1] - 1.0)
+    assert (graph.node_revision[d < 0.6] == 2).all()
+    assert (graph.node_revision[d > 2.5] == 1).all()
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    assert (graph.edge_revision[(d[source] < 0.5) | (d[graph.indices] < 0.5)] == 2).all()
+    assert (graph.edge_revision[d[source] > 3.5] == 1).all()
+    assert 0.02 < np.mean(graph.edge_revision == 2) < 0.5
+
+
+def test_a_growing_map_extends_the_graph_and_equals_a_full_rebuild() -> None:
+    scene = random_scene(4, size=8.0)
+    full = scene.grid
+    n = full.shape[0]
+    graph = None
+    for lo, hi in ((60, 140), (50, 150), (20, 150), (0, 190), (0, n)):
+        part = ElevationGrid(
+            full.height[lo:hi, lo:hi], full.trusted[lo:hi, lo:hi], (lo * 0.04, lo * 0.04), full.resolution
+        )
+        if graph is None:
+            graph = TraversalGraph.build(part, scene.start, PARAMS)
+            ids = graph.node_ids
+        else:
+            nodes = len(graph.nodes)
+            assert graph.update(part, [])
+            assert len(graph.nodes) > nodes
+        _assert_same_but_rounding(graph, TraversalGraph.build(part, scene.start, PARAMS))
+    assert np.isin(ids, graph.node_ids).mean() > 0.7
+    assert graph.frontier.sum() > 0
+
+
+def _assert_same_but_rounding(a: TraversalGraph, b: TraversalGraph) -> None:
+    np.testing.assert_array_equal(a.node_ids, b.node_ids)
+    np.testing.assert_array_equal(a.edges, b.edges)
+    np.testing.assert_allclose(a.nodes, b.nodes, atol=1e-9)
+    np.testing.assert_allclose(a.risk, b.risk, atol=1e-4)
+
+
+def test_seen_terrain_replaces_frontiers() -> None:
+    scene = random_scene(3, size=6.0)
+    x = np.arange(150) * 0.04
+    half = ElevationGrid(
+        scene.grid.height,
+        np.broadcast_to(x < 3.6, (150, 150)).copy(),
+        scene.grid.origin,
+        scene.grid.resolution,
+    )
+    graph = TraversalGraph.build(half, scene.start, PARAMS)
+    assert graph.nodes[:, 0].max() < 3.6
+    assert graph.frontier[graph.nodes[:, 0] > 3.0].any()
+    graph.update(scene.grid, [(0, 90, 150, 150)])
+    _assert_same(graph, TraversalGraph.build(scene.grid, scene.start, PARAMS))
+    assert graph.nodes[:, 0].max() > 4.5
+
+
+def test_ten_thousand_updates_of_a_standing_robot_stay_flat() -> None:
+    rng = np.random.default_rng(0)
+    z = np.zeros((44, 44), np.float32)
+    z[:4] = 0.5
+    grid = ElevationGrid(z.copy(), np.ones(z.shape, bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.1, 1.1), PARAMS)
+    ids = graph.node_ids.copy()
+    edges = graph.edges
+    process = psutil.Process()
+    resident = 0
+    for k in range(10_000):
+        noise = rng.normal(0.0, 0.005, (12, 12)).astype(np.float32)
+        grid.height[16:28, 16:28] = z[16:28, 16:28] + noise  # in place, as a mapper's buffer is
+        graph.update(grid, [(16, 16, 28, 28)])
+        assert graph.node_ids.tobytes() == ids.tobytes()
+        if k == 1000:
+            gc.collect()
+            resident = process.memory_info().rss
+    gc.collect()
+    np.testing.assert_array_equal(graph.edges, edges)
+    assert graph.version == 10_001
+    assert process.memory_info().rss - resident < 4e6
+
+
+def test_a_start_in_a_new_obstacle_keeps_the_graph_of_before() -> None:
+    scene = random_scene(5, size=6.0)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
+    before = len(graph.nodes)
+    z = scene.grid.height.copy()
+    z[60:90, 60:90] += np.random.default_rng(0).uniform(0.2, 1.0, (30, 30)).astype(np.float32)
+    graph.update(_with(scene.grid, z), [(60, 60, 90, 90)])
+    assert len(graph.nodes) > 0.6 * before
+    assert graph.nearest_node(scene.start) is None
+
+
+def test_a_native_graph_follows_too_and_keeps_ids() -> None:
+    scene = random_scene(6, size=6.0)
+    params = GraphParams(mode="native", height_threshold=0.15, collision_threshold=0.1)
+    graph = TraversalGraph.build(scene.grid, scene.start, params, 1)
+    ids = graph.node_ids.copy()
+    assert not graph.update(scene.grid, [(0, 0, 5, 5)])
+    assert graph.node_ids.tolist() == ids.tolist()
+    z = scene.grid.height.copy()
+    z[100:120, 100:120] += 1.0
+    assert graph.update(_with(scene.grid, z), [(100, 100, 120, 120)])
+    again = TraversalGraph.build(_with(scene.grid, z), scene.start, params, 1)
+    np.testing.assert_array_equal(graph.nodes, again.nodes)
+    assert len(np.unique(graph.node_ids)) == len(graph.nodes)
+
+
+def test_a_loaded_graph_can_be_updated(tmp_path) -> None:
+    scene = random_scene(7, size=6.0)
+    TraversalGraph.build(scene.grid, scene.start, PARAMS, 2).save(tmp_path / "g.npz")
+    graph = TraversalGraph.load(tmp_path / "g.npz")
+    z = scene.grid.height.copy()
+    z[20:30, 20:30] += 0.5
+    assert graph.update(_with(scene.grid, z), [(20, 20, 30, 30)])
+    _assert_same(graph, TraversalGraph.build(_with(scene.grid, z), scene.start, PARAMS, 2))
+
+
+def test_bad_updates_are_typed_errors() -> None:
+    scene = random_scene(0, size=6.0)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)
+    grid = scene.grid
+    with pytest.raises(PlanningError, match="mask has shape"):
+        graph.update(grid, np.zeros((3, 3), bool))
+    moved = ElevationGrid(grid.height, grid.trusted, (0.013, 0.0), grid.resolution)
+    with pytest.raises(PlanningError, match="align"):
+        graph.update(moved, [])
+    coarse = ElevationGrid(grid.height, grid.trusted, (0.0, 0.0), 0.05)
+    with pytest.raises(PlanningError, match="resolution"):
+        graph.update(coarse, [])
+    _assert_same(graph, TraversalGraph.build(grid, scene.start, PARAMS))
+    bare = TraversalGraph.from_edges(graph.nodes, graph.edges, np.zeros(len(graph.edges)))
+    with pytest.raises(PlanningError, match="no map"):
+        bare.update(grid, [])

@@ -1,0 +1,166 @@
+"""Paths: ends, corridor, spacing, risk not above the route's, speeds the robot can keep."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import TraversalGraph
+from planning.path.path import PathLimits, make_path, still_safe
+from planning.path.spline import curve, distance_to_polyline, reach_limits
+from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
+from planning.search.plan import PlanRequest, plan
+from tests.planning.worlds import flat, lattice, rough
+
+BODY = BodyModel()
+LIMITS = PathLimits()
+
+
+def zigzag():
+    """A route with corners of 30 to 120 degrees on level ground."""
+    grid = flat(6, 4)
+    xy = np.array([[0.6, 2.0], [1.4, 2.0], [2.0, 2.5], [2.6, 1.6], [3.3, 1.6], [3.4, 2.3], [4.5, 2.3]])
+    edges = np.column_stack([np.arange(len(xy) - 1), np.arange(1, len(xy))])
+    return grid, TraversalGraph.from_edges(
+        np.column_stack([xy, np.zeros(len(xy))]), edges, np.zeros(len(edges))
+    )
+
+
+def test_the_path_keeps_ends_spacing_and_corridor():
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY)
+    np.testing.assert_array_equal(path.points[[0, -1], :2], graph.nodes[[0, 6], :2])
+    gaps = np.hypot(*np.diff(path.points[:, :2], axis=0).T)
+    assert gaps.max() <= 0.02 + 1e-6
+    np.testing.assert_allclose(np.diff(path.s), gaps)
+    away = distance_to_polyline(path.points[:, :2], graph.nodes[:, :2])
+    assert 0.02 < away.max() <= LIMITS.corridor
+    assert path.raw_corners == 0
+    bend = np.abs((np.diff(path.yaw) + np.pi) % (2 * np.pi) - np.pi)
+    assert bend.max() < np.radians(20), "a rounded path has no kinks"
+
+
+def test_speed_respects_curvature_braking_and_the_stop_at_the_end():
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY)
+    ds = np.diff(path.s)
+    accel = np.diff(path.speed**2) / (2 * ds)
+    assert accel.min() >= -LIMITS.max_accel - 1e-6
+    assert accel.max() <= LIMITS.max_accel + 1e-6
+    assert path.speed[-1] == 0.0
+    assert path.speed.max() <= LIMITS.max_speed
+    rate = path.speed[:-1] * np.abs((np.diff(path.yaw) + np.pi) % (2 * np.pi) - np.pi) / ds
+    assert rate[path.speed[:-1] > LIMITS.min_speed].max() <= LIMITS.max_yaw_rate + 1e-6
+
+
+def test_rough_and_sloped_ground_is_driven_more_slowly():
+    def top_speed(height):
+        grid = ElevationGrid(height.astype(np.float32), np.ones((81, 121), bool), (0.0, 0.0), 0.05)
+        _, graph = zigzag()
+        return make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY).speed.max()
+
+    level = np.zeros((81, 121))
+    slope = np.tan(np.radians(15)) * np.arange(121) * 0.05 + level
+    bumps = 0.05 * np.random.default_rng(0).uniform(size=level.shape)
+    assert top_speed(slope) < 0.8 * top_speed(level)
+    assert top_speed(bumps) < 0.95 * top_speed(level)
+
+
+def test_the_requested_positions_are_on_the_path_and_the_first_turn_is_told():
+    grid, graph = zigzag()
+    request = PlanRequest((0.45, 1.9), (4.6, 2.35), start_yaw=np.pi, goal_yaw=1.0)
+    path = make_path(plan(graph, grid, request), grid, BODY)
+    np.testing.assert_allclose(path.points[0, :2], (0.45, 1.9))
+    np.testing.assert_allclose(path.points[-1, :2], (4.6, 2.35))
+    assert path.initial_turn is not None
+    assert (
+        np.pi + path.initial_turn == pytest.approx(path.yaw[0] + 2 * np.pi, abs=0.01) or path.initial_turn < 0
+    )
+    assert abs(path.initial_turn) > 2.5, "the route starts behind the robot: it has to turn around first"
+    assert path.goal_yaw == 1.0
+
+
+def test_a_node_behind_the_robot_is_not_visited_first():
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest((0.95, 2.0), 6, start_yaw=0.0)), grid, BODY)
+    assert plan(graph, grid, PlanRequest((0.95, 2.0), 6)).nodes[0] == 0
+    assert path.points[:, 0].min() == pytest.approx(0.95)
+    assert path.initial_turn == pytest.approx(0.0, abs=1e-6)
+
+
+def test_start_at_the_goal_is_a_single_point():
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest(2, 2, 0.3, 1.2)), grid, BODY)
+    assert path.points.shape == (1, 3)
+    assert path.speed.tolist() == [0.0]
+    assert path.length == 0.0
+    assert path.yaw.tolist() == [0.3]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_paths_risk_is_not_above_the_routes(seed):
+    grid = rough(seed, size=4.0, resolution=0.05)
+    graph = lattice(grid, 0.5, seed)
+    route = plan(graph, grid, PlanRequest(0, len(graph.nodes) - 1))
+    path = make_path(route, grid, BODY)
+    xy = route.points[:, :2]
+    dense = BODY.model_copy(update={"edge_step": 0.02})
+    legs = [edge_poses(a, b, dense) for a, b in pairwise(xy)]
+    turns = [sweep_poses(p[0, 0], p[0, 1], q[0, 2], p[0, 2], dense) for q, p in pairwise(legs)]
+    want = pose_features(grid, np.concatenate(legs + turns), BODY)
+    got = pose_features(grid, np.column_stack([path.points[:, :2], path.yaw]), BODY)
+    assert ((got.max(0) - want.max(0))[:3] <= 0.0051 * BODY.scales[:3]).all()
+    assert distance_to_polyline(path.points[:, :2], xy).max() <= LIMITS.corridor + 1e-9
+    np.testing.assert_allclose(path.worst, got.max(0)[:3], rtol=0.2, atol=0.05)
+
+
+def test_a_corner_beside_a_post_stays_sharp():
+    grid, graph = zigzag()
+    height = grid.height.copy()
+    free = make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY)
+    # A post just inside the widest corner, where only the rounded path would pass over it.
+    inner = graph.nodes[3, :2] + np.array([-0.02, 0.40])
+    height[round(inner[1] / 0.05), round(inner[0] / 0.05)] = 0.3
+    posted = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+    route = plan(graph, posted, PlanRequest(0, 6))
+    path = make_path(route, posted, BODY)
+    got = pose_features(posted, np.column_stack([path.points[:, :2], path.yaw]), BODY)
+    cut = pose_features(posted, np.column_stack([free.points[:, :2], free.yaw]), BODY)
+    assert got[:, 2].max() <= cut[:, 2].max()
+
+
+def test_sharp_corners_are_kept_exactly():
+    vertices = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    xy, owner = curve(vertices, np.zeros(3), 0.02)
+    assert distance_to_polyline(xy, vertices).max() < 1e-12
+    assert np.hypot(*(xy - [1.0, 0.0]).T).min() < 1e-9
+    assert set(owner.tolist()) == {0, 1, 2}
+    assert reach_limits(vertices, 0.08)[1] == pytest.approx(6 * 0.98 * 0.08 / np.sqrt(2))
+
+
+def test_a_path_stops_being_safe_when_a_wall_or_a_hole_in_the_graph_appears():
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY)
+    assert still_safe(path, graph, grid, BODY) == (True, "")
+    height = grid.height.copy()
+    height[:, 60] = 0.5
+    walled = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+    ok, why = still_safe(path, graph, walled, BODY)
+    assert not ok
+    assert "0.50 m face" in why
+    shorter = TraversalGraph.from_edges(graph.nodes[:3], np.array([[0, 1], [1, 2]]), np.zeros(2))
+    ok, why = still_safe(path, shorter, grid, BODY)
+    assert not ok
+    assert "no drivable ground" in why
+
+
+def test_a_goal_behind_a_ledge_ends_at_its_node():
+    grid, graph = zigzag()
+    height = grid.height.copy()
+    height[:, 94:] = 0.6
+    ledge = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+    path = make_path(plan(graph, ledge, PlanRequest(0, (4.85, 2.3))), ledge, BODY)
+    np.testing.assert_allclose(path.points[-1, :2], graph.nodes[6, :2])

@@ -1,0 +1,102 @@
+"""Evaluations carried over map updates, and evaluated ahead, against fresh ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.plan import PlanRequest, plan
+from tests.planning.worlds import lattice, rough
+
+BODY = BodyModel()
+
+
+def ground(seed: int, shape: tuple[int, int] = (110, 120)) -> np.ndarray:
+    """Gentle waves with noise (rows, cols) at 0.05 m."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0 : shape[0], 0 : shape[1]] * 0.05
+    z = 0.1 * np.sin(1.3 * x + rng.uniform(0, 6)) * np.cos(1.1 * y) + rng.normal(0, 0.004, shape)
+    return z.astype(np.float32)
+
+
+def edges_of(table: RiskTable) -> np.ndarray:
+    return table.tables(BODY).edge
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_map_updates_carried_evaluations_equal_fresh_ones(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height = ground(seed)
+    trusted = np.ones(height.shape, bool)
+    grid = ElevationGrid(height, trusted, (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    table = RiskTable(graph, grid, BODY)
+    table.evaluate_edges()
+    kept = 0
+    for _ in range(8):
+        r, c = (int(v) for v in rng.integers(0, 90, 2))
+        height, trusted = height.copy(), trusted.copy()
+        height[r : r + 14, c : c + 10] += rng.choice([0.02, 0.5, -0.3])
+        trusted[c : c + 5, r : r + 4] ^= True
+        grid = ElevationGrid(height, trusted, (0.0, 0.0), 0.05)
+        graph.update(grid, [(r, c, r + 14, c + 10), (c, r, c + 5, r + 4)])
+        table = RiskTable(graph, grid, BODY, table)
+        carried = ~np.isnan(edges_of(table)[:, 0])
+        kept += carried.sum()
+        assert not carried.all()
+        fresh = RiskTable(graph, grid, BODY)
+        fresh.evaluate_edges()
+        np.testing.assert_array_equal(edges_of(table)[carried], edges_of(fresh)[carried])
+        request = PlanRequest(0, len(graph.nodes) - 1, 0.3, -1.0)
+        with_it, without = plan(graph, grid, request, BODY, table), plan(graph, grid, request, BODY)
+        assert (with_it.nodes, with_it.cost) == (without.nodes, without.cost)
+    assert kept > 4 * len(graph.indices), "most edges are far from what changed"
+
+
+def test_a_map_that_grows_keeps_what_was_known_inside() -> None:
+    z = ground(5, (150, 160))
+    whole = ElevationGrid(z, np.ones(z.shape, bool), (-0.75, -0.5), 0.05)
+    part = ElevationGrid(z[10:130, 15:140].copy(), np.ones((120, 125), bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(part, (2.0, 2.0), GraphParams(), 1)
+    table = RiskTable(graph, part, BODY)
+    table.evaluate_edges()
+    graph.update(whole, [])
+    grown = RiskTable(graph, whole, BODY, table)
+    carried = ~np.isnan(edges_of(grown)[:, 0])
+    fresh = RiskTable(graph, whole, BODY)
+    fresh.evaluate_edges()
+    assert 0.2 < carried.mean() < 0.9
+    np.testing.assert_allclose(edges_of(grown)[carried], edges_of(fresh)[carried], atol=1e-5, rtol=0)
+
+
+def test_another_body_resolution_or_raster_carries_nothing() -> None:
+    grid = rough(1, size=3.0, resolution=0.1)
+    graph = lattice(grid, 0.55, seed=2)
+    table = RiskTable(graph, grid, BODY)
+    table.evaluate_edges()
+    assert RiskTable(graph, grid, BODY, table).evaluated()[0] == len(graph.indices)
+    x, y = grid.origin
+    for other, body in (
+        (grid, BodyModel(width=0.5)),
+        (ElevationGrid(grid.height, grid.trusted, grid.origin, 0.09), BODY),
+        (ElevationGrid(grid.height, grid.trusted, (x + 0.03, y), 0.1), BODY),
+    ):
+        assert RiskTable(graph, other, body, table).evaluated() == (0, 0)
+
+
+def test_edges_evaluated_ahead_change_no_route() -> None:
+    grid = rough(3, size=4.0, resolution=0.05)
+    graph = lattice(grid, 0.5, seed=3)
+    ahead = RiskTable(graph, grid, BODY)
+    ahead.evaluate_edges()
+    assert ahead.evaluated() == (len(graph.indices), 0)
+    rng = np.random.default_rng(0)
+    for a, b in rng.integers(0, len(graph.nodes), (25, 2)).tolist():
+        for variant in ("full", "edge-only", "mean-only"):
+            request = PlanRequest(a, b, 0.4, None, variant)  # type: ignore[arg-type]
+            one, two = plan(graph, grid, request, BODY, ahead), plan(graph, grid, request, BODY)
+            assert (one.nodes, one.cost) == (two.nodes, two.cost)

@@ -1,0 +1,175 @@
+"""Turns in place only where there is room: routes swept by the footprint, and the rules at start and goal."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute
+from planning.graph.describe import ALL_HEADINGS
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path.path import make_path
+from planning.risk.body import BodyModel, sweep_poses
+from planning.risk.table import RiskTable
+from planning.risk.turns import may_turn_off, may_turn_to
+from planning.search.plan import Plan, PlanRequest, Variant, plan
+from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
+
+BODY = BodyModel()
+SHRINK = 0.03
+"""Half a heading step of 5 deg moves a corner 0.018 m, and a face lies up to half a cell from where its cells are [m]."""
+
+
+def straddles(scene: Scene, pose: np.ndarray, step: float) -> bool:
+    """True if the footprint, a little smaller, covers both sides of a break higher than `step`."""
+    res = scene.grid.resolution
+    r0, c0 = (max(0, int((v - 0.45) / res)) for v in (pose[1], pose[0]))
+    window = np.s_[r0 : r0 + int(0.9 / res) + 2, c0 : c0 + int(0.9 / res) + 2]
+    z, label = scene.grid.height[window], scene.label[window]
+    y, x = np.mgrid[0 : z.shape[0], 0 : z.shape[1]]
+    dx, dy = (x + c0) * res - pose[0], (y + r0) * res - pose[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    under = (np.abs(dx * c + dy * s) <= 0.5 * LENGTH - SHRINK) & (
+        np.abs(dy * c - dx * s) <= 0.5 * WIDTH - SHRINK
+    )
+    face_c = (label[:, 1:] != label[:, :-1]) & (np.abs(np.diff(z, axis=1)) > step)
+    face_r = (label[1:] != label[:-1]) & (np.abs(np.diff(z, axis=0)) > step)
+    return bool((face_c & under[:, 1:] & under[:, :-1]).any() or (face_r & under[1:] & under[:-1]).any())
+
+
+def turns_of(found: Plan) -> list[np.ndarray]:
+    """Poses of the turns at the inner points of a route."""
+    xy = found.points[:, :2]
+    yaw = [float(np.arctan2(*(b - a)[::-1])) for a, b in pairwise(xy)]
+    return [sweep_poses(*xy[k + 1], yaw[k], yaw[k + 1], BODY) for k in range(len(yaw) - 1)]
+
+
+def bad_turns(
+    scene: Scene, graph: TraversalGraph, table: RiskTable, variant: Variant, pairs: int
+) -> tuple[int, int]:
+    """Turns of routes between tight nodes, and how many of them sweep over a break."""
+    rng = np.random.default_rng(9)
+    tight = np.flatnonzero(graph.free_headings != ALL_HEADINGS)
+    turns = bad = 0
+    for a, b in rng.choice(tight, (pairs, 2)).tolist():
+        try:
+            found = plan(graph, scene.grid, PlanRequest(a, b, variant=variant), table.body, table)
+        except NoRoute:
+            continue
+        for poses in turns_of(found):
+            turns += 1
+            bad += any(straddles(scene, pose, GraphParams().max_step + 0.02) for pose in poses)
+    return turns, bad
+
+
+def test_on_random_ground_no_turn_of_a_route_sweeps_a_wall_a_ledge_or_a_pit() -> None:
+    careless = BodyModel(weight_body=0.0, weight_unknown=0.0)  # whose costs do not keep it from anything
+    for seed in range(5):
+        scene = random_scene(seed)
+        graph = TraversalGraph.build(scene.grid, scene.start, GraphParams(), seed)
+        for body, variant, pairs in ((BODY, "refined", 4), (careless, "full", 20)):
+            turns, bad = bad_turns(scene, graph, RiskTable(graph, scene.grid, body), variant, pairs)  # type: ignore[arg-type]
+            assert turns > 3 * pairs
+            assert bad == 0
+
+
+def ground(height: np.ndarray, res: float = 0.025) -> tuple[ElevationGrid, TraversalGraph]:
+    """The graph of seen ground around (1.5, 1.5)."""
+    noisy = height + 0.003 * np.random.default_rng(0).standard_normal(height.shape)
+    grid = ElevationGrid(noisy.astype(np.float32), np.ones(height.shape, bool), (0.0, 0.0), res)
+    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(blind_radius=0.0), 0)
+
+
+def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
+    y, x = np.mgrid[0:120, 0:200] * 0.025
+    for height, least, most in (
+        (0.0 * x, 0.0, 0.02),
+        (np.tan(np.radians(20)) * x, 0.0, 0.02),
+        (0.05 * (np.abs((x - 2.0) * 0.8 + (y - 1.5) * 0.6) < 0.05), 0.03, 0.07),
+        (0.05 * (np.abs(x - 1.9) < 0.6), 0.03, 0.07),
+    ):
+        _, graph = ground(height)
+        if most < 0.03:
+            assert graph.turn_edge.max() < most
+            assert graph.turn_edge.min() >= least
+        else:
+            # where the break runs: the bar's middle, the plate's two ends
+            broken = height[np.round(graph.nodes[:, 1] / 0.025).astype(int), :]
+            faces = np.abs(np.diff(broken, axis=1)) > 0.02
+            near = np.abs(np.arange(1, 200) * 0.025 - graph.nodes[:, :1])
+            away = np.where(faces, near, np.inf).min(axis=1)
+            assert graph.turn_edge[away < 0.15].min() > least
+            assert graph.turn_edge.max() < most
+            assert graph.turn_edge[away > 0.75].max() < 0.02
+
+
+def test_a_robot_drives_off_a_bar_before_it_turns_round() -> None:
+    _, x = np.mgrid[0:120, 0:240] * 0.025
+    bar = 0.06 * (np.abs(x - 3.0) < 0.05)
+    results = []
+    for height in (bar, 0.0 * bar):
+        grid, graph = ground(height)
+        found = plan(graph, grid, PlanRequest((3.0, 1.5), (1.0, 1.5), start_yaw=0.0), BODY)
+        results.append((found, graph))
+    grid, _ = ground(bar)
+    (off, graph), (level, _) = results
+    limit = graph.params.max_turn_step
+    assert sum(t.turn_cost for t in off.transitions) == 0.0
+    yaw = [0.0, *(float(np.arctan2(*(b - a)[::-1])) for a, b in pairwise(off.points[:, :2]))]
+    sharp = [
+        k for k, (a, b) in enumerate(pairwise(yaw)) if abs(np.angle(np.exp(1j * (b - a)))) > np.radians(31)
+    ]
+    assert sharp
+    assert all(graph.turn_edge[off.nodes[k]] <= limit for k in sharp)
+    assert sum(t.turn_cost for t in level.transitions) == 0.0
+    assert level.length < off.length
+    path = make_path(off, grid, BODY)
+    assert path.initial_turn is not None
+    assert abs(path.initial_turn) < 0.7, "less than what the tracker stops for"
+
+
+def corridor(width: float) -> tuple[ElevationGrid, TraversalGraph]:
+    """A straight passage along x between walls."""
+    y = np.arange(0.0, 3.0, 0.025)
+    height = np.tile(np.where(np.abs(y - 1.5) > 0.5 * width, 1.0, 0.0)[:, None], (1, 240)).astype(np.float32)
+    grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.025)
+    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(), 0)
+
+
+def test_in_a_narrow_passage_the_robot_drives_on_but_does_not_turn_round() -> None:
+    grid, graph = corridor(0.70)
+    ends = [graph.nearest_node((x, 1.5)) for x in (1.0, 3.0, 5.0)]
+    assert None not in ends
+    left, middle, right = (int(v) for v in ends if v is not None)
+    assert plan(graph, grid, PlanRequest(middle, right, 0.0), BODY).length == pytest.approx(2.0, abs=0.3)
+    assert plan(graph, grid, PlanRequest(middle, left, np.pi), BODY).length == pytest.approx(2.0, abs=0.3)
+    for request in (PlanRequest(middle, left, 0.0), PlanRequest(middle, right, 0.0, np.pi / 2)):
+        with pytest.raises(NoRoute, match="turns"):
+            plan(graph, grid, request, BODY)
+        free = RiskTable(graph, grid, BODY)
+        free.roads = free.roads._replace(room=np.full(len(graph.nodes), ALL_HEADINGS))
+        assert plan(graph, grid, request, BODY, free).length < 2.6, "it is the turn that forbids it"
+    wide_grid, wide = corridor(1.4)
+    a, b = wide.nearest_node((3.0, 1.5)), wide.nearest_node((1.0, 1.5))
+    assert plan(wide, wide_grid, PlanRequest(a, b, 0.0, 0.0), BODY).length < 2.6  # type: ignore[arg-type]
+
+
+def test_a_robot_may_turn_out_of_a_blocked_heading_but_not_into_one() -> None:
+    room = np.uint64(ALL_HEADINGS)
+    for k in (9, 10, 11):  # 45, 50 and 55 deg
+        room &= ~(np.uint64(1) << np.uint64(k))
+    deg = np.radians
+    assert may_turn_off(room, deg(50), deg(60))
+    assert may_turn_off(room, deg(50), deg(-50))
+    assert may_turn_off(room, deg(50 + 180), deg(40))
+    assert not may_turn_off(room, deg(20), deg(60))
+    assert not may_turn_off(room, deg(50), deg(200)), "out of the blocked ones and half round into them"
+    assert may_turn_to(room, deg(0), deg(35))
+    assert not may_turn_to(room, deg(0), deg(43)), "the heading next to the end is blocked"
+    assert not may_turn_to(room, deg(0), deg(50))
+    assert may_turn_to(room, deg(50), 0.0)
+    assert may_turn_to(room, deg(90), deg(-25))
+    assert not may_turn_to(room, deg(90), deg(-33))

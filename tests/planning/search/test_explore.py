@@ -1,0 +1,113 @@
+"""Driving to a goal nobody has seen: mazes with dead ends, a goal walled in, two ways that are equally good."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from planning.search.frontier import CLOSED, FrontierMemory, way_to_go
+from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
+from tests.planning.worlds import flat
+
+RING = 1.9
+"""Where the lowest ray of the default LiDAR meets the ground [m]."""
+
+
+@pytest.mark.parametrize(
+    ("pitch", "rooms", "loops", "blind", "seeds"),
+    [
+        (1.7, 5, 0.1, RING, (0, 1, 2)),
+        (1.1, 6, 0.1, 0.0, (1, 2, 18, 22)),
+        (1.2, 6, 0.3, 0.0, (9, 13, 3)),
+        (1.4, 7, 0.0, 0.0, (5,)),
+    ],
+)
+def test_the_way_through_an_unseen_maze_is_at_most_twice_the_known_one(
+    pitch: float, rooms: int, loops: float, blind: float, seeds: tuple[int, ...]
+) -> None:
+    ratios = []
+    for seed in seeds:
+        world = maze(seed, rooms, pitch, loops)
+        run = explore(world, blind)
+        assert run.end == "reached", f"maze {seed}"
+        ratios.append(run.driven / shortest(world))
+        track = np.array(run.track)
+        row, col = np.round(track[:, ::-1] / world.res).astype(int).T
+        assert not world.wall[row, col].any(), "it went through a wall"
+    assert max(ratios) <= 2.0, ratios
+    assert np.mean(ratios) <= 1.4, ratios
+    assert min(ratios) > 0.9, "shorter than the way on the full map: something was crossed"
+
+
+@pytest.mark.parametrize(("pitch", "blind", "seed"), [(1.7, RING, 0), (1.1, 0.0, 2), (1.4, 0.0, 3)])
+def test_a_goal_walled_in_ends_in_no_route_once_all_is_seen(pitch: float, blind: float, seed: int) -> None:
+    world = maze(seed, 4, pitch, closed=True)
+    run = explore(world, blind)
+    assert run.end == "no_route"
+    assert run.driven > 5.0
+    assert run.driven <= 2.0 * 15 * pitch, "every passage of the tree at most there and back"
+    assert run.seen is not None
+    assert run.seen[rooms_of(world)].mean() > 0.99
+
+
+def test_between_two_equal_ways_it_makes_up_its_mind() -> None:
+    n = 121
+    y, x = np.mgrid[0:n, 0:n] * 0.05
+    wall = (x < 0.1) | (x > 5.9) | (y < 0.1) | (y > 5.9)
+    wall |= (np.abs(y - 3.0) < 0.1) & (np.abs(x - 3.0) < 1.8)  # a way round on either side
+    noise = 0.01 * np.random.default_rng(3).standard_normal(wall.shape)
+    world = World((wall + noise).astype(np.float32), 0.05, (3.0, 1.5), (3.0, 4.5), wall)
+    run = explore(world, every=0.15)
+    assert run.end == "reached"
+    track = np.array(run.track)
+    side = track[track[:, 1] < 3.0, 0] - 3.0  # before the wall's end
+    assert np.abs(side).max() > 1.5
+    assert (np.sign(side[np.abs(side) > 0.2]) == np.sign(side[np.argmax(np.abs(side))])).all()
+
+
+@pytest.mark.parametrize("seed", [1, 4])  # without `previous_frontier` both swing
+def test_a_frontier_given_up_on_the_way_is_not_taken_up_again(seed: int) -> None:
+    run = explore(maze(seed, 5, 1.7), every=0.3)
+    assert run.end == "reached"
+    legs = run.frontiers[:1]
+    for frontier in run.frontiers:
+        if math.dist(frontier, legs[-1]) > 1.0:
+            assert all(math.dist(frontier, earlier) > 0.6 for earlier in legs), frontier
+            legs.append(frontier)
+        else:
+            legs[-1] = frontier
+    assert len(legs) > 3
+
+
+def test_the_way_to_go_leads_around_what_is_known_to_stand_there() -> None:
+    grid = flat(6, 4)
+    points = np.array([[1.0, 2.0], [5.0, 2.0], [1.0, 3.6]])
+    np.testing.assert_allclose(way_to_go(grid, points, (9.0, 2.0)), [8.0, 4.0, 8.16], rtol=0.05)
+    y, x = np.mgrid[0:81, 0:121] * 0.05
+    grid.height[(np.abs(x - 3.0) < 0.1) & (y < 3.0)] = 1.0
+    around = way_to_go(grid, points, (4.0, 0.5))
+    # off the map nothing is known: round the wall's southern end
+    assert around[0] == pytest.approx(np.hypot(2.0, 2.2) + np.hypot(1.0, 0.7), rel=0.05)
+    assert around[1] == pytest.approx(np.hypot(1.0, 1.5), rel=0.1)
+    assert around[2] == pytest.approx(np.hypot(2.0, 0.4) + np.hypot(1.0, 2.7), rel=0.1)
+    unseen = flat(6, 4)
+    unseen.trusted[:] = False
+    unseen.height[:] = grid.height
+    assert way_to_go(unseen, points, (4.0, 0.5))[0] == pytest.approx(np.hypot(3.0, 1.5), rel=0.1)
+    ring = np.hypot(x - 4.0, y - 1.5)
+    grid.height[(ring > 0.9) & (ring < 1.1)] = 1.0
+    shut = way_to_go(grid, points, (4.0, 1.5))
+    assert (shut > CLOSED).all()
+    np.testing.assert_allclose(way_to_go(grid, np.array([[4.3, 1.5]]), (4.0, 1.5)), 0.3, atol=0.01)
+
+
+def test_a_frontier_counts_as_seen_when_the_robot_plans_from_it() -> None:
+    memory = FrontierMemory()
+    memory.at((0.0, 0.0))
+    memory.chosen = (2.0, 0.0)
+    memory.at((1.5, 0.0))
+    assert memory.seen == []
+    memory.at((1.8, 0.1))
+    assert memory.seen == [(2.0, 0.0)]

@@ -1,0 +1,277 @@
+"""Search: optimum, variants, explanation, determinism and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import tests.planning.risk.oracle as oracle
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.graph import TraversalGraph
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.plan import Plan, PlanRequest, plan, plan_many
+from tests.places import needs_shared
+from tests.planning.worlds import flat, golden_world, lattice, rough
+
+BODY = BodyModel()
+
+
+@pytest.fixture(scope="module")
+def world():
+    grid = rough(5, size=3.0, resolution=0.1)
+    return grid, lattice(grid, 0.55, seed=2)
+
+
+@pytest.mark.parametrize(
+    ("variant", "start_yaw", "goal_yaw"),
+    [("full", None, None), ("full", 1.0, -2.0), ("mean-only", None, 0.5), ("edge-only", 0.3, None)],
+)
+def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, goal_yaw):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    for start, goal in ((0, last), (last, 3)):
+        got = plan(graph, grid, PlanRequest(start, goal, start_yaw, goal_yaw, variant), BODY)
+        cost, nodes = oracle.dijkstra(grid, graph, start, goal, start_yaw, goal_yaw, variant)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == nodes
+
+
+def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    edgy = TraversalGraph.from_edges(graph.nodes, graph.edges, graph.risk[edge_slots(graph)])
+    edgy.turn_edge[::2] = 0.06
+    changed = 0
+    for start, goal, yaws in ((0, last, (None, None)), (last, 3, (1.0, -2.0)), (2, last, (3.0, 0.5))):
+        got = plan(edgy, grid, PlanRequest(start, goal, *yaws), BODY)
+        cost, nodes = oracle.dijkstra(grid, edgy, start, goal, *yaws)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == nodes
+        assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+        for t in got.transitions:
+            assert t.cost == pytest.approx(t.length * (1 + 3 * t.risk + t.body + t.unknown) + t.turn_cost)
+        level = plan(graph, grid, PlanRequest(start, goal, *yaws), BODY)
+        assert level.cost <= got.cost + 1e-9
+        changed += level.nodes != got.nodes
+        for variant in ("native", "edge-only"):
+            one, two = (plan(g, grid, PlanRequest(start, goal, *yaws, variant), BODY) for g in (graph, edgy))
+            assert (one.nodes, one.cost) == (two.nodes, two.cost), variant
+    assert changed > 0
+
+
+def edge_slots(graph):
+    """Index of the risk of every edge in `graph.edges`."""
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    return np.flatnonzero(source < graph.indices)
+
+
+def test_native_search_is_plain_dijkstra_on_the_native_cost(world):
+    grid, graph = world
+    n = len(graph.nodes)
+    dist = np.full((n, n), np.inf)
+    src = np.repeat(np.arange(n), np.diff(graph.indptr))
+    length = np.hypot(*(graph.nodes[src] - graph.nodes[graph.indices])[:, :2].T)
+    dist[src, graph.indices] = length * (1 + 3 * graph.risk)
+    for k in range(n):
+        dist = np.minimum(dist, dist[:, k : k + 1] + dist[k])
+    for goal in range(1, n, 5):
+        got = plan(graph, grid, PlanRequest(0, goal, variant="native"), BODY)
+        assert got.cost == pytest.approx(dist[0, goal], rel=1e-6)
+        assert got.cost == pytest.approx(got.native_cost)
+
+
+def test_the_plan_adds_up_and_names_the_deciding_pose_set(world):
+    grid, graph = world
+    got = plan(graph, grid, PlanRequest(0, len(graph.nodes) - 1, 2.0, 0.0), BODY)
+    assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+    assert got.length == pytest.approx(sum(t.length for t in got.transitions))
+    assert [t.nodes for t in got.transitions] == list(pairwise(got.nodes))
+    assert got.reaches_goal
+    for t in got.transitions:
+        assert t.cost == pytest.approx(t.length * (1 + 3 * t.risk + t.body + t.unknown))
+        per_set = {
+            name: sum(0.5 * t.mean[name][f] + 0.5 * t.tail[name][f] for f in ("d_fb", "a_lr", "p_int"))
+            for name in t.mean
+        }
+        assert t.body == pytest.approx(max(per_set.values()))
+        assert per_set[t.body_from] == pytest.approx(t.body)
+    assert set(got.transitions[0].mean) == {"edge", "sweep"}
+    assert set(got.transitions[-1].mean) == {"edge", "sweep", "terminal sweep"}
+
+
+def test_start_equal_to_goal_is_one_node_at_no_cost(world):
+    grid, graph = world
+    got = plan(graph, grid, PlanRequest(4, 4, 1.0, 2.0), BODY)
+    assert got.nodes == (4,)
+    assert got.cost == got.length == 0.0
+    assert got.transitions == ()
+
+
+def test_a_shared_table_changes_no_result_and_evaluates_nothing_twice(world):
+    grid, graph = world
+    table = RiskTable(graph, grid, BODY)
+    goals = [*range(0, len(graph.nodes), 3), 999]
+    shared = plan_many(graph, grid, 0, goals, BODY, table=table)
+    before = table.evaluated()
+    again = plan_many(graph, grid, 0, goals, BODY, table=table)
+    assert table.evaluated() == before
+    for goal, one, two in zip(goals[:-1], shared, again, strict=False):
+        alone = plan(graph, grid, PlanRequest(0, goal), BODY)
+        assert isinstance(one, Plan)
+        assert isinstance(two, Plan)
+        assert (alone.nodes, alone.cost) == (one.nodes, one.cost) == (two.nodes, two.cost)
+    assert isinstance(shared[-1], NoRoute)
+    assert shared[-1].reason is NoRouteReason.BAD_INPUT
+
+
+def test_a_goal_beyond_known_ground_ends_at_the_most_promising_frontier():
+    grid = flat(6, 4)
+    nodes = np.array([[3, 2, 0], [2, 2.8, 0], [2, 1.2, 0], [4, 2, 0], [5, 2.8, 0], [5, 1.2, 0]], float)
+    edges = np.array([[0, 1], [0, 2], [0, 3], [3, 4], [3, 5]])
+    frontier = np.array([True, True, True, False, True, True])
+    graph = TraversalGraph.from_edges(nodes, edges, np.zeros(5), frontier)
+    ask = PlanRequest(0, (12.0, 2.2), allow_frontier=True)
+    best = plan(graph, grid, ask, BODY)
+    assert best.nodes == (0, 3, 4)
+    assert not best.reaches_goal
+    assert best.frontier == (5.0, 2.8)
+    # The other side is hardly worse: once chosen it stays, although it would not be chosen anew.
+    kept = plan(graph, grid, replace(ask, previous_frontier=(5.0, 1.2)), BODY)
+    assert kept.frontier == (5.0, 1.2)
+    # What lies behind the robot is clearly worse and given up.
+    assert plan(graph, grid, replace(ask, previous_frontier=(2.0, 1.2)), BODY).frontier == (5.0, 2.8)
+    everywhere = ((5.0, 2.8), (5.0, 1.2), (2.0, 2.8))
+    assert plan(graph, grid, replace(ask, seen_frontiers=everywhere), BODY).frontier == (2.0, 1.2)
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, replace(ask, seen_frontiers=(*everywhere, (2.0, 1.2))), BODY)
+    assert error.value.reason is NoRouteReason.NO_ROUTE
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, replace(ask, allow_frontier=False), BODY)
+    assert error.value.reason is NoRouteReason.OUTSIDE_MAP
+
+
+def test_a_start_beside_a_wall_takes_the_node_on_its_own_side():
+    height = np.zeros((41, 81), np.float32)
+    height[:, 40] = 1.0
+    grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.05)
+    nodes = np.array([[1.6, 1.0, 0], [2.2, 1.0, 0], [1.0, 1.0, 0], [3.0, 1.0, 0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 2], [1, 3]]), np.zeros(2))
+    assert plan(graph, grid, PlanRequest((1.93, 1.0), 2), BODY).nodes == (0, 2)
+    with pytest.raises(NoRoute, match="not connected"):
+        plan(graph, grid, PlanRequest((1.93, 1.0), 3), BODY)
+
+
+def test_an_unseen_goal_and_a_goal_in_a_wall_are_told_apart():
+    height = np.zeros((81, 81), np.float32)
+    height[60:75, 60:75] = 1.0
+    trusted = np.ones((81, 81), bool)
+    trusted[:30, 50:] = False
+    grid = ElevationGrid(height, trusted, (0.0, 0.0), 0.05)
+    graph = TraversalGraph.from_edges(
+        np.array([[1.0, 1.0, 0], [2.0, 1.0, 0]]), np.array([[0, 1]]), np.zeros(1), np.array([False, True])
+    )
+    with pytest.raises(NoRoute) as error:
+        plan(graph, grid, PlanRequest(0, (3.3, 0.7)), BODY)
+    assert error.value.reason is NoRouteReason.GOAL_UNKNOWN
+    assert plan(graph, grid, PlanRequest(0, (3.3, 0.7), allow_frontier=True), BODY).nodes == (0, 1)
+    for allow in (False, True):
+        with pytest.raises(NoRoute) as error:
+            plan(graph, grid, PlanRequest(0, (3.05, 3.3), allow_frontier=allow), BODY)
+        assert error.value.reason is NoRouteReason.GOAL_IN_OBSTACLE
+
+
+def test_equal_routes_are_decided_the_same_way_every_time():
+    grid = flat(3, 3)
+    nodes = [[0.5, 1.5, 0], [1.5, 1.0, 0], [1.5, 2.0, 0], [2.5, 1.5, 0]]
+    graph = TraversalGraph.from_edges(
+        np.array(nodes), np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), np.zeros(4)
+    )
+    for variant in ("native", "edge-only", "mean-only", "full"):
+        assert plan(graph, grid, PlanRequest(0, 3, variant=variant), BODY).nodes == (0, 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("start", "goal", "reason"),
+    [
+        ((float("nan"), 1.0), 3, NoRouteReason.BAD_INPUT),
+        (0, (1.0, float("inf")), NoRouteReason.BAD_INPUT),
+        (0, 99, NoRouteReason.BAD_INPUT),
+        (-1, 3, NoRouteReason.BAD_INPUT),
+        ("here", 3, NoRouteReason.BAD_INPUT),
+        ((1.0,), 3, NoRouteReason.BAD_INPUT),
+        ((-9.0, 1.0), 3, NoRouteReason.OUTSIDE_MAP),
+        ((3.9, 3.9), 0, NoRouteReason.START_NOT_ON_GRAPH),
+        (0, (3.9, 3.9), NoRouteReason.GOAL_IN_OBSTACLE),
+        (0, 4, NoRouteReason.NO_ROUTE),
+    ],
+)
+def test_a_request_that_cannot_be_planned_says_why(start, goal, reason):
+    grid = flat(4, 4)
+    nodes = np.array([[0.5, 1.5, 0], [1.5, 1.0, 0], [1.5, 2.0, 0], [2.5, 1.5, 0], [3.5, 0.5, 0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1], [0, 2], [1, 3], [2, 3]]), np.zeros(4))
+    for variant in ("native", "full"):
+        with pytest.raises(NoRoute) as error:
+            plan(graph, grid, PlanRequest(start, goal, variant=variant), BODY)
+        assert error.value.reason is reason
+        assert len(str(error.value)) > 20
+
+
+def test_bad_yaw_variant_and_foreign_table_are_refused(world):
+    grid, graph = world
+    with pytest.raises(NoRoute, match="goal_yaw"):
+        plan(graph, grid, PlanRequest(0, 3, goal_yaw=float("nan")), BODY)
+    with pytest.raises(PlanningError, match="variant"):
+        plan(graph, grid, PlanRequest(0, 3, variant="best"), BODY)  # type: ignore[arg-type]
+    with pytest.raises(PlanningError, match="risk table"):
+        plan(graph, grid, PlanRequest(0, 3), BODY, RiskTable(graph, flat(3, 3), BODY))
+
+
+def test_a_map_without_a_trusted_cell_is_no_terrain(world):
+    _, graph = world
+    blind = ElevationGrid(np.full((9, 9), np.nan, np.float32), np.zeros((9, 9), bool), (0.0, 0.0), 0.5)
+    with pytest.raises(NoRoute) as error:
+        plan(graph, blind, PlanRequest(0, 3), BODY)
+    assert error.value.reason is NoRouteReason.NO_TERRAIN
+
+
+@needs_shared
+def test_routes_and_costs_equal_the_reference():
+    grid, graph, want = golden_world()
+    table = RiskTable(graph, grid, BODY)
+    for row, cost, path in zip(want["queries"], want["query_cost"], want["query_path"], strict=True):
+        start_yaw, goal_yaw = (None if np.isnan(v) else float(v) for v in row[2:])
+        got = plan(graph, grid, PlanRequest(int(row[0]), int(row[1]), start_yaw, goal_yaw), BODY, table)
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.nodes == tuple(path[path >= 0])
+    for (i, j, k), cost in zip(want["transitions"], want["transition_cost"], strict=True):
+        sub = TraversalGraph.from_edges(
+            graph.nodes[[i, j, k]], np.array([[0, 1], [1, 2]]), np.array([0.0, _risk(graph, j, k)])
+        )
+        assert plan(sub, grid, PlanRequest(0, 2), BODY).transitions[1].cost == pytest.approx(cost, abs=1e-4)
+
+
+def _risk(graph, j, k):
+    row = slice(graph.indptr[j], graph.indptr[j + 1])
+    return float(graph.risk[row][graph.indices[row] == k][0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_refinement_costs_less_and_keeps_its_promises(seed):
+    grid = rough(seed, size=4.0, resolution=0.05)
+    graph = lattice(grid, 0.5, seed)
+    ends = (0, len(graph.nodes) - 1)
+    searched = plan(graph, grid, PlanRequest(*ends, 0.3, 1.0), BODY)
+    refined = plan(graph, grid, PlanRequest(*ends, 0.3, 1.0, "refined"), BODY)
+    assert refined.nodes == searched.nodes
+    assert refined.cost < 0.99 * searched.cost
+    assert refined.length <= 1.02 * searched.length + 1e-9
+    assert all(r <= s + 1e-9 for r, s in zip(refined.maxima[:3], searched.maxima[:3], strict=True))
+    np.testing.assert_array_equal(refined.points[[0, -1]], searched.points[[0, -1]])
+    xy = refined.points[:, :2]
+    poses = [oracle.features(grid, (x, y, np.arctan2(v - y, u - x))) for (x, y), (u, v) in pairwise(xy)]
+    assert all((p[:3] <= np.array(searched.maxima[:3]) + 1e-4).all() for p in poses)

@@ -1,0 +1,229 @@
+"""The command line: bad input gives one line that says what to do, the right exit status, and no traceback."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hal.types import NS
+from rbtrg_robot import topics as t
+from rbtrg_robot.cli.main import main
+from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
+from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
+from rbtrg_robot.wire.messages import encode, header, make, time_msg
+
+
+def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
+    """The command in a runtime folder of its own."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path), "COLUMNS": "200"}
+    environment = {k: v for k, v in environment.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    return subprocess.run(
+        [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=limit,
+        check=False,
+    )
+
+
+Here = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Here:
+    """The command in this process, which has imported everything already."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", "200")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+
+    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+        monkeypatch.setattr(sys, "argv", ["rbtrg-robot", *arguments])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capfd.readouterr()
+        code = ended.value.code
+        assert isinstance(code, int)
+        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
+
+    return call
+
+
+def free_port() -> int:
+    """A port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+BAD = [
+    (("up", "--scene", "moon"), "moon"),
+    (("up", "--set", "nonsense.key=1"), "nonsense"),
+    (("up", "--set", "port=12"), "port"),
+    (("up", "--config", "/nowhere/c.yaml"), "/nowhere/c.yaml"),
+    (("up", "--controller", "policy", "--policy", "/nowhere"), "/nowhere"),
+    (("up", "--without", "coffee"), "coffee"),
+    (("up", "--viewer"), "--render"),
+    (("up", "--backend", "unitree", "--viewer"), "--backend sim"),
+    (("up", "--set", "unitree.move_rate=500"), "unitree.move_rate"),
+    (("posture", "sit"), "rbtrg-robot up"),
+    (("up", "--map", "/nowhere/map.npz"), "/nowhere/map.npz"),
+    (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
+    (("status",), "rbtrg-robot up"),
+    (("goal", "1", "2"), "rbtrg-robot up"),
+    (("stop",), "rbtrg-robot up"),
+    (("down",), "rbtrg-robot up"),
+    (("replay", "/nowhere.mcap"), "/nowhere.mcap"),
+    (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),
+    (("topic", "hz", "/coffee"), "coffee"),
+    (("scene", "show", "moon"), "moon"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD)
+def test_bad_input_is_one_line_and_status_1(here: Here, arguments: tuple[str, ...], words: str) -> None:
+    told(here(*arguments), words)
+
+
+@pytest.mark.parametrize(("arguments", "words"), [BAD[0], (("status",), "rbtrg-robot up")])
+def test_bad_input_ends_a_process_of_its_own_likewise(
+    arguments: tuple[str, ...], words: str, tmp_path: Path
+) -> None:
+    told(run(*arguments, tmp_path=tmp_path), words)
+
+
+def told(done: subprocess.CompletedProcess[str], words: str) -> None:
+    assert done.returncode == 1, done.stderr
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("rbtrg-robot: ")
+    assert words in lines[0]
+
+
+def test_a_taken_port_is_told(tmp_path: Path) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = str(taken.getsockname()[1])
+        done = run(
+            "up", "--port", port, "--scene", "flat", "--log-dir", str(tmp_path / "l"), tmp_path=tmp_path
+        )
+    assert done.returncode == 1
+    assert "--port" in done.stderr.strip().splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_rerun_takes_the_configuration_of_the_log_with_changes(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}, {CONFIG: b"scene: flat\ntracker: {max_speed: 0.4, old_key: 1}\n"}) as writer:
+        for stamp in range(0, NS, NS // 10):
+            writer.write(t.CLOCK, encode(make(t.CLOCK.type, clock=time_msg(stamp))), stamp, stamp, 1)
+    out = tmp_path / "new.mcap"
+    order = ("replay", str(path), "--rerun", "tracker", "--out", str(out), "--set")
+    wrong = run(*order, "tracker.max_sped=1", tmp_path=tmp_path)
+    assert wrong.returncode == 1
+    assert "tracker.max_sped" in wrong.stderr.splitlines()[-1]
+    assert not out.exists()
+    done = run(*order, "tracker.goal_tolerance=0.07", tmp_path=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "tracker.old_key" in done.stdout
+    used = yaml.safe_load(first_of(out).attachments[CONFIG])
+    assert used["scene"] == "flat"
+    assert (used["tracker"]["max_speed"], used["tracker"]["goal_tolerance"]) == (0.4, 0.07)
+
+
+def test_a_fault_of_the_program_is_one_line_and_its_traceback_a_file(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def broken() -> None:
+        raise ZeroDivisionError("by zero")
+
+    monkeypatch.setattr("rbtrg_robot.cli.main.app", broken)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "ZeroDivisionError" in line
+    kept = Path(line.split()[-1])
+    assert "in broken" in kept.read_text()
+    kept.unlink()
+
+
+def test_a_truncated_log_plays_and_says_so(here: Here, tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}) as writer:
+        for i in range(2000):
+            stamp = i * 1_000_000
+            data = encode(make(t.IMU.type, header=header(stamp, "base_link")))
+            writer.write(t.IMU, data, stamp, stamp, i + 1)
+            if i % 100 == 0:
+                writer.flush()
+        command = encode(make(t.CMD_VEL.type))
+        writer.write(t.CMD_VEL, command, 1_999_000_000, 0, 1)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    check = here("log", "check", str(path))
+    assert check.returncode == 1
+    assert "recover" in check.stdout
+    info = json.loads(here("log", "info", str(path), "--json").stdout)
+    count = info["topics"]["/imu/data"]["count"]
+    assert 500 < count < 2000
+    fixed = here("log", "recover", str(path))
+    assert fixed.returncode == 0
+    assert here("log", "check", str(tmp_path / "log_0.recovered.mcap")).stdout == "no problems found\n"
+    port = str(free_port())
+    played = run("replay", str(path), "--rate", "4", "--port", port, tmp_path=tmp_path)
+    assert played.returncode == 0, played.stderr
+    assert f"replayed {count} messages" in played.stdout
+
+
+def test_replay_never_publishes_what_moves_a_robot(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {}) as writer:
+        for topic in (t.CMD_VEL, t.GOAL_REQUEST, t.GOAL_POSE, t.ROBOT_COMMAND, t.PATH_COMMAND, t.ODOM):
+            writer.write(topic, encode(make(topic.type)), 1, 1, 1)
+    played = run("replay", str(path), "--port", str(free_port()), tmp_path=tmp_path)
+    assert "replayed 1 messages" in played.stdout
+    for name in ("/cmd_vel", "/goal/request", "/goal_pose", "/robot/command", "/track/path"):
+        assert f"not replayed: 1 x {name}" in played.stdout
+
+
+def test_config_show_and_schema(here: Here) -> None:
+    shown = here("config", "show", "--set", "tracker.max_speed=0.3")
+    assert "max_speed: 0.3" in shown.stdout
+    schema = json.loads(here("config", "schema").stdout)
+    assert schema["additionalProperties"] is False
+
+
+def test_scene_show_gives_goals_and_a_picture(here: Here, tmp_path: Path) -> None:
+    picture = tmp_path / "yard.png"
+    done = here("scene", "show", "yard", "--json", "--png", str(picture))
+    record = json.loads(done.stdout)
+    assert {"platform", "behind_wall", "home"} <= set(record["goals"])
+    assert picture.read_bytes()[:4] == b"\x89PNG"
+
+
+def test_one_stack_per_robot_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(NotRunning):
+        read_state("r")
+    lock = RunLock("r")
+    lock.write_state(endpoint="tcp/127.0.0.1:1", domain=0, ready=True)
+    with pytest.raises(AlreadyRunning, match=str(os.getpid())):
+        RunLock("r")
+    assert read_state("r")["ready"] is True
+    RunLock("other").release()
+    lock.release()
+    with pytest.raises(NotRunning):
+        read_state("r")

@@ -1,0 +1,227 @@
+"""Closed loops in lockstep: the whole stack on the simulated robot, judged by the truth it never sees."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig, load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.hosts.offline import rerun
+from rbtrg_robot.log.file import read_run
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.messages import decode, header, make, stamp_of
+
+
+def config(**flags: Any) -> StackConfig:
+    """The flat scene unless told otherwise."""
+    return load(None, [], **({"scene": "flat"} | flags))
+
+
+def truth(stack: Lockstep) -> tuple[float, float, float]:
+    """True x, y [m], yaw [rad] in the scene."""
+    pose = stack.newest[t.TRUTH].pose.pose
+    return pose.position.x, pose.position.y, yaw_of(pose.orientation)
+
+
+def speed(stack: Lockstep) -> float:
+    """True speed [m/s]."""
+    twist = stack.newest[t.TRUTH].twist.twist.linear
+    return math.hypot(twist.x, twist.y)
+
+
+@pytest.fixture
+def stack() -> Iterator[Lockstep]:
+    """A ready stack on flat ground."""
+    with Lockstep(config()) as made:
+        made.wait_ready()
+        yield made
+
+
+def ahead(stack: Lockstep, distance: float, side: float = 0.0) -> tuple[float, float]:
+    """A place in front of the robot, in `map`."""
+    x, y, yaw = truth(stack)
+    c, s = math.cos(yaw), math.sin(yaw)
+    return x + c * distance - s * side, y + s * distance + c * side
+
+
+def test_a_goal_is_reached_in_truth(stack: Lockstep) -> None:
+    x, y = ahead(stack, 2.0, 0.8)
+    yaw = truth(stack)[2] + math.pi / 2
+    stack.send_goal(x, y, yaw)
+    status = stack.finish_goal(40.0)
+    assert (status.state, status.reason) == ("reached", "")
+    stack.run(1.0)
+    tx, ty, tyaw = truth(stack)
+    assert math.hypot(tx - x, ty - y) < 0.25
+    assert abs(math.remainder(tyaw - yaw, 2 * math.pi)) < math.radians(10.0)
+    assert speed(stack) < 0.05
+    states = [s.state for s in stack.statuses]
+    for state in ("accepted", "planning", "moving", "reached"):
+        assert state in states
+
+
+def test_the_emergency_stop_stops_now_and_stays(stack: Lockstep) -> None:
+    stack.send_goal(*ahead(stack, 4.0))
+    stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
+    stack.command("stop", "test")
+    stack.run(0.2)
+    state = stack.newest[t.ROBOT_STATE]
+    assert (state.estop, state.vx, state.wz) == (True, 0.0, 0.0)
+    assert "test" in state.estop_cause
+    stack.run(1.5)
+    assert speed(stack) < 0.05
+    assert (stack.newest[t.GOAL_STATUS].state, stack.newest[t.GOAL_STATUS].reason) == (
+        "aborted",
+        "emergency_stop",
+    )
+    place = truth(stack)
+    stack.send_goal(*ahead(stack, 2.0))
+    stack.run(1.0)
+    assert stack.newest[t.GOAL_STATUS].state == "rejected"
+    assert math.dist(place[:2], truth(stack)[:2]) < 0.02
+    stack.command("resume")
+    stack.run(0.2)
+    stack.send_goal(*ahead(stack, 1.0))
+    assert stack.finish_goal(20.0).state == "reached"
+
+
+@pytest.mark.parametrize("process", ["odometry", "elevation", "navigator", "tracker"])
+def test_without_a_process_that_matters_the_robot_stands(stack: Lockstep, process: str) -> None:
+    stack.send_goal(*ahead(stack, 4.0))
+    stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
+    stack.robot.alive(process, False)
+    stack.run(0.1)
+    assert stack.newest[t.ROBOT_STATE].vx == 0.0
+    assert process in stack.newest[t.ROBOT_STATE].hold
+    stack.run(0.4)
+    assert speed(stack) < 0.08
+    stack.robot.alive(process, True)
+    stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion again")
+
+
+def test_cancel_stops_the_robot(stack: Lockstep) -> None:
+    stack.send_goal(*ahead(stack, 4.0))
+    stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
+    stack.host.inject(t.GOAL_REQUEST, make(t.GOAL_REQUEST.type, header=header(stack.now, "map"), action=1))
+    stack.run(1.5)
+    assert stack.newest[t.GOAL_STATUS].state == "cancelled"
+    assert speed(stack) < 0.05
+
+
+def test_commands_that_make_no_sense_are_refused_and_counted(stack: Lockstep) -> None:
+    place = truth(stack)
+    for vx, frame in ((math.nan, "base_link"), (50.0, "base_link"), (0.3, "map")):
+        message = make(t.CMD_VEL.type, header=header(stack.now, frame))
+        message.twist.linear.x = vx
+        stack.host.inject(t.CMD_VEL, message)
+    stack.run(0.3)
+    state = stack.newest[t.ROBOT_STATE]
+    refused = dict(zip(state.refused_reason, state.refused_count, strict=True))
+    assert refused == {"not finite": 1, "wrong frame": 1, "over limit": 1}
+    assert math.dist(place[:2], truth(stack)[:2]) < 0.02
+
+
+def test_a_goal_inside_a_known_wall_is_rejected(stack: Lockstep) -> None:
+    stack.run(2.0)
+    scene = config().load_scene()
+    x0, _, _, _ = scene.extent
+    stack.send_goal(x0 + 0.05, truth(stack)[1])
+    status = stack.finish_goal(20.0)
+    assert status.state in ("rejected", "aborted")
+    assert status.reason in ("goal_in_obstacle", "no_route", "outside_area")
+
+
+def test_the_same_seed_gives_the_same_log_and_a_rerun_gives_the_recorded_map(tmp_path: Path) -> None:
+    files = []
+    for name in ("a", "b"):
+        conf = config(seed=5)
+        path = tmp_path / f"{name}.mcap"
+        with Lockstep(conf, Lockstep.open_log(conf, path)) as stack:
+            stack.wait_ready()
+            stack.send_goal(*ahead(stack, 1.0))
+            stack.run(3.0)
+        files.append(path)
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+    again = tmp_path / "again.mcap"
+    names = ["odometry", "elevation", "planner"]
+    rerun(files[0], names, again)
+    twice = tmp_path / "twice.mcap"
+    rerun(files[0], names, twice)
+    assert again.read_bytes() == twice.read_bytes()
+    before, after = payloads(files[0]), payloads(again)
+    for topic in (t.ODOM, t.CLOUD, t.POSE, t.MAP_UPDATE, t.MAP_WINDOW, t.PLAN):
+        assert before[topic]
+        assert before[topic] == after[topic], topic.name
+
+
+def payloads(path: Path) -> dict[Topic, list[bytes]]:
+    """Wire bytes by topic."""
+    found: dict[Topic, list[bytes]] = {}
+    for entry in read_run(path):
+        found.setdefault(t.BY_NAME[entry.topic], []).append(entry.data)
+    return found
+
+
+def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
+    conf = config()
+    path = tmp_path / "log.mcap"
+    with Lockstep(conf, Lockstep.open_log(conf, path)) as stack:
+        stack.wait_ready()
+        stack.send_goal(*ahead(stack, 1.0))
+        stack.run(1.0)
+    frames: dict[str, set[str]] = {}
+    for entry in read_run(path):
+        message = decode(entry.data, entry.type)
+        if hasattr(message, "header"):
+            frames.setdefault(entry.topic, set()).add(message.header.frame_id)
+            if entry.topic not in ("/goal/request", "/heartbeat"):
+                assert 0 <= stamp_of(message) <= entry.log_time, entry.topic
+    assert all(len(names) == 1 and "" not in names for names in frames.values()), frames
+    assert frames["/lidar/points"] == {"lidar"}
+    assert frames["/odom"] == {"odom"}
+    assert frames["/elevation_map/update"] == frames["/elevation_map/window"] == {"map"}
+    assert np.isfinite(len(frames))
+
+
+def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() -> None:
+    appear, x0 = 8.0, 3.7
+    box = {"centre": (x0 + 0.15, 0.0, 0.2), "size": (0.3, 0.5, 0.4), "appear": appear}
+    with Lockstep(config(origin=(0.0, 0.0, 0.0)).model_copy(update={"sim": {"obstacles": [box]}})) as stack:
+        stack.wait_ready()
+        stack.send_goal(5.5, 0.0)
+        stack.run(appear - stack.seconds)
+        gap = x0 - truth(stack)[0] - 0.35
+        assert 0.4 < gap < 1.0, "in front of the nose, and further than it takes to brake"
+        assert speed(stack) > 0.4
+        stopped = np.inf
+        closest = np.inf
+        while stack.statuses[-1].state not in ("reached", "aborted") and stack.seconds < 40.0:
+            stack.run(0.05)
+            if speed(stack) < 0.05:
+                stopped = min(stopped, stack.seconds - appear)
+            closest = min(closest, _distance(truth(stack), (x0, x0 + 0.3), (-0.25, 0.25)))
+        assert stack.statuses[-1].state == "reached"
+    assert stopped < 0.8, "seen in the window after the next scan, not with the next change of the map"
+    assert closest > 0.0
+
+
+def _distance(pose: tuple[float, float, float], xs: tuple[float, float], ys: tuple[float, float]) -> float:
+    """From the rim of the body to a box along the axes [m]; 0 where they overlap."""
+    u = np.linspace(-1.0, 1.0, 31)
+    one = np.ones_like(u)
+    rim = np.vstack([np.column_stack(side) for side in ((u, one), (u, -one), (one, u), (-one, u))])
+    along, side = 0.35 * rim[:, 0], 0.218 * rim[:, 1]
+    x = pose[0] + along * math.cos(pose[2]) - side * math.sin(pose[2])
+    y = pose[1] + along * math.sin(pose[2]) + side * math.cos(pose[2])
+    dx = np.maximum(0.0, np.maximum(xs[0] - x, x - xs[1]))
+    dy = np.maximum(0.0, np.maximum(ys[0] - y, y - ys[1]))
+    return float(np.hypot(dx, dy).min())

@@ -1,0 +1,148 @@
+"""The whole stack drives the Unitree backend, with the simulated Go2-W behind the wire format: goals, and a fault on the way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
+from hal.unitree.options import UnitreeOptions
+from rbtrg_robot import topics as t
+from rbtrg_robot.cli.table import goal_line, robot_line
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts import robot as robot_process
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.process.health import Health
+from tests.hal.unitree.robot import MujocoBody
+from tests.hal.unitree.world import World
+
+
+class Wired:
+    """The Unitree backend on the lockstep clock: reading advances the robot's side first."""
+
+    def __init__(self, config: Any) -> None:
+        body = MujocoBody(config.load_scene(), lidar_step=4, caster="numba", seed=3)
+        self.world = World(options=UnitreeOptions(lidar="xt16"), body=body, epoch=0)
+        self.backend = self.world.backend
+        self.capabilities = self.backend.capabilities
+
+    def connect(self) -> None:
+        self.backend.connect()
+
+    def read(self, now: int) -> list[Sample]:
+        self.world.advance(max(now - self.world.now, 0) / 1e9)
+        return self.backend.read(now)
+
+    def drive(self, command: VelocityCommand) -> None:
+        self.backend.drive(command)
+
+    def posture(self, command: PostureCommand) -> None:
+        self.backend.posture(command)
+
+    def request(self, mode: ModeRequest) -> None:
+        self.backend.request(mode)
+
+    def state(self) -> RobotState:
+        return self.backend.state()
+
+    def close(self) -> None:
+        self.backend.close()
+
+
+@pytest.fixture
+def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Lockstep, World]]:
+    """A ready stack and the robot's world."""
+    made: list[Wired] = []
+
+    def build(config: Any, _restored: Any) -> Wired:
+        made.append(Wired(config))
+        return made[0]
+
+    monkeypatch.setattr(robot_process, "_simulator", build)
+    with Lockstep(load(None, [], scene="flat")) as stack:
+        stack.wait_ready(30.0)
+        yield stack, made[0].world
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What fails while the robot drives to a goal, and what `status` says after `LASTING`."""
+
+    set: Callable[[World, bool], None]
+    robot: str
+    goal: str
+    rest: float = 0.5
+    """[s] until the robot stands."""
+    ended: bool = True
+    """The goal ended; otherwise it goes on by itself when the fault is over."""
+    orders: tuple[str, ...] = ()
+    """What `status` asks the operator for."""
+
+
+LASTING = 3.5
+"""[s]"""
+
+
+def _cut(world: World, on: bool) -> None:
+    world.cut = on
+
+
+def _fault(name: str) -> Callable[[World, bool], None]:
+    return lambda world, on: setattr(world.faults, name, on)
+
+
+AWAY = "robot: disconnected (no LowState for 3.5 s: check cable and robot), held (imu is 3.5 s old)"
+OUT = "goal: aborted (GOAL): the robot is out of contact: no LowState for 3."
+SILENT = "robot fault: sport service is silent (motion service released?): request recover"
+FAULTS = {
+    # Without a sentry only the robot's own hold of the last Move ends this one.
+    "cable": Fault(_cut, AWAY, OUT, rest=1.4),
+    "LowState stops": Fault(_fault("low_silent"), AWAY, OUT),
+    "LowState freezes": Fault(_fault("low_frozen"), AWAY, OUT),
+    "sportmodestate": Fault(
+        _fault("sport_silent"),
+        f"robot: fault, E-STOP ({SILENT})",
+        f"goal: aborted (GOAL): emergency stop: {SILENT}; `rbtrg-robot resume` releases it",
+        rest=1.5,  # a second of patience
+        orders=("recover", "resume"),
+    ),
+    "LiDAR": Fault(_fault("lidar_silent"), "held (lidar is 3.", "goal: moving (GOAL)", rest=1.5, ended=False),
+}
+
+
+def test_whatever_fails_on_the_way_it_rests_says_why_and_reaches_the_next_goal(
+    wired: tuple[Lockstep, World],
+) -> None:
+    stack, world = wired
+    body, health = world.body, Health(simulated=True)
+    stack.host.listen(lambda topic, data, _now: health.take(topic, data) if topic in Health.WATCHED else None)
+    to = (body.x + 4.0, body.y)
+    stack.send_goal(*to)
+    for name, fault in FAULTS.items():
+        stack.run_until(lambda: body.v > 0.3, 20.0, f"motion before {name}")
+        fault.set(world, True)
+        stack.run(fault.rest)
+        assert abs(body.v) < 0.05, name
+        stack.run(LASTING - fault.rest)
+        row = health.robot_row()
+        assert fault.robot in robot_line(row)
+        assert goal_line(row).startswith(fault.goal.replace("GOAL", "{:.2f}, {:.2f}".format(*to)))
+        assert abs(body.v) < 0.05, name
+        fault.set(world, False)
+        stack.run(1.0)
+        for order in fault.orders:
+            stack.command(order)
+            stack.run(1.0)
+        assert stack.newest[t.ROBOT_STATE].phase in ("ready", "moving"), name
+        if fault.ended:
+            assert abs(body.v) < 0.05, "it drives on only when told to"
+            stack.send_goal(*to)
+    status = stack.finish_goal(40.0)
+    assert (status.state, status.reason) == ("reached", "")
+    stack.run(1.0)
+    assert math.dist((body.x, body.y), to) < 0.25
+    assert abs(body.v) < 0.05

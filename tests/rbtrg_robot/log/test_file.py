@@ -1,0 +1,157 @@
+"""Logs: readable by others, recoverable wherever they were cut, the same bytes for the same messages."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.log.file import (
+    CONFIG,
+    LogContents,
+    LogError,
+    LogWriter,
+    first_of,
+    is_intact,
+    read_log,
+    read_run,
+    recover,
+)
+from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.wire.messages import encode, header, make
+from tests.places import ROOT
+
+
+def write(path: Path, count: int = 200, *, drop: int = -1, close: bool = True) -> LogWriter:
+    """IMU at 200 Hz, one status; message number `drop` is missing."""
+    writer = LogWriter(path, {"scene": "flat", "seed": "3"}, {CONFIG: b"seed: 3\n"})
+    for i in range(count):
+        if i != drop:
+            stamp = i * 5_000_000
+            writer.write(
+                t.IMU, encode(make(t.IMU.type, header=header(stamp, "base_link"))), stamp, stamp, i + 1
+            )
+    writer.write(t.GOAL_STATUS, encode(make(t.GOAL_STATUS.type, id="g")), count * 5_000_000, 1, 1)
+    if close:
+        writer.close()
+    return writer
+
+
+def test_rosbags_and_mcap_read_every_message(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    write(path)
+    with AnyReader([path]) as reader:
+        stamps = [
+            reader.deserialize(raw, connection.msgtype).header.stamp.nanosec
+            for connection, _, raw in reader.messages()
+            if connection.topic == "/imu/data"
+        ]
+    assert stamps == [i * 5_000_000 for i in range(200)]
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 201
+    assert summary.statistics.attachment_count == 1
+
+
+def test_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap")
+    write(tmp_path / "b.mcap")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    script = (
+        "import sys, time; from pathlib import Path; from tests.rbtrg_robot.log.test_file import write\n"
+        f"writer = write(Path({str(path)!r}), 300, close=False); writer.flush(); print('flushed', flush=True)\n"
+        "time.sleep(60)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, cwd=ROOT)
+    assert child.stdout is not None
+    assert child.stdout.readline() == b"flushed\n"
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    child.stdout.close()
+    assert not is_intact(path)
+    count, damage = recover(path, tmp_path / "fixed.mcap")
+    assert count == 301
+    assert damage
+    assert is_intact(tmp_path / "fixed.mcap")
+    assert first_of(tmp_path / "fixed.mcap").attachments[CONFIG] == b"seed: 3\n"
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8, 0.99])
+def test_a_truncated_log_reads_up_to_the_cut(tmp_path: Path, share: float) -> None:
+    path = tmp_path / "log_0.mcap"
+    writer = LogWriter(path, {"scene": "flat"})
+    for i in range(400):
+        writer.write(t.IMU, encode(make(t.IMU.type)), i, i, i + 1)
+        if i % 20 == 0:
+            writer.flush()
+    writer.close()
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    contents = LogContents()
+    times = [entry.log_time for entry, _, _ in read_log(path, contents)]
+    assert times == list(range(len(times)))
+    assert contents.damage or share > 0.9
+    assert any("recover" in line for line in summarize(path).damage) or contents.indexed
+
+
+def test_a_log_that_is_being_written_is_not_called_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "log_0.mcap"
+    with LogWriter(path, {"scene": "flat"}) as writer:
+        writer.write(t.IMU, encode(make(t.IMU.type, header=header(5, "base_link"))), 5, 5, 1)
+        writer.flush()
+        summary = summarize(path)
+        assert (summary.unfinished, summary.problems()) == (["log_0.mcap"], [])
+        assert summary.topics["/imu/data"].count == 1
+    summary = summarize(path)
+    assert (summary.unfinished, summary.problems()) == ([], [])
+    path.write_bytes(path.read_bytes()[:-20])
+    assert len(summarize(path).problems()) == 1
+
+
+def test_what_is_no_log_is_refused_in_words(tmp_path: Path) -> None:
+    text = tmp_path / "notes.mcap"
+    text.write_text("dear diary")
+    with pytest.raises(LogError, match="not an MCAP file"):
+        list(read_log(text))
+    with pytest.raises(LogError, match="there is no"):
+        list(read_run(tmp_path / "missing.mcap"))
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match=r"no \.mcap file"):
+        list(read_run(tmp_path / "empty"))
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(LogError, match="--log-dir"):
+        LogWriter(tmp_path / "file" / "log_0.mcap", {})
+
+
+def test_recover_never_overwrites(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap")
+    write(tmp_path / "b.mcap")
+    with pytest.raises(LogError, match="exists"):
+        recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+
+
+def test_statistics_find_the_missing_message(tmp_path: Path) -> None:
+    write(tmp_path / "log_0.mcap", drop=77)
+    summary = summarize(tmp_path)
+    imu = summary.topics["/imu/data"]
+    assert (imu.count, imu.missing) == (199, 1)
+    assert imu.rate == pytest.approx(199.0, abs=1.0)
+    assert imu.longest_gap == pytest.approx(0.010)
+    assert summary.metadata["scene"] == "flat"
+    assert summary.problems() == ["/imu/data: 1 of 200 messages are missing"]

@@ -1,0 +1,143 @@
+"""What `status` says is true: the pose is in the map frame, rates come from the publishers' own counts."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.cli.table import robot_line
+from rbtrg_robot.config import load
+from rbtrg_robot.process import health as module
+from rbtrg_robot.process.health import Health
+from rbtrg_robot.process.supervisor import Supervisor
+from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg
+from rbtrg_robot.wire.messages import array, encode, header, make
+
+
+def take(health: Health, topic: t.Topic, message: Any) -> None:
+    assert topic in Health.WATCHED
+    health.take(topic, encode(message))
+
+
+def beat(count: int, newest: int) -> Any:
+    return make(
+        t.HEARTBEAT.type,
+        header=header(1, ""),
+        process="odometry",
+        pid=1,
+        state="ready",
+        topic=["/odom"],
+        published=array([count], "uint64"),
+        newest=array([newest], "int64"),
+    )
+
+
+def test_pose_is_in_the_map_frame() -> None:
+    health = Health(simulated=True)
+    shift = transform_msg(
+        0, MAP, ODOM, (-4.5, -4.0, 0.3), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
+    )
+    take(health, t.TF_STATIC, make(t.TF_STATIC.type, transforms=[shift]))
+    odom = make(t.ODOM.type, header=header(1, ODOM))
+    odom.pose.pose.position.x, odom.pose.pose.position.z = 2.0, 0.1
+    odom.pose.pose.orientation.w = 1.0
+    take(health, t.ODOM, odom)
+    row = health.robot_row()
+    assert (row["x"], row["y"], row["z"]) == pytest.approx((-4.5, -2.0, 0.4))
+    assert row["yaw"] == pytest.approx(math.pi / 2)
+
+
+def test_an_old_pose_is_told_as_old_and_without_its_speed() -> None:
+    health = Health(simulated=True)
+    odom = make(t.ODOM.type, header=header(2_000_000_000, ODOM))
+    odom.pose.pose.orientation.w, odom.twist.twist.linear.x = 1.0, 0.48
+    take(health, t.ODOM, odom)
+    for now, words in (
+        (2_200_000_000, "at 0.00 0.00 yaw 0 deg, 0.48 m/s"),
+        (14_000_000_000, "12 s ago at 0.00 0.00 yaw 0 deg, real"),
+    ):
+        take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(now, ""), phase="ready"))
+        assert f"robot: ready, {words}" in robot_line(health.robot_row())
+
+
+def test_a_topic_is_well_at_its_rate_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    health = Health(simulated=False)
+    now = 100.0
+    monkeypatch.setattr(module.time, "monotonic", lambda: now)
+    for count in range(0, 40, 5):
+        take(health, t.HEARTBEAT, beat(count, 0))
+        now += 0.5
+    assert health.topic_row(t.ODOM)["rate"] == pytest.approx(10.0)
+    assert health.topic_row(t.ODOM)["ok"]
+    for _ in range(8):
+        take(health, t.HEARTBEAT, beat(40, 0))
+        now += 0.5
+    assert health.topic_row(t.ODOM)["rate"] < 1.0
+    assert not health.topic_row(t.ODOM)["ok"]
+    assert health.unhealthy_topics((t.ODOM, t.CLOCK)) == ["/odom"]
+
+
+def test_a_forgotten_process_has_no_heartbeat() -> None:
+    health = Health(simulated=False)
+    take(health, t.HEARTBEAT, beat(0, 0))
+    assert health.beat_age("odometry") is not None
+    health.forget("odometry")
+    assert health.beat_age("odometry") is None
+
+
+def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
+    health = Health(simulated=True)
+    take(
+        health,
+        t.ROBOT_STATE,
+        make(t.ROBOT_STATE.type, header=header(1, ""), phase="ready", realtime_factor=1.0),
+    )
+    for warning in ("the prior map does not fit", ""):
+        take(health, t.MAP_STATUS, make(t.MAP_STATUS.type, header=header(1, "map"), warning=warning))
+        assert health.robot_row()["map_warning"] == warning
+        assert ("MAP: the prior map does not fit" in robot_line(health.robot_row())) == bool(warning)
+
+
+@pytest.mark.parametrize("phase", ["ready", "sitting", "standing", "disconnected", "fault"])
+def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(phase: str) -> None:
+    supervisor = Supervisor(load(None, []), None, lambda _line: None)  # type: ignore[arg-type]
+    supervisor._expected = ()
+    for name, child in supervisor._children.items():
+        child.forked = SimpleNamespace(poll=lambda: None)  # type: ignore[assignment]
+        alive = make(t.HEARTBEAT.type, header=header(1, ""), process=name, state="ready")
+        take(supervisor._health, t.HEARTBEAT, alive)
+    take(supervisor._health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase))
+    assert supervisor._well() == (phase in ("ready", "sitting"))
+
+
+def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
+    said: list[str] = []
+    supervisor = Supervisor(load(None, []), None, said.append)  # type: ignore[arg-type]
+    for phase in ("ready", "disconnected", "disconnected", "ready", "moving"):
+        state = make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
+        supervisor._narrate(t.ROBOT_STATE, state)
+    assert said == ["robot disconnected: no LowState for 0.2 s", "robot is back"]
+
+
+@pytest.mark.parametrize(
+    ("state", "line"),
+    [
+        (
+            {"cause": "lying", "hold": "robot is sitting: lying"},
+            "robot: sitting, held (robot is sitting: lying)",
+        ),
+        ({"cause": "lying", "hold": "no command"}, "robot: sitting (lying)"),
+        (
+            {"cause": "lying", "estop": True, "estop_cause": "emergency stop: cli"},
+            "robot: sitting (lying), E-STOP (emergency stop: cli)",
+        ),
+    ],
+)
+def test_the_status_line_says_why_once(state: dict[str, Any], line: str) -> None:
+    health = Health(simulated=True)
+    take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase="sitting", **state))
+    assert robot_line(health.robot_row()).startswith(line + ", real-time")

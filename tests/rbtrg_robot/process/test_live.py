@@ -1,0 +1,228 @@
+"""One real `up`: processes, signals, kills. Slow, so everything is asked of two runs."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from rosbags.highlevel import AnyReader
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.log.file import is_intact, read_run
+from rbtrg_robot.process.supervisor import shared_segments
+from rbtrg_robot.stages.navigation.goal import goal_request
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.messages import decode, stamp_of
+
+pytestmark = pytest.mark.timeout(420)
+START_LIMIT = 240.0
+
+
+class Stack:
+    """A stack of its own: runtime folder, port, log folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.logs = folder / "logs"
+        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+
+    def run(self, *arguments: str, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+            capture_output=True,
+            text=True,
+            env=self.environment,
+            timeout=limit,
+            check=False,
+        )
+
+    def up(self) -> subprocess.CompletedProcess[str]:
+        return self.run(
+            *("up", "--detach", "--scene", "flat", "--port", str(self.port), "--log-dir", str(self.logs)),
+            limit=START_LIMIT,
+        )
+
+    def status(self) -> dict[str, Any]:
+        done = self.run("status", "--json")
+        assert done.returncode == 0, done.stderr
+        found: dict[str, Any] = json.loads(done.stdout)
+        return found
+
+    def processes(self) -> dict[str, dict[str, Any]]:
+        return {row["process"]: row for row in self.status()["processes"]}
+
+    def bus(self) -> Bus:
+        return Bus(f"tcp/127.0.0.1:{self.port}", "test")
+
+    def log(self) -> Path:
+        (run,) = self.logs.iterdir()
+        return run
+
+
+class Observer:
+    """The robot as the simulator knows it, on the simulator's clock."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.speed = 0.0
+        self.stamp = 0
+        self.place = (0.0, 0.0)
+        self.goal = ""
+        bus.subscribe([t.TRUTH, t.GOAL_STATUS])
+
+    def until(self, condition: Callable[[], bool], limit: float) -> None:
+        """Watch until `condition()`; `limit` in wall seconds, generous because machines differ."""
+        end = time.monotonic() + limit
+        while not condition():
+            assert time.monotonic() < end, "it did not happen"
+            for received in self._bus.take(0.1):
+                message = received.decode()
+                if received.topic is t.TRUTH:
+                    twist = message.twist.twist.linear
+                    self.speed = math.hypot(twist.x, twist.y)
+                    self.stamp = received.stamp
+                    self.place = (message.pose.pose.position.x, message.pose.pose.position.y)
+                else:
+                    self.goal = message.state
+
+    def send(self, goal_id: str, x: float, y: float) -> None:
+        """Until it is answered."""
+        request = goal_request(time.time_ns(), goal_id, x, y)
+        self.goal = ""
+        end = time.monotonic() + 30.0
+        while self.goal in ("", "idle"):
+            assert time.monotonic() < end
+            self._bus.publish(t.GOAL_REQUEST, request, 0)
+            due = time.monotonic() + 1.0
+            self.until(lambda due=due: self.goal not in ("", "idle") or time.monotonic() > due, 5.0)  # type: ignore[misc]
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Iterator[Stack]:
+    """Always taken down."""
+    made = Stack(tmp_path)
+    yield made
+    made.run("down")
+
+
+def test_up_goal_kill_stop_down(stack: Stack) -> None:
+    up = stack.up()
+    assert up.returncode == 0, up.stderr
+    assert "ready" in up.stdout
+    second = stack.up()
+    assert second.returncode == 1
+    status = stack.status()
+    assert str(status["pid"]) in second.stderr
+    assert status["ready"]
+    assert {row["state"] for row in status["processes"]} == {"ready"}
+    children = psutil.Process(status["pid"]).children(recursive=True)
+    assert {p.pid for p in children} > {row["pid"] for row in status["processes"]}
+    assert len(children) == 8  # and the zygote
+
+    with stack.bus() as bus:
+        watch = Observer(bus)
+        watch.until(lambda: watch.stamp > 0, 10.0)
+        x, y = watch.place
+        watch.send("far", x + 4.0, y)
+        watch.until(lambda: watch.speed > 0.3, 60.0)
+        victim = stack.processes()["tracker"]["pid"]
+        os.kill(victim, signal.SIGKILL)
+        watch.until(lambda: watch.speed < 0.08, 30.0)
+        watch.until(lambda: watch.speed > 0.3 or watch.goal in ("reached", "aborted"), 60.0)
+        watch.until(lambda: watch.goal in ("reached", "aborted"), 120.0)
+        assert watch.goal == "reached"
+        assert math.dist(watch.place, (x + 4.0, y)) < 0.25
+    assert stack.processes()["tracker"]["restarts"] == 1
+
+    rate = stack.run("topic", "hz", "/odom", "--seconds", "2")
+    assert rate.returncode == 0
+    assert "Hz" in rate.stdout
+
+    stop = stack.run("stop")
+    assert stop.returncode == 0, stop.stderr
+    assert stack.status()["robot"]["estop"] is True
+    refused = stack.run("goal", "0", "0", "--wait")
+    assert refused.returncode == 2
+    assert "emergency stop" in refused.stderr
+    assert stack.run("resume").returncode == 0
+    assert stack.status()["robot"]["estop"] is False
+    nan = stack.run("goal", "nan", "1", "--wait")
+    assert nan.returncode == 2
+    beside = stack.run("replay", str(stack.log()))
+    assert beside.returncode == 1
+    assert "robot is live" in beside.stderr
+
+    segments = {path for child in children for path in shared_segments(child)}
+    assert segments
+    down = stack.run("down")
+    assert down.returncode == 0
+    _gone, alive = psutil.wait_procs(children, timeout=3.0)
+    assert not alive
+    assert not [path for path in segments if path.exists()]
+    log = stack.log() / "log_0.mcap"
+    assert is_intact(log)
+    counts: Counter[str] = Counter()
+    commands: list[tuple[int, float]] = []
+    speeds: dict[float, float] = {}
+    for entry in read_run(log):
+        counts[entry.topic] += 1
+        if entry.topic == t.CMD_VEL.name:
+            commands.append((entry.sequence, stamp_of(decode(entry.data, entry.type)) / 1e9))
+        elif entry.topic == t.TRUTH.name:
+            message: Any = decode(entry.data, entry.type)
+            twist = message.twist.twist.linear
+            speeds[stamp_of(message) / 1e9] = math.hypot(twist.x, twist.y)
+    # By the log's own clock, from the last command of the tracker that died: the next one counts from 1 again.
+    (last,) = [before for (_, before), (count, _) in itertools.pairwise(commands) if count == 1]
+    stood = next(stamp for stamp, speed in speeds.items() if stamp > last and speed < 0.1)
+    assert stood - last < 0.6
+    for name in ("/lidar/points", "/odom", "/elevation_map/update", "/plan", "/goal/request", "/cmd_vel"):
+        assert counts[name] > 0, name
+
+
+def test_when_up_is_killed_nothing_survives_it_and_the_log_does(stack: Stack) -> None:
+    up = stack.up()
+    assert up.returncode == 0, up.stderr
+    supervisor = psutil.Process(stack.status()["pid"])
+    children = supervisor.children(recursive=True)
+    recorder = stack.processes()["recorder"]["pid"]
+    with stack.bus() as bus:
+        watch = Observer(bus)
+        watch.until(lambda: watch.stamp > 3_000_000_000, 20.0)
+        os.kill(recorder, signal.SIGKILL)
+        kills = [watch.stamp]
+        watch.until(lambda: watch.stamp > kills[0] + 5_000_000_000, 60.0)
+        supervisor.kill()
+        kills.append(watch.stamp)
+    _gone, alive = psutil.wait_procs(children, timeout=5.0)
+    assert not alive
+    logs = sorted(stack.log().glob("log_*.mcap"))
+    assert len(logs) == 2
+    for log, killed in zip(logs, kills, strict=True):
+        readable = log
+        if not is_intact(log):
+            assert stack.run("log", "recover", str(log)).returncode == 0
+            readable = log.with_suffix(".recovered.mcap")
+        with AnyReader([readable]) as reader:
+            truth = [c for c in reader.connections if c.topic == "/ground_truth/odom"]
+            newest = max(stamp_of(reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages(truth))
+        assert killed - newest < 1_100_000_000  # a flush every second of the wall clock
+    again = stack.run("status")
+    assert again.returncode == 1
+    assert "rbtrg-robot up" in again.stderr

@@ -1,0 +1,99 @@
+"""Processes forked by the zygote are children of the caller, and report how they ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.process.child import FATAL
+from rbtrg_robot.process.zygote import Forked, Zygote
+
+
+@pytest.fixture(scope="module")
+def zygote() -> Iterator[Zygote]:
+    with Zygote() as made:
+        yield made
+
+
+def tracker(**config: Any) -> dict[str, Any]:
+    """A specification."""
+    return {
+        "process": "tracker",
+        "config": {**StackConfig().model_dump(mode="json"), **config},
+        "restored": {},
+    }
+
+
+def stopped(zygote: Zygote, log: Path) -> Forked:
+    """A process that stays as it is."""
+    forked = zygote.fork(tracker(), log)
+    os.kill(forked.pid, signal.SIGSTOP)
+    return forked
+
+
+def test_exit_status_and_last_words_arrive(zygote: Zygote, tmp_path: Path) -> None:
+    log = tmp_path / "tracker.log"
+    forked = zygote.fork(tracker(bogus=1), log)
+    assert forked.wait(60.0) == FATAL
+    assert forked.poll() == FATAL
+    assert log.read_text().startswith("fatal: ")
+
+
+def test_a_killed_process_reports_the_signal(zygote: Zygote, tmp_path: Path) -> None:
+    forked = stopped(zygote, tmp_path / "tracker.log")
+    assert psutil.Process(forked.pid).ppid() == os.getpid()
+    assert os.getpgid(forked.pid) == forked.pid
+    with pytest.raises(subprocess.TimeoutExpired):
+        forked.wait(0.0)
+    forked.kill()
+    assert forked.wait(10.0) == -signal.SIGKILL
+    forked.terminate()  # of an ended process: nothing
+
+
+def test_a_killed_zygote_is_replaced_and_its_processes_live_on(tmp_path: Path) -> None:
+    with Zygote() as zygote:
+        first = stopped(zygote, tmp_path / "first.log")
+        killed = zygote.pid
+        os.kill(killed, signal.SIGKILL)
+        assert first.poll() is None
+        second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
+        assert second.wait(60.0) == FATAL
+        assert zygote.pid != killed
+        assert first.poll() is None
+        first.kill()
+        assert first.wait(10.0) == -signal.SIGKILL
+
+
+def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:
+    script = """
+import json, os, signal, sys
+from pathlib import Path
+from rbtrg_robot.zygote import Zygote
+zygote = Zygote()
+pid = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2])).pid
+os.kill(pid, signal.SIGSTOP)
+print(pid, zygote.pid, flush=True)
+sys.stdin.read()
+"""
+    with subprocess.Popen(
+        [sys.executable, "-c", script, json.dumps(tracker()), str(tmp_path / "log")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as caller:
+        assert caller.stdout is not None
+        processes = [psutil.Process(int(pid)) for pid in caller.stdout.readline().split()]
+        assert len(processes) == 2
+        caller.kill()
+    _gone, alive = psutil.wait_procs(processes, timeout=5.0)
+    assert not alive

@@ -1,0 +1,593 @@
+"""The goal's lifecycle, message by message."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from hal.types import NS
+from planning.tracking.tracker import PathTracker
+from rbtrg_robot import topics as t
+from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.navigator import NavigatorStage
+from rbtrg_robot.stages.navigation.progress import Pose2, Trail
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
+from rbtrg_robot.wire.messages import encode, header, make
+
+SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
+
+
+class World:
+    """Plays everyone the navigator talks to."""
+
+    def __init__(self, area: Any = None) -> None:
+        self.stage = NavigatorStage(NavigatorParams(), area)
+        self.now = 0
+        self.out: list[tuple[Topic, Any]] = []
+        self.pose = (0.0, 0.0, 0.0)
+        self.health = "good"
+        self.silent: set[Topic] = set()
+        self.tracker_phase = "following"
+        self.tracker_obeys = True
+        self.estop = False
+        self.phase = "ready"
+        self.route_valid = True
+
+    def send(self, topic: Topic, **fields: Any) -> None:
+        fields.setdefault("header", header(self.now, "map"))
+        self._take(self.stage.on(topic, make(topic.type, **fields)))
+
+    def _take(self, outputs: list[tuple[Topic, Any]]) -> None:
+        for _, message in outputs:
+            encode(message)  # every output must survive the wire
+        self.out += outputs
+
+    def run(self, seconds: float) -> None:
+        """Everyone publishes at 10 Hz."""
+        for _ in range(round(seconds * 10)):
+            self.now += NS // 10
+            x, y, yaw = self.pose
+            if t.ODOM not in self.silent:
+                q = rpy_quaternion((0.0, 0.0, yaw))
+                odom = odometry_msg(self.now, (x, y, 0.0), q, np.zeros(3), np.zeros(3))
+                self._take(self.stage.on(t.ODOM, odom))
+            self.send(t.ODOM_HEALTH, health=self.health, reason="no overlap" if self.health == "lost" else "")
+            if t.MAP_STATUS not in self.silent:
+                self.send(t.MAP_STATUS)
+            self.send(
+                t.ROBOT_STATE,
+                phase=self.phase,
+                estop=self.estop,
+                estop_cause="operator" if self.estop else "",
+            )
+            path = self.last(t.PATH_COMMAND)
+            path_id = path.id if path is not None and self.tracker_obeys else ""
+            phase = self.tracker_phase if path_id else "idle"
+            self.send(t.TRACKER_STATE, path_id=path_id, phase=phase, distance_left=2.0)
+            if t.ROUTE_STATUS not in self.silent and self.last(t.PLAN_REQUEST) is not None:
+                request = self.last(t.PLAN_REQUEST)
+                self.send(
+                    t.ROUTE_STATUS,
+                    goal_id=request.goal_id,
+                    sequence=request.sequence,
+                    valid=self.route_valid,
+                    detail="" if self.route_valid else "a step of 0.3 m",
+                )
+            self._take(self.stage.tick(self.now))
+
+    def goal(self, x: float = 3.0, y: float = 0.0, goal_id: str = "g", **fields: Any) -> None:
+        self.send(t.GOAL_REQUEST, id=goal_id, x=x, y=y, **fields)
+
+    def answer(
+        self, *, ok: bool = True, reaches: bool = True, reason: str = "", kerb: float = math.inf
+    ) -> None:
+        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]."""
+        request = self.last(t.PLAN_REQUEST)
+        line = np.linspace(0.0, 1.0, 11 if kerb > 1.0 else 51)
+        self.send(
+            t.PLAN,
+            goal_id=request.goal_id,
+            sequence=request.sequence,
+            ok=ok,
+            reason=reason,
+            reaches_goal=reaches,
+            x=line,
+            y=0 * line,
+            z=0.1 * (line > kerb),
+            yaw=0 * line,
+            speed=0 * line + 0.5,
+            transition_body=np.array([0.1, 0.4]),
+        )
+
+    def last(self, topic: Topic) -> Any:
+        found = [m for x, m in self.out if x is topic]
+        return found[-1] if found else None
+
+    def count(self, topic: Topic) -> int:
+        return sum(x is topic for x, _ in self.out)
+
+    @property
+    def status(self) -> Any:
+        return self.last(t.GOAL_STATUS)
+
+
+@pytest.fixture
+def world() -> World:
+    """A robot that stands at the origin with everything running."""
+    made = World()
+    made.run(0.5)
+    return made
+
+
+def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
+    world.goal()
+    assert world.status.state == "planning"
+    world.answer()
+    assert world.status.state == "moving"
+    assert world.status.risk == 0.4
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+    world.run(1.0)
+    world.pose = (2.9, 0.1, 0.0)
+    world.tracker_phase = "done"
+    world.run(0.2)
+    assert world.status.state == "reached"
+    assert world.last(t.PATH_COMMAND).id == ""
+
+
+def test_a_path_that_ends_short_of_the_goal_is_no_success(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.pose = (2.6, 0.0, 0.0)
+    world.tracker_phase = "done"
+    for _ in range(3):
+        world.run(0.1)
+        assert world.status.state == "moving"
+        world.answer()
+    world.run(0.1)
+    assert (world.status.state, world.status.reason) == ("aborted", "no_route")
+    assert "0.40 m" in world.status.detail
+
+
+@pytest.mark.parametrize(
+    "fields", [{"x": math.nan}, {"y": math.inf}, {"yaw": math.nan, "has_yaw": True}, {"timeout": math.nan}]
+)
+def test_goals_that_are_no_numbers_are_rejected(world: World, fields: dict[str, Any]) -> None:
+    world.goal(**fields)
+    assert (world.status.state, world.status.reason) == ("rejected", "invalid")
+    assert world.count(t.PLAN_REQUEST) == 0
+
+
+def test_a_goal_outside_the_area_is_rejected() -> None:
+    world = World(SQUARE)
+    world.run(0.5)
+    world.goal(x=6.0)
+    assert (world.status.state, world.status.reason) == ("rejected", "outside_area")
+    world.goal(x=4.0, goal_id="inside")
+    assert world.status.state == "planning"
+
+
+def test_a_goal_in_an_obstacle_is_rejected_at_once(world: World) -> None:
+    world.goal()
+    world.answer(ok=False, reason="goal_in_obstacle")
+    assert (world.status.state, world.status.reason) == ("rejected", "goal_in_obstacle")
+
+
+def test_no_route_is_tried_again_before_it_is_final(world: World) -> None:
+    world.goal()
+    for _ in range(3):
+        world.answer(ok=False, reason="no_route")
+        assert world.status.state in ("planning", "accepted")
+        world.run(1.5)
+    world.answer(ok=False, reason="no_route")
+    assert (world.status.state, world.status.reason) == ("aborted", "no_route")
+
+
+def test_where_no_route_begins_it_backs_out_once_and_looks_again(world: World) -> None:
+    for x in np.arange(0.0, 1.0, 0.1):
+        world.pose = (float(x), 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    for expected in ("recovering", "aborted"):
+        for _ in range(3):
+            world.answer(ok=False, reason="no_route")
+            assert world.status.state == "planning"
+            world.run(1.5)
+        world.answer(ok=False, reason="no_route")
+        assert world.status.state == expected
+        if expected == "recovering":
+            back = world.last(t.PATH_COMMAND)
+            assert back.reverse
+            assert back.x[0] > back.x[-1] > 0.2
+            requests = world.count(t.PLAN_REQUEST)
+            world.tracker_phase = "done"
+            world.run(0.6)
+            assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.status.reason == "no_route"
+
+
+def test_repeating_a_request_changes_nothing(world: World) -> None:
+    world.goal()
+    world.answer()
+    requests = world.count(t.PLAN_REQUEST)
+    world.goal()
+    assert world.count(t.PLAN_REQUEST) == requests
+    assert world.status.state == "moving"
+
+
+def test_a_new_goal_preempts(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.goal(goal_id="second", x=1.0)
+    states = [(m.id, m.state) for x, m in world.out if x is t.GOAL_STATUS]
+    assert ("g", "preempted") in states
+    assert (world.status.id, world.status.state) == ("second", "planning")
+
+
+def test_cancel_halts(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.send(t.GOAL_REQUEST, action=1)
+    assert (world.status.state, world.status.reason) == ("cancelled", "cancelled")
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+
+
+def test_a_timeout_aborts(world: World) -> None:
+    world.goal(timeout=2.0)
+    world.answer()
+    world.run(2.3)
+    assert (world.status.state, world.status.reason) == ("aborted", "timeout")
+
+
+def test_the_emergency_stop_ends_the_goal_and_refuses_new_ones(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.estop = True
+    world.run(0.3)
+    assert (world.status.state, world.status.reason) == ("aborted", "emergency_stop")
+    world.goal(goal_id="next")
+    assert (world.status.state, world.status.reason) == ("rejected", "emergency_stop")
+
+
+@pytest.mark.parametrize(
+    ("phase", "reason"), [("sitting", "robot_lies"), ("damped", "robot_lies"), ("fault", "robot_fault")]
+)
+def test_a_robot_that_cannot_drive_ends_the_goal_and_refuses_new_ones(
+    world: World, phase: str, reason: str
+) -> None:
+    world.goal()
+    world.answer()
+    world.phase = phase
+    world.run(0.3)
+    assert (world.status.state, world.status.reason) == ("aborted", reason)
+    world.goal(goal_id="next")
+    assert (world.status.state, world.status.reason) == ("rejected", reason)
+    assert ("posture stand" in world.status.detail) == (phase != "fault")
+
+
+def test_lost_localization_halts_then_resumes(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.health = "lost"
+    world.run(0.5)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    assert world.status.state == "moving"
+    requests = world.count(t.PLAN_REQUEST)
+    world.health = "good"
+    world.run(0.5)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    world.answer()
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+def test_a_robot_out_of_contact_pauses_the_goal_and_soon_ends_it(world: World) -> None:
+    """For a moment: a hiccup. For longer: it must not drive off under the hands of whoever plugs the cable in."""
+    world.goal()
+    world.answer()
+    for seconds, state, reason in ((2.0, "moving", ""), (4.0, "aborted", "robot_disconnected")):
+        world.phase = "disconnected"
+        world.run(seconds)
+        assert len(world.last(t.PATH_COMMAND).x) == 0
+        assert (world.status.state, world.status.reason) == (state, reason)
+        world.phase = "ready"
+        world.run(0.5)
+        assert len(world.last(t.PATH_COMMAND).x) == 0
+        if not reason:
+            world.answer()
+            assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+def test_localization_that_stays_lost_aborts(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.health = "lost"
+    world.run(13.0)
+    assert (world.status.state, world.status.reason) == ("aborted", "localization_lost")
+    assert world.status.detail == "no overlap"
+
+
+@pytest.mark.parametrize("silent", [t.ODOM, t.MAP_STATUS])
+def test_a_silent_process_halts_then_aborts(world: World, silent: Topic) -> None:
+    world.goal()
+    world.answer()
+    world.silent.add(silent)
+    world.run(1.5)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    world.run(12.0)
+    assert (world.status.state, world.status.reason) == ("aborted", "process_lost")
+
+
+def test_a_planner_that_does_not_answer_is_asked_again_then_given_up(world: World) -> None:
+    world.goal()
+    world.run(5.0)
+    assert world.count(t.PLAN_REQUEST) == 3
+    world.run(8.0)
+    assert (world.status.state, world.status.reason) == ("aborted", "process_lost")
+
+
+def test_a_planner_that_dies_while_driving_halts(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.run(1.0)
+    world.silent.add(t.ROUTE_STATUS)
+    world.run(2.5)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+
+
+def test_new_routes_to_the_frontier_do_not_hide_that_the_robot_is_stuck(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    for _ in range(4):
+        requests = world.count(t.PLAN_REQUEST)
+        while world.count(t.PLAN_REQUEST) == requests and not world.status.recoveries:
+            world.run(0.1)
+        world.answer(reaches=False)
+    assert world.status.recoveries == 1
+    assert len(world.last(t.PLAN_REQUEST).avoid) == 3
+
+
+def test_a_planner_that_dies_while_a_better_route_is_asked_for_halts(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    requests = world.count(t.PLAN_REQUEST)
+    while world.count(t.PLAN_REQUEST) == requests:
+        world.run(0.1)
+    assert len(world.last(t.PATH_COMMAND).x) == 11  # it drives on while it asks
+    world.silent.add(t.ROUTE_STATUS)
+    world.run(2.5)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    assert world.status.detail == "the planner is silent"
+    world.answer()
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+def test_a_route_that_went_bad_halts_and_replans(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.run(0.3)
+    world.route_valid = False
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(0.2)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.status.replans == 1
+
+
+def test_at_a_frontier_it_looks_again(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    assert world.status.frontier
+    world.tracker_phase = "done"
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.status.state == "moving"
+
+
+def test_stuck_moves_out_then_replans_around_a_few_times_then_aborts(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    for tries in range(1, 4):
+        while world.status.recoveries < tries:
+            world.answer(reaches=False)
+            world.run(2.1)
+        assert world.status.state == "recovering"
+        path = world.last(t.PATH_COMMAND)
+        assert path.reverse
+        assert (path.x[0], path.x[-1]) == pytest.approx((0.95, 0.35))
+        requests = world.count(t.PLAN_REQUEST)
+        world.run(3.0)
+        assert world.count(t.PLAN_REQUEST) == requests, "no better route is looked for while it moves out"
+        world.tracker_phase = "done"
+        world.run(0.1)
+        world.tracker_phase = "following"
+        np.testing.assert_allclose(world.last(t.PLAN_REQUEST).avoid, [0.95 + 0.5, 0.0, 0.3] * tries)
+    world.answer()
+    assert world.status.state == "moving"
+    world.run(5.5)
+    assert (world.status.state, world.status.reason) == ("aborted", "stuck")
+    assert world.status.detail == "after 3 recoveries"
+
+
+def test_recoveries_are_counted_at_each_place(world: World) -> None:
+    world.goal(x=9.0)
+    for tries in range(1, 7):
+        for i in range(20):
+            world.pose = (1.2 * tries + 0.05 * i, 0.0, 0.0)
+            world.run(0.1)
+        world.answer()
+        world.run(5.5)
+        assert (world.status.state, world.status.recoveries) == ("recovering", tries)
+        world.tracker_phase = "done"
+        world.run(0.1)
+        world.tracker_phase = "following"
+
+
+def test_over_an_edge_it_keeps_its_route_to_the_frontier(world: World) -> None:
+    world.goal()
+    requests = world.count(t.PLAN_REQUEST)
+    world.answer(reaches=False, kerb=0.5)
+    for x in np.arange(0.0, 0.95, 0.05):
+        world.pose = (float(x), 0.0, 0.0)
+        world.run(0.3)
+        looked = world.count(t.PLAN_REQUEST) > requests
+        assert looked == (x > 0.94), f"at {x:.2f} m"
+
+
+def test_a_tracker_that_lost_its_path_gets_it_again(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.run(0.2)
+    sent = world.count(t.PATH_COMMAND)
+    world.tracker_obeys = False
+    world.run(1.3)
+    assert world.count(t.PATH_COMMAND) == sent + 2
+
+
+def test_after_a_crash_an_active_goal_ends_with_a_reason() -> None:
+    stage = NavigatorStage(NavigatorParams())
+    before = make(t.GOAL_STATUS.type, header=header(1, "map"), id="g", state="moving", x=1.0)
+    out = [m for x, m in stage.on(t.GOAL_STATUS, before) if x is t.GOAL_STATUS]
+    assert (out[-1].id, out[-1].state, out[-1].reason) == ("g", "aborted", "process_lost")
+
+
+def test_stale_plans_are_ignored(world: World) -> None:
+    world.goal()
+    request = world.last(t.PLAN_REQUEST)
+    line = np.linspace(0.0, 1.0, 3)
+    for goal_id, sequence in (
+        ("other", request.sequence),
+        ("g", request.sequence + 1),
+        ("g", request.sequence - 1),
+    ):
+        world.send(
+            t.PLAN, goal_id=goal_id, sequence=sequence, ok=True, x=line, y=line, z=line, yaw=line, speed=line
+        )
+    assert world.status.state == "planning"
+
+
+def test_a_goal_from_rviz_is_a_goal(world: World) -> None:
+    message = make(t.GOAL_POSE.type, header=header(5, "map"))
+    message.pose.position.x = 2.0
+    message.pose.orientation.w = 1.0
+    world._take(world.stage.on(t.GOAL_POSE, message))
+    assert (world.status.state, world.status.x, world.status.has_yaw) == ("planning", 2.0, True)
+
+
+def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stood_on(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    for heading, along in ((math.pi - 0.05, 1.0), (0.05, -1.0)):
+        world.goal(goal_id=f"to{heading}")
+        world.answer()
+        world.pose = (0.95, 0.0, heading)  # an edge stalled the turn here
+        world.tracker_phase = "aligning"
+        world.run(5.5)
+        assert (world.status.state, world.status.recoveries) == ("recovering", 1)
+        path = world.last(t.PATH_COMMAND)
+        way = np.column_stack([path.x, path.y]) - world.pose[:2]
+        reach = way @ (math.cos(heading), math.sin(heading))
+        np.testing.assert_allclose(np.hypot(*way.T), along * reach, atol=1e-9)
+        assert 0.2 <= along * reach[-1] <= 0.6
+        tracker = PathTracker()
+        tracker.set_path(way, path.yaw, path.speed, reverse=bool(path.reverse))
+        tracker.step(0, 0.0, 0.0, heading, 0.0, 0.0)
+        step = tracker.step(NS // 50, 0.0, 0.0, heading, 0.0, 0.0)
+        assert step.phase == "following"
+        assert along * step.vx > 0.0
+        assert step.wz == pytest.approx(0.0, abs=1e-6)
+        world.tracker_phase = "done"
+        world.run(0.1)
+        assert len(world.last(t.PLAN_REQUEST).avoid) == 0, "the ground ahead did not hold it"
+
+
+def test_a_turn_that_stalls_across_the_way_is_not_left_blindly(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    world.answer()
+    world.pose = (0.95, 0.0, 1.8)
+    world.tracker_phase = "aligning"
+    paths, requests = world.count(t.PATH_COMMAND), world.count(t.PLAN_REQUEST)
+    world.run(5.5)
+    assert world.status.recoveries == 1
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    moves = [m for x, m in world.out if x is t.PATH_COMMAND][paths:]
+    assert all(len(m.x) == 0 for m in moves), "halts only"
+
+
+def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.tracker_phase = "aligning"
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(5.5)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+@pytest.mark.parametrize(
+    ("pose", "reach"),
+    [
+        ((1.0, 0.0, 0.0), -0.6),
+        ((1.0, 0.0, math.pi), 0.6),
+        ((1.0, 0.0, 0.1), -0.15),
+        ((1.0, 0.0, math.pi - 0.1), 0.15),
+        ((1.0, 0.0, 0.5), 0.0),  # turned across the way the body would cover ground that it did not
+        ((1.0, 0.0, math.pi / 2), 0.0),
+        ((0.5, 2.0, 0.0), 0.0),
+    ],
+)
+def test_the_trail_tells_how_far_the_ground_was_stood_on(pose: Pose2, reach: float) -> None:
+    trail = Trail()
+    assert trail.reach(pose, 0.6) == 0.0
+    for i in range(101):
+        trail.add((0.01 * i, 0.0, 0.0))
+    assert trail.reach(pose, 0.6) == pytest.approx(reach, abs=1e-6)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@example(["goal", "lost", "answer"])
+@given(
+    st.lists(
+        st.sampled_from(
+            ["goal", "cancel", "answer", "fail", "run", "done", "lost", "good", "estop", "resume"]
+        ),
+        max_size=25,
+    )
+)
+def test_whatever_happens_a_halted_goal_never_leaves_a_path(events: list[str]) -> None:
+    world = World()
+    world.run(0.3)
+    for number, event in enumerate(events):
+        match event:
+            case "goal":
+                world.goal(goal_id=f"g{number}")
+            case "cancel":
+                world.send(t.GOAL_REQUEST, action=1)
+            case "answer" | "fail" if world.last(t.PLAN_REQUEST) is not None:
+                world.answer(ok=event == "answer", reason="" if event == "answer" else "no_route")
+            case "done":
+                world.tracker_phase = "done"
+                world.run(0.2)
+                world.tracker_phase = "following"
+            case "lost" | "good":
+                world.health = event
+            case "estop" | "resume":
+                world.estop = event == "estop"
+        world.run(0.2)
+        path = world.last(t.PATH_COMMAND)
+        if path is not None and len(path.x):
+            assert GoalState(world.status.state).active
+            assert world.health == "good"
+            assert not world.estop

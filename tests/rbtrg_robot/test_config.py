@@ -1,0 +1,105 @@
+"""Configuration: layers, and errors that name the key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from hal.contract import BackendError
+from hal.types import Extrinsics
+from hal.unitree.options import UnitreeOptions
+from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
+from rbtrg_robot.hosts.robot import build
+
+
+def test_later_layers_win(tmp_path: Path) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text("seed: 1\nport: 8000\ntracker:\n  max_speed: 0.4\n")
+    config = load(file, ["port=9000", "navigator.back_out=0.9"], seed=3, scene=None)
+    assert (config.seed, config.port, config.scene) == (3, 9000, "yard")
+    assert config.tracker.max_speed == 0.4
+    assert config.navigator.back_out == 0.9
+
+
+def test_what_is_shown_loads_again(tmp_path: Path) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text(load(None, ["elevation.resolution=0.05"]).to_yaml())
+    again = load(file)
+    assert again.elevation.resolution == 0.05
+    assert yaml.safe_load(again.to_yaml()) == yaml.safe_load(file.read_text())
+    assert StackConfig.model_validate(again.model_dump(mode="json")) == again
+
+
+@pytest.mark.parametrize(
+    ("sets", "named"),
+    [
+        (["trakcer.max_speed=1"], "trakcer"),
+        (["tracker.max_sped=1"], "tracker.max_sped"),
+        (["port=80"], "port"),
+        (["seed=-1"], "seed"),
+        (["port"], "a.b=c"),
+        (["port.x.y=1", "port.x=[", ""], "port"),
+        (["backend=gazebo"], "backend"),
+    ],
+)
+def test_wrong_keys_and_values_are_named(sets: list[str], named: str) -> None:
+    with pytest.raises(ConfigError, match=named.replace(".", r"\.")):
+        load(None, sets)
+
+
+def test_a_file_goes_over_what_a_log_was_made_with(tmp_path: Path) -> None:
+    made = yaml.safe_load(load(None, ["elevation.resolution=0.05", "seed=4"]).to_yaml())
+    made["elevation"]["gone_by_now"] = 3
+    made["coffee"] = {"sugar": 1}
+    base, unknown = of_log(yaml.safe_dump(made).encode())
+    assert sorted(unknown) == ["coffee", "elevation.gone_by_now"]
+    file = tmp_path / "c.yaml"
+    file.write_text("tracker:\n  max_speed: 0.4\n")
+    config = load(file, ["planner.variant=native"], base=base)
+    assert (config.elevation.resolution, config.seed, config.tracker.max_speed) == (0.05, 4, 0.4)
+    assert config.planner.variant == "native"
+    made["tracker"]["max_speed"] = -1.0
+    with pytest.raises(ConfigError, match=r"tracker\.max_speed"):
+        load(base=of_log(yaml.safe_dump(made).encode())[0])
+
+
+@pytest.mark.parametrize("text", ["a: [", "- 1\n- 2\n", "\x00"])
+def test_a_file_that_is_no_configuration(tmp_path: Path, text: str) -> None:
+    file = tmp_path / "c.yaml"
+    file.write_text(text)
+    with pytest.raises(ConfigError, match=r"c\.yaml"):
+        load(file)
+    with pytest.raises(ConfigError, match="cannot read"):
+        load(tmp_path / "none.yaml")
+
+
+def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    got: dict[str, Any] = {}
+
+    def make_backend(interface: str, dry_run: bool, options: UnitreeOptions) -> None:
+        got.update(interface=interface, dry_run=dry_run, options=options)
+        raise BackendError("no robot here")
+
+    monkeypatch.setattr("hal.unitree.factory.make_backend", make_backend)
+    sets = [
+        "backend=unitree", "interface=eth7", "lidar=mid360", "unitree.lidar_topic=rt/mid", "unitree.domain=3",
+        "unitree.imu_yaw=1.57", "unitree.max_vx=0.5", "mount={translation: [0.1, 0, 0.2], rpy: [0, 0.3, 0]}",
+    ]  # fmt: skip
+    with pytest.raises(BackendError, match="no robot here"):
+        build(load(None, sets))
+    assert (got["interface"], got["dry_run"]) == ("eth7", False)
+    options = got["options"]
+    assert (options.topic(), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
+    assert options.mount() == Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))
+    assert options.capabilities().max_vx == 0.5
+
+
+def test_mapping_and_backend_agree_on_where_the_lidar_is() -> None:
+    sets = ["backend=unitree", "lidar=l1", "unitree.l1_yaw=-2.15"]
+    for mount in ([], ["mount={translation: [0.3, 0.0, 0.0], rpy: [0.0, 2.8, 0.1]}"]):
+        config = load(None, sets + mount)
+        assert config.lidar_mount() == config.unitree_options().capabilities().lidar_mount
+        assert abs(config.lidar_mount().rpy[2]) > 0.5

@@ -1,0 +1,107 @@
+"""The bus: order, bounded inboxes, late joiners, deaths, and errors in words."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.wire.bus import Bus, BusError, Received
+from rbtrg_robot.wire.messages import header, make, stamp_of
+
+
+@pytest.fixture
+def endpoint() -> str:
+    """A free loopback endpoint."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def router(endpoint: str) -> Iterator[Bus]:
+    """A router on it."""
+    with Bus(endpoint, "supervisor", router=True) as bus:
+        yield bus
+
+
+def collect(bus: Bus, count: int) -> list[Received]:
+    """At least `count` messages, or what came in 5 s."""
+    got: list[Received] = []
+    for _ in range(50):
+        got += bus.take(0.1)
+        if len(got) >= count:
+            break
+    return got
+
+
+def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint: str) -> None:
+    with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
+        b.subscribe([t.IMU, t.GOAL_STATUS])
+        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="first"), 1)
+        collect(b, 1)  # the subscription is known to the publisher's side
+        for i in range(100):
+            a.publish(t.IMU, make(t.IMU.type, header=header(i, "base_link")), i)
+        got = collect(b, 100)
+    assert [r.stamp for r in got] == list(range(100))
+    assert [r.sequence for r in got] == list(range(1, 101))
+    assert [stamp_of(r.decode()) for r in got] == list(range(100))
+
+
+def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:
+    with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
+        b.subscribe([t.GOAL_STATUS, t.CMD_VEL])
+        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="x"), 1)
+        collect(b, 1)
+        for i in range(50):
+            a.publish(t.CMD_VEL, make(t.CMD_VEL.type, header=header(i, "base_link")), i)
+        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="end"), 2)
+        seen: list[Received] = []
+        while not any(r.topic is t.GOAL_STATUS for r in seen):
+            seen += b.take(1.0)
+    commands = [r for r in seen if r.topic is t.CMD_VEL]
+    assert commands[-1].stamp == 49
+
+
+def test_a_late_joiner_gets_the_latched_message(router: Bus, endpoint: str) -> None:
+    with Bus(endpoint, "a") as a:
+        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="old"), 1)
+        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="newest"), 2)
+        with Bus(endpoint, "b") as b:
+            b.subscribe([t.GOAL_STATUS])
+            assert [r.decode().id for r in collect(b, 1)] == ["newest"]
+
+
+def test_the_death_of_a_process_is_seen(router: Bus, endpoint: str) -> None:
+    changes: list[tuple[str, bool]] = []
+    came, gone = threading.Event(), threading.Event()
+
+    def changed(process: str, alive: bool) -> None:
+        changes.append((process, alive))
+        if process == "a":
+            (came if alive else gone).set()
+
+    router.watch_processes(changed)
+    with Bus(endpoint, "a"):
+        assert came.wait(10.0)
+        assert "a" in router.processes()
+        assert not gone.is_set()
+    assert gone.wait(10.0)
+    assert ("a", True) in changes
+
+
+def test_queries_are_answered_and_time_out(router: Bus, endpoint: str) -> None:
+    router.serve("status", lambda question: b"re: " + question)
+    with Bus(endpoint, "cli") as cli:
+        assert cli.ask("status", b"hello") == b"re: hello"
+        assert cli.ask("nobody", timeout=0.3) is None
+
+
+def test_a_taken_port_and_a_missing_stack_are_told_in_words(router: Bus, endpoint: str) -> None:
+    with pytest.raises(BusError, match="--port"):
+        Bus(endpoint, "other", router=True)
+    with pytest.raises(BusError, match="rbtrg-robot up"):
+        Bus("tcp/127.0.0.1:9", "cli")

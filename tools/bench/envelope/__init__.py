@@ -1,0 +1,3 @@
+from tools.bench.envelope.bench import run
+
+__all__ = ["run"]

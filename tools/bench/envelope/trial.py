@@ -1,0 +1,128 @@
+"""One drive of one controller over one course of the envelope."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hal.lowlevel import Locomotion, LowState
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope.terrain import RESOLUTION, course
+
+DT = 0.005
+RUNS = (
+    (0.6, (0.0, 0.0, 0.0)),
+    (0.8, (-0.07, 0.05, 0.05)),
+    (1.0, (-0.13, -0.05, -0.05)),
+)
+"""Wheel friction and start offset x, y [m], yaw [rad] of the three runs of a cell."""
+TIPPED = 0.5
+"""Cosine of the trunk's tilt below which the robot has tipped over (60 degrees)."""
+AIM = 0.7
+"""The heading loop aims this far ahead [m] on the line y = 0: on a steep side slope rolling wheels creep downhill."""
+CORRIDOR = 0.6
+"""Furthest from the line y = 0 [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What is changed from the nominal drive."""
+
+    speed: float = 0.5
+    delay: float = 0.0
+    """Between LowState and actuation [s]."""
+    noise: bool = False
+    payload: float = 0.0
+    friction: float | None = None
+    """Instead of the run's own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a drive ended."""
+
+    passed: bool
+    tipped: bool
+    reason: str
+    x: float
+    time: float
+    pitch95: float
+    """95th percentile of |pitch| [rad]."""
+
+
+def noisy(state: LowState, rng: np.random.Generator) -> LowState:
+    """Encoder, attitude and gyro noise of a good legged robot."""
+    half = rng.normal(0.0, 0.005, 3) * 0.5
+    quaternion = state.quaternion + np.array(
+        [
+            -half @ state.quaternion[1:],
+            *(half * state.quaternion[0] + np.cross(state.quaternion[1:], half)),
+        ]
+    )
+    return replace(
+        state,
+        q=state.q + rng.normal(0.0, 0.003, 16),
+        dq=state.dq + rng.normal(0.0, 0.15, 16),
+        tau=state.tau + rng.normal(0.0, 0.3, 16),
+        quaternion=quaternion / np.linalg.norm(quaternion),
+        gyro=state.gyro + rng.normal(0.0, 0.03, 3),
+    )
+
+
+def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | None = None) -> Outcome:
+    """Drive course `name` along y = 0, steered by the true pose, every course by the same law."""
+    c = conditions or Conditions()
+    ground = course(name, run)
+    friction, (x0, y0, yaw0) = RUNS[run]
+    sim = Simulation(
+        ground.height,
+        RESOLUTION,
+        ground.origin,
+        friction=friction if c.friction is None else c.friction,
+        timestep=DT,
+        payload=c.payload,
+        command_delay=c.delay,
+    )
+    sim.reset(x0, y0, yaw0)
+    controller.reset()
+    rng = np.random.default_rng(run)
+    every = round(controller.period / DT)
+    posture = PostureCommand(0)
+    limit = 1.0 + 3.0 * (ground.finish - x0) / c.speed
+    pitches = []
+    tick = 0
+    while sim.time < limit:
+        if tick % every == 0:
+            state = sim.low_state()
+            if c.noise:
+                state = noisy(state, rng)
+            wz = float(np.clip(2.0 * (np.arctan2(-sim.position[1], AIM) - sim.yaw), -0.8, 0.8))
+            command = VelocityCommand(0, c.speed, 0.0, wz) if sim.time >= 0.5 else VelocityCommand(0)
+            sim.apply(controller.step(state, command, posture))
+        sim.step()
+        tick += 1
+        if tick % 4 == 0:
+            x, y, _ = sim.position
+            rot = sim.rotation
+            pitches.append(abs(np.arcsin(np.clip(rot[2, 0], -1.0, 1.0))))
+            reason = ""
+            if rot[2, 2] < TIPPED:
+                reason = "tipped"
+            elif abs(y) > CORRIDOR:
+                reason = "left the corridor"
+            elif x > ground.finish:
+                reason = "passed"
+            if reason:
+                return Outcome(
+                    reason == "passed",
+                    reason == "tipped",
+                    reason,
+                    float(x),
+                    sim.time,
+                    float(np.percentile(pitches, 95)),
+                )
+    return Outcome(
+        False, False, "out of time", float(sim.position[0]), sim.time, float(np.percentile(pitches, 95))
+    )

@@ -1,0 +1,101 @@
+"""Turning on the spot where it is dangerous, astride a bar, and where it is hard, on a ramp."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hal.lowlevel import Locomotion
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope.terrain import RESOLUTION
+from tools.bench.envelope.trial import DT, TIPPED
+
+RATE = 0.8
+"""[rad/s]"""
+TURNING, LEAVING = 10.5, 3.0
+"""How long it turns, and then drives off [s]."""
+OFF = (0.5, 0.0)
+"""Speed [m/s] and yaw rate [rad/s] of driving off."""
+CURVING = 3.5
+"""How long it turns before it drives off in a curve [s]: long enough to be held by the bar."""
+CURVES = ((0.4, RATE), (0.4, -RATE))
+"""Speed [m/s] and yaw rate [rad/s, the way it turned positive] of driving off in a curve."""
+PLACES = tuple((at, angle, way) for at in (-0.2, 0.0, 0.2) for angle in (0.0, 0.785, 1.3) for way in (1, -1))
+"""Offset [m] and angle [rad] of the bar's middle line to the robot, and the turning direction of the 18 trials."""
+HALF = 2.5
+"""Half the side of the ground [m]."""
+
+
+def _ground() -> tuple[np.ndarray, np.ndarray]:
+    axis = np.arange(-HALF, HALF + 1e-9, RESOLUTION)
+    x, y = np.meshgrid(axis, axis)
+    return x, y
+
+
+def _drive(sim: Simulation, controller: Locomotion, vx: float, wz: float) -> bool:
+    """One tick; False when the robot has tipped."""
+    sim.apply(controller.step(sim.low_state(), VelocityCommand(0, vx, 0.0, wz), PostureCommand(0)))
+    sim.step()
+    return bool(sim.rotation[2, 2] >= TIPPED)
+
+
+def turn_on_bar(
+    controller: Locomotion,
+    height: float,
+    at: float,
+    angle: float,
+    way: int,
+    friction: float = 0.8,
+    turning: float = TURNING,
+    off: tuple[float, float] = OFF,
+) -> tuple[str, float]:
+    """Drive onto a bar of `height` [m] and 0.1 m width, turn there, drive off: when it tipped over, angle turned [rad].
+
+    It tipped "arriving", "turning", "leaving" or never, which is "".
+
+    `at` [m] and `angle` [rad]: where the bar's middle line passes the place of turning; `way`: +1 left, -1 right;
+    `turning` [s]; `off`: how it drives off, speed [m/s] and yaw rate [rad/s, the way it turned positive].
+    """
+    x, y = _ground()
+    z = np.where(np.abs(x * math.cos(angle) + y * math.sin(angle) - at) < 0.05, height, 0.0).astype(
+        np.float32
+    )
+    sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=friction, timestep=DT)
+    sim.reset(-1.0)
+    controller.reset()
+    while sim.time < 0.5:
+        if not _drive(sim, controller, 0.0, 0.0):
+            return "arriving", 0.0
+    while sim.position[0] < 0.0 and sim.time < 8.0:
+        if not _drive(sim, controller, 0.5, float(np.clip(-2.0 * (sim.yaw + sim.position[1]), -0.6, 0.6))):
+            return "arriving", 0.0
+    turned = 0.0
+    end = sim.time + turning
+    while sim.time < end:
+        before = sim.yaw
+        if not _drive(sim, controller, 0.0, way * RATE):
+            return "turning", way * turned
+        turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+    end = sim.time + LEAVING
+    while sim.time < end and np.abs(sim.position[:2]).max() < HALF - 0.6:
+        if not _drive(sim, controller, off[0], way * off[1]):
+            return "leaving", way * turned
+    return "", way * turned
+
+
+def turn_on_ramp(controller: Locomotion, degrees: float, way: int, seconds: float = 8.0) -> float:
+    """Share of the commanded angle that the robot turns on a ramp within `seconds`; zero when it tips over."""
+    x, _ = _ground()
+    z = (math.tan(math.radians(degrees)) * x).astype(np.float32)
+    sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=0.8, timestep=DT)
+    sim.reset()
+    controller.reset()
+    turned = 0.0
+    while sim.time < 0.5 + seconds:
+        before = sim.yaw
+        if not _drive(sim, controller, 0.0, way * RATE if sim.time >= 0.5 else 0.0):
+            return 0.0
+        turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+    return way * turned / (RATE * seconds)

@@ -1,0 +1,3 @@
+from tools.bench.live.bench import run
+
+__all__ = ["run"]

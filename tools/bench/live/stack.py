@@ -1,0 +1,52 @@
+"""A stack of its own for the benchmarks that drive a running `up`."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rbtrg_robot.wire.bus import Bus
+from tools.bench.report import Report
+
+
+@contextmanager
+def running(report: Report, folder: Path, logs: Path, *arguments: str) -> Iterator[Bus]:
+    """`up --detach` with its runtime files in `folder`, and a bus beside it; adds `start_s` and `down_s`."""
+    environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
+    port = free_port()
+    began = time.monotonic()
+    _command(["up", "--detach", "--port", str(port), "--log-dir", str(logs), *arguments], environment)
+    report.add("start_s", time.monotonic() - began, "s", 12.0)
+    try:
+        with Bus(f"tcp/127.0.0.1:{port}", "bench") as bus:
+            yield bus
+    finally:
+        began = time.monotonic()
+        _command(["down"], environment)
+        report.add("down_s", time.monotonic() - began, "s", 3.0)
+
+
+def _command(arguments: list[str], environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(f"{' '.join(arguments)} failed: {done.stderr.strip()}")
+
+
+def free_port() -> int:
+    """A loopback port nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])

@@ -1,0 +1,3 @@
+from tools.bench.perception.bench import run
+
+__all__ = ["run"]

@@ -1,0 +1,75 @@
+"""Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
+
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--no-joints]
+
+Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
+`--soak 0` leaves it out. `--no-joints` hides the joints from the odometry.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+from mapping.odometry.types import OdometryParams
+from tools.bench.perception import lidar as _perception_lidar
+from tools.bench.perception import map as _perception_map
+from tools.bench.perception import soak as _perception_soak
+from tools.bench.perception.odometry import Errors, drive, errors
+from tools.bench.report import Report
+from tools.synthetic import arena_run
+
+ENGINES = ("kiss_icp", "small_gicp", "stock")
+RPE_LIMIT = {
+    ("xt16", "kiss_icp"): (12.0, 0.20),
+    ("xt16", "small_gicp"): (9.0, 0.15),
+    ("mid360", "kiss_icp"): (20.0, 0.30),
+    ("mid360", "small_gicp"): (11.0, 0.20),
+}
+"""RMS over 1 s [mm], [deg]."""
+DRIFT_LIMIT = {("xt16", "kiss_icp"): 1.0, ("mid360", "kiss_icp"): 1.0}
+"""[% of the path]"""
+CPU_LIMIT = {("xt16", "kiss_icp"): 20.0, ("xt16", "small_gicp"): 20.0}
+"""Median per scan of 23k points [ms]."""
+
+
+def run(args: list[str]) -> Report:
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench perception")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lidar", default="xt16,mid360,l1")
+    parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
+    parser.add_argument("--no-joints", action="store_true")
+    options = parser.parse_args(args)
+    report = Report("perception")
+    for lidar in options.lidar.split(","):
+        _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
+    _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)
+    _perception_lidar.rows(report, options.lidar.split(","))
+    if options.soak > 0.0:
+        _perception_soak.rows(report, options.soak)
+    return report
+
+
+def _odometry_rows(report: Report, lidar: str, seconds: float, seed: int, joints: bool) -> None:
+    scene_run = arena_run(lidar, seed=seed, duration=seconds)
+    maps = {name: _perception_map.EngineMap(scene_run) for name in ENGINES}
+    tracks = drive(
+        scene_run,
+        ENGINES,
+        OdometryParams(use_joints=joints),
+        on_scan=lambda name, scan: maps[name].take(scan),
+    )
+    rmse = {name: m.rmse_mm() for name, m in maps.items()}
+    results: dict[str, Errors] = {name: errors(scene_run, track) for name, track in tracks.items()}
+    stock = results["stock"]
+    none = (None, None)
+    for name, e in results.items():
+        key = (lidar, name)
+        mm, deg = RPE_LIMIT.get(key, none)
+        report.add(f"rpe_mm.{lidar}.{name}", e.rpe_mm, "mm", mm, stock.rpe_mm)
+        report.add(f"rpe_deg.{lidar}.{name}", e.rpe_deg, "deg", deg, stock.rpe_deg)
+        report.add(f"drift_pct.{lidar}.{name}", e.drift_pct, "%", DRIFT_LIMIT.get(key), stock.drift_pct)
+        limit = _perception_map.ENGINE_LIMIT.get(lidar) if name == "kiss_icp" else None
+        report.add(f"map_rmse_mm.{lidar}.{name}", rmse[name], "mm", limit, rmse["stock"])
+        report.add(f"cpu_ms.odometry.{lidar}.{name}", e.cpu_ms, "ms", CPU_LIMIT.get(key), stock.cpu_ms)

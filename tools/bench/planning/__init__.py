@@ -1,0 +1,3 @@
+from tools.bench.planning.bench import run
+
+__all__ = ["run"]

@@ -1,0 +1,168 @@
+"""Planning times of queries, full variant; `planning` prints these rows with its own.
+
+Least CPU time of this thread over repeats. `query_ms` finds nothing cached: it makes the risk table and evaluates what
+it needs. `replan_ms` does the same after 2 % of the cells changed, once from nothing (its baseline) and once with the
+table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's
+ceiling made needless to look at. Baselines, from the same run, are plain numpy (`plain_features`): its time per sample,
+and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the states
+it expands.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel, terrain_of
+from planning.risk.footprint import poses_features
+from planning.risk.table import RiskTable
+from planning.search.plan import PlanRequest, plan
+from tools.bench.planning.worlds import dense_map
+from tools.bench.report import Report
+
+BODY = BodyModel()
+PAIRS = 200
+
+
+def plain_features(grid: ElevationGrid, pose: NDArray[np.float64]) -> tuple[float, float, float, float]:
+    """One pose's features in plain numpy (all heights known)."""
+    nx, ny = (math.ceil(side / grid.resolution - 1e-9) + 1 for side in (BODY.length, BODY.width))
+    sx, sy = np.meshgrid(
+        np.linspace(-BODY.length / 2, BODY.length / 2, nx),
+        np.linspace(-BODY.width / 2, BODY.width / 2, ny),
+        indexing="ij",
+    )
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    col = (pose[0] + sx * c - sy * s - grid.origin[0]) / grid.resolution
+    row = (pose[1] + sx * s + sy * c - grid.origin[1]) / grid.resolution
+    rows, cols = grid.shape
+    near_c, near_r = np.floor(col + 0.5).astype(int), np.floor(row + 0.5).astype(int)
+    ok = (near_c >= 0) & (near_c < cols) & (near_r >= 0) & (near_r < rows)
+    ok &= grid.trusted[np.clip(near_r, 0, rows - 1), np.clip(near_c, 0, cols - 1)]
+    col, row = np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1)
+    c0, r0 = np.minimum(col.astype(int), cols - 2), np.minimum(row.astype(int), rows - 2)
+    u, v = col - c0, row - r0
+    h = grid.height
+    z = (h[r0, c0] * (1 - u) + h[r0, c0 + 1] * u) * (1 - v) + (
+        h[r0 + 1, c0] * (1 - u) + h[r0 + 1, c0 + 1] * u
+    ) * v
+    if not ok.any():
+        return 0.0, 0.0, 0.0, 1.0
+    means = []
+    for fx, fy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        band = (fx * sx >= BODY.length / 4 - 1e-9) & (fy * sy >= BODY.width / 4 - 1e-9)
+        known = band & ok
+        means.append(float(z[known].mean() if known.any() else z[band].mean()))
+    fl, fr, bl, br = means
+    d_fb = abs(fl + fr - bl - br) / 2
+    a_lr = math.degrees(math.atan2(abs(fl + bl - fr - br) / 2, BODY.width))
+    return d_fb, a_lr, max(0.0, float(z[ok].max()) - max(means)), 1.0 - float(ok.mean())
+
+
+def partly_unseen(grid: ElevationGrid) -> ElevationGrid:
+    """The grid with 6 % of its cells untrusted in patches: the case that costs most per sample."""
+    rng = np.random.default_rng(5)
+    trusted = grid.trusted.copy()
+    side = round(0.24 / grid.resolution)
+    while trusted.mean() > 0.94:
+        r, c = (int(rng.integers(0, n - side)) for n in grid.shape)
+        trusted[r : r + side, c : c + side] = False
+    return ElevationGrid(grid.height, trusted, grid.origin, grid.resolution)
+
+
+def eager_poses(table: RiskTable, states: int) -> float:
+    """Poses of a search that expands `states` pairs and evaluates every edge and turn out of them."""
+    roads = table.roads
+    degree = np.diff(roads.indptr)
+    slot = np.repeat(np.arange(len(roads.target)), degree[roads.target])
+    row = np.concatenate([[0], np.cumsum(degree[roads.target])])
+    out = np.arange(len(slot)) - row[slot] + roads.indptr[roads.target[slot]]
+    turn = np.abs((roads.heading[out] - roads.heading[slot] + np.pi) % (2 * np.pi) - np.pi)
+    per_turn = np.ceil(turn / np.radians(BODY.sweep_step)).mean() + 1
+    per_edge = np.ceil(roads.length / BODY.edge_step).mean() + 1
+    return float(states * degree.mean() * per_turn + min(states, len(roads.target) / 2) * per_edge)
+
+
+def _pairs(nodes: int) -> list[PlanRequest]:
+    """Random start-goal pairs among so many nodes."""
+    rng = np.random.default_rng(7)
+    out: list[PlanRequest] = []
+    while len(out) < PAIRS:
+        a, b = (int(v) for v in rng.integers(0, nodes, 2))
+        if a != b:
+            out.append(PlanRequest(a, b))
+    return out
+
+
+def _replan(report: Report) -> None:
+    """The same pairs of places after each of 60 map updates, with and without the table from before."""
+    full, start, _, seed = dense_map()
+    grid = partly_unseen(full)
+    graph = TraversalGraph.build(grid, start, GraphParams(), seed)
+    rng = np.random.default_rng(11)
+    side = round(np.sqrt(0.02) * grid.shape[0])
+    table = RiskTable(graph, grid, BODY)
+    fresh, carried = [], []
+    for _ in range(60):
+        r, c = (int(v) for v in rng.integers(0, grid.shape[0] - side, 2))
+        height = grid.height.copy()
+        height[r : r + side, c : c + side] += np.float32(0.03)
+        grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+        graph.update(grid, [(r, c, r + side, c + side)])
+        request = PlanRequest(0, len(graph.nodes) - 1)
+        fresh.append(_timed(lambda g=grid, q=request: plan(graph, g, q, BODY)))  # type: ignore[misc]
+        before = time.thread_time()
+        table = RiskTable(graph, grid, BODY, table)
+        plan(graph, grid, request, BODY, table)
+        carried.append(time.thread_time() - before)
+    report.add("replan_ms", 1e3 * float(np.median(carried)), "ms", baseline=1e3 * float(np.median(fresh)))
+
+
+def rows(report: Report, large: RiskTable) -> None:
+    """Add the rows of 200 random pairs on the 8 m dense map and of one query across the large one."""
+    full, start, params, seed = dense_map()
+    graph = TraversalGraph.build(full, start, params, seed)
+    grid = partly_unseen(full)
+    rng = np.random.default_rng(7)
+    requests = _pairs(len(graph.nodes))
+    plan(graph, grid, requests[0], BODY)
+    times = [min(_timed(lambda r=r: plan(graph, grid, r, BODY)) for _ in range(3)) for r in requests]  # type: ignore[misc]
+    states = [plan(graph, grid, r, BODY).expanded for r in requests[::10]]
+    # Poses along edges, as a query meets them.
+    some = graph.edges[rng.integers(0, len(graph.edges), 400)]
+    t = np.linspace(0.0, 1.0, 10)[:, None, None]
+    a_xy, b_xy = graph.nodes[some[:, 0], :2], graph.nodes[some[:, 1], :2]
+    yaw = np.tile(np.arctan2(*(b_xy - a_xy).T[::-1]), (10, 1))
+    poses = (
+        np.concatenate([(1 - t) * a_xy + t * b_xy, yaw[..., None]], axis=2).transpose(1, 0, 2).reshape(-1, 3)
+    )
+    laid = terrain_of(grid, BODY).laid(BODY.length, BODY.width)
+    fast = min(_timed(lambda: poses_features(laid, poses)) for _ in range(9)) / len(poses)
+    few = poses[::20]
+    plain = _timed(lambda: [plain_features(grid, p) for p in few]) / len(few)
+    eager = 1e3 * plain * eager_poses(RiskTable(graph, grid, BODY), int(np.median(states)))
+    report.add("query_ms.p50", 1e3 * float(np.percentile(times, 50)), "ms", limit=15.0, baseline=eager)
+    report.add("query_ms.p95", 1e3 * float(np.percentile(times, 95)), "ms", limit=40.0)
+    samples = laid.u.size
+    report.add("sample_ns", 1e9 * fast / samples, "ns", limit=1.5, baseline=1e9 * plain / samples)
+    _replan(report)
+    x0, y0, x1, y1 = large.grid.extent
+    nodes = large.graph.nodes[:, :2]
+    ends = [int(np.argmin(np.hypot(*(nodes - corner).T))) for corner in ((x0, y0), (x1, y1))]
+    across = PlanRequest(ends[0], ends[1])
+    report.add(
+        "large.query_s", _timed(lambda: plan(large.graph, large.grid, across, BODY, large)), "s", limit=0.5
+    )
+    report.add("large.query_cold_s", _timed(lambda: plan(large.graph, large.grid, across, BODY)), "s")
+
+
+def _timed(work: Callable[[], object]) -> float:
+    before = time.thread_time()
+    work()
+    return time.thread_time() - before

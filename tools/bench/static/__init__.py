@@ -1,0 +1,3 @@
+from tools.bench.static.bench import run
+
+__all__ = ["run"]

@@ -1,0 +1,3 @@
+from tools.bench.unitree.bench import run
+
+__all__ = ["run"]

@@ -88,7 +88,6 @@ class LogWriter:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._since_flush = 0
-        self.first_time: int | None = None
         self.messages = 0
         self.flush()
 
@@ -110,8 +109,6 @@ class LogWriter:
         self._add(entry.topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
 
     def _add(self, name: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
-        if self.first_time is None:
-            self.first_time = log_time
         self._since_flush += 1
         self.messages += 1
         self._writer.add_message(self._channels[name], log_time, data, publish_time, sequence % 2**32)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import MOTORS
-from hal.types import POINT_DTYPE, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
+from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot.wire.messages import STORE, header, make, stamp_of
 
@@ -210,17 +210,6 @@ def rpy_quaternion(rpy: tuple[float, float, float]) -> NDArray[np.float64]:
             cr * cp * sy - sr * sp * cy,
             cr * cp * cy + sr * sp * sy,
         ]
-    )
-
-
-def static_transforms(stamp: int, lidar: Extrinsics, imu: Extrinsics) -> Any:
-    """tf2_msgs/TFMessage of the sensor mounts."""
-    return make(
-        "tf2_msgs/msg/TFMessage",
-        transforms=[
-            transform_msg(stamp, BASE, LIDAR, lidar.translation, rpy_quaternion(lidar.rpy)),
-            transform_msg(stamp, BASE, IMU, imu.translation, rpy_quaternion(imu.rpy)),
-        ],
     )
 
 

@@ -107,8 +107,6 @@ def pose(hip: float, thigh: float, calf: float) -> Array:
 
 STAND: Final[Array] = pose(0.0, 0.8, -1.5)
 """Default stand: base_link 0.408 m above level ground."""
-SDK_STAND: Final[Array] = pose(0.0, 0.67, -1.3)
-"""The vendor's stand: 0.436 m."""
 FOLDED: Final[Array] = pose(0.0, 1.36, -2.65)
 """Lying: 0.193 m."""
 

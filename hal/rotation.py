@@ -34,6 +34,13 @@ def rpy_of(matrix: Array) -> tuple[float, float, float]:
 
 
 @njit(cache=True)
+def up_of(quaternion: Array) -> tuple[float, float, float]:
+    """World z in the axes of a body whose attitude is the unit quaternion w, x, y, z (the order of LowState and MuJoCo)."""
+    w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+@njit(cache=True)
 def rotation(q: Array) -> Array:
     """(3, 3) matrix of the unit quaternion x, y, z, w."""
     x, y, z, w = q[0], q[1], q[2], q[3]

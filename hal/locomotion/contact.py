@@ -6,9 +6,9 @@ import math
 
 from numba import njit
 
-from hal.locomotion.geometry import inverse3
 from hal.locomotion.params import VmcParams
 from hal.types import Array
+from hal.wheel_force import axle_force
 
 
 @njit(cache=True)
@@ -26,15 +26,15 @@ def estimate_contacts(m, tau: Array, weight_torque: Array, jac: Array, dt: float
     """
     alpha = dt / (dt + p.force_filter)
     for leg in range(4):
-        inv = inverse3(jac[leg])
+        wheel = tau[12 + leg]
+        force = axle_force(
+            jac[leg],
+            weight_torque[leg, 0] - tau[3 * leg],
+            weight_torque[leg, 1] - tau[3 * leg + 1] + wheel,
+            weight_torque[leg, 2] - tau[3 * leg + 2] + wheel,
+        )
         for axis in range(3):
-            f = 0.0
-            for joint in range(3):
-                t = weight_torque[leg, joint] - tau[3 * leg + joint]
-                if joint > 0:
-                    t += tau[12 + leg]
-                f += inv[joint, axis] * t
-            m.force[leg, axis] += alpha * (clip(f, -300.0, 300.0) - m.force[leg, axis])
+            m.force[leg, axis] += alpha * (clip(force[axis], -300.0, 300.0) - m.force[leg, axis])
         if m.contact[leg] == 1:
             if m.force[leg, 2] < p.contact_off:
                 m.contact[leg] = 0

@@ -27,6 +27,7 @@ from hal.go2w import (
     WHEEL_MOTOR,
     WHEEL_RADIUS,
 )
+from hal.rotation import up_of
 from hal.types import Array
 
 GRAVITY = 9.81
@@ -47,14 +48,7 @@ _WHEEL_Y = WHEEL.com[1]
 def level_frame(quaternion: Array) -> Array:
     """Rotation H <- base_link, (3, 3), of an attitude quaternion w, x, y, z; the heading drops out."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
-    w *= n
-    x *= n
-    y *= n
-    z *= n
-    up0 = 2.0 * (x * z - w * y)
-    up1 = 2.0 * (y * z + w * x)
-    up2 = 1.0 - 2.0 * (x * x + y * y)
+    up0, up1, up2 = up_of(quaternion * (1.0 / math.sqrt(w * w + x * x + y * y + z * z)))
     rot = np.empty((3, 3))
     # A trunk that stands on its nose has no heading; the floor keeps the numbers finite until the caller gives up.
     s = 1.0 / math.sqrt(max(1.0 - up0 * up0, 1e-9))
@@ -77,29 +71,6 @@ def rotate(rot: Array, v: Array) -> Array:
     for i in range(v.shape[0]):
         for axis in range(3):
             out[i, axis] = rot[axis, 0] * v[i, 0] + rot[axis, 1] * v[i, 1] + rot[axis, 2] * v[i, 2]
-    return out
-
-
-@njit(cache=True)
-def inverse3(a: Array) -> Array:
-    """Inverse of a (3, 3) matrix; near singularity (straight knee) the determinant is floored, so the result stays finite."""
-    out = np.empty((3, 3))
-    c00 = a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1]
-    c01 = a[1, 2] * a[2, 0] - a[1, 0] * a[2, 2]
-    c02 = a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0]
-    det = a[0, 0] * c00 + a[0, 1] * c01 + a[0, 2] * c02
-    if abs(det) < 1e-4:
-        det = 1e-4 if det >= 0.0 else -1e-4
-    inv = 1.0 / det
-    out[0, 0] = c00 * inv
-    out[1, 0] = c01 * inv
-    out[2, 0] = c02 * inv
-    out[0, 1] = (a[0, 2] * a[2, 1] - a[0, 1] * a[2, 2]) * inv
-    out[1, 1] = (a[0, 0] * a[2, 2] - a[0, 2] * a[2, 0]) * inv
-    out[2, 1] = (a[0, 1] * a[2, 0] - a[0, 0] * a[2, 1]) * inv
-    out[0, 2] = (a[0, 1] * a[1, 2] - a[0, 2] * a[1, 1]) * inv
-    out[1, 2] = (a[0, 2] * a[1, 0] - a[0, 0] * a[1, 2]) * inv
-    out[2, 2] = (a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]) * inv
     return out
 
 

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from hal import go2w
 from hal.locomotion.torchfile import Layer, PolicyError, read_mlp
 from hal.lowlevel import LowCommand, LowState
+from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
 
 __all__ = ["PolicyController", "PolicyError", "PolicyParams", "load_params"]
@@ -195,11 +196,8 @@ class PolicyController:
 
     def _run(self, state: LowState, velocity: VelocityCommand) -> None:
         p, x = self.params, self._observation
-        w, qx, qy, qz = state.quaternion.tolist()
         x[0:3] = state.gyro * p.ang_vel_scale
-        x[3] = -2.0 * (qx * qz - w * qy)
-        x[4] = -2.0 * (qy * qz + w * qx)
-        x[5] = -(1.0 - 2.0 * (qx * qx + qy * qy))
+        x[3:6] = -np.array(up_of(state.quaternion))
         x[6] = velocity.vx * self._commands_scale[0]
         x[7] = velocity.vy * self._commands_scale[1]
         x[8] = velocity.wz * self._commands_scale[2]

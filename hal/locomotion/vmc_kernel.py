@@ -34,7 +34,6 @@ from hal.locomotion.geometry import (
     contact_geometry,
     distribute,
     fit_plane,
-    inverse3,
     leg_weight,
     level_frame,
     rotate,
@@ -42,6 +41,7 @@ from hal.locomotion.geometry import (
 from hal.locomotion.params import VmcParams
 from hal.locomotion.traction import FRICTION_MAX, learn_friction, limit_traction
 from hal.types import Array
+from hal.wheel_force import inverse3
 
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
 """What the legs carry and push [kg]; shank and wheel follow the ground."""

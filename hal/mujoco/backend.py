@@ -14,12 +14,13 @@ from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController, warm_up
-from hal.lowlevel import Locomotion, LowState
+from hal.lowlevel import Locomotion
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.options import CAPABILITIES, Obstacle, Push, SimOptions
 from hal.mujoco.postures.modes import Modes
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
+from hal.rotation import up_of
 from hal.scenes import Scene
 from hal.types import (
     NS,
@@ -31,6 +32,7 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from hal.wheel_force import CONTACT_FORCE, wheel_loads
 
 CONTROL_PERIOD = 0.005
 """Of the model-based controller [s], or the multiple of the time step nearest to it."""
@@ -42,8 +44,6 @@ LIDAR_SLICE = NS // 100
 """Rays are cast this often, from where the sensor is then."""
 BATTERY_LIFE = 7200.0
 """[s]"""
-CONTACT_FORCE = 12.0
-"""Vertical wheel force [N] from joint torques above which a wheel counts as on the ground."""
 BACKLOG = 2 * NS
 """`read` refuses to advance further in one call: the host's clock jumped."""
 
@@ -209,7 +209,9 @@ class MujocoBackend:
         phase, cause = self._modes.phase, self._modes.cause
         if elapsed >= self._state_due or phase is not self._state.phase or cause != self._state.cause:
             self._state_due = elapsed - elapsed % STATE_PERIOD + STATE_PERIOD
-            self._contact = wheels_on_ground(self._low)
+            load = wheel_loads(self._low.q, self._low.tau, np.array(up_of(self._low.quaternion)))
+            fr, fl, rr, rl = (load > CONTACT_FORCE).tolist()
+            self._contact = fr, fl, rr, rl
             temperature = 30.0 + 10.0 * min(elapsed / NS / 1800.0, 1.0)
             battery = max(o.battery - elapsed / NS / BATTERY_LIFE, 0.0)
             self._state = RobotState(stamp, phase, cause, battery, temperature, self._contact)
@@ -248,18 +250,6 @@ class MujocoBackend:
             )
         if self._lidar is not None:
             self._lidar.set_boxes([box for box in boxes if box is not None])
-
-
-def wheels_on_ground(state: LowState) -> tuple[bool, bool, bool, bool]:
-    """Which wheels carry load, from leg torques alone: FR, FL, RR, RL."""
-    jacobian = go2w.wheel_jacobians(state.q).transpose(0, 2, 1)
-    torque = state.tau[:12].reshape(4, 3, 1)
-    singular = np.abs(np.linalg.det(jacobian)) < 1e-4
-    force = -np.linalg.solve(np.where(singular[:, None, None], np.eye(3), jacobian), torque)[:, :, 0]
-    w, x, y, z = state.quaternion.tolist()
-    up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    a, b, c, d = (bool(f > CONTACT_FORCE) for f in force @ up)
-    return a, b, c, d
 
 
 __all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimOptions"]

@@ -9,7 +9,7 @@ from collections import Counter
 import numpy as np
 
 from hal import go2w
-from hal.rotation import rotation_rpy
+from hal.rotation import rotation_rpy, up_of
 from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
@@ -27,12 +27,6 @@ JOINT_PERIOD = 20
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
-
-
-def _up(quaternion: Array) -> Array:
-    """World z in the axes of a body with attitude w, x, y, z."""
-    w, x, y, z = quaternion
-    return np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -206,7 +200,7 @@ class Telemetry:
         """Whether the quaternion tells the gravity that the accelerometer feels only in the other order."""
         wxyz = self._options.l1_imu_wxyz
         other = raw.quaternion[[3, 0, 1, 2]] if wxyz else raw.quaternion[[1, 2, 3, 0]]
-        agrees = [_angle(_up(q), raw.accel) < MOUNT_TOLERANCE for q in (raw.quaternion, other)]
+        agrees = [_angle(np.array(up_of(q)), raw.accel) < MOUNT_TOLERANCE for q in (raw.quaternion, other)]
         self.order_note = ""
         if agrees == [False, True]:
             order = "x, y, z, w" if wxyz else "w, x, y, z"
@@ -273,8 +267,7 @@ class Telemetry:
         """Whether the trunk is less than 60 deg from level (quaternion w, x, y, z of the robot's attitude filter)."""
         if self.low is None:
             return True
-        _, x, y, _ = map(float, self.low["imu_state"]["quaternion"])
-        return 1.0 - 2.0 * (x * x + y * y) > 0.5
+        return up_of(np.asarray(self.low["imu_state"]["quaternion"], np.float64))[2] > 0.5
 
     @property
     def battery(self) -> float:

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import WHEEL_RADIUS, wheel_centres, wheel_jacobians
 from hal.types import Array
-
-CONTACT_FORCE = 12.0
-"""A wheel pressed to the ground with less [N] does not count (a leg weighs about as much)."""
+from hal.wheel_force import CONTACT_FORCE, axle_force
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,23 +78,8 @@ def leg_velocity(
         j = jacobian[leg]
         contact[leg] = True
         if reported:
-            t0, t1, t2 = tau[3 * leg], tau[3 * leg + 1], tau[3 * leg + 2]
-            det = (
-                j[0, 0] * (j[1, 1] * j[2, 2] - j[2, 1] * j[1, 2])
-                - j[1, 0] * (j[0, 1] * j[2, 2] - j[2, 1] * j[0, 2])
-                + j[2, 0] * (j[0, 1] * j[1, 2] - j[1, 1] * j[0, 2])
-            )
-            if abs(det) > 1e-6:  # ground force f from J^T f = -tau, along the normal
-                c0 = nx * (j[1, 1] * j[2, 2] - j[2, 1] * j[1, 2])
-                c0 += ny * (j[2, 1] * j[0, 2] - j[0, 1] * j[2, 2])
-                c0 += nz * (j[0, 1] * j[1, 2] - j[1, 1] * j[0, 2])
-                c1 = nx * (j[2, 0] * j[1, 2] - j[1, 0] * j[2, 2])
-                c1 += ny * (j[0, 0] * j[2, 2] - j[2, 0] * j[0, 2])
-                c1 += nz * (j[1, 0] * j[0, 2] - j[0, 0] * j[1, 2])
-                c2 = nx * (j[1, 0] * j[2, 1] - j[2, 0] * j[1, 1])
-                c2 += ny * (j[2, 0] * j[0, 1] - j[0, 0] * j[2, 1])
-                c2 += nz * (j[0, 0] * j[1, 1] - j[1, 0] * j[0, 1])
-                contact[leg] = -(c0 * t0 + c1 * t1 + c2 * t2) / det > CONTACT_FORCE
+            fx, fy, fz = axle_force(j, -tau[3 * leg], -tau[3 * leg + 1], -tau[3 * leg + 2])
+            contact[leg] = fx * nx + fy * ny + fz * nz > CONTACT_FORCE
         if not contact[leg]:
             continue
         hip = q[3 * leg]

@@ -47,7 +47,7 @@ def test_motor_order_is_the_sdks() -> None:
     assert len(go2w.MOTORS) == len(set(go2w.MOTORS)) == 16
 
 
-@pytest.mark.parametrize(("name", "height"), [("STAND", 0.408), ("SDK_STAND", 0.436), ("FOLDED", 0.193)])
+@pytest.mark.parametrize(("name", "height"), [("STAND", 0.408), ("FOLDED", 0.193)])
 def test_stand_heights(name: str, height: float) -> None:
     assert go2w.stand_height(getattr(go2w, name)) == pytest.approx(height, abs=1e-3)
 
@@ -82,7 +82,7 @@ def test_the_wheels_own_angle_moves_nothing() -> None:
 
 
 def test_named_poses_are_inside_the_limits() -> None:
-    for q in (go2w.STAND, go2w.SDK_STAND, go2w.FOLDED):
+    for q in (go2w.STAND, go2w.FOLDED):
         assert (q >= go2w.JOINT_RANGE[:, 0]).all()
         assert (q <= go2w.JOINT_RANGE[:, 1]).all()
 

@@ -20,8 +20,9 @@ import numpy as np
 from hal import go2w
 from hal.contract import fulfilled, refusal
 from hal.lowlevel import Locomotion, LowCommand, LowState
-from hal.mujoco.postures.motion import Keyframe, Motion, damped, level_stance, up
+from hal.mujoco.postures.motion import Keyframe, Motion, damped, level_stance
 from hal.mujoco.postures.righting import UPRIGHT, Righting
+from hal.rotation import up_of
 from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
 
 STAND_TIMEOUT = 6.0
@@ -121,7 +122,7 @@ class Modes:
         self._deadline = np.inf
 
     def _handle(self, mode: ModeRequest, state: LowState) -> None:
-        why = refusal(mode, self.phase, stopped=self._latched, upright=up(state) > UPRIGHT)
+        why = refusal(mode, self.phase, stopped=self._latched, upright=up_of(state.quaternion)[2] > UPRIGHT)
         if why:
             self.cause = f"{self.cause.split('; ')[0]}; {why}"
         elif fulfilled(mode, self.phase):
@@ -133,7 +134,7 @@ class Modes:
             self._deadline = state.time + SIT_TIMEOUT
         else:
             self._recover_until = state.time + RECOVER_TIMEOUT if mode is ModeRequest.RECOVER else -np.inf
-            if up(state) > UPRIGHT:
+            if up_of(state.quaternion)[2] > UPRIGHT:
                 self._get_up(state, f"{mode.value} requested: getting up")
             else:
                 self._turn_over(state, "recover requested: turning onto its belly")
@@ -146,13 +147,13 @@ class Modes:
         if (
             self._righting is not None
             or self.phase in (Phase.FAULT, Phase.DAMPED, Phase.DISCONNECTED)
-            or up(state) > FALLEN_UP
+            or up_of(state.quaternion)[2] > FALLEN_UP
         ):
             self._tilted_since = None
         elif self._tilted_since is None:
             self._tilted_since = state.time
         elif state.time - self._tilted_since >= FALLEN_TIME:
-            tilt = np.degrees(np.arccos(np.clip(up(state), -1.0, 1.0)))
+            tilt = np.degrees(np.arccos(np.clip(up_of(state.quaternion)[2], -1.0, 1.0)))
             if self.phase is Phase.STANDING and state.time < self._recover_until:
                 self._turn_over(state, f"fell again (tilt {tilt:.0f} deg): turning onto its belly")
                 return
@@ -218,7 +219,11 @@ class Modes:
         self._controller.reset()
 
     def _stance(self, state: LowState) -> LowCommand:
-        steady = np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED and up(state) > 0.8 and tall(state)
+        steady = (
+            np.abs(state.dq[go2w.WHEELS]).max() < 2 * STEADY_SPEED
+            and up_of(state.quaternion)[2] > 0.8
+            and tall(state)
+        )
         if not steady:
             self._stance_since = state.time
         if state.time - self._stance_since >= STANCE_TIME:

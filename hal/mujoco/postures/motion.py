@@ -8,6 +8,7 @@ import numpy as np
 
 from hal import go2w
 from hal.lowlevel import LowCommand, LowState
+from hal.rotation import up_of
 from hal.types import Array
 
 
@@ -58,19 +59,12 @@ def damped(kd: float = 3.0) -> LowCommand:
     return LowCommand(zero, zero.copy(), zero.copy(), zero.copy(), np.full(16, kd))
 
 
-def up(state: LowState) -> float:
-    """Cosine of the trunk's tilt."""
-    _, x, y, _ = state.quaternion.tolist()
-    return 1.0 - 2.0 * (x * x + y * y)
-
-
 def level_stance(state: LowState, height: float = 0.33) -> Array:
     """(16,) joint angles of a level trunk `height` [m] above ground that is parallel to the trunk now (it lies on it)."""
-    w, x, y, z = state.quaternion.tolist()
-    down = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    up = np.array(up_of(state.quaternion))
     centres = go2w.wheel_centres(go2w.STAND)
     # Seen from the level trunk the ground falls away along the horizontal part of the trunk's up axis.
-    slope = -down[:2] / max(down[2], 0.5)
+    slope = -up[:2] / max(up[2], 0.5)
     centres[:, 2] = -(height - go2w.WHEEL_RADIUS) - centres[:, :2] @ slope
     centres[:, 2] = np.clip(centres[:, 2], -0.36, -0.13)
     return go2w.leg_angles(centres)

@@ -12,7 +12,7 @@ import numpy as np
 
 from hal import go2w
 from hal.lowlevel import LowCommand, LowState
-from hal.mujoco.postures.motion import up
+from hal.rotation import up_of
 from hal.types import Array
 
 UPRIGHT = 0.85
@@ -55,13 +55,12 @@ class Righting:
         self._command.q[:12] = (1.0 - s) * self._from[:12] + s * target[:12]
         self._command.kp[:12] = stiffness
         # Free wheels slide along the ground instead of holding the trunk back; once it is nearly upright they would roll downhill.
-        self._command.kd[go2w.WHEELS] = FREE if up(state) < NEARLY_UPRIGHT else BRAKED
+        self._command.kd[go2w.WHEELS] = FREE if up_of(state.quaternion)[2] < NEARLY_UPRIGHT else BRAKED
         return self._command
 
     def _plan(self, state: LowState) -> list[Frame]:
         """What to do next, from the attitude."""
-        w, x, y, z = state.quaternion.tolist()
-        left_up, height = 2.0 * (y * z + w * x), up(state)
+        _, left_up, height = up_of(state.quaternion)
         self.upright = height > UPRIGHT
         self.failed = not self.upright and state.time > self._until
         self._tries += 1

@@ -12,7 +12,6 @@ from hal.locomotion.geometry import (
     contact_geometry,
     distribute,
     fit_plane,
-    inverse3,
     leg_weight,
     level_frame,
 )
@@ -23,6 +22,7 @@ from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowState
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
+from hal.wheel_force import inverse3
 from tools.bench.envelope.cliff import creep_to_edge
 from tools.bench.envelope.driving import stopping_time
 from tools.bench.envelope.trial import Conditions, drive

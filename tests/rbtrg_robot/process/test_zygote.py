@@ -78,7 +78,7 @@ def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:
     script = """
 import json, os, signal, sys
 from pathlib import Path
-from rbtrg_robot.zygote import Zygote
+from rbtrg_robot.process.zygote import Zygote
 zygote = Zygote()
 pid = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2])).pid
 os.kill(pid, signal.SIGSTOP)

@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+from hal.errors import OperatorError
 from hal.types import (
     LYING,
     Capabilities,
@@ -43,8 +44,10 @@ from hal.types import (
 )
 
 
-class BackendError(RuntimeError):
-    """The robot cannot be reached or refuses. The message tells the operator what to do next."""
+class BackendError(OperatorError):
+    """The robot cannot be reached or refuses. Unless raised with `retry=False` it may answer the next attempt."""
+
+    retry = True
 
 
 @runtime_checkable

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from hal.errors import OperatorError
+
 
 class NoRouteReason(StrEnum):
     """Why a request has no route; the same words on every surface."""
@@ -23,7 +25,7 @@ class NoRouteReason(StrEnum):
     """Start and goal are on the graph but not connected, and no frontier is left."""
 
 
-class PlanningError(ValueError):
+class PlanningError(OperatorError):
     """The input of a planning call does not make sense; the message says which and what was expected."""
 
 

@@ -15,6 +15,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
 from hal.mujoco.options import CAPABILITIES, SimOptions
@@ -37,7 +38,7 @@ from rbtrg_robot.params import (
 )
 
 
-class ConfigError(ValueError):
+class ConfigError(OperatorError):
     """A configuration file or key is wrong; the message names it."""
 
 

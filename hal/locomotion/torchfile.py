@@ -15,6 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import OperatorError
+
 Float32 = NDArray[np.float32]
 
 ACTIVATIONS = ("ELU", "ReLU", "Tanh", "Identity")
@@ -25,7 +27,7 @@ _STORAGES = {
 }
 
 
-class PolicyError(ValueError):
+class PolicyError(OperatorError):
     """The policy cannot be used; the message says what to do."""
 
 
@@ -104,8 +106,6 @@ def read_mlp(path: Path) -> list[Layer]:
         raise PolicyError(f"{path} does not exist: give the folder of a policy with --policy DIR") from error
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror}") from error
-    except PolicyError:
-        raise
     except (zipfile.BadZipFile, pickle.UnpicklingError, EOFError, KeyError, ValueError, TypeError) as error:
         raise PolicyError(f"{path} is not a TorchScript file ({error}): fetch it again") from error
     except (AttributeError, IndexError, MemoryError, OverflowError) as error:

@@ -56,7 +56,7 @@ class MujocoBackend:
         self.options = o = replace(options or SimOptions(), **changes)
         self.scene = scene
         if o.lidar is not None and o.lidar not in LIDARS:
-            raise BackendError(f"there is no LiDAR {o.lidar!r}: use one of {', '.join(LIDARS)}")
+            raise BackendError(f"there is no LiDAR {o.lidar!r}: use one of {', '.join(LIDARS)}", retry=False)
         self._dt = round(o.timestep * NS)
         self.controller: Locomotion
         if o.controller == "policy":
@@ -103,7 +103,8 @@ class MujocoBackend:
         x, y, yaw = o.start or self.scene.start
         if not self.scene.contains(x, y):
             raise BackendError(
-                f"start ({x:.2f}, {y:.2f}) lies outside scene {self.scene.name}: choose another start"
+                f"start ({x:.2f}, {y:.2f}) lies outside scene {self.scene.name}: choose another start",
+                retry=False,
             )
         self.simulation.reset(x, y, yaw, q=go2w.FOLDED if o.seated else None)
         self._steps = 0

@@ -6,8 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hal.errors import OperatorError
 
-class GeofenceError(ValueError):
+
+class GeofenceError(OperatorError):
     """The polygon is not usable; the message says why."""
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import OperatorError
+
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
 Goal = tuple[float, float, float | None]
@@ -16,7 +18,7 @@ Pair = tuple[tuple[float, float], tuple[float, float]]
 """x, y [m] of a start and of a goal."""
 
 
-class SceneError(ValueError):
+class SceneError(OperatorError):
     """The scene does not exist or cannot be read; the message tells what to do."""
 
 

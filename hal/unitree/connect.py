@@ -54,7 +54,8 @@ def wait_for_robot(
     if telemetry.low is None and telemetry.low_unread:
         raise BackendError(
             f"LowState from the robot {where}, but it cannot be read: {telemetry.low_unread}; is this a Go2-W? "
-            "unitree.check_crc=false takes it unchecked"
+            "unitree.check_crc=false takes it unchecked",
+            retry=False,
         )
     if telemetry.low is None:
         raise BackendError(

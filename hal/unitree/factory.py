@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 class MissingExtra(BackendError):
     """The optional DDS package is not installed."""
 
+    retry = False
+
 
 def check(interface: str) -> None:
     """Whether a robot can be looked for on `interface`. Raises MissingExtra, BackendError."""

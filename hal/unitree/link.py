@@ -47,9 +47,9 @@ def check_interface(name: str) -> None:
     addresses = psutil.net_if_addrs()
     choices = f"choose one of {', '.join(sorted(addresses))} (--interface)"
     if not name:
-        raise BackendError(f"which network interface leads to the robot? {choices}")
+        raise BackendError(f"which network interface leads to the robot? {choices}", retry=False)
     if name not in addresses:
-        raise BackendError(f"network interface {name!r} does not exist; {choices}")
+        raise BackendError(f"network interface {name!r} does not exist; {choices}", retry=False)
     stats = psutil.net_if_stats().get(name)
     if stats is None or not stats.isup:
         raise BackendError(

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import OperatorError
 from mapping.filling import fill_unknown, slope_and_step
 from mapping.grid import ElevationGrid
 
 PATCH_LAYERS = ("elevation", "variance", "trusted", "upper_bound", "source")
 
 
-class MapError(ValueError):
+class MapError(OperatorError):
     """Input the map cannot take; the message names it and what was expected."""
 
 

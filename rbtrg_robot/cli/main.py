@@ -50,10 +50,10 @@ def main() -> None:
     except (KeyboardInterrupt, BrokenPipeError):
         sys.exit(130)
     except Exception as error:  # noqa: BLE001  the last place where an error can become one line
-        from rbtrg_robot.process.errors import OPERATOR_ERRORS, describe
+        from hal.errors import OperatorError, one_line
 
-        text = describe(error)
-        if not isinstance(error, OPERATOR_ERRORS):
+        text = one_line(error)
+        if not isinstance(error, OperatorError):
             text = f"a fault in the program ({type(error).__name__}: {text}); {_keep(error)}"
         print(f"rbtrg-robot: {text}", file=sys.stderr)
         sys.exit(1)

@@ -6,14 +6,16 @@ the message was recorded, `publish_time` its source clock; both in ns. rosbag2, 
 
 from __future__ import annotations
 
+import errno
 import fcntl
+import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -22,9 +24,13 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from zstandard import ZstdError
 
+from hal.errors import OperatorError
 from rbtrg_robot import __version__
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.messages import definition, type_hash
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 CHUNK_BYTES = 1024 * 1024
 METADATA = "run"
@@ -49,8 +55,29 @@ _OFFERED_QOS = """- history: keep_last
 """
 
 
-class LogError(RuntimeError):
+class LogError(OperatorError):
     """A log file cannot be read or written; the message tells what to do."""
+
+
+PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
+"""Reasons of a failed write that may be gone at the next attempt: what fills a disk is often deleted again."""
+
+
+def _cannot_write(path: Path, error: OSError) -> LogError:
+    return LogError(
+        f"cannot write {path}: {error.strerror}; make room or choose another --log-dir",
+        retry=error.errno in PASSING,
+    )
+
+
+class _LogFile(io.FileIO):
+    """Unbuffered: what a flush wrote must survive the death of this process. A write that fails raises LogError."""
+
+    def write(self, data: Buffer) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise _cannot_write(Path(str(self.name)), error) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +102,10 @@ class LogWriter:
         self.path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Unbuffered: what a flush wrote must survive the death of this process.
-            self._file = path.open("wb", buffering=0)
+            self._file = _LogFile(path, "wb")
             fcntl.flock(self._file, fcntl.LOCK_EX)  # tells `is_being_written`; gone with this process
         except OSError as error:
-            raise LogError(f"cannot write {path}: {error.strerror}; choose another --log-dir") from error
+            raise _cannot_write(path, error) from error
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"rbtrg-robot {__version__}")
         self._writer.add_metadata(METADATA, dict(metadata))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.mujoco.view.render import Film, RenderError
+from hal.mujoco.view.render import Film
 from hal.types import GroundTruth
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
@@ -19,7 +19,7 @@ from rbtrg_robot.wire.messages import decode, stamp_of
 def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = None) -> int:
     """Write FILE.mp4, one FILE.png of the end, or a folder of frames. Returns the number of poses.
 
-    Raises LogError, and ConfigError when nothing can be drawn (or the log is not of a simulated robot).
+    Raises LogError, RenderError, and ConfigError when the log is not of a simulated robot or holds nothing to draw.
     """
     config = load(base=of_log(first_of(log).attachments.get(CONFIG, b""))[0])
     if not config.simulated:
@@ -37,11 +37,8 @@ def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = Non
             made.take([truth])
     if not len(made):
         raise ConfigError(f"{log} holds no true poses")
-    try:
-        if out.suffix == ".png":
-            made.picture(out)
-        else:
-            made.write(out, progress)
-    except RenderError as error:
-        raise ConfigError(str(error)) from error
+    if out.suffix == ".png":
+        made.picture(out)
+    else:
+        made.write(out, progress)
     return len(made)

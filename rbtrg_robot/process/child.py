@@ -12,7 +12,9 @@ import threading
 from typing import Any
 
 FATAL = 78
-"""Exit status for what a restart cannot mend (EX_CONFIG)."""
+"""Exit status for what a restart cannot mend (EX_CONFIG in sysexits.h)."""
+PASSING = 75
+"""Exit status for what may be gone at the next start (EX_TEMPFAIL)."""
 
 
 def run(spec: dict[str, Any]) -> int:
@@ -26,17 +28,17 @@ def run(spec: dict[str, Any]) -> int:
     faulthandler.enable()
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
 
-    from rbtrg_robot.config import StackConfig
+    from hal.errors import OperatorError, one_line
+    from rbtrg_robot.config import load
     from rbtrg_robot.hosts.live import Node
-    from rbtrg_robot.process.errors import OPERATOR_ERRORS, describe
     from rbtrg_robot.processes import BY_NAME
     from rbtrg_robot.topics import BY_NAME as TOPIC_BY_NAME
-    from rbtrg_robot.wire.bus import Bus, BusError
+    from rbtrg_robot.wire.bus import Bus
 
     row = BY_NAME[name]
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
-        config = StackConfig.model_validate(spec["config"])
+        config = load(base=spec["config"])
         module, function = row.entry.split(":")
         entry = getattr(importlib.import_module(module), function)
         if not row.hosted:
@@ -52,10 +54,7 @@ def run(spec: dict[str, Any]) -> int:
                 node.run(stop.is_set)
             finally:
                 stage.close()
-    except BusError as error:
-        print(f"bus: {describe(error)}", file=sys.stderr, flush=True)
-        return 1
-    except OPERATOR_ERRORS as error:
-        print(f"fatal: {describe(error)}", file=sys.stderr, flush=True)
-        return FATAL
+    except OperatorError as error:
+        print(f"error: {one_line(error)}", file=sys.stderr, flush=True)
+        return PASSING if error.retry else FATAL
     return 0

@@ -10,11 +10,13 @@ import time
 from pathlib import Path
 from typing import Any
 
+from hal.errors import OperatorError
+
 LOOKING = 0.2
 """Longest time [s] for which the lock may be held by processes that only look."""
 
 
-class AlreadyRunning(RuntimeError):
+class AlreadyRunning(OperatorError):
     """A stack for this robot name is up."""
 
     def __init__(self, robot: str, pid: int) -> None:
@@ -25,7 +27,7 @@ class AlreadyRunning(RuntimeError):
         )
 
 
-class NotRunning(RuntimeError):
+class NotRunning(OperatorError):
     """No stack for this robot name is up."""
 
 

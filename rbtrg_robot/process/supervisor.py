@@ -17,11 +17,12 @@ from typing import Any
 
 import psutil
 
+from hal.errors import OperatorError
 from hal.types import LYING, Phase
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.process.child import FATAL
+from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.process.zygote import Forked, Zygote
@@ -42,7 +43,7 @@ LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
 
-class StartFailed(RuntimeError):
+class StartFailed(OperatorError):
     """The stack did not come up; the message names the process and its last words."""
 
 
@@ -57,6 +58,9 @@ class Child:
     in_a_row: int = 0
     due: float = 0.0
     fatal: str = ""
+    """Why it gave up; it is not started again."""
+    words: str = ""
+    """Why it ended, until it is ready again."""
     usage: psutil.Process | None = None
     cpu: float = 0.0
     memory: float = 0.0
@@ -190,9 +194,10 @@ class Supervisor:
                 self._end_if_hung(child, now)
                 continue
             self._health.forget(name)
-            words = last_words(child.log_path)
             child.forked = None
-            if not self._ready and (code == FATAL or child.in_a_row >= 2):
+            words = last_words(child.log_path)
+            told = code in (FATAL, PASSING)
+            if not self._ready and (told or child.in_a_row >= 2):
                 raise StartFailed(
                     f"{name} failed to start: {words or f'exit status {code}'} ({child.log_path})"
                 )
@@ -206,7 +211,10 @@ class Supervisor:
             child.restarts += 1
             child.due = now + wait
             how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-            self._say(f"{name} ended ({how}); restarting in {wait:.1f} s: {child.row.loss}")
+            why = words if code == PASSING else how
+            if code != PASSING or why != child.words:  # a robot that is away for an hour is said once
+                self._say(f"{name} ended ({why}); restarting in {wait:.1f} s: {child.row.loss}")
+            child.words = why
 
     def _end_if_hung(self, child: Child, now: float) -> None:
         name = child.row.name
@@ -216,6 +224,9 @@ class Supervisor:
             silent = now - child.started > START_LIMIT
         else:
             silent = age > child.row.hang
+            if child.words:
+                self._say(f"{name} runs again")
+                child.words = ""
         if silent and child.forked is not None:
             self._say(f"{name} hangs; killing it")
             child.forked.kill()
@@ -284,6 +295,8 @@ class Supervisor:
                 state = "restarting"
             else:
                 state = beat[1].state if beat else "starting"
+            if child.words and state != "ready":
+                state += f": {child.words}"
             rows.append(
                 {
                     "process": name,
@@ -337,4 +350,4 @@ def last_words(path: Path) -> str:
         lines = path.read_text(errors="replace").strip().splitlines()
     except OSError:
         return ""
-    return lines[-1].removeprefix("fatal: ") if lines else ""
+    return lines[-1].removeprefix("error: ") if lines else ""

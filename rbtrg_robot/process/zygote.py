@@ -20,12 +20,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from hal.errors import OperatorError
+
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 PRELOAD = (
     "zenoh",
     "rbtrg_robot.config",
     "rbtrg_robot.hosts.live",
-    "rbtrg_robot.process.errors",
     "rbtrg_robot.stages.planner",
 )
 """Nothing here may start a thread: a fork copies only the one that calls it."""
@@ -79,7 +80,7 @@ class Forked:
             signal.pidfd_send_signal(self._descriptor, sign)
 
 
-class ZygoteError(RuntimeError):
+class ZygoteError(OperatorError):
     """The process that forks the others does not answer."""
 
 

@@ -22,12 +22,13 @@ import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
+from hal.errors import OperatorError
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 
 
-class BusError(RuntimeError):
+class BusError(OperatorError):
     """The bus cannot be reached; the message tells what to do."""
 
 
@@ -93,7 +94,7 @@ class Bus:
                 if router
                 else f"nothing answers on {endpoint}: is the stack up? Start it with `rbtrg-robot up`"
             )
-            raise BusError(what) from error
+            raise BusError(what, retry=not router) from error
         self._zid = str(self.session.zid())
         self._held: list[Any] = [
             self.session.liveliness().declare_token(wire.node_token(domain, self._zid, node))

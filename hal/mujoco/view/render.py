@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from hal import go2w
+from hal.errors import OperatorError
 from hal.mujoco.model import HIDDEN, build
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.options import Obstacle
@@ -31,7 +32,7 @@ from hal.types import NS, Array, GroundTruth, JointSample, Sample
 HELP = "apt-get install libegl1 libgl1-mesa-dri, or libosmesa6 for rendering without EGL"
 
 
-class RenderError(RuntimeError):
+class RenderError(OperatorError):
     """Nothing can be drawn here; the message tells what to install or change."""
 
 

@@ -155,3 +155,13 @@ def test_statistics_find_the_missing_message(tmp_path: Path) -> None:
     assert imu.longest_gap == pytest.approx(0.010)
     assert summary.metadata["scene"] == "flat"
     assert summary.problems() == ["/imu/data: 1 of 200 messages are missing"]
+
+
+def test_a_full_disk_is_told_in_one_line_and_may_have_room_later(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="No space left on device; make room") as raised:
+        LogWriter(Path("/dev/full"), {})
+    assert raised.value.retry
+    (tmp_path / "file").touch()
+    with pytest.raises(LogError, match="choose another --log-dir") as raised:
+        LogWriter(tmp_path / "file" / "log.mcap", {})
+    assert not raised.value.retry

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -15,8 +16,9 @@ import psutil
 import pytest
 
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.process.child import FATAL
+from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.zygote import Forked, Zygote
+from rbtrg_robot.wire.bus import Bus
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +27,10 @@ def zygote() -> Iterator[Zygote]:
         yield made
 
 
-def tracker(**config: Any) -> dict[str, Any]:
+def tracker(process: str = "tracker", **config: Any) -> dict[str, Any]:
     """A specification."""
     return {
-        "process": "tracker",
+        "process": process,
         "config": {**StackConfig().model_dump(mode="json"), **config},
         "restored": {},
     }
@@ -46,7 +48,21 @@ def test_exit_status_and_last_words_arrive(zygote: Zygote, tmp_path: Path) -> No
     forked = zygote.fork(tracker(bogus=1), log)
     assert forked.wait(60.0) == FATAL
     assert forked.poll() == FATAL
-    assert log.read_text().startswith("fatal: ")
+    assert log.read_text().startswith("error: ")
+
+
+def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, tmp_path: Path) -> None:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    alone = zygote.fork(tracker(port=port), tmp_path / "alone.log")
+    assert alone.wait(60.0) == PASSING
+    assert "nothing answers" in (tmp_path / "alone.log").read_text().splitlines()[-1]
+    with Bus(f"tcp/127.0.0.1:{port}", "test", router=True):
+        wrong = tracker("robot", port=port, backend="unitree", interface="none0")
+        robot = zygote.fork(wrong, tmp_path / "robot.log")
+        assert robot.wait(60.0) == FATAL
+    assert "'none0' does not exist" in (tmp_path / "robot.log").read_text().splitlines()[-1]
 
 
 def test_a_killed_process_reports_the_signal(zygote: Zygote, tmp_path: Path) -> None:

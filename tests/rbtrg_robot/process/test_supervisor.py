@@ -1,0 +1,100 @@
+"""What the supervisor makes of a process that ends: start it again, give it up, or end `up`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.process.child import FATAL, PASSING
+from rbtrg_robot.process.supervisor import StartFailed, Supervisor
+from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.wire.messages import array, encode, header, make
+
+
+class Scripted:
+    """A zygote whose processes end as the script says: exit status and last words, or None for one that stays."""
+
+    def __init__(self, script: list[tuple[int, str] | None]) -> None:
+        self.script = script
+        self.started = 0
+
+    def fork(self, _specification: dict[str, Any], log_path: Path) -> Scripted:
+        self.started += 1
+        self.end = self.script.pop(0)
+        if self.end is not None:
+            log_path.write_text(f"error: {self.end[1]}\n")
+        return self
+
+    pid = os.getpid()
+
+    def poll(self) -> int | None:
+        return None if self.end is None else self.end[0]
+
+
+AWAY = (PASSING, "no LowState: is the cable in?")
+
+
+def supervised(folder: Path, script: list[tuple[int, str] | None]) -> tuple[Supervisor, Scripted, list[str]]:
+    """A supervisor of a robot process alone, what starts its processes, and what it says."""
+    zygote, said = Scripted(script), list[str]()
+    others = tuple(p.name for p in PROCESSES if p.name != "robot")
+    config = load(without=others, record=False, log_dir=str(folder))
+    return Supervisor(config, zygote, said.append), zygote, said  # type: ignore[arg-type]
+
+
+def mend(supervisor: Supervisor) -> dict[str, Any]:
+    """One turn without waiting for the backoff; the row of the robot process."""
+    supervisor._children["robot"].due = 0.0
+    supervisor._mend()
+    row: dict[str, Any] = supervisor.status()["processes"][0]
+    return row
+
+
+def test_a_robot_process_that_starts_while_the_cable_is_out_comes_back_with_the_robot(tmp_path: Path) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [(-9, "")] + [AWAY] * 12 + [None])
+    supervisor._ready = True
+    for _ in range(14):
+        row = mend(supervisor)  # start
+        if zygote.end is not None:
+            row = mend(supervisor)  # notice the end
+            assert row["state"].startswith("restarting")
+    assert zygote.started == 14
+    assert row["state"] == f"starting: {AWAY[1]}"
+    beat = make(
+        t.HEARTBEAT.type, header=header(1, ""), process="robot", pid=0, state="ready", detail="", dropped=0,
+        topic=[], published=array([], "uint64"), newest=array([], "int64"), longest_turn=0.0,
+    )  # fmt: skip
+    supervisor._health.take(t.HEARTBEAT, encode(beat))
+    row = mend(supervisor)
+    assert (row["state"], row["restarts"]) == ("ready", 13)
+    assert zygote.started == 14
+    loss = PROCESSES[0].loss
+    assert said == [
+        f"robot ended (signal SIGKILL); restarting in 0.2 s: {loss}",
+        f"robot ended ({AWAY[1]}); restarting in 0.5 s: {loss}",
+        "robot runs again",
+    ]
+
+
+def test_what_a_restart_cannot_mend_is_given_up(tmp_path: Path) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [(FATAL, "there is no scene 'yrad'")])
+    supervisor._ready = True
+    for _ in range(5):
+        row = mend(supervisor)
+    assert zygote.started == 1
+    assert row["state"] == "failed: there is no scene 'yrad'"
+    assert said == ["robot gave up: there is no scene 'yrad'"]
+
+
+@pytest.mark.parametrize("end", [AWAY, (FATAL, "there is no scene 'yrad'")])
+def test_before_the_stack_was_ready_the_first_word_ends_it(tmp_path: Path, end: tuple[int, str]) -> None:
+    supervisor, zygote, _said = supervised(tmp_path, [end])
+    mend(supervisor)
+    with pytest.raises(StartFailed, match=end[1].replace("?", r"\?")):
+        mend(supervisor)
+    assert zygote.started == 1

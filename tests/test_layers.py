@@ -43,7 +43,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
-    "rbtrg_robot.log": "hal hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
+    "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.hosts": "hal hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
     "rbtrg_robot.process": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.hosts",

@@ -1,7 +1,8 @@
-"""A scene as a picture: colour by height, hillshade, start, goals and benchmark pairs."""
+"""Ground seen from above: colour by height, hillshade, and what is drawn on it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import cos, sin
 from pathlib import Path
 
@@ -21,70 +22,106 @@ STOPS = (
 """Colours from the lowest to the highest point."""
 
 
+Colour = tuple[int, int, int]
+WHITE: Colour = (255, 255, 255)
+RED: Colour = (235, 60, 60)
+GREEN: Colour = (80, 220, 120)
+
+
+class TopView:
+    """A picture of an elevation grid, north (y) up, with things drawn at their place in metres."""
+
+    def __init__(
+        self,
+        height: NDArray[np.floating],
+        trusted: NDArray[np.bool_],
+        origin: tuple[float, float],
+        resolution: float,
+        size: int = 900,
+    ) -> None:
+        """`height` (rows, cols) [m], finite; `trusted` (rows, cols), False is drawn dark; `origin`: x, y [m] of the centre of cell
+        [0, 0]; `resolution` [m]; `size`: pixels of the longer side."""
+        self._rows, cols = height.shape
+        self._zoom = size / max(self._rows, cols)
+        self._origin = origin
+        self._resolution = resolution
+        pixels = max(1, round(cols * self._zoom)), max(1, round(self._rows * self._zoom))
+        relief = Image.fromarray(_relief(np.asarray(height, np.float64), trusted, resolution)[::-1])
+        self._image = relief.resize(pixels, Image.Resampling.BILINEAR)
+        self._draw = ImageDraw.Draw(self._image)
+        self._letter = max(11, size // 60)
+        self._font = ImageFont.load_default(size=self._letter)
+
+    @property
+    def metre(self) -> float:
+        """Pixels."""
+        return self._zoom / self._resolution
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Of a place [m]."""
+        x0, y0 = self._origin
+        column, row = (x - x0) / self._resolution, (y - y0) / self._resolution
+        return (column + 0.5) * self._zoom, (self._rows - 0.5 - row) * self._zoom
+
+    def line(self, points: Iterable[tuple[float, float]], colour: Colour, width: int = 1) -> None:
+        """Through the points [m]."""
+        self._draw.line([self.pixel(x, y) for x, y in points], fill=colour, width=width)
+
+    def disc(self, x: float, y: float, colour: Colour, radius: int = 3) -> None:
+        """`radius` [pixels]."""
+        px, py = self.pixel(x, y)
+        box = [px - radius, py - radius, px + radius, py + radius]
+        self._draw.ellipse(box, fill=colour, outline=(20, 20, 20))
+
+    def arrow(self, x: float, y: float, yaw: float | None, length: float, colour: Colour) -> None:
+        """From x, y [m] towards `yaw` [rad], `length` [m]; a disc alone without a yaw."""
+        if yaw is not None:
+            tip = (x + length * cos(yaw), y + length * sin(yaw))
+            self.line([(x, y), tip], colour, 3)
+            for side in (2.6, -2.6):
+                wing = 0.4 * length * cos(yaw + side), 0.4 * length * sin(yaw + side)
+                self.line([tip, (tip[0] + wing[0], tip[1] + wing[1])], colour, 3)
+        self.disc(x, y, colour, 5)
+
+    def label(self, x: float, y: float, text: str) -> None:
+        """Beside x, y [m]."""
+        _label(self._draw, self.pixel(x, y), text, self._font)
+
+    def save(self, path: str | Path) -> None:
+        """As PNG, with a bar of one metre."""
+        left, bottom = 8, self._image.height - 10
+        self._draw.line([(left, bottom), (left + self.metre, bottom)], fill=WHITE, width=3)
+        _label(self._draw, (left + self.metre, self._image.height - 2.2 * self._letter), "1 m", self._font)
+        self._image.save(path)
+
+
 def render_scene_png(scene: Scene, path: str | Path, *, size: int = 900) -> None:
-    """Write a PNG of about `size` pixels on its longer side, north (y) up."""
-    rows, cols = scene.height.shape
-    zoom = size / max(rows, cols)
-    image = Image.fromarray(_relief(scene)[::-1]).resize(
-        (max(1, round(cols * zoom)), max(1, round(rows * zoom))), Image.Resampling.BILINEAR
-    )
-    draw = ImageDraw.Draw(image)
-    letter = max(11, size // 60)
-    font = ImageFont.load_default(size=letter)
-    x0, y0 = scene.origin
-
-    def pixel(x: float, y: float) -> tuple[float, float]:
-        return ((x - x0) / scene.resolution + 0.5) * zoom, (rows - 0.5 - (y - y0) / scene.resolution) * zoom
-
+    """Write a PNG of a scene with its start, goals and benchmark pairs, `size` pixels on its longer side."""
+    view = TopView(scene.height, scene.trusted, scene.origin, scene.resolution, size)
     if scene.allowed_area:
-        outline = [pixel(x, y) for x, y in scene.allowed_area]
-        draw.line([*outline, outline[0]], fill=(255, 255, 255), width=1)
+        view.line([*scene.allowed_area, scene.allowed_area[0]], WHITE)
     for start, goal in scene.pairs:
-        draw.line([pixel(*start), pixel(*goal)], fill=(255, 255, 255), width=1)
-        _disc(draw, pixel(*start), 3, (80, 220, 120))
-        _disc(draw, pixel(*goal), 3, (235, 60, 60))
-    metre = zoom / scene.resolution
+        view.line([start, goal], WHITE)
+        view.disc(*start, GREEN)
+        view.disc(*goal, RED)
     for name, (x, y, yaw) in scene.goals.items():
-        _arrow(draw, pixel(x, y), yaw, 0.35 * metre, (235, 60, 60))
-        _label(draw, pixel(x, y), name, font)
-    _arrow(draw, pixel(*scene.start[:2]), scene.start[2], 0.5 * metre, (80, 220, 120))
-    _label(draw, (8 + metre, image.height - 2.2 * letter), "1 m", font)
-    draw.line([(8, image.height - 10), (8 + metre, image.height - 10)], fill=(255, 255, 255), width=3)
-    image.save(path)
+        view.arrow(x, y, yaw, 0.35, RED)
+        view.label(x, y, name)
+    view.arrow(*scene.start, 0.5, GREEN)
+    view.save(path)
 
 
-def _relief(scene: Scene) -> NDArray[np.uint8]:
+def _relief(height: NDArray[np.float64], trusted: NDArray[np.bool_], resolution: float) -> NDArray[np.uint8]:
     """(rows, cols, 3): height colours times the light from the north-west."""
-    height = scene.height.astype(np.float64)
     low, high = np.percentile(height, [0.5, 99.5])
     share = np.clip((height - low) / max(high - low, 1e-6), 0.0, 1.0)
     at = [s[0] for s in STOPS]
     colour = np.stack([np.interp(share, at, [s[1][k] for s in STOPS]) for k in range(3)], axis=-1)
-    sy, sx = np.gradient(height, scene.resolution)
+    sy, sx = np.gradient(height, resolution)
     light = (0.5 * sx - 0.5 * sy + 0.7071) / np.sqrt(1.0 + sx**2 + sy**2)
     shade = 0.35 + 0.75 * np.clip(light, 0.0, 1.0)
-    shade = np.where(scene.trusted, shade, 0.45 * shade)
+    shade = np.where(trusted, shade, 0.45 * shade)
     return np.clip(colour * shade[..., None], 0, 255).astype(np.uint8)
-
-
-def _disc(draw: ImageDraw.ImageDraw, at: tuple[float, float], r: float, colour: tuple[int, int, int]) -> None:
-    draw.ellipse([at[0] - r, at[1] - r, at[0] + r, at[1] + r], fill=colour, outline=(20, 20, 20))
-
-
-def _arrow(
-    draw: ImageDraw.ImageDraw,
-    at: tuple[float, float],
-    yaw: float | None,
-    length: float,
-    colour: tuple[int, int, int],
-) -> None:
-    if yaw is not None:
-        tip = (at[0] + length * cos(yaw), at[1] - length * sin(yaw))
-        draw.line([at, tip], fill=colour, width=3)
-        for side in (2.6, -2.6):
-            wing = (tip[0] + 0.4 * length * cos(yaw + side), tip[1] - 0.4 * length * sin(yaw + side))
-            draw.line([tip, wing], fill=colour, width=3)
-    _disc(draw, at, 5, colour)
 
 
 def _label(

@@ -208,6 +208,14 @@ def log_film(
     draw(file, out)
 
 
+@log_app.command("picture")
+def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
+    """Draw a run from above: the map at its end, the last path, the way that was driven."""
+    from rbtrg_robot.log.picture import picture
+
+    print(f"{picture(file, out):.1f} m driven -> {out}")
+
+
 def draw(log: Path, out: Path) -> None:
     """With a progress bar where there is a terminal."""
     from rich.progress import Progress

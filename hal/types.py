@@ -149,6 +149,8 @@ class RobotState:
     """Hottest motor [deg C]."""
     contact: tuple[bool, bool, bool, bool] = (True, True, True, True)
     """Wheel on ground: FR, FL, RR, RL."""
+    remote: bool = False
+    """The operator moves the sticks of the robot's own remote."""
 
 
 @dataclass(frozen=True, slots=True)

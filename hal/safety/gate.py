@@ -4,8 +4,8 @@ Whatever happens elsewhere, a robot behind the gate moves only on a fresh, valid
 inside its fence and with its sensors alive. Two ways to stop:
 
 - a *hold* gives zero velocity while its condition lasts (no fresh command, stale sensor, robot not ready, fence);
-- a *latch* gives zero velocity until `resume` (operator's stop, tilt, battery, motor temperature, robot fault,
-  moving without a command, not moving for long in spite of one).
+- a *latch* gives zero velocity until `resume` (operator's stop, operator's own remote, tilt, battery, motor temperature,
+  robot fault, moving without a command, not moving for long in spite of one).
 
 The gate is pure: time comes in as `now` [ns of the source clock], nothing blocks, nothing is random.
 """
@@ -128,9 +128,8 @@ class SafetyGate:
             self._output = VelocityCommand(now)
         else:
             self._output = self._slewed(now, min(max(elapsed, 0.0), 0.1))
-            if self.geofence is not None and inputs.pose is not None and self._leaves_fence(inputs.pose):
-                self._hold = "geofence"
-                self._output = VelocityCommand(now, wz=self._output.wz)
+            if self.geofence is not None and inputs.pose is not None:
+                self._keep_inside(self.geofence, inputs.pose)
         self._watch_motion(now, inputs)
         if self._cause is not None:
             self._hold, self._output = "", VelocityCommand(now)
@@ -166,6 +165,8 @@ class SafetyGate:
             )
         if state is None:
             return
+        if state.remote:
+            self.stop(StopCause.REMOTE)
         if state.phase is Phase.FAULT:
             self.stop(StopCause.ROBOT_FAULT, state.cause)
         if not state.battery >= p.min_battery:
@@ -181,7 +182,7 @@ class SafetyGate:
         if inputs.state is None:
             return "no robot state yet"
         stamps = {**inputs.stamps, "state": inputs.state.stamp}
-        for sensor, limit in self.params.sensor_timeout.items():
+        for sensor, limit in self.params.sensor_timeout:
             if sensor not in stamps:
                 return f"no {sensor} yet"
             age = (now - stamps[sensor]) / NS
@@ -224,28 +225,37 @@ class SafetyGate:
             wz=slew(last.wz, target.wz, c.max_alpha, self._limits[2]),
         )
 
-    def _leaves_fence(self, pose: tuple[float, float, float]) -> bool:
-        """Whether the command leads the front of the body out of the fence. A robot outside may drive inwards, and turn.
+    def _keep_inside(self, fence: Geofence, pose: tuple[float, float, float]) -> None:
+        """Slow down before the fence and stop at it. A robot outside may drive inwards, and turn.
 
         The command decides, not the slewed output: a velocity that starts from zero would creep out in spurts.
         """
-        assert self.geofence is not None
+        target, out = self._accepted, self._output
+        assert target is not None
+        wanted, speed = math.hypot(target.vx, target.vy), math.hypot(out.vx, out.vy)
+        most = self._speed_inside(fence, pose, wanted, math.atan2(target.vy, target.vx))
+        if speed > most:
+            share = most / speed
+            self._output = VelocityCommand(out.stamp, share * out.vx, share * out.vy, out.wz)
+        if wanted > 0.0 and most == 0.0:
+            self._hold = "geofence"
+
+    def _speed_inside(
+        self, fence: Geofence, pose: tuple[float, float, float], speed: float, course: float
+    ) -> float:
+        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the front of the body inside."""
         x, y, yaw = pose
-        target = self._accepted
-        if target is None or not all(map(math.isfinite, pose)):
-            return True
-        speed = math.hypot(target.vx, target.vy)
-        if speed == 0.0:
-            return False
-        heading = yaw + math.atan2(target.vy, target.vx)
-        c, s = math.cos(heading), math.sin(heading)
-        now = self.params.fence_margin
+        if not all(map(math.isfinite, pose)):
+            return 0.0
+        c, s = math.cos(yaw + course), math.sin(yaw + course)
+        now, most = self.params.fence_margin, speed
         soon = now + speed * self.params.fence_horizon
         for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
-            ahead = self.geofence.outside(x + soon * c - side * s, y + soon * s + side * c)
-            if ahead > 0.0 and ahead >= self.geofence.outside(x + now * c - side * s, y + now * s + side * c):
-                return True
-        return False
+            here = fence.outside(x + now * c - side * s, y + now * s + side * c)
+            ahead = fence.outside(x + soon * c - side * s, y + soon * s + side * c)
+            if ahead > 0.0 and ahead >= here:
+                most = min(most, max(0.0, -here) / self.params.fence_horizon)
+        return most
 
     def _watch_motion(self, now: int, inputs: GateInputs) -> None:
         """Compare what was commanded with what was measured."""

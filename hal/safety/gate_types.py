@@ -13,10 +13,21 @@ from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import RobotState
 
 
+class SensorTimeouts(BaseModel):
+    """Oldest accepted sample [s] by sensor. Every sensor here must be alive; none can be left out."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    state: float = Field(default=0.5, gt=0, description="[s] summary state of the robot")
+    imu: float = Field(default=0.2, gt=0, description="[s]")
+    joints: float = Field(default=0.3, gt=0, description="[s]")
+    lidar: float = Field(default=1.0, gt=0, description="[s]")
+
+
 class GateParams(BaseModel):
     """Thresholds of the safety gate. The velocity and acceleration limits are the robot's `Capabilities`."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     deadman: float = Field(
         default=0.2, gt=0, le=0.5, description="[s] age of a command at which velocity is zero"
@@ -26,10 +37,7 @@ class GateParams(BaseModel):
     max_tilt: float = Field(default=0.70, gt=0, description="[rad] between trunk and gravity; latches")
     min_battery: float = Field(default=0.10, ge=0, lt=1, description="state of charge [0..1]; latches")
     max_motor_temperature: float = Field(default=90.0, description="[deg C]; latches")
-    sensor_timeout: dict[str, float] = Field(
-        default={"state": 0.5, "imu": 0.2, "joints": 0.3, "lidar": 1.0},
-        description="[s] oldest accepted sample by sensor; every sensor named must be alive",
-    )
+    sensor_timeout: SensorTimeouts = SensorTimeouts()
     not_moving_warn: float = Field(default=1.0, gt=0, description="[s] commanded but not moving: flagged")
     not_moving_stop: float = Field(
         default=12.0, gt=0, description="[s] the same, latches; longer than a recovery"
@@ -72,6 +80,7 @@ class StopCause(StrEnum):
     NOT_MOVING = "commanded but not moving"
     MOVING = "moving but not commanded"
     PROCESS_LOST = "process lost"
+    REMOTE = "the operator's remote drives"
 
 
 @dataclass(frozen=True, slots=True)

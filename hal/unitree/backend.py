@@ -174,7 +174,9 @@ class UnitreeBackend:
         t = self._telemetry
         if t is None:
             return RobotState(self._now, self._phase, self._cause)
-        return RobotState(self._now, self._phase, self._cause, t.battery, t.motor_temperature, t.contact)
+        return RobotState(
+            self._now, self._phase, self._cause, t.battery, t.motor_temperature, t.contact, t.remote
+        )
 
     def close(self) -> None:
         """Stop, lie down, release. Bounded to about three seconds; never releases the motion service."""

@@ -27,6 +27,10 @@ JOINT_PERIOD = 20
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
+STICK_REST, STICK_MOST = 0.1, 1.5
+"""A stick nearer to 0 than this is at rest; beyond the other the bytes are no stick."""
+_STICKS = [0, 1, 2, 4]
+"""lx, rx, ry, ly among the five floats after head and keys of `wireless_remote`; the fourth is the L2 trigger."""
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -278,6 +282,14 @@ class Telemetry:
     def motor_temperature(self) -> float:
         """Hottest of the sixteen motors [deg C]."""
         return 0.0 if self.low is None else float(self.low["motor_state"]["temperature"][:16].max())
+
+    @property
+    def remote(self) -> bool:
+        """Whether somebody moves a stick of the robot's own remote; its sticks rest at 0 and read -1..1."""
+        if self.low is None:
+            return False
+        sticks = np.frombuffer(self.low["wireless_remote"].tobytes(), "<f4", 5, offset=4)[_STICKS]
+        return bool(((np.abs(sticks) > STICK_REST) & (np.abs(sticks) <= STICK_MOST)).any())
 
     @property
     def contact(self) -> tuple[bool, bool, bool, bool]:

@@ -57,6 +57,11 @@ class PathTracker:
         self._settle_since: int | None = None
         self._correcting: TrackPath | None = None
 
+    @property
+    def has_path(self) -> bool:
+        """Whether there is a path to drive, or one that was driven to its end."""
+        return self._path is not None
+
     def pause(self) -> None:
         """The robot is being held still: start from zero velocity when it goes on."""
         self._vx = self._wz = 0.0

@@ -175,7 +175,9 @@ class RobotStage:
             twist = self._pose.twist.twist
             velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
             place = self._pose.pose.pose
-            pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
+            # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
+            if self._frame.known:
+                pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
         return GateInputs(state, self._tilt.tilt, velocity, pose, self._stamps)
 
     def _publish(self, sample: Sample) -> Outputs:

@@ -66,7 +66,7 @@ class TrackerStage:
 
     def _take_path(self, message: Any) -> None:
         if message.id == self._path_id and message.id:
-            return
+            return  # a repeat
         self._path_id = message.id
         self._path_fault = ""
         if len(message.x) == 0:
@@ -88,7 +88,7 @@ class TrackerStage:
             self._seen.clear()
         self._now = now
         self._ticks += 1
-        hold = self._hold() if self._path_id else ""
+        hold = self._hold() if self._tracker.has_path or self._path_fault else ""
         if self._pose is None or hold:
             step = TrackOutput()
             self._tracker.pause()
@@ -110,6 +110,8 @@ class TrackerStage:
         """Why the robot must stand although it has a path."""
         if self._path_fault:
             return self._path_fault
+        if not self._frame.known:
+            return f"no {t.TF_STATIC.name} yet"
         if self._lost:
             return f"localization lost: {self._lost}"
         for topic, limit in self._limits.items():

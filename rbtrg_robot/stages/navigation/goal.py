@@ -7,9 +7,12 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from hal.safety.geofence import Geofence
 from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason
-from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.convert import BASE, MAP, ODOM, yaw_of
+from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header, make, stamp_of
 
 
@@ -43,7 +46,7 @@ _ACTIVE = (GoalState.ACCEPTED, GoalState.PLANNING, GoalState.MOVING, GoalState.R
 
 @dataclass(slots=True)
 class Goal:
-    """One goal in frame `map`."""
+    """One goal in frame `map`, once `move_to_map` was called."""
 
     id: str
     x: float
@@ -79,10 +82,38 @@ class Goal:
         yaw = message.yaw if message.has_yaw else None
         return cls(message.id, message.x, message.y, yaw, now)
 
-    @property
-    def finite(self) -> bool:
-        """All numbers are numbers."""
-        return all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout))
+    def move_to_map(self, frame_id: str, frame: MapFrame, pose: Pose2 | None) -> tuple[Reason, str] | None:
+        """Take the place as one in `frame_id` and turn it into one in `map`; why that cannot be, or None.
+
+        `frame`: where `odom` lies in `map`; `pose` of base_link in `map`, both of now.
+        """
+        if frame_id == MAP:
+            return None
+        if frame_id not in (ODOM, BASE):
+            return Reason.INVALID, f"frame {frame_id!r} is none of {MAP}, {ODOM}, {BASE}"
+        if frame_id == ODOM:
+            offset = (frame.x, frame.y, frame.yaw) if frame.known else None
+        else:
+            offset = pose
+        if offset is None:
+            return Reason.INVALID, f"where {frame_id} lies in {MAP} is not known yet"
+        x0, y0, turn = offset
+        c, s = math.cos(turn), math.sin(turn)
+        self.x, self.y = x0 + c * self.x - s * self.y, y0 + s * self.x + c * self.y
+        if self.yaw is not None:
+            self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
+        return None
+
+    def misplaced(self, area: Geofence | None, room: float) -> tuple[Reason, str] | None:
+        """Why a robot that needs `room` [m] to the fence cannot go there; None where it can."""
+        if not all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout)):
+            return Reason.INVALID, "it has numbers that are not finite"
+        outside = -math.inf if area is None else area.outside(self.x, self.y)
+        if outside > 0.0:
+            return Reason.OUTSIDE, f"by {outside:.1f} m"
+        if outside > -room:
+            return Reason.OUTSIDE, f"only {-outside:.2f} m inside the fence; the body needs {room:.2f} m"
+        return None
 
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         """Enter a terminal state."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hal.go2w import BODY_WIDTH
 from hal.safety.geofence import Geofence
-from hal.types import NS, Phase
+from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState
 from rbtrg_robot.stages.navigation.path_order import PathOrder
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
-from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance
+from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
@@ -44,16 +45,16 @@ class NavigatorStage:
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
-    def __init__(self, params: NavigatorParams, area: tuple[tuple[float, float], ...] | None = None) -> None:
+    def __init__(self, params: NavigatorParams, area: Geofence | None = None, room: float = 0.0) -> None:
+        """`area`: what goals must lie in, `room` [m] from its edge."""
         self._params = params
-        self._area = Geofence.of(area) if area else None
+        self._area, self._room = area, room
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
         self._pose: Pose2 | None = None
         self._seen: dict[Topic, int] = {}
-        self._health = "good"
-        self._health_reason = ""
+        self._health: Any = None
         self._robot: Any = None
         self._tracker: Any = None
         self._query = PlanQuery()
@@ -82,11 +83,12 @@ class NavigatorStage:
         self._out = []
         self._seen[topic] = self._now
         if topic is t.ODOM:
-            pose = message.pose.pose
-            self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
-            self._trail.add(self._pose)
+            if self._frame.known:
+                pose = message.pose.pose
+                self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+                self._trail.add(self._pose)
         elif topic is t.ODOM_HEALTH:
-            self._health, self._health_reason = message.health, message.reason
+            self._health = message
         elif topic is t.TRACKER_STATE:
             self._tracker = message
         elif topic is t.ROBOT_STATE:
@@ -96,7 +98,7 @@ class NavigatorStage:
         elif topic is t.GOAL_REQUEST:
             self._request(message)
         elif topic is t.GOAL_POSE:
-            self._accept(Goal.from_pose(message, self._now))
+            self._accept(Goal.from_pose(message, self._now), message)
         elif topic is t.PLAN:
             self._take_plan(message)
         elif topic is t.ROUTE_STATUS:
@@ -113,11 +115,12 @@ class NavigatorStage:
             else:
                 self._status()
         elif self._goal is None or self._goal.id != message.id:
-            self._accept(Goal.from_request(message, self._now))
+            self._accept(Goal.from_request(message, self._now), message)
         else:
             self._status()  # a repeat: the sender has not heard the answer yet
 
-    def _accept(self, goal: Goal) -> None:
+    def _accept(self, goal: Goal, message: Any) -> None:
+        stray = goal.move_to_map(message.header.frame_id, self._frame, self._pose)
         if self._goal and self._goal.state.active:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
         self._goal = goal
@@ -127,11 +130,7 @@ class NavigatorStage:
         self._plan = None
         self._query.drop()
         self._missing_since = 0
-        if not goal.finite:
-            self._end(GoalState.REJECTED, Reason.INVALID)
-        elif self._area is not None and self._area.outside(goal.x, goal.y) > 0.0:
-            self._end(GoalState.REJECTED, Reason.OUTSIDE)
-        elif (trouble := hindrance(self._robot)) is not None:
+        if (trouble := stray or goal.misplaced(self._area, self._room) or hindrance(self._robot)) is not None:
             self._end(GoalState.REJECTED, *trouble)
         else:
             self._status()
@@ -267,10 +266,10 @@ class NavigatorStage:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
 
     def _missing(self) -> tuple[Reason, str] | None:
-        if self._robot is not None and self._robot.phase == Phase.DISCONNECTED:
-            return Reason.DISCONNECTED, self._robot.cause
-        if self._health == "lost":
-            return Reason.LOST, self._health_reason
+        if (away := absence(self._robot, self._health)) is not None:
+            return away
+        if not self._frame.known:
+            return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
         for topic in (t.ODOM, t.MAP_STATUS):
             age = (self._now - self._seen.get(topic, 0)) / NS
             if topic not in self._seen or age > self._params.input_timeout:
@@ -347,4 +346,6 @@ class NavigatorStage:
 
 def build(config: Any) -> NavigatorStage:
     """From the stack's configuration."""
-    return NavigatorStage(config.navigator, config.allowed_area())
+    room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+    area = config.allowed_area()
+    return NavigatorStage(config.navigator, Geofence.of(area) if area else None, room)

@@ -60,6 +60,15 @@ def words(reason: str, detail: str = "") -> str:
     return f"{text}: {detail}" if detail and text else text or detail
 
 
+def absence(robot: Any, health: Any) -> tuple[Reason, str] | None:
+    """Why a goal must wait: the robot is out of contact, or it is not known where it is. Newest RobotState, OdometryHealth."""
+    if robot is not None and robot.phase == Phase.DISCONNECTED:
+        return Reason.DISCONNECTED, robot.cause
+    if health is not None and health.health == "lost":
+        return Reason.LOST, health.reason
+    return None
+
+
 def hindrance(robot: Any) -> tuple[Reason, str] | None:
     """Why a robot drives nowhere, and what to do; None where it does. `robot`: its newest RobotState message, if any."""
     if robot is None:

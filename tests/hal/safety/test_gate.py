@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from hal.safety.gate import GateInputs, GateParams, RefusalReason, SafetyGate, StopCause
 from hal.safety.geofence import Geofence, GeofenceError
@@ -174,7 +175,7 @@ def test_conditions_an_operator_must_look_at_latch(changes, cause: str):
 def test_a_stale_sensor_holds_and_its_return_releases(sensor: str):
     gate = SafetyGate(CAPS)
     _, now = run(gate, 0, 1.0)
-    limit = GateParams().sensor_timeout[sensor]
+    limit = getattr(GateParams().sensor_timeout, sensor)
     dead = now - TICK
     held = []
     for _ in range(round((limit + 0.3) / 0.02)):
@@ -189,6 +190,51 @@ def test_a_stale_sensor_holds_and_its_return_releases(sensor: str):
     assert all(vx == 0.5 for age, vx in held if age <= limit * NS)
     assert all(vx == 0.0 for age, vx in held if age > limit * NS)
     assert gate.status().hold.startswith(f"{sensor} is ")
+    out, _ = run(gate, now, 1.0)
+    assert out.vx == 0.5
+
+
+def test_no_setting_takes_a_sensor_out_of_the_checks():
+    one = GateParams.model_validate({"sensor_timeout": {"lidar": 2.0}})
+    none = GateParams.model_validate({"sensor_timeout": {}})
+    assert one.sensor_timeout.lidar == 2.0
+    for params in (one, none):
+        for sensor in ("state", "imu", "joints", "lidar"):
+            gate = SafetyGate(CAPS, params)
+            _, now = run(gate, 0, 1.0)
+            now += 3 * NS
+            inputs = well(now)
+            if sensor == "state":
+                inputs = replace(inputs, state=RobotState(now - 3 * NS, Phase.READY))
+            else:
+                inputs = replace(inputs, stamps={**inputs.stamps, sensor: now - 3 * NS})
+            gate.command(VelocityCommand(now, vx=0.5), now)
+            assert gate.output(now, inputs).vx == 0.0
+            assert gate.status().hold == f"{sensor} is 3.0 s old"
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, None])
+@pytest.mark.parametrize("key", ["state", "imu", "joints", "lidar"])
+def test_a_timeout_that_could_never_trip_is_refused(key: str, value: float | None):
+    with pytest.raises(ValidationError):
+        GateParams.model_validate({"sensor_timeout": {key: value}})
+
+
+@pytest.mark.parametrize("key", sorted(set(GateParams.model_fields) - {"sensor_timeout"}))
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_no_threshold_is_infinite(key: str, value: float):
+    with pytest.raises(ValidationError):
+        GateParams.model_validate({key: value})
+
+
+def test_the_operators_own_remote_takes_the_motion_until_resume():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    assert gate.output(now, well(now, state=RobotState(now, Phase.MOVING, remote=True))).vx == 0.0
+    out, now = run(gate, now + TICK, 1.0)
+    assert out.vx == 0.0
+    assert gate.status().cause == "the operator's remote drives"
+    gate.resume()
     out, _ = run(gate, now, 1.0)
     assert out.vx == 0.5
 
@@ -237,7 +283,12 @@ def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
     gate = SafetyGate(CAPS, geofence=fence)
     out, now = run(gate, 0, 1.0, pose=(2.0, 2.0, 0.0))
     assert out.vx == 0.5
+    # Its front is 0.09 m inside: no faster than it gets there in the horizon.
     out, now = run(gate, now, 1.0, wz=0.3, pose=(3.5, 2.0, 0.0))
+    front = 4.0 - 3.5 - GateParams().fence_margin
+    assert out.vx == pytest.approx(front / GateParams().fence_horizon)
+    assert gate.status().hold == ""
+    out, now = run(gate, now, 1.0, wz=0.3, pose=(3.6, 2.0, 0.0))
     assert out.vx == 0.0
     assert out.wz == pytest.approx(0.3)
     assert gate.status().hold == "geofence"

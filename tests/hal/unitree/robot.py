@@ -77,6 +77,8 @@ class Faults:
     """Every tenth message of each topic is cut off."""
     babble: bool = False
     """The mode switcher's answers are cut off."""
+    remote: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """Sticks and trigger of the robot's own remote: lx, rx, ry, L2, ly."""
     refuse: dict[int, int] = field(default_factory=dict)
     """Sport api id -> result code."""
 
@@ -399,6 +401,8 @@ class RobotSide:
         imu["quaternion"], imu["gyroscope"], imu["accelerometer"] = self._quaternion(), body.gyro, body.accel
         low["bms_state"]["soc"] = 87
         low["foot_force"] = 60
+        # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly
+        low["wireless_remote"][4:24] = np.array(self.faults.remote, "<f4").view(np.uint8)
         low["motor_state_first_mode"] = 1
         low["motor_state_modes"]["mode"] = 1
 

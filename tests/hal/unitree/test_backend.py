@@ -589,6 +589,27 @@ def test_the_lidars_stamps_are_shifted_by_its_time_offset():
     np.testing.assert_array_equal(stamps(0.0) - stamps(-0.005), 5_000_000)
 
 
+@pytest.mark.parametrize(
+    ("sticks", "moved"),
+    [
+        ((0.0, 0.0, 0.0, 0.0, 0.0), False),
+        ((0.05, -0.05, 0.05, 0.0, 0.05), False),
+        ((0.0, 0.0, 0.0, 1.0, 0.0), False),  # the trigger is no stick
+        ((math.nan, 1e30, -math.inf, 0.0, 0.0), False),  # these bytes are no sticks
+        ((0.2, 0.0, 0.0, 0.0, 0.0), True),
+        ((0.0, -0.2, 0.0, 0.0, 0.0), True),
+        ((0.0, 0.0, 1.0, 0.0, 0.0), True),
+        ((math.nan, 0.0, 0.0, 0.0, -1.0), True),
+    ],
+)
+def test_the_sticks_of_the_robots_own_remote_are_seen(sticks: tuple[float, ...], moved: bool):
+    world = ready()
+    assert not world.backend.state().remote
+    world.faults.remote = sticks
+    world.run(0.1)
+    assert world.backend.state().remote == moved
+
+
 def test_low_state_with_a_wrong_checksum_is_not_believed():
     world = ready()
     world.run(2.0, vx=0.5)

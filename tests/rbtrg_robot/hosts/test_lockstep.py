@@ -17,6 +17,7 @@ from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.log.file import read_run
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
+from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import decode, header, make, stamp_of
 
 
@@ -127,6 +128,30 @@ def test_commands_that_make_no_sense_are_refused_and_counted(stack: Lockstep) ->
     refused = dict(zip(state.refused_reason, state.refused_count, strict=True))
     assert refused == {"not finite": 1, "wrong frame": 1, "over limit": 1}
     assert math.dist(place[:2], truth(stack)[:2]) < 0.02
+
+
+def test_the_fence_holds_while_the_start_in_the_map_is_unknown() -> None:
+    with Lockstep(config(origin=(0.0, 0.0, 0.0), area=[(-2, -2), (3, -2), (3, 2), (-2, 2)])) as stack:
+        stack.wait_ready()
+        stack.robot._frame = MapFrame()
+        place = truth(stack)
+        stack.send_goal(*ahead(stack, 2.0))
+        stack.run(3.0)
+        assert stack.newest[t.ROBOT_STATE].hold == "no pose for the geofence"
+        assert math.dist(place[:2], truth(stack)[:2]) < 0.02
+
+
+def test_the_nearest_goal_to_the_fence_that_is_accepted_is_reached() -> None:
+    room = 0.47
+    with Lockstep(config(origin=(0.0, 0.0, 0.0), area=[(-2, -2), (2, -2), (2, 2), (-2, 2)])) as stack:
+        stack.wait_ready()
+        stack.send_goal(2.0 - room + 0.02, 0.0)
+        stack.run(0.2)
+        assert stack.newest[t.GOAL_STATUS].state == "rejected"
+        for goal in ((2.0 - room, 0.0), (2.0 - room, 2.0 - room)):
+            stack.send_goal(*goal)
+            assert stack.finish_goal(40.0).state == "reached"
+            assert math.dist(goal, truth(stack)[:2]) < 0.25
 
 
 def test_a_goal_inside_a_known_wall_is_rejected(stack: Lockstep) -> None:

@@ -110,6 +110,13 @@ FAULTS = {
         rest=1.5,  # a second of patience
         orders=("recover", "resume"),
     ),
+    "remote": Fault(
+        lambda world, on: setattr(world.faults, "remote", (0.0, 0.0, 0.0, 0.0, 0.4 * on)),
+        "robot: stopped, E-STOP (the operator's remote drives)",
+        "goal: aborted (GOAL): emergency stop: the operator's remote drives; `rbtrg-robot resume` releases it",
+        rest=1.0,
+        orders=("resume",),
+    ),
     "LiDAR": Fault(_fault("lidar_silent"), "held (lidar is 3.", "goal: moving (GOAL)", rest=1.5, ended=False),
 }
 

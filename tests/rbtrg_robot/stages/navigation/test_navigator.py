@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hal.safety.geofence import Geofence
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
 from rbtrg_robot import topics as t
@@ -18,7 +19,7 @@ from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
+from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion, transform_msg
 from rbtrg_robot.wire.messages import encode, header, make
 
 SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
@@ -27,8 +28,8 @@ SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 class World:
     """Plays everyone the navigator talks to."""
 
-    def __init__(self, area: Any = None) -> None:
-        self.stage = NavigatorStage(NavigatorParams(), area)
+    def __init__(self, area: Any = None, *, placed: bool = True) -> None:
+        self.stage = NavigatorStage(NavigatorParams(), Geofence.of(area) if area else None, room=0.46)
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
@@ -39,6 +40,13 @@ class World:
         self.estop = False
         self.phase = "ready"
         self.route_valid = True
+        if placed:
+            self.place(0.0, 0.0, 0.0)
+
+    def place(self, x: float, y: float, yaw: float) -> None:
+        """Say where `odom` lies in `map`."""
+        offset = transform_msg(0, "map", "odom", np.array([x, y, 0.0]), rpy_quaternion((0.0, 0.0, yaw)))
+        self._take(self.stage.on(t.TF_STATIC, make(t.TF_STATIC.type, transforms=[offset])))
 
     def send(self, topic: Topic, **fields: Any) -> None:
         fields.setdefault("header", header(self.now, "map"))
@@ -171,6 +179,69 @@ def test_a_goal_outside_the_area_is_rejected() -> None:
     assert (world.status.state, world.status.reason) == ("rejected", "outside_area")
     world.goal(x=4.0, goal_id="inside")
     assert world.status.state == "planning"
+
+
+def test_a_goal_nearer_to_the_fence_than_the_body_is_rejected_and_says_so() -> None:
+    world = World(SQUARE)
+    world.run(0.5)
+    world.goal(x=4.6)
+    assert (world.status.state, world.status.reason) == ("rejected", "outside_area")
+    assert world.status.detail == "only 0.40 m inside the fence; the body needs 0.46 m"
+    world.goal(x=4.5, goal_id="inside")
+    assert world.status.state == "planning"
+
+
+@pytest.mark.parametrize(
+    ("frame", "place", "heading"),
+    [
+        ("map", (1.0, 0.5), 0.2),
+        ("odom", (1.5, 4.0), 0.2 + math.pi / 2),
+        ("base_link", (1.5, 5.0), 0.2 + math.pi),
+    ],
+)
+def test_a_goal_is_meant_in_the_frame_it_names(
+    frame: str, place: tuple[float, float], heading: float
+) -> None:
+    world = World(placed=False)
+    world.place(2.0, 3.0, math.pi / 2)
+    world.pose = (2.5, -0.5, math.pi / 2)  # in `odom`: (2.5, 5.5) in `map`, heading pi
+    world.run(0.5)
+    world.goal(1.0, 0.5, yaw=0.2, has_yaw=True, header=header(world.now, frame))
+    request = world.last(t.PLAN_REQUEST)
+    assert (request.goal_x, request.goal_y) == pytest.approx(place)
+    assert math.remainder(request.goal_yaw - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert (world.status.x, world.status.y) == pytest.approx(place)
+
+
+def test_a_pose_from_rviz_is_meant_in_its_frame_too(world: World) -> None:
+    world.pose = (1.0, 0.0, math.pi / 2)
+    world.run(0.2)
+    pose = make(t.GOAL_POSE.type, header=header(world.now, "base_link")).pose
+    pose.position.x, pose.orientation.w = 2.0, 1.0
+    world.send(t.GOAL_POSE, header=header(world.now, "base_link"), pose=pose)
+    assert (world.status.x, world.status.y, world.status.yaw) == pytest.approx((1.0, 2.0, math.pi / 2))
+
+
+@pytest.mark.parametrize("frame", ["", "world", "lidar"])
+def test_a_goal_in_another_frame_is_rejected(world: World, frame: str) -> None:
+    world.goal(header=header(world.now, frame))
+    assert (world.status.state, world.status.reason) == ("rejected", "invalid")
+    assert repr(frame) in world.status.detail
+
+
+def test_nothing_is_planned_before_the_start_in_the_map_is_known() -> None:
+    world = World(placed=False)
+    world.run(0.5)
+    world.goal(header=header(world.now, "odom"))
+    assert (world.status.state, world.status.reason) == ("rejected", "invalid")
+    assert "not known yet" in world.status.detail
+    world.goal(goal_id="later")
+    world.run(1.0)
+    assert world.count(t.PLAN_REQUEST) == 0
+    assert world.status.detail == "no /tf_static yet"
+    world.place(0.0, 0.0, 0.0)
+    world.run(0.3)
+    assert world.count(t.PLAN_REQUEST) == 1
 
 
 def test_a_goal_in_an_obstacle_is_rejected_at_once(world: World) -> None:

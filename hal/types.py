@@ -1,7 +1,7 @@
 """Value types that cross the hardware boundary.
 
 Units are SI, angles radians, stamps integer nanoseconds of the *source clock* (the simulator's clock in
-simulation, the host's wall clock on hardware; the backend converts). Frames follow REP 105: `base_link` is the
+simulation, the host's on hardware; the backend converts). Frames follow REP 105: `base_link` is the
 trunk centre, x forward, y left, z up. Arrays are float64 unless said otherwise and must not be modified.
 """
 

@@ -77,7 +77,7 @@ ROUTE          = Topic("/plan/path",             "nav_msgs/msg/Path",           
 ROUTE_STATUS   = Topic("/plan/status",           "rbtrg_msgs/msg/RouteStatus",       2, Qos.STATE,     1, "planner",   "route still good? graph size")
 PATH_COMMAND   = Topic("/track/path",            "rbtrg_msgs/msg/PathCommand",       0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           "rbtrg_msgs/msg/TrackerState",     10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
-HEARTBEAT      = Topic("/heartbeat",             "rbtrg_msgs/msg/Heartbeat",         2, Qos.STATE,    64, "",          "each process, wall clock")
+HEARTBEAT      = Topic("/heartbeat",             "rbtrg_msgs/msg/Heartbeat",         2, Qos.STATE,    64, "",          "each process, in real time")
 # fmt: on
 
 TOPICS: tuple[Topic, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Topic))

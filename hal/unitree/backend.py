@@ -40,7 +40,7 @@ _STATE_PERIOD = NS // 25
 
 
 class UnitreeBackend:
-    """A Go2-W on `interface`. See `hal.contract.Backend`; the source clock is the host's wall clock."""
+    """A Go2-W on `interface`. See `hal.contract.Backend`; the source clock is `clock`."""
 
     def __init__(
         self,

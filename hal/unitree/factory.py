@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hal.contract import BackendError
@@ -31,13 +33,16 @@ def check(interface: str) -> None:
 
 
 def make_backend(
-    interface: str, dry_run: bool = False, options: UnitreeOptions | None = None
+    interface: str,
+    dry_run: bool = False,
+    options: UnitreeOptions | None = None,
+    clock: Callable[[], int] = time.time_ns,
 ) -> UnitreeBackend:
-    """Backend for the robot on `interface`. Raises MissingExtra, or BackendError for an unusable interface."""
+    """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given. Raises MissingExtra, or BackendError for an unusable interface."""
     check(interface)
     from hal.unitree.backend import UnitreeBackend
 
     domain = None if options is None else options.domain
     if domain is None:
         domain = 1 if interface == "lo" else 0
-    return UnitreeBackend(interface, domain, options, dry_run)
+    return UnitreeBackend(interface, domain, options, dry_run, clock=clock)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable
 
 from rbtrg_robot import topics
@@ -58,7 +57,7 @@ class Node:
                 else:
                     self._publish(self._stage.on(received.topic, message))
             if not self._simulated:
-                self.advance(time.time_ns())
+                self.advance(self._bus.clock())
 
     def advance(self, now: int) -> None:
         """Move the clock; one tick when a period boundary was passed, however many were missed."""

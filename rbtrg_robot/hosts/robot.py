@@ -1,4 +1,4 @@
-"""The robot process: a backend behind the gate, paced by the wall clock. Not a hosted stage: it makes the time of the others."""
+"""The robot process: a backend behind the gate, paced in real time. Not a hosted stage: it makes the time of the others."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.heart import Heart
 from rbtrg_robot.wire.messages import stamp_of
@@ -30,13 +31,16 @@ START_LIMIT = 150.0
 """Longest wait [s] for the other processes before simulated time starts without them."""
 
 
-def build(config: Any, restored: dict[Topic, bytes] | None = None) -> RobotStage:
+def build(
+    config: Any, restored: dict[Topic, bytes] | None = None, clock: SourceClock | None = None
+) -> RobotStage:
     """From the stack's configuration. Raises BackendError, SceneError.
 
-    A restarted simulator goes on where the last one died: `restored` holds its newest truth.
+    A restarted simulator goes on where the last one died: `restored` holds its newest truth. A real robot's samples are
+    stamped by `clock`.
     """
     watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
-    backend = _simulator(config, restored or {}) if config.simulated else _hardware(config)
+    backend = _simulator(config, restored or {}) if config.simulated else _hardware(config, clock)
     area = config.allowed_area()
     gate = SafetyGate(backend.capabilities, config.gate, Geofence.of(area) if area else None)
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
@@ -66,17 +70,20 @@ def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
     return backend
 
 
-def _hardware(config: Any) -> Backend:
+def _hardware(config: Any, clock: SourceClock | None) -> Backend:
     from hal.unitree.factory import make_backend
 
     backend: Backend = make_backend(
-        config.interface, dry_run=config.dry_run, options=config.unitree_options()
+        config.interface,
+        dry_run=config.dry_run,
+        options=config.unitree_options(),
+        clock=clock or SourceClock(),
     )
     return backend
 
 
 class Pace:
-    """Keeps a simulator on the wall clock, and measures how well it keeps up."""
+    """Keeps a simulator in real time, and measures how well it keeps up."""
 
     WINDOW = 2.0
     MOST_BEHIND = 0.1
@@ -129,12 +136,12 @@ class Window:
 
 
 def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Topic, bytes]) -> None:
-    """The process: paced by the wall clock."""
+    """The process: paced in real time."""
     heart = Heart(bus, BY_NAME["robot"].name)
     heart.beat("starting")
-    stage = build(config, restored)
+    stage = build(config, restored, bus.clock)
     window: Window | None = None
-    now = stage.start_time if config.simulated else time.time_ns()
+    now = stage.start_time if config.simulated else bus.clock()
     try:
         stage.warm_up()
         changes: deque[tuple[str, bool]] = deque()
@@ -168,7 +175,7 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
                     if undecodable in (1, 10, 100, 1000):
                         log.warning("message %d refused: %s", undecodable, error)
             if not config.simulated:
-                now = time.time_ns()
+                now = bus.clock()
                 publish(bus, stage.tick(now), now)
                 continue
             target = pace.target()

@@ -13,6 +13,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import CONFIG, LogWriter, is_intact
 from rbtrg_robot.params import RecorderParams
 from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.heart import Heart
 
 log = logging.getLogger(__name__)
@@ -24,9 +25,15 @@ class Recorder:
     """Writes log_0.mcap, log_1.mcap, ... into one folder."""
 
     def __init__(
-        self, folder: Path, params: RecorderParams, metadata: dict[str, str], attachments: dict[str, bytes]
+        self,
+        folder: Path,
+        params: RecorderParams,
+        metadata: dict[str, str],
+        attachments: dict[str, bytes],
+        clock: SourceClock,
     ) -> None:
-        """Raises LogError when the folder cannot be written."""
+        """`clock` says when a message was recorded. Raises LogError when the folder cannot be written."""
+        self._clock = clock
         self._folder = folder
         self._params = params
         self._metadata = metadata
@@ -45,7 +52,7 @@ class Recorder:
 
     def write(self, topic: t.Topic, payload: bytes, stamp: int, sequence: int) -> None:
         """One message; `stamp` is its source clock [ns]."""
-        self._writer.write(topic, payload, time.time_ns(), stamp, sequence)
+        self._writer.write(topic, payload, self._clock(), stamp, sequence)
 
     def housekeep(self) -> None:
         """Flush and rotate when it is time."""
@@ -70,7 +77,7 @@ def main(
 ) -> None:
     """The process: everything on the bus until told to stop."""
     attachments = {CONFIG: config.to_yaml().encode()}
-    recorder = Recorder(Path(config.log_dir), config.recorder, config.metadata(), attachments)
+    recorder = Recorder(Path(config.log_dir), config.recorder, config.metadata(), attachments, bus.clock)
     try:
         deep = {replace(topic, depth=INBOX_DEPTH): topic for topic in t.TOPICS if topic.recorded}
         bus.subscribe(deep)

@@ -20,7 +20,8 @@ PASSING = 75
 def run(spec: dict[str, Any]) -> int:
     """One process until told to stop; returns its exit status.
 
-    `spec`: `process` its name, `config` the dumped StackConfig, `restored` {topic: base64 of its newest message}.
+    `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock,
+    `restored` {topic: base64 of its newest message}.
     """
     name: str = spec["process"]
     stop = threading.Event()
@@ -34,20 +35,22 @@ def run(spec: dict[str, Any]) -> int:
     from rbtrg_robot.processes import BY_NAME
     from rbtrg_robot.topics import BY_NAME as TOPIC_BY_NAME
     from rbtrg_robot.wire.bus import Bus
+    from rbtrg_robot.wire.clock import SourceClock
 
     row = BY_NAME[name]
+    clock = SourceClock(spec["clock"])
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
         config = load(base=spec["config"])
         module, function = row.entry.split(":")
         entry = getattr(importlib.import_module(module), function)
         if not row.hosted:
-            with Bus(config.endpoint, name, config.domain) as bus:
+            with Bus(config.endpoint, name, config.domain, clock=clock) as bus:
                 entry(config, bus, stop.is_set, restored)
             return 0
         stage = entry(config)
         stage.warm_up()
-        with Bus(config.endpoint, name, config.domain) as bus:
+        with Bus(config.endpoint, name, config.domain, clock=clock) as bus:
             node = Node(row, stage, bus, simulated=config.simulated)
             node.restore(restored)
             try:

@@ -10,6 +10,7 @@ from typing import Any
 from rbtrg_robot import topics as t
 from rbtrg_robot.processes import Process
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import decode, stamp_of
@@ -63,8 +64,10 @@ class Health:
         t.TF_STATIC,
     )
 
-    def __init__(self, simulated: bool) -> None:
+    def __init__(self, simulated: bool, clock: SourceClock | None = None) -> None:
+        """`clock`: of a stack on hardware."""
         self._simulated = simulated
+        self._clock = clock or SourceClock()
         self._frame = MapFrame()
         self.newest: dict[Topic, Any] = {}
         self.beats: dict[str, tuple[float, Any]] = {}
@@ -97,7 +100,7 @@ class Health:
     def source_now(self) -> int:
         """Source clock [ns] as far as it is known here."""
         if not self._simulated:
-            return time.time_ns()
+            return self._clock()
         state = self.newest.get(t.ROBOT_STATE)
         return 0 if state is None else stamp_of(state)
 

@@ -29,6 +29,7 @@ from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.clock import SourceClock
 
 log = logging.getLogger(__name__)
 
@@ -84,7 +85,8 @@ class Supervisor:
             rows = [p for p in rows if p.name != "recorder"]
         self._children = {row.name: Child(row) for row in rows}
         self._expected = expected_topics(rows, simulated=config.simulated)
-        self._health = Health(config.simulated)
+        self._clock = SourceClock()
+        self._health = Health(config.simulated, self._clock)
         self._kept: dict[Topic, bytes] = {}
         self._lock = threading.Lock()
         self._snapshot = b"{}"
@@ -101,7 +103,9 @@ class Supervisor:
         """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning."""
         lock = RunLock(self._config.robot)
         try:
-            with Bus(self._config.endpoint, "supervisor", self._config.domain, router=True) as bus:
+            with Bus(
+                self._config.endpoint, "supervisor", self._config.domain, router=True, clock=self._clock
+            ) as bus:
                 self._write_state(lock)
                 restored = {topic for child in self._children.values() for topic in child.row.restores}
                 self._bus = bus
@@ -171,6 +175,7 @@ class Supervisor:
         spec = {
             "process": name,
             "config": self._config.model_dump(mode="json"),
+            "clock": self._clock.offset,
             "restored": restored,
         }
         child.log_path = Path(self._config.log_dir) / f"{name}.log"

@@ -38,7 +38,7 @@ SETTLE = NS
 """A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
 tracker that its goal is over when it appears."""
 POSE_LIMIT = 0.3
-"""Odometry older than this [s] says nothing about motion."""
+"""Odometry older than this [s], or as far in the future, says nothing about motion."""
 
 
 class RobotStage:
@@ -171,7 +171,7 @@ class RobotStage:
 
     def _inputs(self, now: int, state: RobotState) -> GateInputs:
         velocity = pose = None
-        if self._pose is not None and (now - stamp_of(self._pose)) / NS < POSE_LIMIT:
+        if self._pose is not None and abs(now - stamp_of(self._pose)) / NS < POSE_LIMIT:
             twist = self._pose.twist.twist
             velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
             place = self._pose.pose.pose

@@ -121,6 +121,8 @@ class TrackerStage:
             if age > limit:
                 return f"{topic.name} is {age:.2f} s old"
         behind = (self._now - stamp_of(self._pose)) / NS
+        if behind < -self._limits[t.POSE]:
+            return f"{t.POSE.name} is stamped {-behind:.2f} s ahead of the clock"
         if behind > self._limits[t.POSE] + 0.2:
             return f"{t.POSE.name} is stamped {behind:.2f} s ago"
         return ""

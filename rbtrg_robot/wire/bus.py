@@ -26,6 +26,7 @@ from hal.errors import OperatorError
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
+from rbtrg_robot.wire.clock import SourceClock
 
 
 class BusError(OperatorError):
@@ -80,8 +81,20 @@ def session_config(endpoint: str, *, router: bool) -> zenoh.Config:
 class Bus:
     """One process's access to the topics."""
 
-    def __init__(self, endpoint: str, node: str, domain: int = 0, *, router: bool = False) -> None:
-        """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client)."""
+    def __init__(
+        self,
+        endpoint: str,
+        node: str,
+        domain: int = 0,
+        *,
+        router: bool = False,
+        clock: SourceClock | None = None,
+    ) -> None:
+        """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client).
+
+        `clock`: that of the stack; None where stamps serve logs only.
+        """
+        self.clock = clock or SourceClock()
         self.node = node
         self.domain = domain
         zenoh.init_log_from_env_or("off")

@@ -33,12 +33,12 @@ class Heart:
             return
         self._due = turn + HEARTBEAT_PERIOD
         published = {t.name: p for t, p in self._bus.publishers.items() if t is not topics.HEARTBEAT}
-        wall = time.time_ns()
+        now = self._bus.clock()
         self._bus.publish(
             topics.HEARTBEAT,
             messages.make(
                 topics.HEARTBEAT.type,
-                header=messages.header(wall, ""),
+                header=messages.header(now, ""),
                 process=self._process,
                 pid=os.getpid(),
                 state=state,
@@ -49,6 +49,6 @@ class Heart:
                 dropped=self._bus.dropped,
                 longest_turn=self._longest,
             ),
-            wall,
+            now,
         )
         self._longest = 0.0

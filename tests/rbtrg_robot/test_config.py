@@ -13,6 +13,7 @@ from hal.types import Extrinsics
 from hal.unitree.options import UnitreeOptions
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
+from rbtrg_robot.wire.clock import SourceClock
 
 
 def test_later_layers_win(tmp_path: Path) -> None:
@@ -79,8 +80,8 @@ def test_a_file_that_is_no_configuration(tmp_path: Path, text: str) -> None:
 def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     got: dict[str, Any] = {}
 
-    def make_backend(interface: str, dry_run: bool, options: UnitreeOptions) -> None:
-        got.update(interface=interface, dry_run=dry_run, options=options)
+    def make_backend(interface: str, dry_run: bool, options: UnitreeOptions, clock: SourceClock) -> None:
+        got.update(interface=interface, dry_run=dry_run, options=options, clock=clock)
         raise BackendError("no robot here")
 
     monkeypatch.setattr("hal.unitree.factory.make_backend", make_backend)
@@ -89,8 +90,8 @@ def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.Mo
         "unitree.imu_yaw=1.57", "unitree.max_vx=0.5", "mount={translation: [0.1, 0, 0.2], rpy: [0, 0.3, 0]}",
     ]  # fmt: skip
     with pytest.raises(BackendError, match="no robot here"):
-        build(load(None, sets))
-    assert (got["interface"], got["dry_run"]) == ("eth7", False)
+        build(load(None, sets), clock=SourceClock(77))
+    assert (got["interface"], got["dry_run"], got["clock"].offset) == ("eth7", False, 77)
     options = got["options"]
     assert (options.topic(), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
     assert options.mount() == Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))

@@ -24,6 +24,7 @@ from rbtrg_robot.process.health import Health
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.wire.messages import encode, header, make
 from tests.hal.unitree.world import World
+from tests.rbtrg_robot.offset import map_offset
 
 CRUISE = 0.3
 """[m/s]"""
@@ -91,6 +92,7 @@ class Rig:
         self.now = 0
         self.way = -1.0
         self.stage.warm_up()
+        self.stage.on(t.TF_STATIC, map_offset())
         self.stage.alive("navigator", True)
         self.heal()
 

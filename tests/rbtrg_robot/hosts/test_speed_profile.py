@@ -15,6 +15,7 @@ from rbtrg_robot.stages import planner, tracker
 from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import decode, encode, header, make
+from tests.rbtrg_robot.offset import map_offset
 
 RES = 0.04
 
@@ -49,6 +50,7 @@ def drive(seconds: float) -> tuple[list[tuple[float, float]], Any]:
                 for out in stage.on(topic, message):
                     send(*out)
 
+    send(t.TF_STATIC, map_offset())
     send(t.MAP_FULL, ramp())
     for step in range(round(seconds * 50)):
         now += NS // 50

@@ -33,6 +33,7 @@ def tracker(process: str = "tracker", **config: Any) -> dict[str, Any]:
         "process": process,
         "config": {**StackConfig().model_dump(mode="json"), **config},
         "restored": {},
+        "clock": 0,
     }
 
 

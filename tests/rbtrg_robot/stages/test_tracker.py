@@ -12,8 +12,9 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages import tracker
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion, transform_msg
+from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import header, make
+from tests.rbtrg_robot.offset import map_offset
 
 STILL = rpy_quaternion((0.0, 0.0, 0.0))
 
@@ -27,8 +28,7 @@ class Inputs:
         self.silent: set[Topic] = set()
         self.state: Any = None
         if placed:
-            offset = transform_msg(0, "map", "odom", np.zeros(3), STILL)
-            self.stage.on(t.TF_STATIC, make(t.TF_STATIC.type, transforms=[offset]))
+            self.stage.on(t.TF_STATIC, map_offset())
 
     def path(self, path_id: str) -> None:
         """One metre straight ahead."""

@@ -19,8 +19,9 @@ from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion, transform_msg
+from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import encode, header, make
+from tests.rbtrg_robot.offset import map_offset
 
 SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 
@@ -45,8 +46,7 @@ class World:
 
     def place(self, x: float, y: float, yaw: float) -> None:
         """Say where `odom` lies in `map`."""
-        offset = transform_msg(0, "map", "odom", np.array([x, y, 0.0]), rpy_quaternion((0.0, 0.0, yaw)))
-        self._take(self.stage.on(t.TF_STATIC, make(t.TF_STATIC.type, transforms=[offset])))
+        self._take(self.stage.on(t.TF_STATIC, map_offset(x, y, yaw)))
 
     def send(self, topic: Topic, **fields: Any) -> None:
         fields.setdefault("header", header(self.now, "map"))

@@ -9,6 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from fnmatch import fnmatch
+from typing import Generic, TypeGuard, TypeVar
+
+from rbtrg_robot import msg
 
 
 class Qos(StrEnum):
@@ -24,13 +27,18 @@ class Qos(StrEnum):
     """Real-time priority, sent at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class Topic:
-    """One row. `rate` is nominal [Hz of the source clock], 0 = on event."""
+M = TypeVar("M", bound=msg.Message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Topic(Generic[M]):
+    """One row."""
 
     name: str
-    type: str
+    kind: type[M]
+    """Class of its messages."""
     rate: float
+    """Nominal, Hz of the source clock; 0 = on event."""
     qos: Qos
     depth: int
     """How many undelivered messages a consumer keeps; the oldest go first. 1 = latest wins."""
@@ -41,47 +49,56 @@ class Topic:
     safe_to_replay: bool = True
     """False for what makes a robot move: replay never publishes it."""
 
+    @property
+    def type(self) -> str:
+        """`package/msg/Name` of its messages."""
+        return self.kind.__msgtype__
+
+    def carried(self, message: object, topic: Topic) -> TypeGuard[M]:
+        """Whether `message`, which came on `topic`, came on this one; mypy knows its type then."""
+        return topic is self
+
     def __repr__(self) -> str:
         return self.name
 
 
 # fmt: off
-#                      name                      type                              rate qos          depth owner        doc
-CLOCK          = Topic("/clock",                 "rosgraph_msgs/msg/Clock",        100, Qos.SENSOR,    1, "robot",     "simulated time; absent on hardware")
-IMU            = Topic("/imu/data",              "sensor_msgs/msg/Imu",            200, Qos.SENSOR,  400, "robot",     "gyro [rad/s] and specific force, base_link axes")
-JOINTS         = Topic("/joint_states",          "sensor_msgs/msg/JointState",      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
-POINTS         = Topic("/lidar/points",          "sensor_msgs/msg/PointCloud2",     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar, per-point time")
-ROBOT_STATE    = Topic("/robot/state",           "rbtrg_msgs/msg/RobotState",       10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
-ROBOT_COMMAND  = Topic("/robot/command",         "rbtrg_msgs/msg/RobotCommand",      0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False)
-CMD_VEL        = Topic("/cmd_vel",               "geometry_msgs/msg/TwistStamped",  50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
-TRUTH          = Topic("/ground_truth/odom",     "nav_msgs/msg/Odometry",           50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
-ODOM           = Topic("/odom",                  "nav_msgs/msg/Odometry",           10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
-POSE           = Topic("/odom/fast",             "nav_msgs/msg/Odometry",          200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control")
-WHEEL_ODOM     = Topic("/odom/wheel",            "nav_msgs/msg/Odometry",           50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone")
-ODOM_HEALTH    = Topic("/odom/health",           "rbtrg_msgs/msg/OdometryHealth",   10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
-CLOUD          = Topic("/cloud",                 "sensor_msgs/msg/PointCloud2",     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to its end, base_link")
-TF             = Topic("/tf",                    "tf2_msgs/msg/TFMessage",          50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
-TF_STATIC      = Topic("/tf_static",             "tf2_msgs/msg/TFMessage",           0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar, imu")
-MAP_UPDATE     = Topic("/elevation_map/update",  "grid_map_msgs/msg/GridMap",        0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map")
-MAP_WINDOW     = Topic("/elevation_map/window",  "grid_map_msgs/msg/GridMap",       10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
-MAP_FULL       = Topic("/elevation_map",         "grid_map_msgs/msg/GridMap",        0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
-MAP_MIRROR     = Topic("/elevation_map/mirror",  "grid_map_msgs/msg/GridMap",        0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded=False)
-MAP_REQUEST    = Topic("/elevation_map/request", "rbtrg_msgs/msg/MapRequest",        0, Qos.STATE,     4, "",          "full or save")
-MAP_STATUS     = Topic("/elevation_map/status",  "rbtrg_msgs/msg/MapStatus",         2, Qos.STATE,     1, "elevation", "size and age of the map")
-GOAL_REQUEST   = Topic("/goal/request",          "rbtrg_msgs/msg/GoalRequest",       0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False)
-GOAL_POSE      = Topic("/goal_pose",             "geometry_msgs/msg/PoseStamped",    0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False)
-GOAL_STATUS    = Topic("/goal/status",           "rbtrg_msgs/msg/GoalStatus",        2, Qos.LATCHED,  16, "navigator", "lifecycle of the newest goal")
-PLAN_REQUEST   = Topic("/plan/request",          "rbtrg_msgs/msg/PlanRequest",       0, Qos.STATE,     4, "navigator", "navigator asks for a route")
-PLAN           = Topic("/plan",                  "rbtrg_msgs/msg/Plan",              0, Qos.STATE,     4, "planner",   "route, path and their risks")
-ROUTE          = Topic("/plan/path",             "nav_msgs/msg/Path",                0, Qos.LATCHED,   1, "planner",   "the path, for RViz and Foxglove")
-ROUTE_STATUS   = Topic("/plan/status",           "rbtrg_msgs/msg/RouteStatus",       2, Qos.STATE,     1, "planner",   "route still good? graph size")
-PATH_COMMAND   = Topic("/track/path",            "rbtrg_msgs/msg/PathCommand",       0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
-TRACKER_STATE  = Topic("/track/state",           "rbtrg_msgs/msg/TrackerState",     10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
-HEARTBEAT      = Topic("/heartbeat",             "rbtrg_msgs/msg/Heartbeat",         2, Qos.STATE,    64, "",          "each process, in real time")
+#                      name                      message             rate qos          depth owner       what it carries
+CLOCK          = Topic("/clock",                 msg.Clock,          100, Qos.SENSOR,    1, "robot",     "simulated time; absent on hardware")
+IMU            = Topic("/imu/data",              msg.Imu,            200, Qos.SENSOR,  400, "robot",     "gyro [rad/s] and specific force, base_link axes")
+JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
+POINTS         = Topic("/lidar/points",          msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar, per-point time")
+ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
+ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False)
+CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
+TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
+ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
+POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control")
+WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone")
+ODOM_HEALTH    = Topic("/odom/health",           msg.OdometryHealth,  10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
+CLOUD          = Topic("/cloud",                 msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to its end, base_link")
+TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
+TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar, imu")
+MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map")
+MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
+MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
+MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded=False)
+MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full or save")
+MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")
+GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False)
+GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False)
+GOAL_STATUS    = Topic("/goal/status",           msg.GoalStatus,       2, Qos.LATCHED,  16, "navigator", "lifecycle of the newest goal")
+PLAN_REQUEST   = Topic("/plan/request",          msg.PlanRequest,      0, Qos.STATE,     4, "navigator", "navigator asks for a route")
+PLAN           = Topic("/plan",                  msg.Plan,             0, Qos.STATE,     4, "planner",   "route, path and their risks")
+ROUTE          = Topic("/plan/path",             msg.Path,             0, Qos.LATCHED,   1, "planner",   "the path, for RViz and Foxglove")
+ROUTE_STATUS   = Topic("/plan/status",           msg.RouteStatus,      2, Qos.STATE,     1, "planner",   "route still good? graph size")
+PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
+TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
+HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
 # fmt: on
 
 TOPICS: tuple[Topic, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Topic))
-BY_NAME = {t.name: t for t in TOPICS}
+BY_NAME: dict[str, Topic] = {t.name: t for t in TOPICS}
 
 
 def matching(patterns: list[str]) -> list[Topic]:

@@ -69,13 +69,13 @@ def record(config: StackConfig, goals: list[tuple[float, float]]) -> RecordedDri
 
     def hear(topic: Topic, payload: bytes, now: int) -> None:
         if topic is t.IMU:
-            samples.append(imu_sample(decode(payload, topic.type)))
+            samples.append(imu_sample(decode(payload, topic.kind)))
         elif topic is t.JOINTS:
-            samples.append(joint_sample(decode(payload, topic.type)))
+            samples.append(joint_sample(decode(payload, topic.kind)))
         elif topic is t.POINTS:
-            samples.append(lidar_scan(decode(payload, topic.type)))
+            samples.append(lidar_scan(decode(payload, topic.kind)))
         elif topic is t.TRUTH:
-            message = decode(payload, topic.type)
+            message = decode(payload, topic.kind)
             pose = message.pose.pose
             truth.append((stamp_of(message), xyz(pose.position), xyzw(pose.orientation)))
 

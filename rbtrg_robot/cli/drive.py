@@ -153,9 +153,10 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
 
 def cancel(robot: Robot = "go2w") -> None:
     """Cancel the present goal; the robot stops."""
+    from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.messages import header, make
+    from rbtrg_robot.wire.messages import header
 
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
@@ -164,7 +165,7 @@ def cancel(robot: Robot = "go2w") -> None:
         while time.monotonic() < deadline:
             if time.monotonic() - sent > RESEND:
                 sent = time.monotonic()
-                request = make(t.GOAL_REQUEST.type, header=header(time.time_ns(), "map"), action=1)
+                request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1)
                 bus.publish(t.GOAL_REQUEST, request, time.time_ns())
             for received in bus.take(0.1):
                 state = received.decode().state
@@ -227,9 +228,10 @@ def _latch(robot: str, mode: str, latched: bool) -> None:
 
 def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
     """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState)."""
+    from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.messages import header, make
+    from rbtrg_robot.wire.messages import header
 
     with connect(robot) as bus:
         bus.subscribe([t.ROBOT_STATE])
@@ -239,9 +241,7 @@ def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
         while time.monotonic() < deadline:
             if time.monotonic() - sent > REPEAT_ORDER:
                 sent = time.monotonic()
-                order = make(
-                    t.ROBOT_COMMAND.type, header=header(time.time_ns(), ""), mode=mode, cause="operator"
-                )
+                order = msg.RobotCommand(header=header(time.time_ns(), ""), mode=mode, cause="operator")
                 bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
             for received in bus.take(0.05):
                 yield received.decode()

@@ -101,15 +101,16 @@ def config_schema() -> None:
 @map_app.command("save")
 def map_save(file: Path, robot: Robot = "go2w") -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
+    from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.messages import header, make
+    from rbtrg_robot.wire.messages import header
 
     target = file.resolve()
     with connect(robot) as bus:
         bus.subscribe([t.MAP_STATUS])
         asked = time.time_ns()
-        request = make(t.MAP_REQUEST.type, header=header(asked, ""), action="save", path=str(target))
+        request = msg.MapRequest(header=header(asked, ""), action="save", path=str(target))
         bus.advertise(t.MAP_REQUEST)
         bus.take(1.0)
         bus.publish(t.MAP_REQUEST, request, asked)

@@ -37,7 +37,7 @@ class Node:
     def restore(self, restored: dict[Topic, bytes]) -> None:
         """Hand over the newest messages from before a restart."""
         for topic, payload in restored.items():
-            self._publish(self._stage.on(topic, messages.decode(payload, topic.type)))
+            self._publish(self._stage.on(topic, messages.decode(payload, topic.kind)))
 
     def run(self, stopping: Callable[[], bool]) -> None:
         """Until `stopping()`."""

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from hal.types import NS
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.hosts.robot import build
@@ -23,7 +24,7 @@ from rbtrg_robot.stages.navigation.goal import GoalState, goal_request
 from rbtrg_robot.stages.robot import STEP
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Qos, Topic
-from rbtrg_robot.wire.messages import decode, header, make, stamp_in
+from rbtrg_robot.wire.messages import decode, header, stamp_in
 
 
 class LockstepTimeout(AssertionError):
@@ -99,7 +100,7 @@ class Lockstep:
         if topic in _RESTORED or topic.qos is Qos.LATCHED:
             self._kept[topic] = payload
         if topic in _NOTED:
-            message = decode(payload, topic.type)
+            message = decode(payload, topic.kind)
             self.newest[topic] = message
             if topic is t.GOAL_STATUS:
                 self.statuses.append(message)
@@ -160,7 +161,7 @@ class Lockstep:
 
     def command(self, mode: str, cause: str = "") -> None:
         """Stop, resume, ..."""
-        request = make(t.ROBOT_COMMAND.type, header=header(self.now, ""), mode=mode, cause=cause)
+        request = msg.RobotCommand(header=header(self.now, ""), mode=mode, cause=cause)
         self.host.inject(t.ROBOT_COMMAND, request)
 
     def finish_goal(self, timeout: float) -> Any:

@@ -60,7 +60,7 @@ def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
         **config.sim,
     )
     if t.TRUTH in restored:
-        truth = messages.decode(restored[t.TRUTH], t.TRUTH.type)
+        truth = messages.decode(restored[t.TRUTH], t.TRUTH.kind)
         place = truth.pose.pose
         start = (place.position.x, place.position.y, yaw_of(place.orientation))
         options = replace(options, start=start, start_time=stamp_of(truth) // STEP * STEP)
@@ -155,7 +155,7 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
             bus.advertise(topic)
         bus.subscribe(stage.inputs)
         for topic, payload in restored.items():
-            stage.on(topic, messages.decode(payload, topic.type))
+            stage.on(topic, messages.decode(payload, topic.kind))
         if config.simulated and not restored:
             _wait_for_all(bus, heart, config, stopping)
         window = Window(stage.backend) if config.viewer else None

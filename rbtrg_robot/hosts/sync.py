@@ -59,7 +59,7 @@ class SyncHost:
         self._stages[name] = stage
         self._dead.discard(name)
         for topic, payload in restored.items():
-            self._collect(name, stage.on(topic, messages.decode(payload, topic.type)))
+            self._collect(name, stage.on(topic, messages.decode(payload, topic.kind)))
         self._drain()
 
     def listen(self, sink: Sink) -> None:
@@ -90,6 +90,8 @@ class SyncHost:
         for topic, message in outputs:
             if topic not in declared:
                 raise WiringError(f"{name} published {topic.name} without declaring it")
+            if type(message) is not topic.kind:
+                raise WiringError(f"{name} published a {type(message).__name__} on {topic.name}")
             self._pending.append((topic, messages.encode(message)))
 
     def _drain(self) -> None:
@@ -100,7 +102,7 @@ class SyncHost:
             consumers = self._consumers.get(topic)
             if not consumers:
                 continue
-            message = messages.decode(payload, topic.type)
+            message = messages.decode(payload, topic.kind)
             for name in consumers:
                 if name in self._dead:
                     continue

@@ -32,7 +32,7 @@ def picture(log: Path, out: Path) -> float:
         topic = t.BY_NAME.get(entry.topic)
         if topic not in (t.TF, t.TF_STATIC, t.MAP_UPDATE, t.ODOM, t.ROUTE, t.GOAL_REQUEST):
             continue
-        message = decode(entry.data, topic.type)
+        message = decode(entry.data, topic.kind)
         if topic in (t.TF, t.TF_STATIC):
             frame.take(message)
         elif topic is t.MAP_UPDATE:

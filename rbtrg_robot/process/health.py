@@ -75,7 +75,7 @@ class Health:
 
     def take(self, topic: Topic, payload: bytes) -> Any:
         """One message of WATCHED."""
-        message = decode(payload, topic.type)
+        message = decode(payload, topic.kind)
         if topic is t.HEARTBEAT:
             wall = time.monotonic()
             self.beats[message.process] = (wall, message)

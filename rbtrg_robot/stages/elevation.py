@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.go2w import MOTORS
 from hal.types import Extrinsics, JointSample
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap, ElevationParams
 from mapping.odometry.contacts import wheel_contacts
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.params import ElevationStageParams
 from rbtrg_robot.stages.stage import Outputs
@@ -35,7 +37,7 @@ from rbtrg_robot.wire.convert import (
     xyzw,
 )
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import decode, encode, header, make, stamp_of
+from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
@@ -63,8 +65,8 @@ class ElevationStage:
         self._params = params
         self._mount = mount
         self._sensor = np.asarray(mount.translation, np.float64)
-        self._poses: OrderedDict[int, Any] = OrderedDict()
-        self._clouds: OrderedDict[int, Any] = OrderedDict()
+        self._poses: OrderedDict[int, msg.Odometry] = OrderedDict()
+        self._clouds: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
         self._joints: list[JointSample] = []
         self._frame = MapFrame()
         self._scans = 0
@@ -80,7 +82,7 @@ class ElevationStage:
         self.map.warm_up()
         stage = ElevationStage(ElevationMap(self.map.params), self._params, self._mount)
         for topic, message in _rehearsal():
-            stage.on(topic, decode(encode(message), topic.type))
+            stage.on(topic, decode(encode(message), topic.kind))
 
     def close(self) -> None:
         """Nothing to release."""
@@ -88,22 +90,22 @@ class ElevationStage:
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
         try:
-            if topic is t.ODOM:
+            if t.ODOM.carried(message, topic):
                 self._poses[stamp_of(message)] = message
-            elif topic is t.CLOUD:
+            elif t.CLOUD.carried(message, topic):
                 self._clouds[stamp_of(message)] = cloud_points(message)
-            elif topic is t.JOINTS:
+            elif t.JOINTS.carried(message, topic):
                 self._joints.append(joint_sample(message))
                 del self._joints[:-100]
-            elif topic is t.TF_STATIC:
+            elif t.TF_STATIC.carried(message, topic):
                 self._frame.take(message)
-            elif topic is t.MAP_REQUEST:
+            elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
-            elif topic is t.MAP_STATUS:
+            elif t.MAP_STATUS.carried(message, topic):
                 self._restoring = message.known_cells > 0 or message.restoring
                 self.map.epoch = max(self.map.epoch, message.epoch)
                 self.map.z_correction = message.height_correction
-            elif topic is t.MAP_MIRROR and self._restoring:
+            elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
                 self._restore(message)
             return self._join()
         except (LayoutError, MapError):
@@ -139,7 +141,7 @@ class ElevationStage:
         return before[-1] if before else self._joints[0]
 
     def _fuse(
-        self, stamp: int, odom: Any, points: np.ndarray[Any, Any], joints: JointSample | None
+        self, stamp: int, odom: msg.Odometry, points: NDArray[np.float32], joints: JointSample | None
     ) -> Outputs:
         position, orientation = self._frame.pose3(
             xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
@@ -156,7 +158,7 @@ class ElevationStage:
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
 
-    def _request(self, message: Any) -> Outputs:
+    def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
             return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
         if message.action == "save":
@@ -170,7 +172,7 @@ class ElevationStage:
         self._status_due = 0
         return []
 
-    def _restore(self, mirror: Any) -> None:
+    def _restore(self, mirror: msg.GridMap) -> None:
         known = self.map.restore(map_patch(mirror, self.map.epoch))
         self._restoring = False
         self._detail = f"restarted; {known} cells came back from the planner"
@@ -187,14 +189,13 @@ class ElevationStage:
             return []
         self._status_due = now + STATUS_PERIOD
         store = self.map.store
-        status = make(
-            t.MAP_STATUS.type,
+        status = msg.MapStatus(
             header=header(now, "map"),
             epoch=self.map.epoch,
             scans=self._scans,
             tiles=store.used,
-            known_cells=np.count_nonzero(store.cells["source"]),
-            trusted_cells=np.count_nonzero(store.sent["state"] >= TRUSTED_SENT),
+            known_cells=int(np.count_nonzero(store.cells["source"])),
+            trusted_cells=int(np.count_nonzero(store.sent["state"] >= TRUSTED_SENT)),
             resolution=self.map.params.resolution,
             height_correction=self.map.z_correction,
             restoring=self._restoring,
@@ -205,12 +206,12 @@ class ElevationStage:
         return [(t.MAP_STATUS, status)]
 
 
-def _rehearsal() -> Iterator[tuple[Topic, Any]]:
+def _rehearsal() -> Iterator[tuple[Topic, msg.Message]]:
     """One scan as the wire brings it: what comes from there is read-only, and numba compiles for that apart."""
     turned = (0.0, 0.0, 0.0, 1.0)
     points = np.array([[2.0, 0.1 * k, -0.4] for k in range(8)], np.float32)
     still = np.zeros(len(MOTORS))
-    yield t.TF_STATIC, make(t.TF_STATIC.type, transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
+    yield t.TF_STATIC, msg.TFMessage(transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
     yield t.JOINTS, joint_msg(JointSample(0, still, still, still))
     yield t.CLOUD, cloud_msg(0, BASE, points)
     yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))

@@ -12,6 +12,7 @@ from hal.types import Extrinsics
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -36,7 +37,7 @@ from rbtrg_robot.wire.convert import (
     yaw_of,
 )
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import array, header, make, stamp_of
+from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
@@ -60,7 +61,7 @@ class OdometryStage:
         self._start = start
         self._mount = mount
         self._imu = imu
-        self._before: Any = None
+        self._before: msg.Pose | None = None
         """Where the robot was before this process was restarted: the new odometry goes on from there."""
         self._before_stamp = 0
         self._shift = MapFrame()
@@ -79,19 +80,19 @@ class OdometryStage:
         """Take one message."""
         outputs: Outputs = []
         try:
-            if topic is t.IMU:
+            if t.IMU.carried(message, topic):
                 fast = self._odometry.add_imu(imu_sample(message))
                 if fast is not None:
                     outputs += self._fast(fast)
-            elif topic is t.JOINTS:
+            elif t.JOINTS.carried(message, topic):
                 wheel = self._odometry.add_joints(joint_sample(message))
                 if wheel is not None:
                     outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
-            elif topic is t.POINTS:
+            elif t.POINTS.carried(message, topic):
                 self._odometry.add_scan(lidar_scan(message))
-            elif topic is t.ODOM:
+            elif t.ODOM.carried(message, topic):
                 self._before, self._before_stamp = message.pose.pose, stamp_of(message)
-            elif topic is t.CLOUD:
+            elif t.CLOUD.carried(message, topic):
                 self._resume(message)
         except LayoutError:
             self._malformed += 1
@@ -102,7 +103,7 @@ class OdometryStage:
             outputs += self._scan(scan)
         return outputs
 
-    def _resume(self, cloud: Any) -> None:
+    def _resume(self, cloud: msg.PointCloud2) -> None:
         """What was seen at the last pose lets the first scan find its place; without it what the robot coasted is lost."""
         if self._before is None or stamp_of(cloud) != self._before_stamp:
             return
@@ -112,7 +113,7 @@ class OdometryStage:
         self._odometry.resume(pose, cloud_points(cloud))
         self._before = None
 
-    def _continue_from(self, before: Any, scan: ScanOdometry) -> None:
+    def _continue_from(self, before: msg.Pose, scan: ScanOdometry) -> None:
         """Both are gravity-aligned, so a heading and a translation make the first pose the last one of before."""
         q = quaternion(scan.orientation)
         self._shift.yaw = math.remainder(yaw_of(before.orientation) - yaw_of(q), 2 * math.pi)
@@ -130,8 +131,7 @@ class OdometryStage:
         return [
             (
                 t.TF_STATIC,
-                make(
-                    t.TF_STATIC.type,
+                msg.TFMessage(
                     transforms=[
                         transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
                         transform_msg(
@@ -152,19 +152,18 @@ class OdometryStage:
         outputs: Outputs = [(t.POSE, pose)]
         if self._poses % TF_EVERY == 0:
             transform = transform_msg(fast.stamp, ODOM, BASE, position, orientation)
-            outputs.append((t.TF, make(t.TF.type, transforms=[transform])))
+            outputs.append((t.TF, msg.TFMessage(transforms=[transform])))
         return outputs
 
     @staticmethod
-    def _wheel(wheel: WheelOdometry) -> Any:
+    def _wheel(wheel: WheelOdometry) -> msg.Odometry:
         return odometry_msg(wheel.stamp, wheel.position, wheel.orientation, wheel.linear, wheel.angular)
 
     def _scan(self, scan: ScanOdometry) -> Outputs:
         position, orientation = self._shift.pose3(scan.position, scan.orientation)
         odom = odometry_msg(scan.stamp, position, orientation, scan.linear, scan.angular, scan.covariance)
         counters = {**self._odometry.counters, "malformed": self._malformed}
-        health = make(
-            t.ODOM_HEALTH.type,
+        health = msg.OdometryHealth(
             header=header(scan.stamp, ODOM),
             health=str(scan.health),
             reason=scan.reason,

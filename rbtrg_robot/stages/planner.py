@@ -16,13 +16,14 @@ from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory
 from planning.search.plan import Plan, PlanRequest, plan
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.params import PlannerParams
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
-from rbtrg_robot.wire.messages import STORE, array, header, make
+from rbtrg_robot.wire.messages import array, header
 
 REASONS = {
     NoRouteReason.BAD_INPUT: Reason.INVALID,
@@ -86,26 +87,26 @@ class PlannerStage:
         # A goal on the map, then one off it: the second carries evaluations over and looks for a frontier.
         for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
             stage._refresh((2.0, 2.0), stage._grid, [changed])
-            stage._answer(make(t.PLAN_REQUEST.type, start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
+            stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
 
     def close(self) -> None:
         """Nothing to release."""
 
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
-        if topic in (t.MAP_UPDATE, t.MAP_FULL):
+        if t.MAP_UPDATE.carried(message, topic) or t.MAP_FULL.carried(message, topic):
             self._take_patch(message)
-        elif topic is t.MAP_WINDOW:
+        elif t.MAP_WINDOW.carried(message, topic):
             return self._watch(message)
-        elif topic is t.MAP_STATUS:
+        elif t.MAP_STATUS.carried(message, topic):
             self._epoch = int(message.epoch)
             if message.restoring and self._mirror.layers:
                 return [(t.MAP_MIRROR, patch_msg(self._mirror.patch()))]
-        elif topic is t.PLAN_REQUEST:
+        elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
         return []
 
-    def _take_patch(self, message: Any) -> None:
+    def _take_patch(self, message: msg.GridMap) -> None:
         try:
             window = self._mirror.apply(map_patch(message, max(self._epoch, self._mirror.epoch)))
         except (LayoutError, MapError):
@@ -116,7 +117,7 @@ class PlannerStage:
         if self._window is not None and self._mirror.stamp >= self._window.stamp:
             self._window = None
 
-    def _watch(self, message: Any) -> Outputs:
+    def _watch(self, message: msg.GridMap) -> Outputs:
         """Look whether something came into the way of the path, at the rate of the scans."""
         watching = self._path is not None and self._verdict[0]
         if not watching and self._window is None:
@@ -151,7 +152,7 @@ class PlannerStage:
         self._status_due = now + NS // 2
         outputs: Outputs = [(t.ROUTE_STATUS, self._status(now))]
         if not self._mirror.layers:  # just started: what was published before must be asked for
-            outputs.append((t.MAP_REQUEST, make(t.MAP_REQUEST.type, header=header(now, MAP), action="full")))
+            outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")))
         return outputs
 
     def _sync(self) -> None:
@@ -192,15 +193,14 @@ class PlannerStage:
             # No ground under the robot in this map (yet): the next update or request begins anew.
             self._graph = None
 
-    def _status(self, now: int) -> Any:
+    def _status(self, now: int) -> msg.RouteStatus:
         graph = self._graph
         if graph is not None and self._path is not None and graph.version != self._checked_version:
             self._checked_version = graph.version
             assert self._grid is not None
             self._verdict = still_safe(self._path, graph, self._grid, self._body)
         valid, detail = self._verdict
-        return make(
-            t.ROUTE_STATUS.type,
+        return msg.RouteStatus(
             header=header(now, MAP),
             goal_id=self._answered[0],
             sequence=self._answered[1],
@@ -213,7 +213,7 @@ class PlannerStage:
 
     # --- requests ---------------------------------------------------------------------------------------------
 
-    def _answer(self, message: Any) -> Outputs:
+    def _answer(self, message: msg.PlanRequest) -> Outputs:
         self._start = (message.start_x, message.start_y)
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._verdict = None, (True, "")
@@ -222,7 +222,7 @@ class PlannerStage:
         self._memory.at(self._start)
         if self._changed or self._window is not None or self._graph is None:
             self._sync()
-        base = {
+        base: dict[str, Any] = {
             "header": header(self._now, MAP),
             "goal_id": message.goal_id,
             "sequence": message.sequence,
@@ -234,17 +234,17 @@ class PlannerStage:
             if reason is Reason.NO_ROUTE and self._graph is not None:
                 # A passage hardly wider than the robot may hold no edge of this graph: the next try samples anew.
                 self._graph, self._retries = None, self._retries + 1
-            return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(none)))]
+            return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(none)))]
         except PlanningError as error:
             reason = Reason.INVALID
-            return [(t.PLAN, make(t.PLAN.type, **base, ok=False, reason=reason.value, detail=str(error)))]
+            return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
         self._path, self._retries = path, 0
         self._checked_version = -1
         self._memory.chosen = found.frontier
-        answer = make(t.PLAN.type, **base, **_plan_fields(found, path, message))
+        answer = msg.Plan(**base, **_plan_fields(found, path, message))
         return [(t.PLAN, answer), (t.ROUTE, _path_msg(path, self._now))]
 
-    def _plan(self, message: Any) -> tuple[Plan, Path]:
+    def _plan(self, message: msg.PlanRequest) -> tuple[Plan, Path]:
         if self._graph is None or self._grid is None:
             raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
         request = PlanRequest(
@@ -264,7 +264,7 @@ class PlannerStage:
         return found, make_path(found, self._grid, self._body, self._limits)
 
 
-def _plan_fields(found: Plan, path: Path, message: Any) -> dict[str, Any]:
+def _plan_fields(found: Plan, path: Path, message: msg.PlanRequest) -> dict[str, Any]:
     f64 = "float64"
     return {
         "ok": True,
@@ -287,14 +287,13 @@ def _plan_fields(found: Plan, path: Path, message: Any) -> dict[str, Any]:
     }
 
 
-def _path_msg(path: Path, now: int) -> Any:
-    stamped, pose = STORE.types["geometry_msgs/msg/PoseStamped"], STORE.types["geometry_msgs/msg/Pose"]
+def _path_msg(path: Path, now: int) -> msg.Path:
     stamp = header(now, MAP)
     poses = [
-        stamped(header=stamp, pose=pose(position=point(p), orientation=yaw_quaternion(yaw)))
+        msg.PoseStamped(stamp, msg.Pose(point(p), yaw_quaternion(yaw)))
         for p, yaw in zip(path.points[::10], path.yaw[::10], strict=True)
     ]
-    return make(t.ROUTE.type, header=stamp, poses=poses)
+    return msg.Path(header=stamp, poses=poses)
 
 
 def build(config: Any) -> PlannerStage:

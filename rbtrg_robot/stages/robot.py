@@ -20,13 +20,14 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import array, header, make, stamp_of
+from rbtrg_robot.wire.messages import array, header, stamp_of
 
 log = logging.getLogger(__name__)
 
@@ -61,7 +62,7 @@ class RobotStage:
         self._tilt = TiltFilter()
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
-        self._pose: Any = None
+        self._pose: msg.Odometry | None = None
         self._now = 0
         self._ticks = 0
         self._state_due = 0
@@ -101,7 +102,7 @@ class RobotStage:
 
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
-        if topic is t.CMD_VEL:
+        if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
                 twist = message.twist
                 command = VelocityCommand(
@@ -112,19 +113,19 @@ class RobotStage:
                     message.header.frame_id,
                 )
                 self._gate.command(command, self._now)
-        elif topic is t.POSE:
+        elif t.POSE.carried(message, topic):
             self._pose = message
-        elif topic is t.TF_STATIC:
+        elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
-        elif topic is t.ROBOT_COMMAND:
+        elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif (
-            topic is t.ROBOT_STATE and message.estop
+            t.ROBOT_STATE.carried(message, topic) and message.estop
         ):  # handed over after a restart: a latch outlives a crash
             self._gate.stop(StopCause.OPERATOR, message.estop_cause)
         return []
 
-    def _request(self, message: Any) -> None:
+    def _request(self, message: msg.RobotCommand) -> None:
         if message.mode not in ModeRequest._value2member_map_:
             self._unknown += 1
             if self._unknown in (1, 10, 100, 1000):
@@ -165,7 +166,7 @@ class RobotStage:
             self._state_due = now + STATE_PERIOD
             outputs.append((t.ROBOT_STATE, self._state_msg(now, state, status)))
         if self._simulated and self._ticks % CLOCK_EVERY == 0:
-            clock = make(t.CLOCK.type, clock=messages.time_msg(now))
+            clock = msg.Clock(clock=messages.time_msg(now))
             outputs.append((t.CLOCK, clock))
         return outputs
 
@@ -195,7 +196,7 @@ class RobotStage:
             return [(t.TRUTH, truth_msg(sample))]
         return []  # RobotState is read from the backend at each tick
 
-    def _state_msg(self, now: int, state: RobotState, status: GateStatus) -> Any:
+    def _state_msg(self, now: int, state: RobotState, status: GateStatus) -> msg.RobotState:
         hold = status.hold
         if self._missing and not status.latched:
             hold = f"waiting for {', '.join(sorted(self._missing))}"
@@ -205,8 +206,7 @@ class RobotStage:
             Phase.STOPPED if status.latched and state.phase in (Phase.READY, Phase.MOVING) else state.phase
         )
         refused = {**status.refused, **({"unknown request": self._unknown} if self._unknown else {})}
-        return make(
-            t.ROBOT_STATE.type,
+        return msg.RobotState(
             header=header(now, "base_link"),
             phase=phase.value,
             cause=state.cause + _remark(state, status),

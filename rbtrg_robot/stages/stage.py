@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+from rbtrg_robot.msg import Message
 from rbtrg_robot.topics import Topic
 
-Outputs = list[tuple[Topic, Any]]
+Outputs = list[tuple[Topic, Message]]
 
 
 class Stage(Protocol):
@@ -28,7 +29,7 @@ class Stage(Protocol):
         """Compile and allocate, so that the first message is handled as fast as the thousandth."""
 
     def on(self, topic: Topic, message: Any) -> Outputs:
-        """Take one message."""
+        """Take one message. `topic.carried` tells mypy its type."""
 
     def tick(self, now: int) -> Outputs:
         """Called every period of the source clock; `now` in ns."""

@@ -8,13 +8,14 @@ import numpy as np
 
 from hal.types import NS
 from planning.tracking.tracker import PathError, PathTracker, TrackerParams, TrackOutput
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.params import FreshnessParams
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import BASE, up_tilt, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import header, make, stamp_of
+from rbtrg_robot.wire.messages import header, stamp_of
 
 
 class TrackerStage:
@@ -26,7 +27,7 @@ class TrackerStage:
     def __init__(self, params: TrackerParams, freshness: FreshnessParams) -> None:
         self._tracker = PathTracker(params)
         self._frame = MapFrame()
-        self._limits = {
+        self._limits: dict[Topic, float] = {
             t.POSE: freshness.pose,
             t.ODOM: freshness.scan,
             t.MAP_STATUS: freshness.map,
@@ -36,7 +37,7 @@ class TrackerStage:
         self._lost = ""
         self._path_id = ""
         self._path_fault = ""
-        self._pose: Any = None
+        self._pose: msg.Odometry | None = None
         self._now = 0
         self._ticks = 0
 
@@ -54,17 +55,17 @@ class TrackerStage:
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
         self._seen[topic] = self._now
-        if topic is t.POSE:
+        if t.POSE.carried(message, topic):
             self._pose = message
-        elif topic is t.PATH_COMMAND:
+        elif t.PATH_COMMAND.carried(message, topic):
             self._take_path(message)
-        elif topic is t.ODOM_HEALTH:
+        elif t.ODOM_HEALTH.carried(message, topic):
             self._lost = message.reason or "lost" if message.health == "lost" else ""
-        elif topic is t.TF_STATIC:
+        elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         return []
 
-    def _take_path(self, message: Any) -> None:
+    def _take_path(self, message: msg.PathCommand) -> None:
         if message.id == self._path_id and message.id:
             return  # a repeat
         self._path_id = message.id
@@ -98,7 +99,7 @@ class TrackerStage:
             step = self._tracker.step(
                 now, x, y, yaw, twist.linear.x, twist.angular.z, up_tilt(pose.orientation)
             )
-        command = make(t.CMD_VEL.type, header=header(now, BASE))
+        command = msg.TwistStamped(header=header(now, BASE))
         command.twist.linear.x = float(step.vx)
         command.twist.angular.z = float(step.wz)
         outputs: Outputs = [(t.CMD_VEL, command)]
@@ -120,6 +121,8 @@ class TrackerStage:
             age = (self._now - self._seen[topic]) / NS
             if age > limit:
                 return f"{topic.name} is {age:.2f} s old"
+        if self._pose is None:
+            return f"no {t.POSE.name} yet"
         behind = (self._now - stamp_of(self._pose)) / NS
         if behind < -self._limits[t.POSE]:
             return f"{t.POSE.name} is stamped {-behind:.2f} s ahead of the clock"
@@ -127,9 +130,8 @@ class TrackerStage:
             return f"{t.POSE.name} is stamped {behind:.2f} s ago"
         return ""
 
-    def _state(self, now: int, step: TrackOutput, hold: str) -> Any:
-        return make(
-            t.TRACKER_STATE.type,
+    def _state(self, now: int, step: TrackOutput, hold: str) -> msg.TrackerState:
+        return msg.TrackerState(
             header=header(now, "map"),
             path_id=self._path_id,
             phase="stopped" if hold else step.phase.value,

@@ -16,14 +16,14 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Generic, Self
 
 import zenoh
 from zenoh import ext
 from zenoh.handlers import Callback
 
 from hal.errors import OperatorError
-from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
@@ -34,18 +34,18 @@ class BusError(OperatorError):
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class Received(Generic[M]):
     """One message as it came: wire bytes and what the attachment says."""
 
-    topic: Topic
+    topic: Topic[M]
     payload: bytes
     stamp: int
     """Publisher's source clock [ns]."""
     sequence: int
 
-    def decode(self) -> Any:
+    def decode(self) -> M:
         """The message. Raises MessageError."""
-        return messages.decode(self.payload, self.topic.type)
+        return messages.decode(self.payload, self.topic.kind)
 
 
 def session_config(endpoint: str, *, router: bool) -> zenoh.Config:
@@ -115,7 +115,7 @@ class Bus:
         self._entities = 1
         self._signal = threading.Event()
         self._lock = threading.Lock()
-        self._queues: dict[Topic, deque[tuple[int, Received]]] = {}
+        self._queues: dict[Topic, deque[tuple[int, Received[Any]]]] = {}
         self._arrived = 0
         self.dropped = 0
         self.publishers: dict[Topic, Publisher] = {}
@@ -133,7 +133,7 @@ class Bus:
         if not self.session.is_closed():
             self.session.close()
 
-    def publish(self, topic: Topic, message: Any, stamp: int) -> None:
+    def publish(self, topic: Topic[M], message: M, stamp: int) -> None:
         """Send one message; `stamp` is the source clock [ns]."""
         publisher = self.publishers.get(topic)
         if publisher is None:
@@ -186,7 +186,7 @@ class Bus:
 
         return receive
 
-    def take(self, timeout: float) -> list[Received]:
+    def take(self, timeout: float) -> list[Received[Any]]:
         """Everything in the inbox in order of arrival; waits up to `timeout` [s] for the first."""
         if self._signal.wait(timeout):
             self._signal.clear()

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from hal.go2w import MOTORS
 from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from rbtrg_robot.wire.messages import STORE, header, make, stamp_of
+from rbtrg_robot import msg
+from rbtrg_robot.wire.messages import header, stamp_of
 
 MAP = "map"
 ODOM = "odom"
@@ -22,8 +23,8 @@ IMU = "imu"
 _names = POINT_DTYPE.names or ()
 _offsets: dict[str, int] = {name: entry[1] for name, entry in (POINT_DTYPE.fields or {}).items()}
 _FIELD_TYPES = {"f4": 7, "u2": 4}
-_FIELDS: list[Any] = [
-    STORE.types["sensor_msgs/msg/PointField"](
+_FIELDS: list[msg.PointField] = [
+    msg.PointField(
         name=name,
         offset=_offsets[name],
         datatype=_FIELD_TYPES[POINT_DTYPE[name].str[1:]],
@@ -38,53 +39,50 @@ class LayoutError(ValueError):
     """A message whose arrays do not have the agreed layout."""
 
 
-def vector(values: Any) -> Any:
-    """geometry_msgs/Vector3."""
-    return STORE.types["geometry_msgs/msg/Vector3"](
-        x=float(values[0]), y=float(values[1]), z=float(values[2])
-    )
+def vector(values: Any) -> msg.Vector3:
+    """From x, y, z."""
+    return msg.Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 
 
-def point(values: Any) -> Any:
-    """geometry_msgs/Point."""
-    return STORE.types["geometry_msgs/msg/Point"](x=float(values[0]), y=float(values[1]), z=float(values[2]))
+def point(values: Any) -> msg.Point:
+    """From x, y, z."""
+    return msg.Point(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 
 
-def quaternion(xyzw: Any) -> Any:
+def quaternion(xyzw: Any) -> msg.Quaternion:
     """geometry_msgs/Quaternion from x, y, z, w."""
     x, y, z, w = (float(v) for v in xyzw)
-    return STORE.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+    return msg.Quaternion(x=x, y=y, z=z, w=w)
 
 
-def xyz(message: Any) -> NDArray[np.float64]:
+def xyz(message: msg.Point | msg.Vector3) -> NDArray[np.float64]:
     """(3,) of a Point or Vector3."""
     return np.array([message.x, message.y, message.z])
 
 
-def xyzw(message: Any) -> NDArray[np.float64]:
+def xyzw(message: msg.Quaternion) -> NDArray[np.float64]:
     """(4,) x, y, z, w of a Quaternion."""
     return np.array([message.x, message.y, message.z, message.w])
 
 
-def yaw_of(q: Any) -> float:
+def yaw_of(q: msg.Quaternion) -> float:
     """Heading [rad] of a Quaternion message."""
     return math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
 
 
-def up_tilt(q: Any) -> float:
+def up_tilt(q: msg.Quaternion) -> float:
     """Angle [rad] between the body's z axis and gravity of a Quaternion message."""
     return math.acos(max(-1.0, min(1.0, 1 - 2 * (q.x * q.x + q.y * q.y))))
 
 
-def yaw_quaternion(yaw: float) -> Any:
+def yaw_quaternion(yaw: float) -> msg.Quaternion:
     """Quaternion message of a heading [rad]."""
     return quaternion((0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
 
 
-def imu_msg(sample: ImuSample) -> Any:
+def imu_msg(sample: ImuSample) -> msg.Imu:
     """sensor_msgs/Imu; orientation is not given (covariance[0] = -1)."""
-    message = make(
-        "sensor_msgs/msg/Imu",
+    message = msg.Imu(
         header=header(sample.stamp, BASE),
         angular_velocity=vector(sample.gyro),
         linear_acceleration=vector(sample.accel),
@@ -93,15 +91,14 @@ def imu_msg(sample: ImuSample) -> Any:
     return message
 
 
-def imu_sample(message: Any) -> ImuSample:
+def imu_sample(message: msg.Imu) -> ImuSample:
     """The sample in a sensor_msgs/Imu."""
     return ImuSample(stamp_of(message), xyz(message.angular_velocity), xyz(message.linear_acceleration))
 
 
-def joint_msg(sample: JointSample) -> Any:
+def joint_msg(sample: JointSample) -> msg.JointState:
     """sensor_msgs/JointState with the motors' names in SDK order."""
-    return make(
-        "sensor_msgs/msg/JointState",
+    return msg.JointState(
         header=header(sample.stamp, BASE),
         name=list(MOTORS),
         position=np.ascontiguousarray(sample.position, np.float64),
@@ -110,7 +107,7 @@ def joint_msg(sample: JointSample) -> Any:
     )
 
 
-def joint_sample(message: Any) -> JointSample:
+def joint_sample(message: msg.JointState) -> JointSample:
     """The sample in a JointState. Raises LayoutError where names or lengths differ."""
     if tuple(message.name) != tuple(MOTORS):
         raise LayoutError("joint names are not the Go2-W's motors in SDK order")
@@ -119,12 +116,12 @@ def joint_sample(message: Any) -> JointSample:
     return JointSample(stamp_of(message), message.position, message.velocity, message.effort)
 
 
-def scan_msg(scan: LidarScan) -> Any:
+def scan_msg(scan: LidarScan) -> msg.PointCloud2:
     """PointCloud2 with the fields of `POINT_DTYPE`, frame lidar."""
     return _cloud(scan.stamp, LIDAR, scan.points, _FIELDS, POINT_DTYPE.itemsize)
 
 
-def lidar_scan(message: Any) -> LidarScan:
+def lidar_scan(message: msg.PointCloud2) -> LidarScan:
     """The sweep in a PointCloud2. Raises LayoutError where fields differ."""
     got = [(f.name, f.offset, f.datatype) for f in message.fields]
     want = [(f.name, f.offset, f.datatype) for f in _FIELDS]
@@ -134,21 +131,23 @@ def lidar_scan(message: Any) -> LidarScan:
     return LidarScan(stamp_of(message), message.data[:usable].view(POINT_DTYPE))
 
 
-def cloud_msg(stamp: int, frame: str, points: NDArray[np.float32]) -> Any:
+def cloud_msg(stamp: int, frame: str, points: NDArray[np.float32]) -> msg.PointCloud2:
     """PointCloud2 with x, y, z of (n, 3) float32 [m]."""
     return _cloud(stamp, frame, np.ascontiguousarray(points, np.float32), _XYZ_FIELDS, 12)
 
 
-def cloud_points(message: Any) -> NDArray[np.float32]:
+def cloud_points(message: msg.PointCloud2) -> NDArray[np.float32]:
     """(n, 3) float32 of a cloud made by `cloud_msg`. Raises LayoutError."""
     if message.point_step != 12 or len(message.data) % 12:
         raise LayoutError(f"expected 12 bytes per point, got {message.point_step}")
     return message.data.view(np.float32).reshape(-1, 3)
 
 
-def _cloud(stamp: int, frame: str, points: NDArray[Any], fields: list[Any], step: int) -> Any:
+def _cloud(
+    stamp: int, frame: str, points: NDArray[Any], fields: list[msg.PointField], step: int
+) -> msg.PointCloud2:
     count = len(points)
-    return STORE.types["sensor_msgs/msg/PointCloud2"](
+    return msg.PointCloud2(
         header=header(stamp, frame),
         height=1,
         width=count,
@@ -169,9 +168,9 @@ def odometry_msg(
     angular: Any,
     covariance: NDArray[np.float64] | None = None,
     frame: str = ODOM,
-) -> Any:
+) -> msg.Odometry:
     """nav_msgs/Odometry, `frame` -> base_link; twist in base_link; covariance (6, 6) of x, y, z, roll, pitch, yaw."""
-    message = make("nav_msgs/msg/Odometry", header=header(stamp, frame), child_frame_id=BASE)
+    message = msg.Odometry(header=header(stamp, frame), child_frame_id=BASE)
     message.pose.pose.position = point(position)
     message.pose.pose.orientation = quaternion(orientation)
     message.twist.twist.linear = vector(linear)
@@ -181,21 +180,21 @@ def odometry_msg(
     return message
 
 
-def truth_msg(truth: GroundTruth) -> Any:
+def truth_msg(truth: GroundTruth) -> msg.Odometry:
     """Ground truth as nav_msgs/Odometry in frame world."""
     return odometry_msg(
         truth.stamp, truth.position, truth.orientation, truth.linear, truth.angular, frame="world"
     )
 
 
-def transform_msg(stamp: int, parent: str, child: str, translation: Any, orientation: Any) -> Any:
+def transform_msg(
+    stamp: int, parent: str, child: str, translation: Any, orientation: Any
+) -> msg.TransformStamped:
     """geometry_msgs/TransformStamped, parent <- child."""
-    return STORE.types["geometry_msgs/msg/TransformStamped"](
+    return msg.TransformStamped(
         header=header(stamp, parent),
         child_frame_id=child,
-        transform=STORE.types["geometry_msgs/msg/Transform"](
-            translation=vector(translation), rotation=quaternion(orientation)
-        ),
+        transform=msg.Transform(translation=vector(translation), rotation=quaternion(orientation)),
     )
 
 
@@ -213,12 +212,11 @@ def rpy_quaternion(rpy: tuple[float, float, float]) -> NDArray[np.float64]:
     )
 
 
-def patch_msg(patch: MapPatch) -> Any:
+def patch_msg(patch: MapPatch) -> msg.GridMap:
     """grid_map_msgs/GridMap. grid_map counts cells from the +x, +y corner, column-major; ours from the other one."""
     layers = list(patch.layers)
     rows, cols = patch.layers[layers[0]].shape
-    message = make(
-        "grid_map_msgs/msg/GridMap",
+    message = msg.GridMap(
         header=header(patch.stamp, MAP),
         layers=layers,
         basic_layers=["elevation"],
@@ -238,11 +236,11 @@ def patch_msg(patch: MapPatch) -> Any:
     return message
 
 
-def _layer_msg(layer: NDArray[np.float32]) -> Any:
+def _layer_msg(layer: NDArray[np.float32]) -> msg.Float32MultiArray:
     rows, cols = layer.shape
-    dimension = STORE.types["std_msgs/msg/MultiArrayDimension"]
-    return STORE.types["std_msgs/msg/Float32MultiArray"](
-        layout=STORE.types["std_msgs/msg/MultiArrayLayout"](
+    dimension = msg.MultiArrayDimension
+    return msg.Float32MultiArray(
+        layout=msg.MultiArrayLayout(
             dim=[
                 dimension(label="column_index", size=rows, stride=rows * cols),
                 dimension(label="row_index", size=cols, stride=cols),
@@ -253,7 +251,7 @@ def _layer_msg(layer: NDArray[np.float32]) -> Any:
     )
 
 
-def map_patch(message: Any, epoch: int) -> MapPatch:
+def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)

@@ -7,11 +7,11 @@ the identity unless the configuration says where the robot starts.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtrg_robot.msg import TFMessage
 from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
 
 
@@ -25,7 +25,7 @@ class MapFrame:
         self.z = 0.0
         self.yaw = 0.0
 
-    def take(self, message: Any) -> None:
+    def take(self, message: TFMessage) -> None:
         """From a tf2_msgs/TFMessage."""
         for transform in message.transforms:
             if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:

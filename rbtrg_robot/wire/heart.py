@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from rbtrg_robot import topics
+from rbtrg_robot import msg, topics
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
 
@@ -36,8 +36,7 @@ class Heart:
         now = self._bus.clock()
         self._bus.publish(
             topics.HEARTBEAT,
-            messages.make(
-                topics.HEARTBEAT.type,
+            msg.Heartbeat(
                 header=messages.header(now, ""),
                 process=self._process,
                 pid=os.getpid(),

@@ -1,4 +1,4 @@
-"""ROS 2 messages: types, CDR, hashes. `types` holds one dataclass per message, `encode`/`decode` the wire bytes.
+"""ROS 2 messages on the wire: CDR, hashes, definitions. The messages themselves are the dataclasses of `rbtrg_robot.msg`.
 
 Standard types come from the ROS 2 Jazzy set that rosbags carries; ours from the .msg files beside this module.
 """
@@ -8,33 +8,47 @@ from __future__ import annotations
 import struct
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot.msg import Header, Message, Time
 
+M = TypeVar("M", bound=Message)
 STORE = get_typestore(Stores.ROS2_JAZZY)
+OURS: list[str] = []
+"""Types that ROS lacks."""
 for _package in ("grid_map_msgs", "rbtrg_msgs"):
     _found: dict[str, Any] = {}
     for _file in sorted(files("rbtrg_robot.wire").joinpath("msgs", _package).iterdir(), key=lambda f: f.name):
         _name = f"{_package}/msg/{_file.name.removesuffix('.msg')}"
         _found.update(get_types_from_msg(_file.read_text(), _name))
     STORE.register(_found)
+    OURS += _found
+for _type in vars(msg).values():
+    if isinstance(_type, type) and issubclass(_type, Message) and _type is not Message:
+        STORE.types[_type.__msgtype__] = cast(Any, _type)  # what the store decodes to
 
 
 class MessageError(ValueError):
     """Bytes that are no message of the expected type."""
 
 
-def encode(message: Any) -> bytes:
+def encode(message: Message) -> bytes:
     """CDR bytes (little-endian XCDR1 with its 4-byte header) of a message."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__))
 
 
-def decode(data: bytes, typename: str) -> Any:
-    """The message in `data`. Arrays are views on `data`. Raises MessageError."""
+@overload
+def decode(data: bytes, kind: type[M]) -> M: ...
+@overload
+def decode(data: bytes, kind: str) -> Any: ...
+def decode(data: bytes, kind: Any) -> Any:
+    """The message of a class or, where only a log knows it, a type's name. Arrays are views on `data`. Raises MessageError."""
+    typename = kind if isinstance(kind, str) else kind.__msgtype__
     try:
         return STORE.deserialize_cdr(data, typename)
     except Exception as error:  # rosbags raises whatever the broken bytes trip over
@@ -54,37 +68,8 @@ def definition(typename: str) -> str:
 
 
 def make(typename: str, **fields: Any) -> Any:
-    """A message of `typename`; fields that are not given get ROS defaults (zero, empty)."""
-    kind, blanks = _blanks(typename)
-    for name, blank in blanks:
-        if name not in fields:
-            fields[name] = blank() if callable(blank) else blank
-    return kind(**fields)
-
-
-_ZERO = {"bool": False, "string": "", "float32": 0.0, "float64": 0.0}
-_NUMPY = {"octet": np.uint8, "char": np.uint8, "bool": np.bool_}
-
-
-@cache
-def _blanks(typename: str) -> tuple[type, list[tuple[str, Any]]]:
-    """The class of a type, and per field its default: a value that cannot change, or what makes a fresh one."""
-    return STORE.types[typename], [(name, _blank(desc)) for name, desc in STORE.fielddefs[typename][1]]
-
-
-def _blank(desc: Any) -> Any:
-    kind, detail = int(desc[0]), desc[1]
-    if kind == 1:  # base type: (name, string limit)
-        return _ZERO.get(detail[0], 0)
-    if kind == 2:  # nested message
-        return lambda: make(detail)
-    (element, inner), length = detail
-    count = length if kind == 3 else 0  # array: fixed length; sequence: its limit
-    if int(element) == 1 and inner[0] != "string":
-        dtype = np.dtype(_NUMPY.get(inner[0], inner[0]))
-        return lambda: np.zeros(count, dtype)
-    blank = _blank((element, inner))
-    return lambda: [blank() if callable(blank) else blank for _ in range(count)]
+    """A message of `typename`."""
+    return STORE.types[typename](**fields)
 
 
 def array(values: Any, dtype: str) -> np.ndarray:
@@ -92,14 +77,14 @@ def array(values: Any, dtype: str) -> np.ndarray:
     return np.ascontiguousarray(values, dtype=dtype)
 
 
-def time_msg(stamp: int) -> Any:
-    """builtin_interfaces/Time of a stamp [ns]."""
-    return STORE.types["builtin_interfaces/msg/Time"](sec=stamp // NS, nanosec=stamp % NS)
+def time_msg(stamp: int) -> Time:
+    """A stamp [ns]."""
+    return Time(stamp // NS, stamp % NS)
 
 
-def header(stamp: int, frame: str) -> Any:
-    """std_msgs/Header; `stamp` in ns of the source clock."""
-    return STORE.types["std_msgs/msg/Header"](stamp=time_msg(stamp), frame_id=frame)
+def header(stamp: int, frame: str) -> Header:
+    """A header; `stamp` in ns of the source clock."""
+    return Header(time_msg(stamp), frame)
 
 
 @cache
@@ -117,9 +102,9 @@ def stamp_in(data: bytes, typename: str) -> int:
     return int(seconds) * NS + int(nanoseconds)
 
 
-def stamp_of(message: Any) -> int:
+def stamp_of(message: Message) -> int:
     """Source stamp [ns] of a message with a header or clock, else 0."""
     time = getattr(getattr(message, "header", None), "stamp", None) or getattr(message, "clock", None)
-    if time is None and getattr(message, "transforms", None):
+    if time is None and isinstance(message, msg.TFMessage) and message.transforms:
         time = message.transforms[0].header.stamp
     return 0 if time is None else time.sec * NS + time.nanosec

@@ -8,10 +8,9 @@ import numpy as np
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.wire.convert import rpy_quaternion, transform_msg
-from rbtrg_robot.wire.messages import make
 
 
 def map_offset(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Any:
     """tf2_msgs/TFMessage of odom at x, y [m], yaw [rad] in map."""
     turn = rpy_quaternion((0.0, 0.0, yaw))
-    return make(t.TF_STATIC.type, transforms=[transform_msg(0, "map", "odom", np.array([x, y, 0.0]), turn)])
+    return t.TF_STATIC.kind(transforms=[transform_msg(0, "map", "odom", np.array([x, y, 0.0]), turn)])

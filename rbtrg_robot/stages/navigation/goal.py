@@ -8,12 +8,12 @@ from enum import StrEnum
 from typing import Any
 
 from hal.safety.geofence import Geofence
-from rbtrg_robot import topics as t
+from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.wire.convert import BASE, MAP, ODOM, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import header, make, stamp_of
+from rbtrg_robot.wire.messages import header, stamp_of
 
 
 class GoalState(StrEnum):
@@ -65,19 +65,19 @@ class Goal:
     risk: float = 0.0
 
     @classmethod
-    def from_request(cls, message: Any, now: int) -> Goal:
+    def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
         """From rbtrg_msgs/GoalRequest."""
         yaw = message.yaw if message.has_yaw else None
         return cls(message.id, message.x, message.y, yaw, now, message.timeout)
 
     @classmethod
-    def from_pose(cls, message: Any, now: int) -> Goal:
+    def from_pose(cls, message: msg.PoseStamped, now: int) -> Goal:
         """From geometry_msgs/PoseStamped, as RViz sends it."""
         p, q = message.pose.position, message.pose.orientation
         return cls(f"rviz-{stamp_of(message)}", p.x, p.y, yaw_of(q), now)
 
     @classmethod
-    def from_status(cls, message: Any, now: int) -> Goal:
+    def from_status(cls, message: msg.GoalStatus, now: int) -> Goal:
         """As a navigator that is gone told it last."""
         yaw = message.yaw if message.has_yaw else None
         return cls(message.id, message.x, message.y, yaw, now)
@@ -119,10 +119,9 @@ class Goal:
         """Enter a terminal state."""
         self.state, self.reason, self.detail = state, reason, detail
 
-    def status(self, now: int, distance_left: float) -> Any:
+    def status(self, now: int, distance_left: float) -> msg.GoalStatus:
         """rbtrg_msgs/GoalStatus in frame `map`; `now` [ns], `distance_left` along the path [m]."""
-        return make(
-            t.GOAL_STATUS.type,
+        return msg.GoalStatus(
             header=header(now, "map"),
             id=self.id,
             state=self.state.value,
@@ -142,10 +141,9 @@ class Goal:
 
 def goal_request(
     stamp: int, goal_id: str, x: float, y: float, yaw: float | None = None, **fields: Any
-) -> Any:
+) -> msg.GoalRequest:
     """rbtrg_msgs/GoalRequest for a place [m] and heading [rad] in frame `map`; `stamp` [ns]."""
-    return make(
-        t.GOAL_REQUEST.type,
+    return msg.GoalRequest(
         header=header(stamp, "map"),
         id=goal_id,
         x=x,

@@ -8,6 +8,7 @@ from typing import Any
 from hal.go2w import BODY_WIDTH
 from hal.safety.geofence import Geofence
 from hal.types import NS
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState
@@ -19,7 +20,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import header, make
+from rbtrg_robot.wire.messages import header
 
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 """Reasons that refuse a goal when its first plan meets them; later they abort it."""
@@ -54,11 +55,11 @@ class NavigatorStage:
         self._goal: Goal | None = None
         self._pose: Pose2 | None = None
         self._seen: dict[Topic, int] = {}
-        self._health: Any = None
-        self._robot: Any = None
-        self._tracker: Any = None
+        self._health: msg.OdometryHealth | None = None
+        self._robot: msg.RobotState | None = None
+        self._tracker: msg.TrackerState | None = None
         self._query = PlanQuery()
-        self._plan: Any = None
+        self._plan: msg.Plan | None = None
         self._route_bad = ""
         self._no_route = 0
         self._short = 0
@@ -82,33 +83,33 @@ class NavigatorStage:
         """Take one message."""
         self._out = []
         self._seen[topic] = self._now
-        if topic is t.ODOM:
+        if t.ODOM.carried(message, topic):
             if self._frame.known:
                 pose = message.pose.pose
                 self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
                 self._trail.add(self._pose)
-        elif topic is t.ODOM_HEALTH:
+        elif t.ODOM_HEALTH.carried(message, topic):
             self._health = message
-        elif topic is t.TRACKER_STATE:
+        elif t.TRACKER_STATE.carried(message, topic):
             self._tracker = message
-        elif topic is t.ROBOT_STATE:
+        elif t.ROBOT_STATE.carried(message, topic):
             self._robot = message
-        elif topic is t.TF_STATIC:
+        elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
-        elif topic is t.GOAL_REQUEST:
+        elif t.GOAL_REQUEST.carried(message, topic):
             self._request(message)
-        elif topic is t.GOAL_POSE:
+        elif t.GOAL_POSE.carried(message, topic):
             self._accept(Goal.from_pose(message, self._now), message)
-        elif topic is t.PLAN:
+        elif t.PLAN.carried(message, topic):
             self._take_plan(message)
-        elif topic is t.ROUTE_STATUS:
+        elif t.ROUTE_STATUS.carried(message, topic):
             if self._query.is_about_route(message):
                 self._route_bad = "" if message.valid else message.detail or "the map changed"
-        elif topic is t.GOAL_STATUS:
+        elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out
 
-    def _request(self, message: Any) -> None:
+    def _request(self, message: msg.GoalRequest) -> None:
         if message.action == 1:
             if self._goal and self._goal.state.active and message.id in ("", self._goal.id):
                 self._end(GoalState.CANCELLED, Reason.CANCELLED)
@@ -137,13 +138,13 @@ class NavigatorStage:
             self._ask()
             self._status()
 
-    def _restore(self, message: Any) -> None:
+    def _restore(self, message: msg.GoalStatus) -> None:
         # After a crash nobody knows how far the goal had come: say so instead of driving on.
         if self._goal is None and message.state in [s.value for s in GoalState if s.active]:
             self._goal = Goal.from_status(message, self._now)
             self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the navigator restarted")
 
-    def _take_plan(self, message: Any) -> None:
+    def _take_plan(self, message: msg.Plan) -> None:
         goal = self._goal
         if not goal or not goal.state.active or not self._query.answers(self._now, goal, message):
             return
@@ -232,7 +233,7 @@ class NavigatorStage:
     def _follow(self, goal: Goal) -> None:
         now, p = self._now, self._params
         on_path = self._order.obeyed(self._tracker)
-        if on_path and self._tracker.phase == "done":
+        if self._tracker is not None and on_path and self._tracker.phase == "done":
             self._arrive(goal)
             return
         if goal.state is GoalState.MOVING and self._route_bad:
@@ -283,7 +284,9 @@ class NavigatorStage:
         if self._progress.tries(self._pose) > self._params.max_recoveries:
             self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries")
             return
-        if self._tracker.phase not in TURNING:  # what stalls a turn lies under the robot, not ahead
+        if (
+            self._tracker is None or self._tracker.phase not in TURNING
+        ):  # what stalls a turn lies under the robot, not ahead
             (x, y, yaw), reach = self._pose, self._params.avoid_ahead
             self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
         if not self._move_out(goal):
@@ -338,7 +341,7 @@ class NavigatorStage:
         self._status_due = self._now + NS // 2
         goal = self._goal
         if goal is None:
-            status = make(t.GOAL_STATUS.type, header=header(self._now, "map"), state=GoalState.IDLE.value)
+            status = msg.GoalStatus(header=header(self._now, "map"), state=GoalState.IDLE.value)
         else:
             status = goal.status(self._now, self._tracker.distance_left if self._tracker else 0.0)
         self._out.append((t.GOAL_STATUS, status))

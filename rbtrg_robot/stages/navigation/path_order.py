@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from rbtrg_robot import topics as t
+from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.progress import Pose2
-from rbtrg_robot.wire.messages import header, make
+from rbtrg_robot.wire.messages import header
 
 REPEAT = NS // 2
 """A tracker that works on something else than it was told is told again after this long [ns]."""
@@ -22,17 +22,17 @@ class PathOrder:
     """Makes rbtrg_msgs/PathCommand in frame `map`. Times in ns."""
 
     def __init__(self) -> None:
-        self._path: Any = None
+        self._path: msg.PathCommand | None = None
         self._sent = 0
 
-    def route(self, now: int, plan: Any) -> Any:
+    def route(self, now: int, plan: msg.Plan) -> msg.PathCommand:
         """Drive the path of a Plan."""
         fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
         final = plan.has_goal_yaw and plan.reaches_goal
         path_id = f"{plan.goal_id}/{plan.sequence}"
         return self._send(now, id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
 
-    def straight(self, now: int, goal_id: str, pose: Pose2, reach: float) -> Any:
+    def straight(self, now: int, goal_id: str, pose: Pose2, reach: float) -> msg.PathCommand:
         """Drive straight along the heading, backward where `reach` [m] is negative."""
         s = np.linspace(0.0, reach, max(2, round(abs(reach) / 0.05) + 1))
         x, y, yaw = pose
@@ -47,20 +47,20 @@ class PathOrder:
             speed=np.full(len(s), OUT_SPEED),
         )
 
-    def stand(self, now: int) -> Any:
+    def stand(self, now: int) -> msg.PathCommand:
         """Drive nothing."""
         return self._send(now, id="")
 
-    def _send(self, now: int, **fields: Any) -> Any:
-        self._path = make(t.PATH_COMMAND.type, header=header(now, "map"), **fields)
+    def _send(self, now: int, **fields: Any) -> msg.PathCommand:
+        self._path = msg.PathCommand(header=header(now, "map"), **fields)
         self._sent = now
         return self._path
 
-    def obeyed(self, tracker: Any) -> bool:
+    def obeyed(self, tracker: msg.TrackerState | None) -> bool:
         """Whether a TrackerState speaks of the newest order."""
         return self._path is not None and tracker is not None and tracker.path_id == self._path.id
 
-    def repeat(self, now: int, tracker: Any) -> Any | None:
+    def repeat(self, now: int, tracker: msg.TrackerState | None) -> msg.PathCommand | None:
         """The order again where it is due: a tracker that restarted has no path, one that missed a halt still has one."""
         if self._path is None or tracker is None or self.obeyed(tracker) or now - self._sent <= REPEAT:
             return None

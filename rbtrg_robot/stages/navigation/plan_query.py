@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from hal.types import NS
-from rbtrg_robot import topics as t
+from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.goal import Goal
 from rbtrg_robot.stages.navigation.progress import Pose2
-from rbtrg_robot.wire.messages import header, make
+from rbtrg_robot.wire.messages import header
 
 
 class PlanQuery:
@@ -23,18 +21,17 @@ class PlanQuery:
         self._first_asked = 0
         self._answered = 0
 
-    def ask(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> Any:
+    def ask(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> msg.PlanRequest:
         """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off."""
         self._sequence += 1
         self._first_asked = now
         return self.repeat(now, goal, pose, avoid)
 
-    def repeat(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> Any:
+    def repeat(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> msg.PlanRequest:
         """The open question once more, from where the robot is by now."""
         self.open = True
         self._asked = now
-        return make(
-            t.PLAN_REQUEST.type,
+        return msg.PlanRequest(
             header=header(now, "map"),
             goal_id=goal.id,
             sequence=self._sequence,
@@ -48,7 +45,7 @@ class PlanQuery:
             avoid=np.array(avoid, np.float64),
         )
 
-    def answers(self, now: int, goal: Goal, message: Any) -> bool:
+    def answers(self, now: int, goal: Goal, message: msg.Plan) -> bool:
         """Whether a Plan answers the open question, which is closed then."""
         if not self.open or message.goal_id != goal.id or message.sequence != self._sequence:
             return False
@@ -60,7 +57,7 @@ class PlanQuery:
         """No answer is wanted any more."""
         self.open = False
 
-    def is_about_route(self, message: Any) -> bool:
+    def is_about_route(self, message: msg.RouteStatus) -> bool:
         """Whether a RouteStatus speaks of the newest route, and no newer one is asked for."""
         return not self.open and message.sequence == self._sequence
 

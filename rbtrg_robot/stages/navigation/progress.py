@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.types import NS
+from rbtrg_robot.msg import Plan
 
 Pose2 = tuple[float, float, float]
 """x [m], y [m], yaw [rad] in `map`."""
@@ -43,7 +43,7 @@ def wrap(angle: float) -> float:
     return math.remainder(angle, 2 * math.pi)
 
 
-def over_edge(plan: Any, pose: Pose2) -> bool:
+def over_edge(plan: Plan, pose: Pose2) -> bool:
     """Whether a Plan leads over an edge that lies under the robot."""
     under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < UNDER
     return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE)[under[3:] & under[:-3]].any())

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Any
 
 from hal.types import LYING, Phase
+from rbtrg_robot.msg import OdometryHealth, RobotState
 
 
 class Reason(StrEnum):
@@ -60,7 +60,7 @@ def words(reason: str, detail: str = "") -> str:
     return f"{text}: {detail}" if detail and text else text or detail
 
 
-def absence(robot: Any, health: Any) -> tuple[Reason, str] | None:
+def absence(robot: RobotState | None, health: OdometryHealth | None) -> tuple[Reason, str] | None:
     """Why a goal must wait: the robot is out of contact, or it is not known where it is. Newest RobotState, OdometryHealth."""
     if robot is not None and robot.phase == Phase.DISCONNECTED:
         return Reason.DISCONNECTED, robot.cause
@@ -69,7 +69,7 @@ def absence(robot: Any, health: Any) -> tuple[Reason, str] | None:
     return None
 
 
-def hindrance(robot: Any) -> tuple[Reason, str] | None:
+def hindrance(robot: RobotState | None) -> tuple[Reason, str] | None:
     """Why a robot drives nowhere, and what to do; None where it does. `robot`: its newest RobotState message, if any."""
     if robot is None:
         return None

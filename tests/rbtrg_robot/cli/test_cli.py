@@ -18,7 +18,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.main import main
 from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
-from rbtrg_robot.wire.messages import encode, header, make, time_msg
+from rbtrg_robot.wire.messages import encode, header, time_msg
 
 
 def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
@@ -128,7 +128,7 @@ def test_a_rerun_takes_the_configuration_of_the_log_with_changes(tmp_path: Path)
     path = tmp_path / "log_0.mcap"
     with LogWriter(path, {}, {CONFIG: b"scene: flat\ntracker: {max_speed: 0.4, old_key: 1}\n"}) as writer:
         for stamp in range(0, NS, NS // 10):
-            writer.write(t.CLOCK, encode(make(t.CLOCK.type, clock=time_msg(stamp))), stamp, stamp, 1)
+            writer.write(t.CLOCK, encode(t.CLOCK.kind(clock=time_msg(stamp))), stamp, stamp, 1)
     out = tmp_path / "new.mcap"
     order = ("replay", str(path), "--rerun", "tracker", "--out", str(out), "--set")
     wrong = run(*order, "tracker.max_sped=1", tmp_path=tmp_path)
@@ -165,11 +165,11 @@ def test_a_truncated_log_plays_and_says_so(here: Here, tmp_path: Path) -> None:
     with LogWriter(path, {}) as writer:
         for i in range(2000):
             stamp = i * 1_000_000
-            data = encode(make(t.IMU.type, header=header(stamp, "base_link")))
+            data = encode(t.IMU.kind(header=header(stamp, "base_link")))
             writer.write(t.IMU, data, stamp, stamp, i + 1)
             if i % 100 == 0:
                 writer.flush()
-        command = encode(make(t.CMD_VEL.type))
+        command = encode(t.CMD_VEL.kind())
         writer.write(t.CMD_VEL, command, 1_999_000_000, 0, 1)
     data = path.read_bytes()
     path.write_bytes(data[: len(data) // 2])
@@ -192,7 +192,7 @@ def test_replay_never_publishes_what_moves_a_robot(tmp_path: Path) -> None:
     path = tmp_path / "log_0.mcap"
     with LogWriter(path, {}) as writer:
         for topic in (t.CMD_VEL, t.GOAL_REQUEST, t.GOAL_POSE, t.ROBOT_COMMAND, t.PATH_COMMAND, t.ODOM):
-            writer.write(topic, encode(make(topic.type)), 1, 1, 1)
+            writer.write(topic, encode(topic.kind()), 1, 1, 1)
     played = run("replay", str(path), "--port", str(free_port()), tmp_path=tmp_path)
     assert "replayed 1 messages" in played.stdout
     for name in ("/cmd_vel", "/goal/request", "/goal_pose", "/robot/command", "/track/path"):

@@ -13,7 +13,7 @@ import pytest
 from rbtrg_robot import topics as t
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.wire.bus import Bus
-from rbtrg_robot.wire.messages import header, make
+from rbtrg_robot.wire.messages import header
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,7 @@ def test_posture_orders_shows_the_progress_and_ends(
             while child.poll() is None:
                 ordered |= {received.decode().mode for received in bus.take(0.05)}
                 if ordered:
-                    state = make(
-                        t.ROBOT_STATE.type,
+                    state = t.ROBOT_STATE.kind(
                         header=header(0, "base_link"),
                         phase=phase,
                         cause=cause,

@@ -22,7 +22,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import robot_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.stages.robot import STEP, RobotStage
-from rbtrg_robot.wire.messages import encode, header, make
+from rbtrg_robot.wire.messages import encode, header
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.offset import map_offset
 
@@ -116,12 +116,12 @@ class Rig:
             self.now += STEP
             if self.now % (4 * STEP) == 0:
                 stamp = header(0 if self.silent else self.now, "odom")
-                pose = make(t.POSE.type, header=stamp)
+                pose = t.POSE.kind(header=stamp)
                 pose.pose.pose.position.x, pose.pose.pose.orientation.w = self.x, 1.0
                 pose.twist.twist.linear.x = self.speed() if self.measured is None else self.measured
                 self.stage.on(t.POSE, pose)
                 if self.vx is not None:
-                    command = make(t.CMD_VEL.type, header=header(self.now, self.frame))
+                    command = t.CMD_VEL.kind(header=header(self.now, self.frame))
                     command.twist.linear.x = self.way * self.vx
                     self.stage.on(t.CMD_VEL, command)
             for topic, message in self.stage.tick(self.now):
@@ -140,7 +140,7 @@ class Rig:
         return robot_line(self.health.robot_row())
 
     def order(self, mode: ModeRequest) -> None:
-        self.stage.on(t.ROBOT_COMMAND, make(t.ROBOT_COMMAND.type, mode=mode.value, cause="by hand"))
+        self.stage.on(t.ROBOT_COMMAND, t.ROBOT_COMMAND.kind(mode=mode.value, cause="by hand"))
 
 
 @dataclass(frozen=True)
@@ -266,7 +266,7 @@ def test_while_odometry_is_silent_status_says_that_motion_is_not_checked(rig: Ri
 def test_a_request_that_is_not_known_is_counted_and_changes_nothing(rig: Rig) -> None:
     rig.cruise()
     for _ in range(3):
-        rig.stage.on(t.ROBOT_COMMAND, make(t.ROBOT_COMMAND.type, mode="selfdestruct", cause="by hand"))
+        rig.stage.on(t.ROBOT_COMMAND, t.ROBOT_COMMAND.kind(mode="selfdestruct", cause="by hand"))
     rig.run(0.5)
     assert rig.health.robot_row()["refused"]["unknown request"] >= 3
     assert rig.way * rig.speed() > 0.7 * CRUISE

@@ -53,7 +53,7 @@ class Pipeline:
         self.host = SyncHost(build_stages(config, ["odometry", "elevation"]), self._hear)
 
     def _hear(self, topic: Topic, payload: bytes, now: int) -> None:
-        heard = self.newest[topic] = decode(payload, topic.type)
+        heard = self.newest[topic] = decode(payload, topic.kind)
         if topic is t.ODOM:
             self.stamps.append(stamp_of(heard))
         elif topic is t.ODOM_HEALTH:
@@ -100,7 +100,7 @@ def edited(scan: LidarScan, field: str, value: float, every: int = 1) -> Any:
 
 
 def laid_out(scan: LidarScan, **changes: Any) -> Any:
-    m = decode(encode(scan_msg(scan)), t.POINTS.type)
+    m = decode(encode(scan_msg(scan)), t.POINTS.kind)
     for name, value in changes.items():
         setattr(m, name, value)
     return m

@@ -18,7 +18,7 @@ from rbtrg_robot.log.file import read_run
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import decode, header, make, stamp_of
+from rbtrg_robot.wire.messages import decode, header, stamp_of
 
 
 def config(**flags: Any) -> StackConfig:
@@ -111,7 +111,7 @@ def test_without_a_process_that_matters_the_robot_stands(stack: Lockstep, proces
 def test_cancel_stops_the_robot(stack: Lockstep) -> None:
     stack.send_goal(*ahead(stack, 4.0))
     stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
-    stack.host.inject(t.GOAL_REQUEST, make(t.GOAL_REQUEST.type, header=header(stack.now, "map"), action=1))
+    stack.host.inject(t.GOAL_REQUEST, t.GOAL_REQUEST.kind(header=header(stack.now, "map"), action=1))
     stack.run(1.5)
     assert stack.newest[t.GOAL_STATUS].state == "cancelled"
     assert speed(stack) < 0.05
@@ -120,7 +120,7 @@ def test_cancel_stops_the_robot(stack: Lockstep) -> None:
 def test_commands_that_make_no_sense_are_refused_and_counted(stack: Lockstep) -> None:
     place = truth(stack)
     for vx, frame in ((math.nan, "base_link"), (50.0, "base_link"), (0.3, "map")):
-        message = make(t.CMD_VEL.type, header=header(stack.now, frame))
+        message = t.CMD_VEL.kind(header=header(stack.now, frame))
         message.twist.linear.x = vx
         stack.host.inject(t.CMD_VEL, message)
     stack.run(0.3)

@@ -12,7 +12,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep, build_stages
 from rbtrg_robot.wire.convert import yaw_of
-from rbtrg_robot.wire.messages import make, stamp_of
+from rbtrg_robot.wire.messages import stamp_of
 
 
 def config(**flags: Any) -> StackConfig:
@@ -84,7 +84,7 @@ def test_the_goal_goes_on_after_a_restart(process: str) -> None:
 
 def test_without_the_planner_a_restarted_map_begins_anew_and_says_so() -> None:
     stage = build_stages(config(), ["elevation"])["elevation"][0]
-    stage.on(t.MAP_STATUS, make(t.MAP_STATUS.type, known_cells=500, epoch=2, height_correction=0.01))
+    stage.on(t.MAP_STATUS, t.MAP_STATUS.kind(known_cells=500, epoch=2, height_correction=0.01))
     statuses = [m for k in range(50) for topic, m in stage.tick(10**9 + k * 10**8) if topic is t.MAP_STATUS]
     assert statuses[0].restoring
     assert not statuses[-1].restoring

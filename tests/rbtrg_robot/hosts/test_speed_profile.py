@@ -14,7 +14,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.stages import planner, tracker
 from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, rpy_quaternion
-from rbtrg_robot.wire.messages import decode, encode, header, make
+from rbtrg_robot.wire.messages import decode, encode, header
 from tests.rbtrg_robot.offset import map_offset
 
 RES = 0.04
@@ -44,7 +44,7 @@ def drive(seconds: float) -> tuple[list[tuple[float, float]], Any]:
             v, w = message.twist.linear.x, message.twist.angular.z
         if topic is t.PLAN:
             plans.append(message)
-        message = decode(encode(message), topic.type)
+        message = decode(encode(message), topic.kind)
         for stage in stages:
             if topic in stage.inputs:
                 for out in stage.on(topic, message):
@@ -59,10 +59,10 @@ def drive(seconds: float) -> tuple[list[tuple[float, float]], Any]:
         send(t.POSE, pose)
         if step % 5 == 0:
             send(t.ODOM, pose)
-            send(t.ODOM_HEALTH, make(t.ODOM_HEALTH.type, header=header(now, "odom"), health="good"))
-            send(t.MAP_STATUS, make(t.MAP_STATUS.type, header=header(now, "map")))
+            send(t.ODOM_HEALTH, t.ODOM_HEALTH.kind(header=header(now, "odom"), health="good"))
+            send(t.MAP_STATUS, t.MAP_STATUS.kind(header=header(now, "map")))
         if step == 10:
-            send(t.GOAL_REQUEST, make(t.GOAL_REQUEST.type, header=header(now, "map"), id="g", x=8.0, y=1.5))
+            send(t.GOAL_REQUEST, t.GOAL_REQUEST.kind(header=header(now, "map"), id="g", x=8.0, y=1.5))
         for stage, every in zip(stages, (5, 5, 1), strict=True):
             if step % every == 0:
                 for out in stage.tick(now):

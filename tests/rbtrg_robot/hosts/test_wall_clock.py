@@ -25,7 +25,7 @@ from rbtrg_robot.wire import clock as clock_module
 from rbtrg_robot.wire.bus import Received
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import odometry_msg
-from rbtrg_robot.wire.messages import encode, header, make, stamp_of
+from rbtrg_robot.wire.messages import encode, header, stamp_of
 from tests.hal.unitree.world import HOST_EPOCH, World
 
 ROOT = Path(__file__).parents[3]
@@ -97,7 +97,7 @@ def test_the_robot_drives_on_and_says_so_when_the_wall_clock_is_set(
     bus = FakeBus(clocks, world.advance)
 
     def hear() -> list[tuple[Topic, Any]]:
-        command = make(t.CMD_VEL.type, header=header(bus.clock(), "base_link"))
+        command = t.CMD_VEL.kind(header=header(bus.clock(), "base_link"))
         command.twist.linear.x = 0.5
         pose = odometry_msg(
             bus.clock(), np.zeros(3), (0, 0, 0, 1), np.array([world.body.v, 0, 0]), np.zeros(3)

@@ -25,7 +25,7 @@ from rbtrg_robot.log.file import (
     recover,
 )
 from rbtrg_robot.log.stats import summarize
-from rbtrg_robot.wire.messages import encode, header, make
+from rbtrg_robot.wire.messages import encode, header
 from tests.places import ROOT
 
 
@@ -35,10 +35,8 @@ def write(path: Path, count: int = 200, *, drop: int = -1, close: bool = True) -
     for i in range(count):
         if i != drop:
             stamp = i * 5_000_000
-            writer.write(
-                t.IMU, encode(make(t.IMU.type, header=header(stamp, "base_link"))), stamp, stamp, i + 1
-            )
-    writer.write(t.GOAL_STATUS, encode(make(t.GOAL_STATUS.type, id="g")), count * 5_000_000, 1, 1)
+            writer.write(t.IMU, encode(t.IMU.kind(header=header(stamp, "base_link"))), stamp, stamp, i + 1)
+    writer.write(t.GOAL_STATUS, encode(t.GOAL_STATUS.kind(id="g")), count * 5_000_000, 1, 1)
     if close:
         writer.close()
     return writer
@@ -94,7 +92,7 @@ def test_a_truncated_log_reads_up_to_the_cut(tmp_path: Path, share: float) -> No
     path = tmp_path / "log_0.mcap"
     writer = LogWriter(path, {"scene": "flat"})
     for i in range(400):
-        writer.write(t.IMU, encode(make(t.IMU.type)), i, i, i + 1)
+        writer.write(t.IMU, encode(t.IMU.kind()), i, i, i + 1)
         if i % 20 == 0:
             writer.flush()
     writer.close()
@@ -110,7 +108,7 @@ def test_a_truncated_log_reads_up_to_the_cut(tmp_path: Path, share: float) -> No
 def test_a_log_that_is_being_written_is_not_called_damaged(tmp_path: Path) -> None:
     path = tmp_path / "log_0.mcap"
     with LogWriter(path, {"scene": "flat"}) as writer:
-        writer.write(t.IMU, encode(make(t.IMU.type, header=header(5, "base_link"))), 5, 5, 1)
+        writer.write(t.IMU, encode(t.IMU.kind(header=header(5, "base_link"))), 5, 5, 1)
         writer.flush()
         summary = summarize(path)
         assert (summary.unfinished, summary.problems()) == (["log_0.mcap"], [])

@@ -15,7 +15,7 @@ from rbtrg_robot.process import health as module
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg
-from rbtrg_robot.wire.messages import array, encode, header, make
+from rbtrg_robot.wire.messages import array, encode, header
 
 
 def take(health: Health, topic: t.Topic, message: Any) -> None:
@@ -24,8 +24,7 @@ def take(health: Health, topic: t.Topic, message: Any) -> None:
 
 
 def beat(count: int, newest: int) -> Any:
-    return make(
-        t.HEARTBEAT.type,
+    return t.HEARTBEAT.kind(
         header=header(1, ""),
         process="odometry",
         pid=1,
@@ -41,8 +40,8 @@ def test_pose_is_in_the_map_frame() -> None:
     shift = transform_msg(
         0, MAP, ODOM, (-4.5, -4.0, 0.3), (0.0, 0.0, math.sin(math.pi / 4), math.cos(math.pi / 4))
     )
-    take(health, t.TF_STATIC, make(t.TF_STATIC.type, transforms=[shift]))
-    odom = make(t.ODOM.type, header=header(1, ODOM))
+    take(health, t.TF_STATIC, t.TF_STATIC.kind(transforms=[shift]))
+    odom = t.ODOM.kind(header=header(1, ODOM))
     odom.pose.pose.position.x, odom.pose.pose.position.z = 2.0, 0.1
     odom.pose.pose.orientation.w = 1.0
     take(health, t.ODOM, odom)
@@ -53,14 +52,14 @@ def test_pose_is_in_the_map_frame() -> None:
 
 def test_an_old_pose_is_told_as_old_and_without_its_speed() -> None:
     health = Health(simulated=True)
-    odom = make(t.ODOM.type, header=header(2_000_000_000, ODOM))
+    odom = t.ODOM.kind(header=header(2_000_000_000, ODOM))
     odom.pose.pose.orientation.w, odom.twist.twist.linear.x = 1.0, 0.48
     take(health, t.ODOM, odom)
     for now, words in (
         (2_200_000_000, "at 0.00 0.00 yaw 0 deg, 0.48 m/s"),
         (14_000_000_000, "12 s ago at 0.00 0.00 yaw 0 deg, real"),
     ):
-        take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(now, ""), phase="ready"))
+        take(health, t.ROBOT_STATE, t.ROBOT_STATE.kind(header=header(now, ""), phase="ready"))
         assert f"robot: ready, {words}" in robot_line(health.robot_row())
 
 
@@ -94,10 +93,10 @@ def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
     take(
         health,
         t.ROBOT_STATE,
-        make(t.ROBOT_STATE.type, header=header(1, ""), phase="ready", realtime_factor=1.0),
+        t.ROBOT_STATE.kind(header=header(1, ""), phase="ready", realtime_factor=1.0),
     )
     for warning in ("the prior map does not fit", ""):
-        take(health, t.MAP_STATUS, make(t.MAP_STATUS.type, header=header(1, "map"), warning=warning))
+        take(health, t.MAP_STATUS, t.MAP_STATUS.kind(header=header(1, "map"), warning=warning))
         assert health.robot_row()["map_warning"] == warning
         assert ("MAP: the prior map does not fit" in robot_line(health.robot_row())) == bool(warning)
 
@@ -108,9 +107,9 @@ def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(pha
     supervisor._expected = ()
     for name, child in supervisor._children.items():
         child.forked = SimpleNamespace(poll=lambda: None)  # type: ignore[assignment]
-        alive = make(t.HEARTBEAT.type, header=header(1, ""), process=name, state="ready")
+        alive = t.HEARTBEAT.kind(header=header(1, ""), process=name, state="ready")
         take(supervisor._health, t.HEARTBEAT, alive)
-    take(supervisor._health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase))
+    take(supervisor._health, t.ROBOT_STATE, t.ROBOT_STATE.kind(header=header(1, ""), phase=phase))
     assert supervisor._well() == (phase in ("ready", "sitting"))
 
 
@@ -118,7 +117,7 @@ def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
     said: list[str] = []
     supervisor = Supervisor(load(None, []), None, said.append)  # type: ignore[arg-type]
     for phase in ("ready", "disconnected", "disconnected", "ready", "moving"):
-        state = make(t.ROBOT_STATE.type, header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
+        state = t.ROBOT_STATE.kind(header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
         supervisor._narrate(t.ROBOT_STATE, state)
     assert said == ["robot disconnected: no LowState for 0.2 s", "robot is back"]
 
@@ -139,5 +138,5 @@ def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
 )
 def test_the_status_line_says_why_once(state: dict[str, Any], line: str) -> None:
     health = Health(simulated=True)
-    take(health, t.ROBOT_STATE, make(t.ROBOT_STATE.type, header=header(1, ""), phase="sitting", **state))
+    take(health, t.ROBOT_STATE, t.ROBOT_STATE.kind(header=header(1, ""), phase="sitting", **state))
     assert robot_line(health.robot_row()).startswith(line + ", real-time")

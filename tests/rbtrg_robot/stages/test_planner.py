@@ -13,7 +13,6 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages.planner import PlannerStage, build
 from rbtrg_robot.wire.convert import patch_msg
-from rbtrg_robot.wire.messages import make
 
 RES = 0.04
 
@@ -35,8 +34,7 @@ def patch(
 def ask(stage: PlannerStage, start: tuple[float, float], goal: tuple[float, float], **fields: Any) -> Any:
     """The plan message that answers."""
     stage.tick(fields.pop("now", 2 * NS))
-    request = make(
-        t.PLAN_REQUEST.type,
+    request = t.PLAN_REQUEST.kind(
         **({"goal_id": "g", "sequence": 1} | fields),
         start_x=start[0],
         start_y=start[1],

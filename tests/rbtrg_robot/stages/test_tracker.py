@@ -13,7 +13,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.stages import tracker
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
-from rbtrg_robot.wire.messages import header, make
+from rbtrg_robot.wire.messages import header
 from tests.rbtrg_robot.offset import map_offset
 
 STILL = rpy_quaternion((0.0, 0.0, 0.0))
@@ -35,7 +35,7 @@ class Inputs:
         line = np.linspace(0.0, 1.0, 51)
         zero, speed = 0 * line, 0 * line + 0.5
         fields = {"x": line, "y": zero, "z": zero, "yaw": zero, "speed": speed}
-        self.stage.on(t.PATH_COMMAND, make(t.PATH_COMMAND.type, id=path_id, **fields))
+        self.stage.on(t.PATH_COMMAND, t.PATH_COMMAND.kind(id=path_id, **fields))
 
     def run(self, seconds: float) -> list[float]:
         """Forward speeds [m/s] that were commanded."""
@@ -48,7 +48,7 @@ class Inputs:
                     self.stage.on(topic, pose)
             for topic in (t.MAP_STATUS, t.GOAL_STATUS):
                 if topic not in self.silent:
-                    self.stage.on(topic, make(topic.type, header=header(self.now, "map")))
+                    self.stage.on(topic, topic.kind(header=header(self.now, "map")))
             for topic, message in self.stage.tick(self.now):
                 if topic is t.CMD_VEL:
                     speeds.append(message.twist.linear.x)

@@ -59,14 +59,14 @@ def _late_in_simulator() -> list[str]:
     from rbtrg_robot.hosts.robot import build
     from rbtrg_robot.hosts.sync import SyncHost
     from rbtrg_robot.stages.robot import STEP
-    from rbtrg_robot.wire.messages import header, make
+    from rbtrg_robot.wire.messages import header
 
     stage = build(load(scene="yard"))
     stage.warm_up()
     warm = _compiled()
     host = SyncHost({"robot": (stage, STEP / 1e9)})
     for step in range(1, 1200):
-        command = make(t.CMD_VEL.type, header=header(host.now, "base_link"))
+        command = t.CMD_VEL.kind(header=header(host.now, "base_link"))
         command.twist.linear.x, command.twist.angular.z = 0.4, 0.5 * (step > 900)
         if step % 4 == 0:
             host.inject(t.CMD_VEL, command)

@@ -10,7 +10,7 @@ import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.wire.bus import Bus, BusError, Received
-from rbtrg_robot.wire.messages import header, make, stamp_of
+from rbtrg_robot.wire.messages import header, stamp_of
 
 
 @pytest.fixture
@@ -41,10 +41,10 @@ def collect(bus: Bus, count: int) -> list[Received]:
 def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint: str) -> None:
     with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
         b.subscribe([t.IMU, t.GOAL_STATUS])
-        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="first"), 1)
+        a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="first"), 1)
         collect(b, 1)  # the subscription is known to the publisher's side
         for i in range(100):
-            a.publish(t.IMU, make(t.IMU.type, header=header(i, "base_link")), i)
+            a.publish(t.IMU, t.IMU.kind(header=header(i, "base_link")), i)
         got = collect(b, 100)
     assert [r.stamp for r in got] == list(range(100))
     assert [r.sequence for r in got] == list(range(1, 101))
@@ -54,11 +54,11 @@ def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint:
 def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:
     with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
         b.subscribe([t.GOAL_STATUS, t.CMD_VEL])
-        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="x"), 1)
+        a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="x"), 1)
         collect(b, 1)
         for i in range(50):
-            a.publish(t.CMD_VEL, make(t.CMD_VEL.type, header=header(i, "base_link")), i)
-        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="end"), 2)
+            a.publish(t.CMD_VEL, t.CMD_VEL.kind(header=header(i, "base_link")), i)
+        a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="end"), 2)
         seen: list[Received] = []
         while not any(r.topic is t.GOAL_STATUS for r in seen):
             seen += b.take(1.0)
@@ -68,8 +68,8 @@ def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:
 
 def test_a_late_joiner_gets_the_latched_message(router: Bus, endpoint: str) -> None:
     with Bus(endpoint, "a") as a:
-        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="old"), 1)
-        a.publish(t.GOAL_STATUS, make(t.GOAL_STATUS.type, id="newest"), 2)
+        a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="old"), 1)
+        a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="newest"), 2)
         with Bus(endpoint, "b") as b:
             b.subscribe([t.GOAL_STATUS])
             assert [r.decode().id for r in collect(b, 1)] == ["newest"]

@@ -13,13 +13,13 @@ from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import topics
 from rbtrg_robot.wire import convert, messages
 from rbtrg_robot.wire import keys as wire
-from rbtrg_robot.wire.messages import MessageError, decode, encode, make
+from rbtrg_robot.wire.messages import MessageError, decode, encode
 
 
 @pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda t: t.name)
 def test_every_topic_has_a_type_that_survives_the_wire(topic: topics.Topic) -> None:
-    message = make(topic.type)
-    again = decode(encode(message), topic.type)
+    message = topic.kind()
+    again = decode(encode(message), topic.kind)
     assert encode(again) == encode(message)
     assert messages.type_hash(topic.type).startswith("RIHS01_")
     assert messages.definition(topic.type)
@@ -27,7 +27,7 @@ def test_every_topic_has_a_type_that_survives_the_wire(topic: topics.Topic) -> N
 
 @pytest.mark.parametrize("topic", topics.TOPICS, ids=lambda t: t.name)
 def test_the_stamp_is_found_in_the_bytes(topic: topics.Topic) -> None:
-    message = make(topic.type)
+    message = topic.kind()
     if hasattr(message, "header"):
         message.header = messages.header(12_345_678_901, "map")
     elif hasattr(message, "clock"):
@@ -54,7 +54,7 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
 
 def test_imu_round_trip() -> None:
     sample = ImuSample(1_234_567_890_123, np.array([0.1, -0.2, 0.3]), np.array([0.0, 0.5, 9.81]))
-    again = convert.imu_sample(decode(encode(convert.imu_msg(sample)), topics.IMU.type))
+    again = convert.imu_sample(decode(encode(convert.imu_msg(sample)), topics.IMU.kind))
     assert again.stamp == sample.stamp
     np.testing.assert_array_equal(again.gyro, sample.gyro)
     np.testing.assert_array_equal(again.accel, sample.accel)
@@ -63,7 +63,7 @@ def test_imu_round_trip() -> None:
 def test_joint_round_trip_and_foreign_names() -> None:
     values = np.arange(16.0)
     sample = JointSample(7, values, values + 1, values + 2)
-    message = decode(encode(convert.joint_msg(sample)), topics.JOINTS.type)
+    message = decode(encode(convert.joint_msg(sample)), topics.JOINTS.kind)
     assert tuple(message.name) == MOTORS
     np.testing.assert_array_equal(convert.joint_sample(message).effort, values + 2)
     message.name[0] = "elbow"
@@ -91,7 +91,7 @@ def test_patch_round_trip(rows: int, cols: int, row: int, col: int) -> None:
     rng = np.random.default_rng(rows * 8 + cols)
     layers = {name: rng.normal(size=(rows, cols)).astype(np.float32) for name in PATCH_LAYERS}
     patch = MapPatch((col * 0.04, row * 0.04), 0.04, 5, 3, layers)
-    again = convert.map_patch(decode(encode(convert.patch_msg(patch)), topics.MAP_UPDATE.type), 3)
+    again = convert.map_patch(decode(encode(convert.patch_msg(patch)), topics.MAP_UPDATE.kind), 3)
     assert again.cell == patch.cell
     assert again.epoch == 3
     for name in PATCH_LAYERS:
@@ -114,7 +114,7 @@ def test_grid_map_counts_from_the_far_corner() -> None:
 @given(st.binary(max_size=400), st.sampled_from(topics.TOPICS))
 def test_broken_bytes_are_refused_with_our_error(data: bytes, topic: topics.Topic) -> None:
     try:
-        decode(data, topic.type)
+        decode(data, topic.kind)
     except MessageError:
         return
 

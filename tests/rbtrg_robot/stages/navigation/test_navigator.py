@@ -20,7 +20,7 @@ from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
-from rbtrg_robot.wire.messages import encode, header, make
+from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.offset import map_offset
 
 SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
@@ -50,7 +50,7 @@ class World:
 
     def send(self, topic: Topic, **fields: Any) -> None:
         fields.setdefault("header", header(self.now, "map"))
-        self._take(self.stage.on(topic, make(topic.type, **fields)))
+        self._take(self.stage.on(topic, topic.kind(**fields)))
 
     def _take(self, outputs: list[tuple[Topic, Any]]) -> None:
         for _, message in outputs:
@@ -216,7 +216,7 @@ def test_a_goal_is_meant_in_the_frame_it_names(
 def test_a_pose_from_rviz_is_meant_in_its_frame_too(world: World) -> None:
     world.pose = (1.0, 0.0, math.pi / 2)
     world.run(0.2)
-    pose = make(t.GOAL_POSE.type, header=header(world.now, "base_link")).pose
+    pose = t.GOAL_POSE.kind(header=header(world.now, "base_link")).pose
     pose.position.x, pose.orientation.w = 2.0, 1.0
     world.send(t.GOAL_POSE, header=header(world.now, "base_link"), pose=pose)
     assert (world.status.x, world.status.y, world.status.yaw) == pytest.approx((1.0, 2.0, math.pi / 2))
@@ -525,7 +525,7 @@ def test_a_tracker_that_lost_its_path_gets_it_again(world: World) -> None:
 
 def test_after_a_crash_an_active_goal_ends_with_a_reason() -> None:
     stage = NavigatorStage(NavigatorParams())
-    before = make(t.GOAL_STATUS.type, header=header(1, "map"), id="g", state="moving", x=1.0)
+    before = t.GOAL_STATUS.kind(header=header(1, "map"), id="g", state="moving", x=1.0)
     out = [m for x, m in stage.on(t.GOAL_STATUS, before) if x is t.GOAL_STATUS]
     assert (out[-1].id, out[-1].state, out[-1].reason) == ("g", "aborted", "process_lost")
 
@@ -546,7 +546,7 @@ def test_stale_plans_are_ignored(world: World) -> None:
 
 
 def test_a_goal_from_rviz_is_a_goal(world: World) -> None:
-    message = make(t.GOAL_POSE.type, header=header(5, "map"))
+    message = t.GOAL_POSE.kind(header=header(5, "map"))
     message.pose.position.x = 2.0
     message.pose.orientation.w = 1.0
     world._take(world.stage.on(t.GOAL_POSE, message))

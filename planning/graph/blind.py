@@ -1,4 +1,4 @@
-"""Ground around the first start that is taken for granted: the LiDAR cannot see what lies under and beside the robot."""
+"""Blind zone: ground around the first start that no LiDAR on this body sees. It counts as seen."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.flags import FACE, GRANTED, UNSEEN, UNSEEN_ALONE
+from planning.graph.flags import ASSUMED, FACE, UNSEEN, UNSEEN_RAW
 
 
 @njit(cache=True)
-def grant_blind(flags, x0, y0, res, x, y, radius):
-    """Count unseen ground within `radius` of the start x, y as seen where no step stands between it and the start.
+def assume_blind(flags, x0, y0, res, x, y, radius):
+    """Mark unseen ground within `radius` [m] of the start x, y as seen if no step separates it from the start.
 
-    Behind a wall nothing is granted: the robot never stood there. Returns the window (row0, col0, row1, col1) of the
+    Behind a wall nothing is assumed: the robot never stood there. Returns the window (row0, col0, row1, col1) of the
     cells whose `UNSEEN` flag changed; empty when none did.
     """
     rows, cols = flags.shape
@@ -40,11 +40,11 @@ def grant_blind(flags, x0, y0, res, x, y, radius):
     for r in range(r0, r1):
         for c in range(c0, c1):
             flag = flags[r, c]
-            granted = sight[r - r0, c - c0]
-            if granted == (flag & GRANTED > 0):
+            assumed = sight[r - r0, c - c0]
+            if assumed == (flag & ASSUMED > 0):
                 continue
-            flags[r, c] = flag ^ GRANTED
-            if flag & UNSEEN_ALONE:
+            flags[r, c] = flag ^ ASSUMED
+            if flag & UNSEEN_RAW:
                 flags[r, c] ^= UNSEEN
                 low_r, high_r = min(low_r, r), max(high_r, r + 1)
                 low_c, high_c = min(low_c, c), max(high_c, c + 1)

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from planning.errors import PlanningError
 from planning.graph.params import GraphParams
 
-FORMAT = 2
+FORMAT = 3
 """Version of the layout; `read_graph` refuses others."""
 _ARRAYS: dict[str, tuple[type, str, int]] = {
     "nodes": (np.float64, "node", 2),
@@ -59,7 +59,7 @@ def read_graph(path: str | Path) -> tuple[dict[str, Any], GraphParams, dict[str,
         params = GraphParams(**header["params"])
         _seed, _version = int(header["seed"]), int(header["version"])
         header["start"] = _place(header["start"])
-        header["granted"] = _place(header.get("granted"))
+        header["first"] = _place(header["first"])
     except (KeyError, TypeError, ValueError, ValidationError) as error:
         raise PlanningError(f"{path}: the header makes no sense: {error}") from error
     nodes = len(arrays["nodes"])

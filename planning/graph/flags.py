@@ -20,13 +20,13 @@ LOW = 4
 """The cell is the lower side of one. Only what covers both sides is on the step: a robot may stand right beside it."""
 FACE = HIGH | LOW
 UNSEEN = 2
-"""Part of an unseen patch wider than the gap limit; narrower slits count as seen, and so does granted ground."""
-UNSEEN_ALONE = 8
-"""The same, granted or not."""
-GRANTED = 16
-"""Ground around the start that counts as seen anyway (`planning.graph.graph.blind`)."""
+"""Part of an unseen patch wider than the gap limit; narrower slits count as seen, and so does assumed ground."""
+UNSEEN_RAW = 8
+"""The same, assumed or not."""
+ASSUMED = 16
+"""Ground around the start that counts as seen anyway (`planning.graph.blind`)."""
 HOLE = 32
-"""Below what it is bridged at by more than the step limit: driven across, not along (`graph_corridor`)."""
+"""Below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`)."""
 TIP = 64
 """Bridged, but the tip of a wide pit's corner: nothing of the robot goes over it."""
 
@@ -90,15 +90,15 @@ def update_flags(
 
 @njit(cache=True)
 def _put(flags, block):
-    """Write freshly computed flags; ground that was granted stays so."""
+    """Write freshly computed flags; ground that was assumed stays so."""
     rows, cols = flags.shape
     for r in range(rows):
         for c in range(cols):
             flag = block[r, c]
             if flag & UNSEEN:
-                flag |= UNSEEN_ALONE
-            if flags[r, c] & GRANTED:
-                flag = (flag | GRANTED) & ~UNSEEN
+                flag |= UNSEEN_RAW
+            if flags[r, c] & ASSUMED:
+                flag = (flag | ASSUMED) & ~UNSEEN
             flags[r, c] = flag
 
 

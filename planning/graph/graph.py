@@ -42,7 +42,7 @@ class TraversalGraph:
         turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; 0 where
             not known (native, `from_edges`).
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
-            clear of obstacles at the node; `planning.graph.graph.describe.turn_is_free` reads it. All set where not known.
+            clear of obstacles at the node; `planning.graph.describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
         node_revision: (n,) int64, the `version` at which terrain under any pose at the node last changed.
         edge_revision: (nnz,) int64, the same for poses along the edge, both ends included. What a search derived
@@ -67,12 +67,12 @@ class TraversalGraph:
         params: GraphParams,
         seed: int,
         start_xy: tuple[float, float] | None,
-        granted_xy: tuple[float, float] | None = None,
+        first_xy: tuple[float, float] | None = None,
     ) -> None:
         self.params = params
         self.seed = int(seed)
         self.start_xy = start_xy
-        self.granted_xy = start_xy if granted_xy is None else granted_xy
+        self.first_xy = start_xy if first_xy is None else first_xy
         self.version = 0
         self._lattice: Lattice | None = None
         self._next_id = 0
@@ -86,12 +86,12 @@ class TraversalGraph:
         start_xy: tuple[float, float],
         params: GraphParams | None = None,
         seed: int = 0,
-        granted_xy: tuple[float, float] | None = None,
+        first_xy: tuple[float, float] | None = None,
     ) -> TraversalGraph:
         """The graph of all terrain reachable from `start_xy` [m]. Same arguments, same graph.
 
-        Unseen ground in sight within `blind_radius` of `granted_xy` is taken for granted: where the robot stood first
-        (None: at `start_xy`). Whoever builds a graph anew on the way passes the place of the first.
+        Unseen ground within `blind_radius` of `first_xy` counts as seen if no step separates it from there. `first_xy`
+        is where the robot stood first (None: at `start_xy`). A graph that replaces another gets the place of the first.
 
         Raises:
             NoRoute: the grid has no trusted cell, or the start is off the map or on no valid ground.
@@ -99,7 +99,7 @@ class TraversalGraph:
         """
         params = params or GraphParams()
         start = checked_start(grid, start_xy)
-        graph = cls(params, seed, start, granted_xy)
+        graph = cls(params, seed, start, first_xy)
         if params.mode == "native":
             graph._build_native(grid)
         elif not graph._refresh(grid, ()):
@@ -169,9 +169,9 @@ class TraversalGraph:
     def _refresh(self, grid: ElevationGrid, windows: Sequence[Window], force: bool = False) -> bool:
         """Recompute the lattice in `windows` and publish what is reachable; False if nothing was there to do."""
         assert self.start_xy is not None
-        assert self.granted_xy is not None
+        assert self.first_xy is not None
         if self._lattice is None:
-            self._lattice = Lattice(self.params, self.seed, self.granted_xy)
+            self._lattice = Lattice(self.params, self.seed, self.first_xy)
         before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
         if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
             return False
@@ -287,7 +287,7 @@ class TraversalGraph:
             "params": self.params.model_dump(),
             "seed": self.seed,
             "start": self.start_xy,
-            "granted": self.granted_xy,
+            "first": self.first_xy,
             "version": self.version,
         }
         write_graph(path, header, self.__dict__)
@@ -296,7 +296,7 @@ class TraversalGraph:
     def load(cls, path: str | Path) -> TraversalGraph:
         """Read what `save` wrote. The first `update` of a loaded graph rebuilds all of it. Raises PlanningError."""
         header, params, arrays = read_graph(path)
-        graph = cls(params, header["seed"], header["start"], header["granted"])
+        graph = cls(params, header["seed"], header["start"], header["first"])
         graph.__dict__.update(arrays)
         graph.version = int(header["version"])
         graph._next_id = int(graph.node_ids.max(initial=-1)) + 1

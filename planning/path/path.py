@@ -14,14 +14,14 @@ from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.path.spline import curve, distance_to_polyline, reach_limits
 from planning.risk.body import (
     BodyModel,
-    aggregate,
     edge_poses,
+    moments_of,
     sweep_poses,
     terrain_features,
     terrain_of,
-    turn_angle,
 )
 from planning.risk.footprint import steps_under
+from planning.risk.pose_sets import turn_angle
 from planning.risk.terrain import Terrain, heights_at
 from planning.search.plan import Plan
 
@@ -235,7 +235,7 @@ def _excess(poses: Array, raw: Array, terrain: Terrain, body: BodyModel, limits:
     if step > limits.max_step and step > steps_under(terrain, raw, body.length, body.width).max() + 1e-6:
         return float("inf")
     got, want = terrain_features(terrain, poses, body), terrain_features(terrain, raw, body)
-    (mean, tail), (raw_mean, raw_tail) = aggregate(got, body), aggregate(want, body)
+    (mean, tail), (raw_mean, raw_tail) = moments_of(got, body), moments_of(want, body)
     rise = body.weight_mean * (mean - raw_mean) + body.weight_tail * (tail - raw_tail)
     peak = (got.max(axis=0) - want.max(axis=0)) / body.scales
     return float(max(rise[:3].sum(), rise[3], peak.max()))

@@ -8,7 +8,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
+from planning.risk.cost import Weights
 from planning.risk.footprint import poses_features
+from planning.risk.pose_sets import aggregate, turn_angle
 from planning.risk.terrain import Terrain
 
 FEATURES = ("d_fb", "a_lr", "p_int", "u")
@@ -55,6 +57,21 @@ class BodyModel(BaseModel):
         return np.array([self.scale_fb, self.scale_lr, self.scale_int, 1.0])
 
 
+def weights_of(body: BodyModel) -> Weights:
+    """`body` as plain numbers for the kernels."""
+    return Weights(
+        body.scales,
+        body.clip,
+        body.weight_mean,
+        body.weight_tail,
+        body.weight_native,
+        body.weight_body,
+        body.weight_unknown,
+        body.edge_step,
+        float(np.radians(body.sweep_step)),
+    )
+
+
 def terrain_of(grid: ElevationGrid, body: BodyModel) -> Terrain:
     """`grid` filled and padded by the footprint's circumradius."""
     return Terrain.from_grid(grid, body.circumradius)
@@ -63,7 +80,7 @@ def terrain_of(grid: ElevationGrid, body: BodyModel) -> Terrain:
 def terrain_features(terrain: Terrain, poses: NDArray[np.float64], body: BodyModel) -> NDArray[np.float64]:
     """`pose_features` on a terrain that is already prepared."""
     return poses_features(
-        terrain.laid(body.length, body.width), np.ascontiguousarray(poses, dtype=np.float64)
+        terrain.sampler(body.length, body.width), np.ascontiguousarray(poses, dtype=np.float64)
     )
 
 
@@ -89,12 +106,6 @@ def edge_poses(start: NDArray[np.float64], end: NDArray[np.float64], body: BodyM
     return np.column_stack([start[0] + t * dx, start[1] + t * dy, np.full(n, np.arctan2(dy, dx))])
 
 
-def turn_angle(yaw_in: float, yaw_out: float) -> float:
-    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi."""
-    d = float((yaw_out - yaw_in + np.pi) % (2.0 * np.pi) - np.pi)
-    return d + 2.0 * np.pi if d < -np.pi + 1e-9 else d
-
-
 def sweep_poses(x: float, y: float, yaw_in: float, yaw_out: float, body: BodyModel) -> NDArray[np.float64]:
     """Poses (n, 3) of a turn in place, both headings in; one pose when nothing turns."""
     d = turn_angle(yaw_in, yaw_out)
@@ -103,14 +114,10 @@ def sweep_poses(x: float, y: float, yaw_in: float, yaw_out: float, body: BodyMod
     return np.column_stack([np.full(n, x), np.full(n, y), yaw_in + t * d])
 
 
-def aggregate(
+def moments_of(
     features: NDArray[np.float64], body: BodyModel
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and tail mean (4,) of the scaled, clipped features of one pose set (n, 4) (paper eq. 3).
-
-    The tail is the mean of the ceil(n / 10) largest values, per feature.
-    """
-    x = features / body.scales
-    x[:, :3] = np.minimum(x[:, :3], body.clip)
-    k = max(1, (len(x) + 9) // 10)
-    return x.mean(axis=0), np.sort(x, axis=0)[-k:].mean(axis=0)
+    """Mean and tail mean (4,) of the scaled, clipped features of one pose set (n, 4) (paper eq. 3)."""
+    out = np.empty((3, 4))
+    aggregate(weights_of(body), np.array(features, dtype=np.float64), out)
+    return out[0], out[1]

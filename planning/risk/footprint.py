@@ -1,4 +1,4 @@
-"""The robot's oriented footprint laid on the terrain: corner means and the four pose features.
+"""The footprint on the terrain: corner means and the four pose features of the oriented body.
 
 Numba kernels on plain arrays; `planning.risk.body` is their face. Paper: Guo, Zhang, Schwertfeger 2026, eq. 2.
 No NaN comes in: `planning.risk.terrain` has filled every height, and trust is an array of its own.
@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.risk.terrain import ALL, NONE, SOME, Laid, Terrain
+from planning.risk.terrain import ALL, NONE, SOME, Sampler, Terrain
 
 MOST_POSES = 64
 """Poses of a set for which a buffer is kept; longer ones get their own."""
@@ -42,9 +42,9 @@ class Scratch(NamedTuple):
 
 
 @njit(cache=True)
-def scratch(laid: Laid) -> Scratch:
+def scratch(sampler: Sampler) -> Scratch:
     """Buffers for `features_of`."""
-    n, tiles = 4 * laid.corner, laid.tile_u.size
+    n, tiles = 4 * sampler.corner, sampler.tile_u.size
     most = max(n, tiles)
     return Scratch(
         np.empty(most, np.int32),
@@ -202,7 +202,7 @@ def _largest(z, n: int) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -> None:
+def features_of(sampler: Sampler, work: Scratch, poses: np.ndarray, out: np.ndarray) -> None:
     """Features of the first n poses x, y [m], yaw [rad] (>= n, 3) into `out` (n, 4) (paper eq. 2).
 
     Support difference [m], side tilt [deg], interference [m], unknown share [-]. Only the highest trusted point and
@@ -210,8 +210,8 @@ def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -
     higher than what was found, or only some of its cells are trusted.
     """
     # Everything is taken out of the tuples once: each access in the loop would count references.
-    height, pair, trusted, seen, ceiling, known, stride, ox, oy, inv, u, v, k = laid[:13]
-    corner_u, corner_v, corner_window, tile, tile_u, tile_v, reach, width = laid[13:]
+    height, pair, trusted, seen, ceiling, known, stride, ox, oy, inv, u, v, k = sampler[:13]
+    corner_u, corner_v, corner_window, tile, tile_u, tile_v, reach, width = sampler[13:]
     cell, cols_at, rows_at, low2, high2, z, spot, mean = work[:8]
     low, high = low2.view(np.float32), high2.view(np.float32)
     rows = seen.shape[0] - 1
@@ -299,25 +299,25 @@ def features_of(laid: Laid, work: Scratch, poses: np.ndarray, out: np.ndarray) -
 
 
 @njit(cache=True)
-def poses_features(laid: Laid, poses: np.ndarray) -> np.ndarray:
+def poses_features(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
     """`features_of` with its own buffers; returns (n, 4)."""
     out = np.empty((poses.shape[0], 4))
-    features_of(laid, scratch(laid), poses, out)
+    features_of(sampler, scratch(sampler), poses, out)
     return out
 
 
 @njit(cache=True)
-def steps_beneath(laid: Laid, poses: np.ndarray) -> np.ndarray:
+def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
     """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
-    height, trusted, stride = laid.height, laid.trusted, laid.stride
+    height, trusted, stride = sampler.height, sampler.trusted, sampler.stride
     rows = height.size // stride
     out = np.zeros(poses.shape[0])
     for i in range(poses.shape[0]):
         c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        col0, row0 = (poses[i, 0] - laid.ox) * laid.inv, (poses[i, 1] - laid.oy) * laid.inv
-        for k in range(laid.u.size):
-            col = int(col0 + laid.u[k] * c - laid.v[k] * s + 0.5)
-            row = int(row0 + laid.u[k] * s + laid.v[k] * c + 0.5)
+        col0, row0 = (poses[i, 0] - sampler.ox) * sampler.inv, (poses[i, 1] - sampler.oy) * sampler.inv
+        for k in range(sampler.u.size):
+            col = int(col0 + sampler.u[k] * c - sampler.v[k] * s + 0.5)
+            row = int(row0 + sampler.u[k] * s + sampler.v[k] * c + 0.5)
             at = row * stride + col
             if col < 0 or row < 0 or col > stride - 2 or row > rows - 2 or not trusted[at]:
                 continue
@@ -332,4 +332,4 @@ def steps_under(
     terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
 ) -> NDArray[np.float64]:
     """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
-    return steps_beneath(terrain.laid(length, width), np.ascontiguousarray(poses, dtype=np.float64))
+    return steps_beneath(terrain.sampler(length, width), np.ascontiguousarray(poses, dtype=np.float64))

@@ -2,70 +2,30 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from planning.risk.cost import Weights
 from planning.risk.footprint import MOST_POSES, Scratch, features_of, scratch
-from planning.risk.terrain import Laid
-
-
-class Weights(NamedTuple):
-    """`BodyModel` as plain numbers for the kernels."""
-
-    scale: NDArray[np.float64]
-    """(4,) divisors of the features."""
-    clip: float
-    mean: float
-    tail: float
-    native: float
-    body: float
-    unknown: float
-    edge_step: float
-    sweep_step: float
-    """[rad]"""
+from planning.risk.terrain import Sampler
 
 
 @njit(cache=True)
-def turn(yaw_in: float, yaw_out: float) -> float:
-    """Shortest signed rotation [rad]; a half turn goes by +pi."""
+def turn_angle(yaw_in: float, yaw_out: float) -> float:
+    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi."""
     d = (yaw_out - yaw_in + np.pi) % (2.0 * np.pi) - np.pi
     return d + 2.0 * np.pi if d < -np.pi + 1e-9 else d
 
 
 @njit(cache=True)
-def set_moments(
-    laid: Laid,
-    work: Scratch,
-    w: Weights,
-    x: float,
-    y: float,
-    yaw: float,
-    dx: float,
-    dy: float,
-    dyaw: float,
-    n: int,
-    out: np.ndarray,
-) -> None:
-    """Mean `out[0]` and tail mean `out[1]` (4,) of the scaled features of `n` poses, both ends in (eq. 3).
+def aggregate(w: Weights, values: np.ndarray, out: np.ndarray) -> None:
+    """Mean `out[0]` and tail mean `out[1]` (4,) of the scaled, clipped features of one pose set (eq. 3).
 
-    `out[2]` is the largest value of each feature as it is, neither scaled nor clipped.
-
-    The poses go from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw). The tail is the ceil(n / 10) largest values.
+    `out[2]` is the largest value of each feature as it is, neither scaled nor clipped. `values` (n, 4) is overwritten.
+    The tail is the ceil(n / 10) largest values of each feature.
     """
+    n = len(values)
     k = max(1, (n + 9) // 10)
-    poses, values = work.poses, work.values[:n]
-    if n > MOST_POSES:
-        poses, values = np.empty((n, 3)), np.empty((n, 4))
-    part = 1.0 / (n - 1) if n > 1 else 0.0
-    for i in range(n):
-        t = i * part
-        poses[i, 0] = x + t * dx
-        poses[i, 1] = y + t * dy
-        poses[i, 2] = yaw + t * dyaw
-    features_of(laid, work, poses, values)
     for m in range(4):
         scale = 1.0 / w.scale[m]
         clip = w.clip if m < 3 else np.inf
@@ -89,6 +49,34 @@ def set_moments(
 
 
 @njit(cache=True)
+def set_moments(
+    sampler: Sampler,
+    work: Scratch,
+    w: Weights,
+    x: float,
+    y: float,
+    yaw: float,
+    dx: float,
+    dy: float,
+    dyaw: float,
+    n: int,
+    out: np.ndarray,
+) -> None:
+    """`aggregate` of `n` poses from (x, y, yaw) to (x + dx, y + dy, yaw + dyaw), both ends in."""
+    poses, values = work.poses, work.values[:n]
+    if n > MOST_POSES:
+        poses, values = np.empty((n, 3)), np.empty((n, 4))
+    part = 1.0 / (n - 1) if n > 1 else 0.0
+    for i in range(n):
+        t = i * part
+        poses[i, 0] = x + t * dx
+        poses[i, 1] = y + t * dy
+        poses[i, 2] = yaw + t * dyaw
+    features_of(sampler, work, poses, values)
+    aggregate(w, values, out)
+
+
+@njit(cache=True)
 def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
     """B and U of one pose set from its moments."""
     body = 0.0
@@ -99,7 +87,7 @@ def weigh(w: Weights, moments: np.ndarray) -> tuple[float, float]:
 
 @njit(cache=True)
 def edge_moments(
-    laid: Laid,
+    sampler: Sampler,
     work: Scratch,
     w: Weights,
     x: float,
@@ -110,39 +98,39 @@ def edge_moments(
 ) -> None:
     """Moments of the poses along the straight edge (x, y) -> (x + dx, y + dy)."""
     n = max(2, int(np.ceil(np.hypot(dx, dy) / w.edge_step - 1e-9)) + 1)
-    set_moments(laid, work, w, x, y, np.arctan2(dy, dx), dx, dy, 0.0, n, out)
+    set_moments(sampler, work, w, x, y, np.arctan2(dy, dx), dx, dy, 0.0, n, out)
 
 
 @njit(cache=True)
 def turn_moments(
-    laid: Laid, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float, out: np.ndarray
+    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float, out: np.ndarray
 ) -> None:
     """Moments of a turn in place from `yaw` by `d` [rad]."""
     n = int(np.ceil(abs(d) / w.sweep_step - 1e-9)) + 1
-    set_moments(laid, work, w, x, y, yaw, 0.0, 0.0, d, n, out)
+    set_moments(sampler, work, w, x, y, yaw, 0.0, 0.0, d, n, out)
 
 
 @njit(cache=True)
 def edge_risk(
-    laid: Laid, work: Scratch, w: Weights, x: float, y: float, dx: float, dy: float
+    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, dx: float, dy: float
 ) -> tuple[float, float]:
     """B and U of a straight edge."""
-    edge_moments(laid, work, w, x, y, dx, dy, work.moments)
+    edge_moments(sampler, work, w, x, y, dx, dy, work.moments)
     return weigh(w, work.moments)
 
 
 @njit(cache=True)
 def turn_risk(
-    laid: Laid, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float
+    sampler: Sampler, work: Scratch, w: Weights, x: float, y: float, yaw: float, d: float
 ) -> tuple[float, float]:
     """B and U of a turn in place."""
-    turn_moments(laid, work, w, x, y, yaw, d, work.moments)
+    turn_moments(sampler, work, w, x, y, yaw, d, work.moments)
     return weigh(w, work.moments)
 
 
 @njit(cache=True)
 def route_moments(
-    laid: Laid,
+    sampler: Sampler,
     w: Weights,
     xy: np.ndarray,
     flip: np.ndarray,
@@ -157,18 +145,18 @@ def route_moments(
     `out` is (n - 1, 3, 3, 4): transition, set (edge, sweep before it, terminal sweep), moment, feature; NaN where a
     set does not exist. `flip` marks edges that are evaluated from their far end, as the search does.
     """
-    work = scratch(laid)
+    work = scratch(sampler)
     for t in range(first, last):
         out[t] = np.nan
         x, y = xy[t, 0], xy[t, 1]
         dx, dy = xy[t + 1, 0] - x, xy[t + 1, 1] - y
         yaw = np.arctan2(dy, dx)
         if flip[t]:
-            edge_moments(laid, work, w, x + dx, y + dy, -dx, -dy, out[t, 0])
+            edge_moments(sampler, work, w, x + dx, y + dy, -dx, -dy, out[t, 0])
         else:
-            edge_moments(laid, work, w, x, y, dx, dy, out[t, 0])
+            edge_moments(sampler, work, w, x, y, dx, dy, out[t, 0])
         yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) if t > 0 else start_yaw
         if not np.isnan(yaw_in):
-            turn_moments(laid, work, w, x, y, yaw_in, turn(yaw_in, yaw), out[t, 1])
+            turn_moments(sampler, work, w, x, y, yaw_in, turn_angle(yaw_in, yaw), out[t, 1])
         if t == xy.shape[0] - 2 and not np.isnan(goal_yaw):
-            turn_moments(laid, work, w, x + dx, y + dy, yaw, turn(yaw, goal_yaw), out[t, 2])
+            turn_moments(sampler, work, w, x + dx, y + dy, yaw, turn_angle(yaw, goal_yaw), out[t, 2])

@@ -7,26 +7,10 @@ from numba import njit
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
-from planning.risk.body import BodyModel, terrain_of
-from planning.risk.pose_sets import Weights
-from planning.risk.roads import Roads, roads_of
+from planning.risk.arcs import Arcs, arcs_of
+from planning.risk.body import BodyModel, terrain_of, weights_of
 from planning.risk.tables import Tables, evaluate_edges
-from planning.risk.terrain import Laid
-
-
-def weights_of(body: BodyModel) -> Weights:
-    """`body` as plain numbers for the kernels."""
-    return Weights(
-        body.scales,
-        body.clip,
-        body.weight_mean,
-        body.weight_tail,
-        body.weight_native,
-        body.weight_body,
-        body.weight_unknown,
-        body.edge_step,
-        float(np.radians(body.sweep_step)),
-    )
+from planning.risk.terrain import Sampler
 
 
 class RiskTable:
@@ -47,8 +31,8 @@ class RiskTable:
         self.version = graph.version
         self.grid = grid
         self.body = body
-        self.laid: Laid = terrain_of(grid, body).laid(body.length, body.width)
-        self.roads: Roads = roads_of(graph)
+        self.sampler: Sampler = terrain_of(grid, body).sampler(body.length, body.width)
+        self.arcs: Arcs = arcs_of(graph)
         self._ids = graph.node_ids
         self._tables: dict[tuple[float, float], Tables] = {}
         if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
@@ -64,7 +48,7 @@ class RiskTable:
         """Evaluations under the weights of `body`, which differs from the table's own only in them."""
         key = (body.weight_mean, body.weight_tail)
         if key not in self._tables:
-            slots = self.roads.target.size
+            slots = self.arcs.target.size
             self._tables[key] = Tables(
                 np.full((slots, 2), np.nan),
                 np.full(slots, -1, np.int64),
@@ -79,7 +63,7 @@ class RiskTable:
 
     def evaluate_edges(self) -> None:
         """Evaluate all edges now, so that no query has to: on a large graph, most of a query's time."""
-        evaluate_edges(self.laid, weights_of(self.body), self.roads, self.tables(self.body))
+        evaluate_edges(self.sampler, weights_of(self.body), self.arcs, self.tables(self.body))
 
     def evaluated(self) -> tuple[int, int]:
         """Directed edges and turns evaluated so far, over all weights."""
@@ -88,34 +72,32 @@ class RiskTable:
 
     def _carry(self, old: RiskTable) -> None:
         """Take over what `old` knows of edges that are the same here and have the same ground under them."""
-        offset = (np.array([self.laid.ox, self.laid.oy]) - (old.laid.ox, old.laid.oy)) * self.laid.inv
+        offset = (
+            np.array([self.sampler.ox, self.sampler.oy]) - (old.sampler.ox, old.sampler.oy)
+        ) * self.sampler.inv
         dc, dr = (int(v) for v in np.round(offset))
         if not len(old._ids) or np.abs(offset - (dc, dr)).max() > 1e-6:  # no node, or other cells
             return
         known = np.argsort(old._ids, kind="stable")
         at = known[np.searchsorted(old._ids, self._ids, sorter=known).clip(max=max(len(known) - 1, 0))]
-        here = (
-            (old._ids[at] == self._ids)
-            & (old.roads.x[at] == self.roads.x)
-            & (old.roads.y[at] == self.roads.y)
-        )
-        slots = _same_slots(self.roads, old.roads, np.where(here, at, -1))
+        here = (old._ids[at] == self._ids) & (old.arcs.x[at] == self.arcs.x) & (old.arcs.y[at] == self.arcs.y)
+        slots = _same_slots(self.arcs, old.arcs, np.where(here, at, -1))
         changed = _changed(
-            self.laid.height, self.laid.trusted, self.laid.stride,
-            old.laid.height, old.laid.trusted, old.laid.stride, dr, dc,
+            self.sampler.height, self.sampler.trusted, self.sampler.stride,
+            old.sampler.height, old.sampler.trusted, old.sampler.stride, dr, dc,
         )  # fmt: skip
-        same = (slots >= 0) & _untouched(self.roads, self.laid, changed)
+        same = (slots >= 0) & _untouched(self.arcs, self.sampler, changed)
         for key, tables in old._tables.items():
             body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
             self.tables(body).edge[same] = tables.edge[slots[same]]
 
 
 @njit(cache=True)
-def _same_slots(roads: Roads, old: Roads, node: np.ndarray) -> np.ndarray:
+def _same_slots(arcs: Arcs, old: Arcs, node: np.ndarray) -> np.ndarray:
     """(slots,) slot of the same edge in `old`, -1 = none; `node` is each node's index there."""
-    out = np.full(roads.target.size, -1, np.int64)
-    for slot in range(roads.target.size):
-        i, j = node[roads.source[slot]], node[roads.target[slot]]
+    out = np.full(arcs.target.size, -1, np.int64)
+    for slot in range(arcs.target.size):
+        i, j = node[arcs.source[slot]], node[arcs.target[slot]]
         if i < 0 or j < 0:
             continue
         for k in range(old.indptr[i], old.indptr[i + 1]):
@@ -153,18 +135,18 @@ def _changed(
 
 
 @njit(cache=True)
-def _untouched(roads: Roads, laid: Laid, changed: np.ndarray) -> np.ndarray:
+def _untouched(arcs: Arcs, sampler: Sampler, changed: np.ndarray) -> np.ndarray:
     """(slots,) edges with no changed cell in the box that the footprint does not leave on its way."""
     rows, cols = changed.shape[0] - 1, changed.shape[1] - 1
-    out = np.zeros(roads.target.size, np.bool_)
-    for slot in range(roads.target.size):
-        i, j = roads.source[slot], roads.target[slot]
-        x0, x1 = min(roads.x[i], roads.x[j]), max(roads.x[i], roads.x[j])
-        y0, y1 = min(roads.y[i], roads.y[j]), max(roads.y[i], roads.y[j])
-        c0, c1 = int(np.floor((x0 - laid.ox) * laid.inv)), int(np.ceil((x1 - laid.ox) * laid.inv))
-        r0, r1 = int(np.floor((y0 - laid.oy) * laid.inv)), int(np.ceil((y1 - laid.oy) * laid.inv))
-        c0, c1 = c0 - laid.reach - 1, c1 + laid.reach + 2
-        r0, r1 = r0 - laid.reach - 1, r1 + laid.reach + 2
+    out = np.zeros(arcs.target.size, np.bool_)
+    for slot in range(arcs.target.size):
+        i, j = arcs.source[slot], arcs.target[slot]
+        x0, x1 = min(arcs.x[i], arcs.x[j]), max(arcs.x[i], arcs.x[j])
+        y0, y1 = min(arcs.y[i], arcs.y[j]), max(arcs.y[i], arcs.y[j])
+        c0, c1 = int(np.floor((x0 - sampler.ox) * sampler.inv)), int(np.ceil((x1 - sampler.ox) * sampler.inv))
+        r0, r1 = int(np.floor((y0 - sampler.oy) * sampler.inv)), int(np.ceil((y1 - sampler.oy) * sampler.inv))
+        c0, c1 = c0 - sampler.reach - 1, c1 + sampler.reach + 2
+        r0, r1 = r0 - sampler.reach - 1, r1 + sampler.reach + 2
         if c0 < 0 or r0 < 0 or c1 > cols or r1 > rows:
             continue
         out[slot] = changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0

@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planning.risk.arcs import Arcs
+from planning.risk.cost import Weights
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import Weights, edge_risk
-from planning.risk.roads import Roads
-from planning.risk.terrain import Laid
+from planning.risk.pose_sets import edge_risk
+from planning.risk.terrain import Sampler
 
 
 class Tables(NamedTuple):
@@ -28,7 +29,7 @@ class Tables(NamedTuple):
 
 
 @njit(cache=True)
-def evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, slot) -> None:
+def evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot) -> None:
     """Put B and U of a directed edge into the table; the opposite direction covers the same ground.
 
     Takes the arrays one by one: handing the whole tuples down costs as much as a third of the evaluation.
@@ -36,16 +37,16 @@ def evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, slot) -> N
     back = reverse[slot]
     one = min(slot, back)
     i, j = source[one], target[one]
-    edge[slot] = edge_risk(laid, work, w, x[i], y[i], x[j] - x[i], y[j] - y[i])
+    edge[slot] = edge_risk(sampler, work, w, x[i], y[i], x[j] - x[i], y[j] - y[i])
     edge[back] = edge[slot]
 
 
 @njit(cache=True)
-def evaluate_edges(laid: Laid, w: Weights, roads: Roads, tables: Tables) -> None:
+def evaluate_edges(sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables) -> None:
     """Evaluate every edge that is not yet."""
-    work = scratch(laid)
-    x, y, _, source, target, reverse, _, _, _, _, _ = roads
+    work = scratch(sampler)
+    x, y, _, source, target, reverse, _, _, _, _, _ = arcs
     edge = tables.edge
     for slot in range(target.size):
         if np.isnan(edge[slot, 0]):
-            evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, slot)
+            evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot)

@@ -18,7 +18,7 @@ NONE, ALL, SOME = 0, 1, 2
 """How much of the ground under a tile is trusted."""
 
 
-class Laid(NamedTuple):
+class Sampler(NamedTuple):
     """Terrain and footprint samples as the kernels take them."""
 
     height: NDArray[np.float32]
@@ -76,7 +76,7 @@ class Terrain:
     """Cell size [m]."""
     pad: int
     """Cells of padding on each side."""
-    _laid: dict[tuple[float, float], Laid] = field(default_factory=dict, init=False, repr=False)
+    _samplers: dict[tuple[float, float], Sampler] = field(default_factory=dict, init=False, repr=False)
 
     @classmethod
     def from_grid(cls, grid: ElevationGrid, margin: float) -> Terrain:
@@ -92,13 +92,13 @@ class Terrain:
         x, y = grid.origin
         return cls(height, padded, seen, (x - step, y - step), grid.resolution, pad)
 
-    def laid(self, length: float, width: float) -> Laid:
+    def sampler(self, length: float, width: float) -> Sampler:
         """Kernel arguments for a body of this length and width [m]; made once."""
-        if (length, width) not in self._laid:
-            self._laid[length, width] = self._lay(length, width)
-        return self._laid[length, width]
+        if (length, width) not in self._samplers:
+            self._samplers[length, width] = self._sample(length, width)
+        return self._samplers[length, width]
 
-    def _lay(self, length: float, width: float) -> Laid:
+    def _sample(self, length: float, width: float) -> Sampler:
         along = offsets(length, self.resolution) / self.resolution
         across = offsets(width, self.resolution) / self.resolution
         u, v = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))
@@ -118,7 +118,7 @@ class Terrain:
         # A sample reads cells less than one cell away, its part's centre lies within half a cell of a cell centre.
         corner_window = int(np.floor(away[: 4 * corner].max() + 1.5))
         window = int(np.floor(away[4 * corner :].max(initial=0.0) + 1.5))
-        return Laid(
+        return Sampler(
             self.height.reshape(-1),
             _pairs(self.height),
             self.trusted.reshape(-1),

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planning.risk.body import FEATURES, BodyModel
-from planning.risk.pose_sets import Weights, route_moments, turn
-from planning.risk.table import RiskTable, weights_of
-from planning.risk.terrain import Laid
+from planning.risk.body import FEATURES, BodyModel, weights_of
+from planning.risk.cost import Weights, transition_cost
+from planning.risk.pose_sets import route_moments, turn_angle
+from planning.risk.table import RiskTable
+from planning.risk.terrain import Sampler
 from planning.risk.turns import edge_turn_cost
 from planning.search.request import SETS, Plan, PlanRequest, Transition
 
@@ -39,26 +40,28 @@ class Route:
         cls, table: RiskTable, start: int, slots: NDArray[np.int64], start_yaw: float, goal_yaw: float
     ) -> Route:
         """The route over these directed edges from node `start`."""
-        roads = table.roads
-        nodes = (start, *roads.target[slots].tolist())
-        xy = np.column_stack([roads.x[list(nodes)], roads.y[list(nodes)]])
-        flip = slots > roads.reverse[slots]
+        arcs = table.arcs
+        nodes = (start, *arcs.target[slots].tolist())
+        xy = np.column_stack([arcs.x[list(nodes)], arcs.y[list(nodes)]])
+        flip = slots > arcs.reverse[slots]
         out = cls(
             nodes,
             xy,
-            roads.risk[slots].astype(np.float64),
+            arcs.risk[slots].astype(np.float64),
             flip,
             start_yaw,
             goal_yaw,
-            roads.turn_rate[list(nodes)],
+            arcs.turn_rate[list(nodes)],
             np.empty((len(slots), 3, 3, 4)),
         )
-        out.evaluate(table.laid, weights_of(table.body), 0, len(slots))
+        out.evaluate(table.sampler, weights_of(table.body), 0, len(slots))
         return out
 
-    def evaluate(self, laid: Laid, w: Weights, first: int, last: int) -> None:
+    def evaluate(self, sampler: Sampler, w: Weights, first: int, last: int) -> None:
         """Bring the moments of transitions first..last - 1 up to date with `xy`."""
-        route_moments(laid, w, self.xy, self.flip, self.start_yaw, self.goal_yaw, first, last, self.moments)
+        route_moments(
+            sampler, w, self.xy, self.flip, self.start_yaw, self.goal_yaw, first, last, self.moments
+        )
 
     @property
     def length(self) -> NDArray[np.float64]:
@@ -73,7 +76,7 @@ class Route:
         yaw = np.concatenate([[self.start_yaw], heading, [self.goal_yaw]])
         cost = np.array(
             [
-                0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn(a, b))
+                0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn_angle(a, b))
                 for rate, a, b in zip(self.turn_rate, yaw[:-1], yaw[1:], strict=True)
             ]
         )
@@ -91,8 +94,7 @@ class Route:
     def cost(self, w: Weights) -> NDArray[np.float64]:
         """(n - 1,) [m] of each transition (eq. 5), and of edges in its turns."""
         worst = self.terms(w).max(axis=1)
-        rate = 1.0 + w.native * self.risk + w.body * worst[:, 0] + w.unknown * worst[:, 1]
-        return self.length * rate + self.turn_cost()
+        return transition_cost(w, self.length, self.risk, worst[:, 0], worst[:, 1]) + self.turn_cost()
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
@@ -101,12 +103,14 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
     length = route.length
     terms = route.terms(w, sweeps=request.variant != "edge-only")
     decided = terms.argmax(axis=1)
-    native = 1.0 + w.native * route.risk
+    each = np.arange(len(length))
+    body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
+    native = transition_cost(w, length, route.risk, 0.0, 0.0)
+    full = transition_cost(w, length, route.risk, body_term, unknown_term)
+    cost = native if request.variant == "native" else full
     turns = route.turn_cost() if request.variant not in ("native", "edge-only") else np.zeros(len(length))
     transitions = []
     for t in range(len(length)):
-        b, u = float(terms[t, decided[t, 0], 0]), float(terms[t, decided[t, 1], 1])
-        factor = native[t] if request.variant == "native" else native[t] + w.body * b + w.unknown * u
         sets = [k for k in range(3) if not np.isnan(route.moments[t, k, 0, 0])]
         mean, tail, peak = (
             {SETS[k]: dict(zip(FEATURES, route.moments[t, k, m].tolist(), strict=True)) for k in sets}
@@ -117,9 +121,9 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
                 (route.nodes[t], route.nodes[t + 1]),
                 float(length[t]),
                 float(route.risk[t]),
-                b,
-                u,
-                float(length[t] * factor + turns[t]),
+                float(body_term[t]),
+                float(unknown_term[t]),
+                float(cost[t] + turns[t]),
                 float(turns[t]),
                 SETS[decided[t, 0]],
                 SETS[decided[t, 1]],
@@ -133,7 +137,7 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
     return Plan(
         route.nodes,
         float(sum(t.cost for t in transitions)),
-        float((length * native).sum()),
+        float(native.sum()),
         float(length.sum()),
         tuple(transitions),
         points,

@@ -14,20 +14,21 @@ import numpy as np
 from numba import njit
 
 from planning.graph.describe import turn_is_free
+from planning.risk.arcs import Arcs
+from planning.risk.cost import Weights, transition_cost
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import Weights, turn, turn_risk
-from planning.risk.roads import Roads
+from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
-from planning.risk.terrain import Laid
+from planning.risk.terrain import Sampler
 from planning.risk.turns import edge_turn_cost, may_turn_off, may_turn_to
 from planning.search.heap import grown, pop, push
 
 
 @njit(cache=True)
 def cost_to_go(
-    laid: Laid,
+    sampler: Sampler,
     w: Weights,
-    roads: Roads,
+    arcs: Arcs,
     tables: Tables,
     start: int,
     is_end: np.ndarray,
@@ -38,8 +39,8 @@ def cost_to_go(
     It stops at the start. What was not settled by then costs, together with the straight line from the start, at
     least what the start costs; that is its bound, and the whole is still consistent. inf: no end can be reached.
     """
-    work = scratch(laid)
-    x, y, indptr, source, target, reverse, length, _, risk, _, _ = roads
+    work = scratch(sampler)
+    x, y, indptr, source, target, reverse, length, _, risk, _, _ = arcs
     edge = tables.edge
     count = x.size
     h = np.full(count, np.inf)
@@ -59,9 +60,8 @@ def cost_to_go(
             continue
         if via >= 0:  # an edge not evaluated when it was pushed
             if np.isnan(edge[via, 0]):
-                evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, via)
-            rate = 1.0 + w.native * risk[via] + w.body * edge[via, 0] + w.unknown * edge[via, 1]
-            cost = h[source[via]] + length[via] * rate
+                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, via)
+            cost = h[source[via]] + transition_cost(w, length[via], risk[via], edge[via, 0], edge[via, 1])
             if cost < h[i]:
                 h[i] = cost
                 n = push(f, s, e, n, cost + np.hypot(x[i] - x[start], y[i] - y[start]), i, -1)
@@ -73,14 +73,12 @@ def cost_to_go(
             k = target[out]
             if closed[k]:
                 continue
-            cost = h[i] + length[out] * (1.0 + w.native * risk[out])
+            known = not np.isnan(edge[out, 0])
+            b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+            cost = h[i] + transition_cost(w, length[out], risk[out], b, u)
             if cost >= h[k]:
                 continue
-            known = not np.isnan(edge[out, 0])
             if known:
-                cost += length[out] * (w.body * edge[out, 0] + w.unknown * edge[out, 1])
-                if cost >= h[k]:
-                    continue
                 h[k] = cost
             if n == f.size:
                 f, s, e = grown(f), grown(s), grown(e)
@@ -93,9 +91,9 @@ def cost_to_go(
 
 @njit(cache=True)
 def search_pairs(
-    laid: Laid,
+    sampler: Sampler,
     w: Weights,
-    roads: Roads,
+    arcs: Arcs,
     tables: Tables,
     start: int,
     is_end: np.ndarray,
@@ -112,11 +110,11 @@ def search_pairs(
     """
     none = np.empty(0, np.int64)
     turns = tables.turns
-    h = cost_to_go(laid, w, roads, tables, start, is_end, exit_cost)
+    h = cost_to_go(sampler, w, arcs, tables, start, is_end, exit_cost)
     if np.isinf(h[start]):
         return np.inf, none, 0, turns
-    work = scratch(laid)
-    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = roads
+    work = scratch(sampler)
+    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = arcs
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     slots = target.size
@@ -140,10 +138,8 @@ def search_pairs(
             if closed[out]:
                 continue
             known = not np.isnan(edge[out, 0])
-            rate = 1.0 + w.native * risk[out]
-            if known:
-                rate += w.body * edge[out, 0] + w.unknown * edge[out, 1]
-            cost = g + length[out] * rate
+            b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+            cost = g + transition_cost(w, length[out], risk[out], b, u)
             if cost >= best[out]:
                 continue
             if entries == came.size:
@@ -170,10 +166,9 @@ def search_pairs(
                 break
             at, k = source[out], target[out]
             if np.isnan(edge[out, 0]):
-                evaluate_edge(laid, work, w, x, y, source, target, reverse, edge, out)
+                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
             b, u = edge[out, 0], edge[out, 1]
-            fixed = 1.0 + w.native * risk[out]
-            cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u)
+            cost = base[entry] + transition_cost(w, length[out], risk[out], b, u)
             stage[entry] += 1
             if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
                 stage[entry] = 2
@@ -189,29 +184,29 @@ def search_pairs(
                         tables.used[0] = used
                     row = turn_at[origin] + out - indptr[at]
                     if np.isnan(turns[row, 0]):
-                        d = turn(heading[origin], heading[out])
+                        d = turn_angle(heading[origin], heading[out])
                         if turn_is_free(room[at], heading[origin], d):
-                            turns[row] = turn_risk(laid, work, w, x[at], y[at], heading[origin], d)
+                            turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[origin], d)
                         else:
                             turns[row] = np.inf
                     b2, u2 = turns[row]
                     if turn_rate[at] > 0.0:
-                        edges = edge_turn_cost(turn_rate[at], turn(heading[origin], heading[out]))
+                        edges = edge_turn_cost(turn_rate[at], turn_angle(heading[origin], heading[out]))
                 elif not np.isnan(start_yaw):
-                    d = turn(start_yaw, heading[out])
+                    d = turn_angle(start_yaw, heading[out])
                     b2, u2 = np.inf, 0.0
                     if may_turn_off(room[at], start_yaw, d):
-                        b2, u2 = turn_risk(laid, work, w, x[at], y[at], start_yaw, d)
+                        b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, d)
                     edges = edge_turn_cost(turn_rate[at], d)
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
-                    d = turn(heading[out], goal_yaw)
+                    d = turn_angle(heading[out], goal_yaw)
                     b2, u2 = np.inf, 0.0
                     if may_turn_to(room[k], heading[out], d):
-                        b2, u2 = turn_risk(laid, work, w, x[k], y[k], heading[out], d)
+                        b2, u2 = turn_risk(sampler, work, w, x[k], y[k], heading[out], d)
                     b, u = max(b, b2), max(u, u2)
                     edges += edge_turn_cost(turn_rate[k], d)
-                cost = base[entry] + length[out] * (fixed + w.body * b + w.unknown * u) + edges
+                cost = base[entry] + transition_cost(w, length[out], risk[out], b, u) + edges
             elif not sweeps:
                 stage[entry] = 2
             if not cost < best[out]:

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
-from planning.risk.body import BodyModel
-from planning.risk.table import RiskTable, weights_of
+from planning.risk.body import BodyModel, weights_of
+from planning.risk.table import RiskTable
 from planning.search.endpoints import Place, goal_node, position, start_node
 from planning.search.explain import Route, describe
 from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
@@ -121,7 +121,7 @@ def _to_goal(
     """The plan to a node, None when it is not connected to the start."""
     ends = np.zeros(len(table.graph.nodes), np.bool_)
     ends[goal] = True
-    xy = (float(table.roads.x[goal]), float(table.roads.y[goal]))
+    xy = (float(table.arcs.x[goal]), float(table.arcs.y[goal]))
     return _search(table, request, start, ends, np.zeros(len(ends)), xy, start_yaw, goal_yaw)
 
 
@@ -173,12 +173,12 @@ def _search(
     if ends[start]:
         route, cost, expanded = np.empty(0, np.int64), 0.0, 0
     elif request.variant == "native":
-        cost, route, expanded = search_nodes(w, table.roads, start, ends, exit_cost, *xy)
+        cost, route, expanded = search_nodes(w, table.arcs, start, ends, exit_cost, *xy)
     else:
         sweeps = request.variant != "edge-only"
         tables = table.tables(body)
         cost, route, expanded, turns = search_pairs(
-            table.laid, w, table.roads, tables, start, ends, exit_cost, start_yaw, goal_yaw, sweeps
+            table.sampler, w, table.arcs, tables, start, ends, exit_cost, start_yaw, goal_yaw, sweeps
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):

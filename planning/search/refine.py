@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planning.risk.body import edge_poses, sweep_poses
+from planning.risk.body import edge_poses, sweep_poses, weights_of
 from planning.risk.footprint import steps_beneath
-from planning.risk.table import RiskTable, weights_of
+from planning.risk.table import RiskTable
 from planning.search.explain import Route
 
 LONGER = 1.02
@@ -30,7 +30,7 @@ GAIN = 1e-6
 
 def refine(table: RiskTable, route: Route) -> Route:
     """The route with its inner points moved; the same object when nothing is gained."""
-    w, laid = weights_of(table.body), table.laid
+    w, sampler = weights_of(table.body), table.sampler
     inner = len(route.xy) - 2
     if inner < 1:
         return route
@@ -54,7 +54,7 @@ def refine(table: RiskTable, route: Route) -> Route:
                     route.xy[i] = here + offset
                     if np.hypot(*(route.xy[i] - searched[i])) > CORRIDOR or route.length.sum() > budget:
                         continue
-                    route.evaluate(laid, w, first, last)
+                    route.evaluate(sampler, w, first, last)
                     if (
                         route.cost(w)[first:last].sum() < best
                         and (_peaks(route)[:3] <= core).all()
@@ -68,7 +68,7 @@ def refine(table: RiskTable, route: Route) -> Route:
                 if best_xy is here:
                     route.moments[first:last] = saved
                 else:
-                    route.evaluate(laid, w, first, last)
+                    route.evaluate(sampler, w, first, last)
                     cost[first:last] = route.cost(w)[first:last]
                     moved = True
             if not moved:
@@ -91,5 +91,5 @@ def _faces(table: RiskTable, route: Route, first: int, last: int) -> np.ndarray:
             x, y = route.xy[t]
             turn = sweep_poses(x, y, float(np.arctan2(dy, dx)), float(poses[0, 2]), table.body)
             poses = np.concatenate([turn, poses])
-        out[t - first] = steps_beneath(table.laid, poses).max()
+        out[t - first] = steps_beneath(table.sampler, poses).max()
     return out

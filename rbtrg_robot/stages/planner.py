@@ -56,8 +56,8 @@ class PlannerStage:
         self._mirror = MapMirror()
         self._window: MapPatch | None = None
         """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
-        self._laid: Box | None = None
-        """Where the newest grid has a window laid over the mirror."""
+        self._overlaid: Box | None = None
+        """Where the newest grid has the window drawn over the mirror."""
         self._epoch = 0
         self._graph: TraversalGraph | None = None
         self._grid: ElevationGrid | None = None
@@ -66,7 +66,7 @@ class PlannerStage:
         self._updated = 0
         self._start: tuple[float, float] | None = None
         self._first: tuple[float, float] | None = None
-        """Where the first graph began: only there ground is taken for granted."""
+        """Where the first graph began: only around it is unseen ground assumed drivable."""
         self._retries = 0
         self._now = 0
         self._status_due = 0
@@ -160,15 +160,15 @@ class PlannerStage:
         if not self._mirror.layers:
             return
         mirror, changed = self._mirror, self._changed
-        if self._laid is not None:
-            changed.append(self._laid)
-            self._laid = None
+        if self._overlaid is not None:
+            changed.append(self._overlaid)
+            self._overlaid = None
         if self._window is not None:
             try:
                 mirror = mirror.overlaid(self._window)
                 (row, col), (rows, cols) = self._window.cell, self._window.shape
-                self._laid = (row, col, row + rows, col + cols)
-                changed.append(self._laid)
+                self._overlaid = (row, col, row + rows, col + cols)
+                changed.append(self._overlaid)
             except MapError:
                 self._malformed += 1
                 self._window = None
@@ -186,7 +186,7 @@ class PlannerStage:
             if self._graph is None:
                 seed = self._params.seed + self._retries
                 self._graph = TraversalGraph.build(grid, start, self._graph_params, seed, self._first)
-                self._first = self._graph.granted_xy
+                self._first = self._graph.first_xy
             else:
                 self._graph.update(grid, windows, start)
         except NoRoute:

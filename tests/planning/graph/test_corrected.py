@@ -153,7 +153,7 @@ def test_the_blind_ring_is_not_bridged_behind_a_wall() -> None:
     graph = TraversalGraph.build(_grid(z, seen), (4.0, 4.0), GraphParams())
     assert _reaches(graph, (3.4, 4.0))
     assert not _reaches(graph, (5.5, 4.0))
-    # a wall that comes into sight later takes back what was granted behind it
+    # a wall that comes into sight later takes back what was assumed behind it
     grown = TraversalGraph.build(_grid(np.where(wall, 0.0, z), seen), (4.0, 4.0), GraphParams())
     assert _reaches(grown, (5.5, 4.0))
     changed = wall & seen

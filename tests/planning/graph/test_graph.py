@@ -70,7 +70,7 @@ def test_load_refuses_a_file_of_another_version_or_with_arrays_that_do_not_fit(t
 
     header = json.loads(str(arrays["header"]))
     write(header=np.array(json.dumps(header | {"format": 99})))
-    with pytest.raises(PlanningError, match="format 99, this program reads 2"):
+    with pytest.raises(PlanningError, match="format 99, this program reads 3"):
         TraversalGraph.load(tmp_path / "h.npz")
     write(header=np.array(json.dumps(header | {"params": {"mode": "best"}})))
     with pytest.raises(PlanningError, match="mode"):

@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import tests.planning.risk.oracle as oracle
 from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
-from planning.risk.body import BodyModel, aggregate, edge_poses, pose_features, sweep_poses, turn_angle
+from planning.risk import reference
+from planning.risk.body import BodyModel, edge_poses, moments_of, pose_features, sweep_poses
+from planning.risk.pose_sets import turn_angle
 from tests.places import needs_shared
 from tests.planning.worlds import flat, golden_world, rough
 
@@ -26,7 +27,7 @@ def test_features_equal_the_plain_reading_inside_and_outside_the_grid(seed, reso
     poses = np.column_stack(
         [rng.uniform(x0 - 0.8, x1 + 0.8, 120), rng.uniform(y0 - 0.8, y1 + 0.8, 120), rng.uniform(-7, 7, 120)]
     )
-    want = np.array([oracle.features(grid, p) for p in poses])
+    want = np.array([reference.features(grid, p, BODY) for p in poses])
     np.testing.assert_allclose(pose_features(grid, poses, BODY), want, atol=1e-4, rtol=0)
     assert want[:, 3].max() > 0.9
     assert want[:, 2].max() > 0.05
@@ -50,7 +51,7 @@ def test_a_post_under_the_belly_is_interference_only():
     grid = ElevationGrid(height, np.ones_like(height, bool), (-1.5, -1.5), 0.05)
     np.testing.assert_allclose(
         pose_features(grid, np.zeros((1, 3)), BODY)[0],
-        oracle.features(grid, (0.0, 0.0, 0.0)),
+        reference.features(grid, (0.0, 0.0, 0.0), BODY),
         atol=1e-6,
     )
     d_fb, a_lr, p_int, u = pose_features(grid, np.zeros((1, 3)), BODY)[0]
@@ -109,7 +110,7 @@ def test_pose_sets_have_the_stated_spacing_and_ends():
 def test_the_tail_is_the_largest_tenth_of_each_feature():
     features = np.zeros((11, 4))
     features[0, 0], features[3, 0], features[5, 1] = 0.3, 0.15, 900.0
-    mean, tail = aggregate(features, BODY)
+    mean, tail = moments_of(features, BODY)
     np.testing.assert_allclose(mean, [1.5 / 11, 3.0 / 11, 0, 0])
     np.testing.assert_allclose(tail, [0.75, 1.5, 0, 0])
 

@@ -150,7 +150,7 @@ def test_in_a_narrow_passage_the_robot_drives_on_but_does_not_turn_round() -> No
         with pytest.raises(NoRoute, match="turns"):
             plan(graph, grid, request, BODY)
         free = RiskTable(graph, grid, BODY)
-        free.roads = free.roads._replace(room=np.full(len(graph.nodes), ALL_HEADINGS))
+        free.arcs = free.arcs._replace(room=np.full(len(graph.nodes), ALL_HEADINGS))
         assert plan(graph, grid, request, BODY, free).length < 2.6, "it is the turn that forbids it"
     wide_grid, wide = corridor(1.4)
     a, b = wide.nearest_node((3.0, 1.5)), wide.nearest_node((1.0, 1.5))

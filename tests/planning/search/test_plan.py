@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-import tests.planning.risk.oracle as oracle
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
+from planning.risk import reference
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.plan import Plan, PlanRequest, plan, plan_many
@@ -36,7 +36,8 @@ def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, 
     last = len(graph.nodes) - 1
     for start, goal in ((0, last), (last, 3)):
         got = plan(graph, grid, PlanRequest(start, goal, start_yaw, goal_yaw, variant), BODY)
-        cost, nodes = oracle.dijkstra(grid, graph, start, goal, start_yaw, goal_yaw, variant)
+        yaws = {"start_yaw": start_yaw, "goal_yaw": goal_yaw}
+        cost, nodes = reference.cheapest_route(grid, graph, start, goal, BODY, **yaws, variant=variant)
         assert got.cost == pytest.approx(cost, abs=1e-4)
         assert got.nodes == nodes
 
@@ -47,9 +48,15 @@ def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):
     edgy = TraversalGraph.from_edges(graph.nodes, graph.edges, graph.risk[edge_slots(graph)])
     edgy.turn_edge[::2] = 0.06
     changed = 0
+
+    def over_edge(node: int, turn: float) -> float:
+        return 4.0 * abs(turn) if edgy.turn_edge[node] > 0.0 and abs(turn) > np.radians(30) else 0.0
+
     for start, goal, yaws in ((0, last, (None, None)), (last, 3, (1.0, -2.0)), (2, last, (3.0, 0.5))):
         got = plan(edgy, grid, PlanRequest(start, goal, *yaws), BODY)
-        cost, nodes = oracle.dijkstra(grid, edgy, start, goal, *yaws)
+        cost, nodes = reference.cheapest_route(
+            grid, edgy, start, goal, BODY, start_yaw=yaws[0], goal_yaw=yaws[1], turn_cost=over_edge
+        )
         assert got.cost == pytest.approx(cost, abs=1e-4)
         assert got.nodes == nodes
         assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
@@ -273,5 +280,7 @@ def test_refinement_costs_less_and_keeps_its_promises(seed):
     assert all(r <= s + 1e-9 for r, s in zip(refined.maxima[:3], searched.maxima[:3], strict=True))
     np.testing.assert_array_equal(refined.points[[0, -1]], searched.points[[0, -1]])
     xy = refined.points[:, :2]
-    poses = [oracle.features(grid, (x, y, np.arctan2(v - y, u - x))) for (x, y), (u, v) in pairwise(xy)]
+    poses = [
+        reference.features(grid, (x, y, np.arctan2(v - y, u - x)), BODY) for (x, y), (u, v) in pairwise(xy)
+    ]
     assert all((p[:3] <= np.array(searched.maxima[:3]) + 1e-4).all() for p in poses)

@@ -71,9 +71,9 @@ import sys
 from pathlib import Path
 import numpy as np
 from mapping.grid import ElevationGrid
-from planning.body_risk import BodyModel
+from planning.risk import BodyModel
 from planning.graph import TraversalGraph
-from planning.risk_table import RiskTable
+from planning.risk.table import RiskTable
 z = np.load(sys.argv[1])
 small = ElevationGrid(z[:80, :80].copy(), np.ones((80, 80), bool), (0.025, 0.025), 0.05)
 RiskTable(TraversalGraph.build(small, (1.0, 1.0)), small, BodyModel()).evaluate_edges()

@@ -3,22 +3,21 @@
 Least CPU time of this thread over repeats. `query_ms` finds nothing cached: it makes the risk table and evaluates what
 it needs. `replan_ms` does the same after 2 % of the cells changed, once from nothing (its baseline) and once with the
 table from before. `sample_ns` is the time of a pose over all samples of the footprint, also those that a tile's
-ceiling made needless to look at. Baselines, from the same run, are plain numpy (`plain_features`): its time per sample,
+ceiling made needless to look at. Baselines, from the same run, are plain numpy (`planning.risk.reference`): its time per sample,
 and per query its time per pose times the poses that an eager search evaluates, every edge and every turn of the states
 it expands.
 """
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk import reference
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import poses_features
 from planning.risk.table import RiskTable
@@ -28,41 +27,6 @@ from tools.bench.report import Report
 
 BODY = BodyModel()
 PAIRS = 200
-
-
-def plain_features(grid: ElevationGrid, pose: NDArray[np.float64]) -> tuple[float, float, float, float]:
-    """One pose's features in plain numpy (all heights known)."""
-    nx, ny = (math.ceil(side / grid.resolution - 1e-9) + 1 for side in (BODY.length, BODY.width))
-    sx, sy = np.meshgrid(
-        np.linspace(-BODY.length / 2, BODY.length / 2, nx),
-        np.linspace(-BODY.width / 2, BODY.width / 2, ny),
-        indexing="ij",
-    )
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    col = (pose[0] + sx * c - sy * s - grid.origin[0]) / grid.resolution
-    row = (pose[1] + sx * s + sy * c - grid.origin[1]) / grid.resolution
-    rows, cols = grid.shape
-    near_c, near_r = np.floor(col + 0.5).astype(int), np.floor(row + 0.5).astype(int)
-    ok = (near_c >= 0) & (near_c < cols) & (near_r >= 0) & (near_r < rows)
-    ok &= grid.trusted[np.clip(near_r, 0, rows - 1), np.clip(near_c, 0, cols - 1)]
-    col, row = np.clip(col, 0, cols - 1), np.clip(row, 0, rows - 1)
-    c0, r0 = np.minimum(col.astype(int), cols - 2), np.minimum(row.astype(int), rows - 2)
-    u, v = col - c0, row - r0
-    h = grid.height
-    z = (h[r0, c0] * (1 - u) + h[r0, c0 + 1] * u) * (1 - v) + (
-        h[r0 + 1, c0] * (1 - u) + h[r0 + 1, c0 + 1] * u
-    ) * v
-    if not ok.any():
-        return 0.0, 0.0, 0.0, 1.0
-    means = []
-    for fx, fy in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        band = (fx * sx >= BODY.length / 4 - 1e-9) & (fy * sy >= BODY.width / 4 - 1e-9)
-        known = band & ok
-        means.append(float(z[known].mean() if known.any() else z[band].mean()))
-    fl, fr, bl, br = means
-    d_fb = abs(fl + fr - bl - br) / 2
-    a_lr = math.degrees(math.atan2(abs(fl + bl - fr - br) / 2, BODY.width))
-    return d_fb, a_lr, max(0.0, float(z[ok].max()) - max(means)), 1.0 - float(ok.mean())
 
 
 def partly_unseen(grid: ElevationGrid) -> ElevationGrid:
@@ -78,15 +42,15 @@ def partly_unseen(grid: ElevationGrid) -> ElevationGrid:
 
 def eager_poses(table: RiskTable, states: int) -> float:
     """Poses of a search that expands `states` pairs and evaluates every edge and turn out of them."""
-    roads = table.roads
-    degree = np.diff(roads.indptr)
-    slot = np.repeat(np.arange(len(roads.target)), degree[roads.target])
-    row = np.concatenate([[0], np.cumsum(degree[roads.target])])
-    out = np.arange(len(slot)) - row[slot] + roads.indptr[roads.target[slot]]
-    turn = np.abs((roads.heading[out] - roads.heading[slot] + np.pi) % (2 * np.pi) - np.pi)
+    arcs = table.arcs
+    degree = np.diff(arcs.indptr)
+    slot = np.repeat(np.arange(len(arcs.target)), degree[arcs.target])
+    row = np.concatenate([[0], np.cumsum(degree[arcs.target])])
+    out = np.arange(len(slot)) - row[slot] + arcs.indptr[arcs.target[slot]]
+    turn = np.abs((arcs.heading[out] - arcs.heading[slot] + np.pi) % (2 * np.pi) - np.pi)
     per_turn = np.ceil(turn / np.radians(BODY.sweep_step)).mean() + 1
-    per_edge = np.ceil(roads.length / BODY.edge_step).mean() + 1
-    return float(states * degree.mean() * per_turn + min(states, len(roads.target) / 2) * per_edge)
+    per_edge = np.ceil(arcs.length / BODY.edge_step).mean() + 1
+    return float(states * degree.mean() * per_turn + min(states, len(arcs.target) / 2) * per_edge)
 
 
 def _pairs(nodes: int) -> list[PlanRequest]:
@@ -142,14 +106,14 @@ def rows(report: Report, large: RiskTable) -> None:
     poses = (
         np.concatenate([(1 - t) * a_xy + t * b_xy, yaw[..., None]], axis=2).transpose(1, 0, 2).reshape(-1, 3)
     )
-    laid = terrain_of(grid, BODY).laid(BODY.length, BODY.width)
-    fast = min(_timed(lambda: poses_features(laid, poses)) for _ in range(9)) / len(poses)
+    sampler = terrain_of(grid, BODY).sampler(BODY.length, BODY.width)
+    fast = min(_timed(lambda: poses_features(sampler, poses)) for _ in range(9)) / len(poses)
     few = poses[::20]
-    plain = _timed(lambda: [plain_features(grid, p) for p in few]) / len(few)
+    plain = _timed(lambda: [reference.features(grid, p, BODY) for p in few]) / len(few)
     eager = 1e3 * plain * eager_poses(RiskTable(graph, grid, BODY), int(np.median(states)))
     report.add("query_ms.p50", 1e3 * float(np.percentile(times, 50)), "ms", limit=15.0, baseline=eager)
     report.add("query_ms.p95", 1e3 * float(np.percentile(times, 95)), "ms", limit=40.0)
-    samples = laid.u.size
+    samples = sampler.u.size
     report.add("sample_ns", 1e9 * fast / samples, "ns", limit=1.5, baseline=1e9 * plain / samples)
     _replan(report)
     x0, y0, x1, y1 = large.grid.extent

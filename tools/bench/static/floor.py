@@ -15,7 +15,7 @@ def edge_peaks(table: RiskTable, body: BodyModel) -> NDArray[np.float64]:
     xy = table.graph.nodes[:, :2]
     sets = [edge_poses(xy[a], xy[b], body) for a, b in table.graph.edges]
     starts = np.cumsum([0, *(len(s) for s in sets[:-1])])
-    features = poses_features(table.laid, np.ascontiguousarray(np.concatenate(sets)))
+    features = poses_features(table.sampler, np.ascontiguousarray(np.concatenate(sets)))
     return np.maximum.reduceat(features[:, :3], starts, axis=0)
 
 

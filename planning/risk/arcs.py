@@ -12,7 +12,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.turns import TURN_COST
 
 
-class Roads(NamedTuple):
+class Arcs(NamedTuple):
     """See the module."""
 
     x: NDArray[np.float64]
@@ -33,7 +33,7 @@ class Roads(NamedTuple):
     """(nodes,) [m/rad] what an edge under the wheels adds to a turn in place."""
 
 
-def roads_of(graph: TraversalGraph) -> Roads:
+def arcs_of(graph: TraversalGraph) -> Arcs:
     """The graph's arrays with length, heading and opposite of every directed edge."""
     x = np.ascontiguousarray(graph.nodes[:, 0], dtype=np.float64)
     y = np.ascontiguousarray(graph.nodes[:, 1], dtype=np.float64)
@@ -41,7 +41,7 @@ def roads_of(graph: TraversalGraph) -> Roads:
     target = np.ascontiguousarray(graph.indices, dtype=np.int32)
     source = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(indptr))
     dx, dy = x[target] - x[source], y[target] - y[source]
-    return Roads(
+    return Arcs(
         x,
         y,
         indptr,

@@ -1,0 +1,86 @@
+"""The part of the lattice that the robot can reach: what the graph publishes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.graph.cells import OFFSETS, Cells
+from planning.graph.describe import in_sight
+from planning.graph.risk import nearest_height
+
+
+class Built(NamedTuple):
+    """Arrays of `TraversalGraph`, edges as an undirected list (m, 2)."""
+
+    nodes: NDArray[np.float64]
+    edges: NDArray[np.int64]
+    risk: NDArray[np.float32]
+    frontier: NDArray[np.bool_]
+    turn_edge: NDArray[np.float32]
+    free_headings: NDArray[np.uint64]
+    ids: NDArray[np.int64]
+    node_revision: NDArray[np.int64]
+    edge_revision: NDArray[np.int64]
+
+
+@njit(cache=True)
+def components(n, edges):
+    """(n,) int64: the lowest node index of each node's connected component."""
+    parent = np.arange(n)
+    for e in range(len(edges)):
+        a = edges[e, 0]
+        b = edges[e, 1]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        if a < b:
+            parent[b] = a
+        else:
+            parent[a] = b
+    for v in range(n):
+        a = v
+        while parent[a] != a:
+            a = parent[a]
+        parent[v] = a
+    return parent
+
+
+def reachable(
+    cells: Cells, grid: ElevationGrid, start: tuple[float, float], reach: float, before: NDArray[np.int64]
+) -> Built:
+    """The connected component at `start` x, y; where no node is within `reach` [m] of it, the one with most ids of `before`."""
+    j, i = np.nonzero(cells.chosen >= 0)
+    index = np.full(cells.chosen.shape, -1, dtype=np.int64)
+    index[j, i] = np.arange(len(j))
+    ej, ei, eo = np.nonzero(cells.risk >= 0.0)
+    edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
+    xy, ids = cells.where[j, i], cells.ids(j, i)
+    label = components(len(j), edges)
+    near = np.flatnonzero(in_sight(cells.flags, *cells.origin, cells.res, *start, xy, reach))
+    roots = label[near] if len(near) else label[np.isin(ids, before)]
+    size = np.bincount(label, minlength=1) if len(near) else np.bincount(roots, minlength=1)
+    keep = label == (roots[np.argmax(size[roots])] if len(roots) else -1)
+    new = np.cumsum(keep) - 1
+    kept = keep[edges[:, 0]]
+    nodes = np.empty((int(keep.sum()), 3))
+    nodes[:, :2] = xy[keep]
+    nearest_height(grid.height, *cells.origin, cells.res, nodes)
+    return Built(
+        nodes,
+        new[edges[kept]],
+        cells.risk[ej, ei, eo][kept],
+        cells.frontier[j, i][keep],
+        cells.turn_edge[j, i][keep],
+        cells.headings[j, i][keep],
+        ids[keep],
+        cells.node_revision[j, i][keep].astype(np.int64),
+        cells.edge_revision[ej, ei, eo][kept].astype(np.int64),
+    )

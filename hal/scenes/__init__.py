@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
 
-from hal.scenes import rescue
+from hal.scenes import lanes, rescue
 from hal.scenes.maze import maze
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
 from hal.scenes.yard import flat, yard
@@ -23,7 +23,12 @@ _BUILT_IN: dict[str, Callable[[], Scene]] = {
     "rescue_platform": rescue.platform,
     "rescue_steps": rescue.steps,
     "rescue_elevated": rescue.elevated,
+    "lanes": lambda: lanes.lane(0).scene,
 }
+
+
+SEEDED = ("maze", "lanes")
+"""Scenes that are another one for every seed."""
 
 
 def scene_names() -> list[str]:
@@ -43,7 +48,7 @@ def load_scene(
     """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
 
     `resolution` [m] and `height_range` [m] say how to import a file, `start` where the robot starts on it (see
-    `hal.scenes.files.read_scene`). `seed` picks a maze; `maze:7` does the same in one word. Raises SceneError.
+    `hal.scenes.files.read_scene`). `seed` picks a maze or a lane; `maze:7` and `lanes:7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
     """
     if unknown:
         raise SceneError(
@@ -68,20 +73,22 @@ def load_scene(
         if number and not number.isdecimal():
             raise SceneError(f"{text!r}: the seed after maze: must be a whole number")
         seed = int(number) if number else seed
-    if base in _BUILT_IN and (not number or base == "maze"):
+    if base in _BUILT_IN and (not number or base in SEEDED):
         if resolution is not None or height_range is not None or start is not None:
             raise SceneError(f"{base} is built in: resolution, height range and start are for files")
+        if base == "lanes":
+            return lanes.named(text if seed is None else f"lanes:{seed}").scene
         if base == "maze":
             return maze(seed=seed or 0)
         if seed is not None:
-            raise SceneError(f"{base} has no seed: only maze has")
+            raise SceneError(f"{base} has no seed: only {' and '.join(SEEDED)} have")
         return _BUILT_IN[base]()
     if not Path(text).suffix:
         raise SceneError(f"no scene {text!r}: use one of {', '.join(_BUILT_IN)}, or a file")
     from hal.scenes.files import read_scene  # readers are only needed for files
 
     if seed is not None:
-        raise SceneError("a scene from a file has no seed: only maze has")
+        raise SceneError(f"a scene from a file has no seed: only {' and '.join(SEEDED)} have")
     return read_scene(Path(text), resolution=resolution, height_range=height_range, start=start)
 
 

@@ -38,17 +38,31 @@ class Canvas:
 
     def bar(self, start: tuple[float, float], end: tuple[float, float], width: float, top: float) -> None:
         """A straight wall or rail of `width` [m] between two points."""
+        near, where = self._along(start, end, width)
+        height = self.height[near]
+        np.copyto(height, np.maximum(height, top), where=where)
+
+    def wall(
+        self, start: tuple[float, float], end: tuple[float, float], width: float, top: NDArray[np.float64]
+    ) -> None:
+        """A straight wall of `width` [m] between two points whose top (rows, cols) [m] follows the ground."""
+        near, where = self._along(start, end, width)
+        np.copyto(self.height[near], top[near], where=where)
+
+    def _along(
+        self, start: tuple[float, float], end: tuple[float, float], width: float
+    ) -> tuple[tuple[slice, slice], NDArray[np.bool_]]:
+        """Rows and columns around a strip between two points, and their cells that lie on it."""
         (ax, ay), (bx, by) = start, end
         length = float(np.hypot(bx - ax, by - ay))
         ux, uy = (bx - ax) / length, (by - ay) / length
         e = 1e-6
         half = 0.5 * width + e
         near = self._window(min(ax, bx) - half, max(ax, bx) + half, min(ay, by) - half, max(ay, by) + half)
-        x, y, height = self.x[near], self.y[near], self.height[near]
+        x, y = self.x[near], self.y[near]
         along = (x - ax) * ux + (y - ay) * uy
         across = np.abs((y - ay) * ux - (x - ax) * uy)
-        where = (along >= -e) & (along <= length + e) & (across <= half)
-        np.copyto(height, np.maximum(height, top), where=where)
+        return near, (along >= -e) & (along <= length + e) & (across <= half)
 
     def _window(self, x0: float, x1: float, y0: float, y1: float) -> tuple[slice, slice]:
         """Rows and columns that hold the rectangle and a cell around it: large scenes are painted piece by piece."""

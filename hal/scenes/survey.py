@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,12 @@ def relief(height: NDArray[np.float32], cells: int) -> NDArray[np.float32]:
     return high - low
 
 
-def _extreme(values: NDArray[np.float32], cells: int, axis: int, pick: np.ufunc) -> NDArray[np.float32]:
+def highest_near(height: NDArray[np.float64], cells: int) -> NDArray[np.float64]:
+    """(rows, cols) greatest height within a square of +-`cells` cells [m]."""
+    return _extreme(_extreme(height, cells, 0, np.maximum), cells, 1, np.maximum)
+
+
+def _extreme(values: NDArray[Any], cells: int, axis: int, pick: np.ufunc) -> NDArray[Any]:
     pad = [(0, 0), (0, 0)]
     pad[axis] = (cells, cells)
     padded = np.pad(values, pad, mode="edge")

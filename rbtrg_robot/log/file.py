@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -106,7 +106,8 @@ class LogWriter:
             fcntl.flock(self._file, fcntl.LOCK_EX)  # tells `is_being_written`; gone with this process
         except OSError as error:
             raise _cannot_write(path, error) from error
-        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._stream = io.BufferedWriter(self._file)
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"rbtrg-robot {__version__}")
         self._writer.add_metadata(METADATA, dict(metadata))
         for name, data in (attachments or {}).items():
@@ -165,22 +166,20 @@ class LogWriter:
     def flush(self) -> None:
         """Close the current chunk and hand everything to the system: a kill after this loses nothing before it."""
         if self._since_flush:
-            # The library offers no public way to end a chunk early; without it a slow stream loses everything.
+            # A slow stream that is never flushed loses everything. mcap 1.6.0 ends a chunk by size only and has no
+            # public way to end one early, so pyproject pins that version; `test_file` flushes and reads back.
             self._writer._Writer__finalize_chunk()  # type: ignore[attr-defined]
             self._since_flush = 0
-        buffered: Any = self._writer._Writer__stream  # type: ignore[attr-defined]
-        buffered.flush()
+        self._stream.flush()
 
     def close(self) -> None:
         """Write the index and close."""
         if self._file.closed:
             return
         self._writer.finish()
-        buffered: Any = self._writer._Writer__stream  # type: ignore[attr-defined]
-        buffered.flush()
-        self._file.flush()
+        self._stream.flush()
         os.fsync(self._file.fileno())
-        self._file.close()
+        self._stream.close()
 
     def __enter__(self) -> Self:
         return self

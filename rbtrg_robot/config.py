@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
-from hal.mujoco.options import CAPABILITIES, SimOptions
+from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateParams
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics
@@ -58,10 +58,7 @@ class StackConfig(BaseModel):
     lidar: Literal["xt16", "mid360", "l1"] = "xt16"
     mount: Extrinsics | None = Field(None, description="LiDAR in base_link; None = the model's usual mount")
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
-    sim: dict[str, Any] = Field(
-        {"lidar_step": 2},
-        description="further options of the simulated robot (hal.mujoco.options.SimOptions)",
-    )
+    sim: SimConfig = SimConfig(lidar_step=2)
     interface: str = Field("", description="network interface of the robot (unitree)")
     dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
     unitree: UnitreeSettings = UnitreeSettings()
@@ -88,12 +85,6 @@ class StackConfig(BaseModel):
     tracker: TrackerParams = TrackerParams(max_speed=0.5)
     freshness: FreshnessParams = FreshnessParams()
     recorder: RecorderParams = RecorderParams()
-
-    @field_validator("sim")
-    @classmethod
-    def _known_options(cls, value: dict[str, Any]) -> dict[str, Any]:
-        SimOptions(**value)
-        return value
 
     @property
     def simulated(self) -> bool:
@@ -193,7 +184,10 @@ def load(
     file: Path | None = None, sets: Iterable[str] = (), *, base: dict[str, Any] | None = None, **flags: Any
 ) -> StackConfig:
     """Merge the layers: `base`, then `file`, `sets`, `flags` (those that are None do not count). Raises ConfigError."""
-    values = base or {}
+    values = StackConfig().model_dump(
+        mode="json"
+    )  # whole, or one key of a group would drop the others' defaults
+    _merge(values, base or {})
     if file is not None:
         try:
             loaded = yaml.safe_load(file.read_text())
@@ -248,7 +242,9 @@ def _merge(values: dict[str, Any], over: dict[str, Any]) -> None:
 
 def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:
     for key in path[:-1]:
-        values = values.setdefault(key, {})
+        if values.get(key) is None:
+            values[key] = {}
+        values = values[key]
         if not isinstance(values, dict):
             raise ConfigError(f"--set {'.'.join(path)}: {key} is no group of keys")
     values[path[-1]] = value

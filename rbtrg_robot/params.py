@@ -61,7 +61,6 @@ class PlannerParams(BaseModel):
         "full", description="cost variant of the search"
     )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
-    seed: int = Field(0, description="seed of the graph's samples")
 
 
 class RecorderParams(BaseModel):

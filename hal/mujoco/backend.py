@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,8 +15,8 @@ from hal.lidar.spec import LIDARS
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController, warm_up
 from hal.lowlevel import Locomotion
+from hal.mujoco.config import CAPABILITIES, Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
-from hal.mujoco.options import CAPABILITIES, Obstacle, Push, SimOptions
 from hal.mujoco.postures.modes import Modes
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
@@ -24,6 +24,7 @@ from hal.rotation import up_of
 from hal.scenes import Scene
 from hal.types import (
     NS,
+    Extrinsics,
     GroundTruth,
     ModeRequest,
     Phase,
@@ -51,21 +52,46 @@ BACKLOG = 2 * NS
 class MujocoBackend:
     """`hal.contract.Backend` on `scene`. Raises BackendError, PolicyError."""
 
-    def __init__(self, scene: Scene, options: SimOptions | None = None, **changes: Any) -> None:
-        """`changes` are fields of SimOptions that replace those of `options`."""
-        self.options = o = replace(options or SimOptions(), **changes)
+    def __init__(
+        self,
+        scene: Scene,
+        config: SimConfig | None = None,
+        *,
+        controller: Literal["vmc", "policy"] = "vmc",
+        policy_dir: str = "",
+        lidar: str | None = "xt16",
+        lidar_mount: Extrinsics | None = None,
+        seed: int = 0,
+        start: tuple[float, float, float] | None = None,
+        start_time: int = 0,
+        **changes: Any,
+    ) -> None:
+        """
+        policy_dir: folder of a policy in rl_sar's layout; needed with `controller="policy"`
+        lidar: a name in `hal.lidar.spec.LIDARS`, or None for none (physics only, faster)
+        lidar_mount: None for the model's usual mount
+        seed: of everything random here
+        start: x, y [m], yaw [rad]; None for the scene's
+        start_time: source clock at connect [ns]
+        changes: fields of SimConfig that replace those of `config`; pydantic's ValidationError for a bad one
+        """
+        self.config = o = config or SimConfig()
+        if changes:
+            self.config = o = SimConfig.model_validate({**o.model_dump(), **changes})
         self.scene = scene
-        if o.lidar is not None and o.lidar not in LIDARS:
-            raise BackendError(f"there is no LiDAR {o.lidar!r}: use one of {', '.join(LIDARS)}", retry=False)
+        self.start_time = start_time
+        self._start, self._seed = start, seed
+        if lidar is not None and lidar not in LIDARS:
+            raise BackendError(f"there is no LiDAR {lidar!r}: use one of {', '.join(LIDARS)}", retry=False)
         self._dt = round(o.timestep * NS)
         self.controller: Locomotion
-        if o.controller == "policy":
-            self.controller = PolicyController(o.policy_dir or "")
+        if controller == "policy":
+            self.controller = PolicyController(policy_dir)
         else:
             warm_up()  # before the clock runs: compiling takes seconds
             self.controller = VmcController(period=o.timestep * max(1, round(CONTROL_PERIOD / o.timestep)))
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
-        draw = np.random.default_rng(np.random.SeedSequence([o.seed, 0xF12]))
+        draw = np.random.default_rng(np.random.SeedSequence([seed, 0xF12]))
         self.friction = (
             scene.friction if o.friction is None else o.friction
         ) + o.friction_spread * draw.uniform(-1, 1)
@@ -79,11 +105,11 @@ class MujocoBackend:
             command_delay=o.command_delay,
             boxes=tuple(box.size for box in o.obstacles),
         )
-        spec = LIDARS[o.lidar].decimated(o.lidar_step) if o.lidar is not None else None
-        self._mount = o.lidar_mount or (spec.mount if spec else None)
-        self.capabilities = CAPABILITIES[o.controller]
-        if o.lidar is not None and self._mount is not None:
-            self.capabilities = replace(self.capabilities, lidar=o.lidar, lidar_mount=self._mount)
+        spec = LIDARS[lidar].decimated(o.lidar_step) if lidar is not None else None
+        self._mount = lidar_mount or (spec.mount if spec else None)
+        self.capabilities = CAPABILITIES[controller]
+        if lidar is not None and self._mount is not None:
+            self.capabilities = replace(self.capabilities, lidar=lidar, lidar_mount=self._mount)
         self._spec = spec
         self.notice = ""
         """One line for the operator about the ray caster."""
@@ -94,13 +120,13 @@ class MujocoBackend:
             )
         self._modes = Modes(self.controller)
         self._connected = False
-        self._state = RobotState(o.start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)
+        self._state = RobotState(start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)
 
     # --- contract --------------------------------------------------------------------------------------------------
     def connect(self) -> None:
-        """Put the robot at its start and begin. The source clock starts at `options.start_time`."""
-        o = self.options
-        x, y, yaw = o.start or self.scene.start
+        """Put the robot at its start and begin. The source clock starts at `start_time`."""
+        o = self.config
+        x, y, yaw = self._start or self.scene.start
         if not self.scene.contains(x, y):
             raise BackendError(
                 f"start ({x:.2f}, {y:.2f}) lies outside scene {self.scene.name}: choose another start",
@@ -109,11 +135,11 @@ class MujocoBackend:
         self.simulation.reset(x, y, yaw, q=go2w.FOLDED if o.seated else None)
         self._steps = 0
         self._ran = 0
-        self._sensors = Sensors(o.seed, o.noise)
+        self._sensors = Sensors(self._seed, o.noise)
         self._out = DelayLine()
         self._lidar = None
         if self._spec is not None and self._caster is not None and self._mount is not None:
-            self._lidar = LidarSimulator(self._spec, self._mount, self._caster, o.seed, noise=o.noise)
+            self._lidar = LidarSimulator(self._spec, self._mount, self._caster, self._seed, noise=o.noise)
         self._pushes = sorted(o.pushes, key=lambda push: push.time)
         self._shown: tuple[bool, ...] = (False,) * len(o.obstacles)
         self._moving = any(box.velocity != (0.0, 0.0) for box in o.obstacles)
@@ -129,7 +155,7 @@ class MujocoBackend:
         """Advance the physics to `now` [ns] and return what its sensors delivered meanwhile, in order of delivery."""
         if not self._connected:
             return []
-        target = (now - self.options.start_time) // self._dt
+        target = (now - self.start_time) // self._dt
         if (target - self._steps) * self._dt > BACKLOG:
             raise BackendError(
                 f"asked to simulate {(target - self._steps) * self._dt / NS:.1f} s at once: the clock jumped; "
@@ -137,7 +163,7 @@ class MujocoBackend:
             )
         while self._steps < target:
             self._advance()
-        return self._out.take(max(now, self.options.start_time))
+        return self._out.take(max(now, self.start_time))
 
     def drive(self, command: VelocityCommand) -> None:
         """Velocity until the next call; takes effect at the next control tick."""
@@ -187,14 +213,14 @@ class MujocoBackend:
         control = self._steps % self._control_steps == 0
         if control or elapsed % IMU_PERIOD < self._dt:
             self._low = self._sensors.measure(self.simulation.low_state())
-        if self.options.obstacles:
+        if self.config.obstacles:
             self._place_obstacles(elapsed)
         self._publish(elapsed)
 
     def _publish(self, elapsed: int) -> None:
         """Everything due after the step that ended `elapsed` [ns] after connect."""
-        o, dt = self.options, self._dt
-        stamp = o.start_time + elapsed
+        o, dt = self.config, self._dt
+        stamp = self.start_time + elapsed
         if elapsed % IMU_PERIOD < dt:
             self._out.put(stamp + round(o.imu_delay * NS), imu_sample(stamp, self._low))
         if elapsed % JOINT_PERIOD < dt:
@@ -237,14 +263,12 @@ class MujocoBackend:
 
     def _place_obstacles(self, elapsed: int) -> None:
         t = elapsed / NS
-        shown = tuple(present(box, t) for box in self.options.obstacles)
+        shown = tuple(present(box, t) for box in self.config.obstacles)
         due = elapsed % LIDAR_SLICE < self._dt
         if shown == self._shown and not (self._moving and any(shown) and due):
             return
         self._shown = shown
-        boxes = [
-            box_at(box, t) if on else None for box, on in zip(self.options.obstacles, shown, strict=True)
-        ]
+        boxes = [box_at(box, t) if on else None for box, on in zip(self.config.obstacles, shown, strict=True)]
         for index, box in enumerate(boxes):
             self.simulation.place_box(
                 index, None if box is None else box.centre, 0.0 if box is None else box.yaw
@@ -253,4 +277,4 @@ class MujocoBackend:
             self._lidar.set_boxes([box for box in boxes if box is not None])
 
 
-__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimOptions"]
+__all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hal.lidar.caster import OrientedBox
-from hal.mujoco.options import Obstacle
+from hal.mujoco.config import Obstacle
 
 
 def present(obstacle: Obstacle, time: float) -> bool:

@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 import typer
 
+ROBOT = "go2w"
+"""Name of a robot that was given none."""
 Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
 DETACH_LIMIT = 240.0
 DOWN_LIMIT = 8.0
@@ -170,7 +172,7 @@ def _supervise(config: Any, zygote: Any) -> int:
 
 def _detach() -> None:
     """The same command line without --detach, in a session of its own."""
-    from rbtrg_robot.process.runfiles import NotRunning, read_state, run_dir
+    from rbtrg_robot.process.runfiles import NotRunning, run_dir, state_of
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"
@@ -183,8 +185,6 @@ def _detach() -> None:
             start_new_session=True,
         )
     deadline = time.monotonic() + DETACH_LIMIT
-    names = [arguments[i + 1] for i, a in enumerate(arguments) if a == "--robot" and i + 1 < len(arguments)]
-    robot = names[-1] if names else "go2w"
     while time.monotonic() < deadline:
         code = child.poll()
         if code is not None:
@@ -192,10 +192,11 @@ def _detach() -> None:
             output.unlink()
             raise typer.Exit(code or 1)
         try:
-            state = read_state(robot)
-            if state["pid"] == child.pid and state["ready"]:
+            state = state_of(child.pid)
+            if state["ready"]:
                 print(output.read_text().strip())
-                print(f"running with pid {child.pid}; stop it with `rbtrg-robot down`")
+                name = "" if state["robot"] == ROBOT else f" --robot {state['robot']}"
+                print(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
                 output.unlink()
                 return
         except NotRunning:
@@ -209,7 +210,7 @@ def _detach() -> None:
     raise typer.Exit(1)
 
 
-def down(robot: Robot = "go2w") -> None:
+def down(robot: Robot = ROBOT) -> None:
     """Stop the stack of a robot."""
     from rbtrg_robot.process.runfiles import NotRunning, read_state
 
@@ -228,7 +229,7 @@ def down(robot: Robot = "go2w") -> None:
 
 
 def status(
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
 ) -> None:
     """How the running stack is."""

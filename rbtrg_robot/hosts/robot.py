@@ -6,7 +6,6 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from hal.contract import Backend
@@ -48,23 +47,24 @@ def build(
 
 def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
     from hal.mujoco.backend import MujocoBackend
-    from hal.mujoco.options import SimOptions
 
-    options = SimOptions(
-        controller=config.controller,
-        policy_dir=config.policy_dir or None,
-        lidar=config.lidar,
-        lidar_mount=config.mount,
-        seed=config.seed,
-        start=config.origin,
-        **config.sim,
-    )
+    start, start_time = config.origin, 0
     if t.TRUTH in restored:
         truth = messages.decode(restored[t.TRUTH], t.TRUTH.kind)
         place = truth.pose.pose
         start = (place.position.x, place.position.y, yaw_of(place.orientation))
-        options = replace(options, start=start, start_time=stamp_of(truth) // STEP * STEP)
-    backend = MujocoBackend(config.load_scene(), options)
+        start_time = stamp_of(truth) // STEP * STEP
+    backend = MujocoBackend(
+        config.load_scene(),
+        config.sim,
+        controller=config.controller,
+        policy_dir=config.policy_dir,
+        lidar=config.lidar,
+        lidar_mount=config.mount,
+        seed=config.seed,
+        start=start,
+        start_time=start_time,
+    )
     if backend.notice:
         log.info("%s", backend.notice)
     return backend

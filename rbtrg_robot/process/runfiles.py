@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import json
 import os
@@ -77,6 +78,16 @@ class RunLock:
         self._state.unlink(missing_ok=True)
         self._file.truncate(0)
         self._file.close()
+
+
+def state_of(pid: int) -> dict[str, Any]:
+    """State of the running stack whose `up` is process `pid`, whatever its robot is called. Raises NotRunning."""
+    for file in run_dir().glob("*.json"):
+        with contextlib.suppress(NotRunning):
+            state = read_state(file.stem)
+            if state["pid"] == pid:
+                return state
+    raise NotRunning(f"no stack of process {pid} is running")
 
 
 def read_state(robot: str) -> dict[str, Any]:

@@ -47,12 +47,19 @@ class PlannerStage:
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
 
     def __init__(
-        self, params: PlannerParams, graph_params: GraphParams, body: BodyModel, limits: PathLimits
+        self,
+        params: PlannerParams,
+        graph_params: GraphParams,
+        body: BodyModel,
+        limits: PathLimits,
+        seed: int = 0,
     ) -> None:
+        """`seed` of the graph's samples."""
         self._params = params
         self._graph_params = graph_params
         self._body = body
         self._limits = limits
+        self._seed = seed
         self._mirror = MapMirror()
         self._window: MapPatch | None = None
         """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
@@ -80,7 +87,7 @@ class PlannerStage:
 
     def warm_up(self) -> None:
         """Plan on made-up ground."""
-        stage = PlannerStage(self._params, self._graph_params, self._body, self._limits)
+        stage = PlannerStage(self._params, self._graph_params, self._body, self._limits, self._seed)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         stage._grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
@@ -184,7 +191,7 @@ class PlannerStage:
         self._grid = grid
         try:
             if self._graph is None:
-                seed = self._params.seed + self._retries
+                seed = self._seed + self._retries
                 self._graph = TraversalGraph.build(grid, start, self._graph_params, seed, self._first)
                 self._first = self._graph.first_xy
             else:
@@ -302,5 +309,4 @@ def build(config: Any) -> PlannerStage:
     limits = PathLimits(
         max_speed=config.tracker.max_speed, max_step=graph.max_step, max_slope=graph.max_slope
     )
-    params = config.planner.model_copy(update={"seed": config.seed})
-    return PlannerStage(params, graph, config.body, limits)
+    return PlannerStage(config.planner, graph, config.body, limits, config.seed)

@@ -85,7 +85,7 @@ class RobotStage:
     @property
     def start_time(self) -> int:
         """Source clock [ns] at which a simulator begins."""
-        return int(self.backend.options.start_time)  # type: ignore[attr-defined]
+        return int(self.backend.start_time)  # type: ignore[attr-defined]
 
     def alive(self, process: str, alive: bool) -> None:
         """A watched process appeared or went: without it the robot stands."""

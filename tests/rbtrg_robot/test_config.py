@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +11,12 @@ import pytest
 import yaml
 
 from hal.contract import BackendError
+from hal.mujoco.config import SimConfig
 from hal.types import Extrinsics
 from hal.unitree.options import UnitreeOptions
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
+from rbtrg_robot.stages.planner import build as build_planner
 from rbtrg_robot.wire.clock import SourceClock
 
 
@@ -44,11 +48,36 @@ def test_what_is_shown_loads_again(tmp_path: Path) -> None:
         (["port"], "a.b=c"),
         (["port.x.y=1", "port.x=[", ""], "port"),
         (["backend=gazebo"], "backend"),
+        (["sim.seed=3"], "sim.seed"),
+        (["sim.controller=policy"], "sim.controller"),
+        (["planner.seed=3"], "planner.seed"),
     ],
 )
 def test_wrong_keys_and_values_are_named(sets: list[str], named: str) -> None:
     with pytest.raises(ConfigError, match=named.replace(".", r"\.")):
         load(None, sets)
+
+
+def test_one_key_of_a_group_leaves_the_defaults_of_the_others(tmp_path: Path) -> None:
+    assert load(None, ["sim.noise=false"]).sim == StackConfig().sim.model_copy(update={"noise": False})
+    assert load(None, ["tracker.lookahead=0.4"]).tracker.max_speed == StackConfig().tracker.max_speed
+    file = tmp_path / "c.yaml"
+    file.write_text("sim: {noise: false}\nmount:\n")
+    config = load(file, ["mount.translation=[0.1, 0, 0.2]"])
+    assert config.sim.lidar_step == StackConfig().sim.lidar_step != SimConfig().lidar_step
+    assert config.mount == Extrinsics((0.1, 0.0, 0.2))
+
+
+def test_obstacles_and_pushes_reach_the_processes_as_they_were_given() -> None:
+    config = load(None, ["sim.obstacles=[{centre: [1, 0, 0.2], size: [0.2, 0.2, 0.4], appear: 3}]"])
+    told = json.loads(json.dumps(config.model_dump(mode="json")))
+    assert load(base=told) == config
+    assert load(base=yaml.safe_load(config.to_yaml())).sim.obstacles[0].disappear == math.inf
+
+
+def test_everything_random_follows_the_one_seed() -> None:
+    config = load(None, ["seed=5"], scene="flat")
+    assert build_planner(config)._seed == 5
 
 
 def test_a_file_goes_over_what_a_log_was_made_with(tmp_path: Path) -> None:

@@ -22,9 +22,9 @@ from PIL import Image
 
 from hal import go2w
 from hal.errors import OperatorError
+from hal.mujoco.config import Obstacle
 from hal.mujoco.model import HIDDEN, build
 from hal.mujoco.obstacles import box_at, present
-from hal.mujoco.options import Obstacle
 from hal.mujoco.view.video import Frame, write_mp4
 from hal.scenes import Scene
 from hal.types import NS, Array, GroundTruth, JointSample, Sample

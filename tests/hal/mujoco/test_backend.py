@@ -11,7 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from hal.contract import BackendError
-from hal.mujoco.backend import MujocoBackend, Obstacle, Push, SimOptions
+from hal.mujoco.backend import MujocoBackend, Obstacle, Push, SimConfig
 from hal.scenes import Scene
 from hal.types import (
     NS,
@@ -44,7 +44,7 @@ class Robot:
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
         self.backend = MujocoBackend(scene or floor(), **{"lidar": None, "caster": "numba", **options})
         self.backend.connect()
-        self.now = self.backend.options.start_time
+        self.now = self.backend.start_time
         self.samples: list[Sample] = []
 
     def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0, step: int = 5_000_000) -> list[Sample]:
@@ -464,16 +464,17 @@ def test_bad_use_is_refused_in_words() -> None:
 
 def test_options_come_from_plain_values_and_name_what_is_wrong() -> None:
     obstacles: Any = [{"centre": [1, 0, 0.2], "size": [0.2, 0.2, 0.4]}]
-    options = SimOptions(payload=2, obstacles=obstacles)
-    assert options.obstacles[0] == Obstacle((1.0, 0.0, 0.2), (0.2, 0.2, 0.4))
+    config = SimConfig(payload=2, obstacles=obstacles)
+    assert config.obstacles[0] == Obstacle((1.0, 0.0, 0.2), (0.2, 0.2, 0.4))
     for values, word in (
         ({"paylod": 2}, "paylod"),
         ({"timestep": 0.0}, "timestep"),
-        ({"controller": "magic"}, "controller"),
+        ({"caster": "magic"}, "caster"),
+        ({"seed": 3}, "seed"),
         ({"pushes": [{"time": 1.0}]}, "force"),
     ):
         with pytest.raises(ValidationError, match=word):
-            SimOptions(**values)  # type: ignore[arg-type]
+            SimConfig.model_validate(values)
 
 
 @pytest.mark.parametrize("seed", range(4))

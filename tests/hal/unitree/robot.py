@@ -444,7 +444,7 @@ class MujocoBody:
     """[ns] simulated per step: behind a busy machine the body moves slower, or it would answer ever later."""
 
     def __init__(self, scene: Any = "flat", standing: bool = True, **options: Any) -> None:
-        """scene: a name, or a Scene; options: fields of `hal.mujoco.options.SimOptions`."""
+        """scene: a name, or a Scene; options: as for `hal.mujoco.backend.MujocoBackend`."""
         from hal.mujoco.backend import MujocoBackend
         from hal.scenes import load_scene
 

@@ -18,6 +18,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.main import main
 from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import encode, header, time_msg
 
 
@@ -227,3 +228,21 @@ def test_one_stack_per_robot_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     lock.release()
     with pytest.raises(NotRunning):
         read_state("r")
+
+
+@pytest.mark.parametrize("named", ["--robot=alpha", "--config"])
+def test_detached_it_waits_for_the_robot_it_started_however_that_was_named(
+    tmp_path: Path, named: str
+) -> None:
+    arguments = ["up", "--detach", "--scene", "flat", "--no-record", "--port", str(free_port()), named]
+    if named == "--config":
+        (tmp_path / "c.yaml").write_text("robot: alpha\n")
+        arguments.append(str(tmp_path / "c.yaml"))
+    arguments += [f"--without={p.name}" for p in PROCESSES] + ["--log-dir", str(tmp_path / "logs")]
+    try:
+        up = run(*arguments, tmp_path=tmp_path)
+        assert up.returncode == 0, up.stderr
+        assert "rbtrg-robot down --robot alpha" in up.stdout
+    finally:
+        down = run("down", "--robot", "alpha", tmp_path=tmp_path)
+    assert down.returncode == 0, down.stderr

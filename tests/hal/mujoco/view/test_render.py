@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from hal import go2w
-from hal.mujoco.options import Obstacle
+from hal.mujoco.config import Obstacle
 from hal.mujoco.view.render import Film, RenderError, View, egl_works, gl_context, launch_viewer
 from hal.mujoco.view.video import write_mp4
 from hal.scenes import Scene

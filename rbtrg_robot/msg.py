@@ -256,6 +256,7 @@ class Heartbeat(Message):
     published: NDArray[np.uint64] = field(default_factory=lambda: _zeros("uint64", 0))
     newest: NDArray[np.int64] = field(default_factory=lambda: _zeros("int64", 0))
     dropped: int = 0
+    refused: int = 0
     longest_turn: float = 0.0
 
 

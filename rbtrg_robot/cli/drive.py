@@ -128,8 +128,8 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
                 print("rbtrg-robot: goal timed out", file=sys.stderr)
                 return TIMED_OUT
             for received in bus.take(0.1):
-                status = received.decode()
-                if status.id != goal_id:
+                status = bus.open(received)
+                if status is None or status.id != goal_id:
                     continue
                 heard = time.monotonic()
                 farthest = max(farthest, status.distance_left)
@@ -168,7 +168,8 @@ def cancel(robot: Robot = "go2w") -> None:
                 request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1)
                 bus.publish(t.GOAL_REQUEST, request, time.time_ns())
             for received in bus.take(0.1):
-                state = received.decode().state
+                status = bus.open(received)
+                state = status.state if status is not None else ""
                 if state == "cancelled":
                     print("goal cancelled")
                     return
@@ -244,7 +245,9 @@ def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
                 order = msg.RobotCommand(header=header(time.time_ns(), ""), mode=mode, cause="operator")
                 bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
             for received in bus.take(0.05):
-                yield received.decode()
+                state = bus.open(received)
+                if state is not None:
+                    yield state
 
 
 def _fail(text: str) -> NoReturn:

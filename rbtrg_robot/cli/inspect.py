@@ -117,7 +117,8 @@ def map_save(file: Path, robot: Robot = "go2w") -> None:
         deadline = time.monotonic() + 5.0
         while time.monotonic() < deadline:
             for received in bus.take(0.2):
-                detail = received.decode().detail
+                status = bus.open(received)
+                detail = status.detail if status is not None else ""
                 if str(target) in detail:
                     print(detail)
                     raise typer.Exit(0 if detail.startswith("saved") else 1)

@@ -34,6 +34,11 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
             "-" if age is None else f"{age:.1f} s",
         )
     parts: list[Any] = [processes, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    refused = {row["process"]: row["refused"] for row in status["processes"]}
+    refused["supervisor"] = status["refused"]
+    if any(refused.values()):
+        counts = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
+        parts.append(Text(f"messages refused as broken: {counts}", style="yellow"))
     shown = [row for row in status["topics"] if row["nominal"] and (topics or not row["ok"])]
     if shown:
         table = Table(box=None, pad_edge=False)

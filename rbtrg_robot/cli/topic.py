@@ -123,7 +123,8 @@ def topic_echo(
         bus.subscribe([wanted])
         while not count or shown < count:
             for received in bus.take(0.2):
-                print(as_text(received.decode()), "---", sep="\n", flush=True)
+                message = bus.open(received)
+                print("(no message)" if message is None else as_text(message), "---", sep="\n", flush=True)
                 shown += 1
                 if count and shown >= count:
                     return

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 
 from rbtrg_robot import topics
@@ -12,8 +11,6 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.heart import Heart
-
-log = logging.getLogger(__name__)
 
 
 class Node:
@@ -25,7 +22,6 @@ class Node:
         self._simulated = simulated
         self._period = round(process.period * 1e9)
         self._tick = -1
-        self._undecodable = 0
         self._heart = Heart(bus, process.name)
         for topic in stage.outputs:
             bus.advertise(topic)
@@ -45,12 +41,8 @@ class Node:
             self._heart.beat()
             wait = 0.1 if self._simulated else self._period / 1e9
             for received in self._bus.take(min(wait, 0.1)):
-                try:
-                    message = received.decode()
-                except messages.MessageError as error:
-                    self._undecodable += 1
-                    if self._undecodable in (1, 10, 100, 1000):
-                        log.warning("message %d refused: %s", self._undecodable, error)
+                message = self._bus.open(received)
+                if message is None:
                     continue
                 if received.topic is topics.CLOCK:
                     self.advance(messages.stamp_of(message))

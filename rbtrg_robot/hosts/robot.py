@@ -160,7 +160,6 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
             _wait_for_all(bus, heart, config, stopping)
         window = Window(stage.backend) if config.viewer else None
         pace = Pace(now)
-        undecodable = 0
         while not stopping():
             heart.beat()
             ahead = (now + STEP - pace.target()) / NS if config.simulated else STEP / NS
@@ -168,12 +167,9 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
             while changes:
                 stage.alive(*changes.popleft())
             for received in inbox:
-                try:
-                    stage.on(received.topic, received.decode())
-                except messages.MessageError as error:  # a broken command is no command
-                    undecodable += 1
-                    if undecodable in (1, 10, 100, 1000):
-                        log.warning("message %d refused: %s", undecodable, error)
+                message = bus.open(received)
+                if message is not None:  # a broken command is no command
+                    stage.on(received.topic, message)
             if not config.simulated:
                 now = bus.clock()
                 publish(bus, stage.tick(now), now)
@@ -204,8 +200,8 @@ def _wait_for_all(bus: Bus, heart: Heart, config: Any, stopping: Callable[[], bo
         heart.beat("starting", f"waiting for {', '.join(sorted(missing))}")
         for received in bus.take(0.1):
             if received.topic is t.HEARTBEAT:
-                beat = received.decode()
-                if beat.state == "ready":
+                beat = bus.open(received)
+                if beat is not None and beat.state == "ready":
                     missing.discard(beat.process)
 
 

@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.processes import Process
+from rbtrg_robot.msg import Heartbeat
+from rbtrg_robot.processes import BY_NAME, Process
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import decode, stamp_of
+from rbtrg_robot.wire.messages import stamp_of
 
 RATE_SHARE = 0.8
 """A topic is well at this share of its nominal rate."""
@@ -70,22 +71,23 @@ class Health:
         self._clock = clock or SourceClock()
         self._frame = MapFrame()
         self.newest: dict[Topic, Any] = {}
-        self.beats: dict[str, tuple[float, Any]] = {}
+        self.beats: dict[str, tuple[float, Heartbeat]] = {}
         self.topics: dict[str, TopicHealth] = {}
 
-    def take(self, topic: Topic, payload: bytes) -> Any:
-        """One message of WATCHED."""
-        message = decode(payload, topic.kind)
-        if topic is t.HEARTBEAT:
+    def take(self, topic: Topic, message: Any) -> None:
+        """One message of WATCHED. Heartbeats of strangers count for nothing."""
+        if t.HEARTBEAT.carried(message, topic):
+            if message.process not in BY_NAME:
+                return
             wall = time.monotonic()
             self.beats[message.process] = (wall, message)
             for name, count, newest in zip(message.topic, message.published, message.newest, strict=True):
-                self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
-        elif topic is t.TF_STATIC:
+                if name in t.BY_NAME:
+                    self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
+        elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         else:
             self.newest[topic] = message
-        return message
 
     def forget(self, process: str) -> None:
         """It died: its last heartbeat says nothing any more."""

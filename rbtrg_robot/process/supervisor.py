@@ -92,6 +92,7 @@ class Supervisor:
         self._snapshot = b"{}"
         self._ready = False
         self._usage_due = 0.0
+        self._refused = 0
         self._goal_said = ""
         self._estop_said = self._away_said = False
         self._map_said = ""
@@ -124,10 +125,14 @@ class Supervisor:
 
     def _turn(self, lock: RunLock) -> None:
         for received in self._bus.take(0.1):
+            message = self._bus.open(received)
+            if message is None:  # nothing that comes over the bus may end the stack
+                self._refused += 1
+                continue
             if any(received.topic in c.row.restores for c in self._children.values()):
                 self._kept[received.topic] = received.payload
             if received.topic in Health.WATCHED:
-                message = self._health.take(received.topic, received.payload)
+                self._health.take(received.topic, message)
                 self._narrate(received.topic, message)
         self._mend()
         self._measure()
@@ -311,13 +316,15 @@ class Supervisor:
                     "cpu": round(child.cpu, 1),
                     "memory_mb": round(child.memory, 1),
                     "heartbeat_age": None if age is None else round(age, 2),
-                    "dropped": int(beat[1].dropped) if beat else 0,
+                    "dropped": beat[1].dropped if beat else 0,
+                    "refused": beat[1].refused if beat else 0,
                 }
             )
         return {
             "version": __version__,
             "pid": os.getpid(),
             "ready": self._ready,
+            "refused": self._refused,
             "uptime": round(time.monotonic() - self.began, 1),
             "log_dir": self._config.log_dir if self._config.record else "",
             "processes": rows,

@@ -11,6 +11,7 @@ Choices that a measured failure stands behind:
 from __future__ import annotations
 
 import json
+import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -27,6 +28,8 @@ from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
+
+log = logging.getLogger(__name__)
 
 
 class BusError(OperatorError):
@@ -118,6 +121,7 @@ class Bus:
         self._queues: dict[Topic, deque[tuple[int, Received[Any]]]] = {}
         self._arrived = 0
         self.dropped = 0
+        self.refused = 0
         self.publishers: dict[Topic, Publisher] = {}
 
     def __enter__(self) -> Self:
@@ -196,6 +200,16 @@ class Bus:
                 queue.clear()
         taken.sort(key=lambda entry: entry[0])
         return [received for _, received in taken]
+
+    def open(self, received: Received[M]) -> M | None:
+        """The message in what came. None where it is none; that is counted and now and then logged."""
+        try:
+            return received.decode()
+        except messages.MessageError as error:
+            self.refused += 1
+            if self.refused in (1, 10, 100, 1000):
+                log.warning("%s: message refused (%d so far): %s", received.topic.name, self.refused, error)
+            return None
 
     @property
     def waiting(self) -> bool:

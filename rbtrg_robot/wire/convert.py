@@ -254,7 +254,11 @@ def _layer_msg(layer: NDArray[np.float32]) -> msg.Float32MultiArray:
 def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
+    if not (0.0 < info.resolution < math.inf and all(map(math.isfinite, (info.length_x, info.length_y)))):
+        raise LayoutError(f"a map of {info.length_x} x {info.length_y} m in cells of {info.resolution} m")
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
+    if cols < 1 or rows < 1:
+        raise LayoutError(f"a map of {rows} x {cols} cells")
     layers = {}
     for name, data in zip(message.layers, message.data, strict=True):
         if data.data.size != rows * cols:

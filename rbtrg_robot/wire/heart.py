@@ -46,6 +46,7 @@ class Heart:
                 published=messages.array([p.count for p in published.values()], "uint64"),
                 newest=messages.array([p.newest for p in published.values()], "int64"),
                 dropped=self._bus.dropped,
+                refused=self._bus.refused,
                 longest_turn=self._longest,
             ),
             now,

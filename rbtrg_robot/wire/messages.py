@@ -33,6 +33,21 @@ for _type in vars(msg).values():
         STORE.types[_type.__msgtype__] = cast(Any, _type)  # what the store decodes to
 
 
+PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
+    msg.GridMap: (("layers", "data"),),
+    msg.Heartbeat: (("topic", "published", "newest"),),
+    msg.OdometryHealth: (("counter", "count"),),
+    msg.PathCommand: (("x", "y", "z", "yaw", "speed"),),
+    msg.Plan: (
+        ("x", "y", "z", "yaw", "speed"),
+        ("node_x", "node_y"),
+        ("transition_length", "transition_risk", "transition_body", "transition_unknown"),
+    ),
+    msg.RobotState: (("refused_reason", "refused_count"),),
+}
+"""Lists of a message that run side by side; unequal ones are as broken as broken bytes."""
+
+
 class MessageError(ValueError):
     """Bytes that are no message of the expected type."""
 
@@ -50,9 +65,13 @@ def decode(data: bytes, kind: Any) -> Any:
     """The message of a class or, where only a log knows it, a type's name. Arrays are views on `data`. Raises MessageError."""
     typename = kind if isinstance(kind, str) else kind.__msgtype__
     try:
-        return STORE.deserialize_cdr(data, typename)
+        message: Any = STORE.deserialize_cdr(data, typename)
     except Exception as error:  # rosbags raises whatever the broken bytes trip over
         raise MessageError(f"not a {typename}: {error}") from error
+    for names in PARALLEL.get(type(message), ()):
+        if len({len(getattr(message, name)) for name in names}) > 1:
+            raise MessageError(f"not a {typename}: {', '.join(names)} differ in length")
+    return message
 
 
 @cache

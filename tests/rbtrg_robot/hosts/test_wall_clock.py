@@ -60,7 +60,7 @@ class FakeBus:
     def __init__(self, clocks: Time, advance: Callable[[float], None]) -> None:
         self.clock = SourceClock()
         self.publishers: dict[Topic, Any] = {}
-        self.dropped = 0
+        self.dropped = self.refused = 0
         self.waiting = False
         self.sent: list[tuple[int, Topic, Any]] = []
         self.hear: Callable[[], list[tuple[Topic, Any]]] = list
@@ -70,6 +70,9 @@ class FakeBus:
         self._advance(timeout)
         self._clocks.elapsed += round(timeout * NS)
         return [Received(topic, encode(message), stamp_of(message), 0) for topic, message in self.hear()]
+
+    def open(self, received: Received) -> Any:
+        return received.decode()
 
     def publish(self, topic: Topic, message: Any, _stamp: int) -> None:
         self.sent.append((self._clocks.elapsed, topic, message))

@@ -15,12 +15,12 @@ from rbtrg_robot.process import health as module
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg
-from rbtrg_robot.wire.messages import array, encode, header
+from rbtrg_robot.wire.messages import array, decode, encode, header
 
 
 def take(health: Health, topic: t.Topic, message: Any) -> None:
     assert topic in Health.WATCHED
-    health.take(topic, encode(message))
+    health.take(topic, decode(encode(message), topic.kind))
 
 
 def beat(count: int, newest: int) -> Any:

@@ -13,7 +13,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 from rbtrg_robot.processes import PROCESSES
-from rbtrg_robot.wire.messages import array, encode, header
+from rbtrg_robot.wire.messages import array, header
 
 
 class Scripted:
@@ -69,7 +69,7 @@ def test_a_robot_process_that_starts_while_the_cable_is_out_comes_back_with_the_
         header=header(1, ""), process="robot", pid=0, state="ready", detail="", dropped=0,
         topic=[], published=array([], "uint64"), newest=array([], "int64"), longest_turn=0.0,
     )  # fmt: skip
-    supervisor._health.take(t.HEARTBEAT, encode(beat))
+    supervisor._health.take(t.HEARTBEAT, beat)
     row = mend(supervisor)
     assert (row["state"], row["restarts"]) == ("ready", 13)
     assert zygote.started == 14

@@ -3,10 +3,15 @@
 Seven interpreters that each import numpy, numba and pydantic take seven times 1.2 s of CPU; a fork takes milliseconds
 and shares the memory. The forked process becomes a child of the *supervisor* (it is a subreaper, PR_SET_CHILD_SUBREAPER in
 prctl(2)), so that waiting for it and its parent-death signal work as if the supervisor had started it itself.
+
+Why not the forkserver of `multiprocessing`: its processes remain children of the forkserver (tried with Python 3.11). When that is
+killed, each of them is reported as ended with status 255 while it goes on; when it is stopped, `Process.start` never returns and the
+end of a process is not seen. Here a zygote that is killed or stopped is replaced, and what it forked is watched all the time.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import importlib
 import json
@@ -30,6 +35,10 @@ PRELOAD = (
     "rbtrg_robot.stages.planner",
 )
 """Nothing here may start a thread: a fork copies only the one that calls it."""
+START_LIMIT = 60.0
+"""Longest wait [s] for the first answer, which comes after the imports."""
+ANSWER_LIMIT = 5.0
+"""Longest wait [s] for the others. A fork takes milliseconds; the supervisor watches nothing meanwhile."""
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -93,6 +102,7 @@ class Zygote:
 
     def _start(self) -> None:
         self._socket, theirs = socket.socketpair()
+        self._socket.settimeout(START_LIMIT)
         with theirs:
             self._popen = subprocess.Popen(
                 [sys.executable, "-m", "rbtrg_robot.process.zygote", str(theirs.fileno()), str(os.getpid())],
@@ -108,25 +118,27 @@ class Zygote:
         return self._popen.pid
 
     def fork(self, specification: dict[str, Any], log_path: Path) -> Forked:
-        """Start one process (see `rbtrg_robot.process.child`), output to `log_path`. Raises ZygoteError, OSError."""
-        log_path.touch()  # an unwritable folder fails here, with its name
+        """Start one process (see `rbtrg_robot.process.child`), output to `log_path`. Bounded in time. Raises ZygoteError."""
         request = json.dumps({"specification": specification, "log_path": str(log_path)}).encode() + b"\n"
         pid = self._ask(request)
-        if not pid:  # it was killed; the processes it forked live on
+        if not pid:  # it was killed or stopped; the processes it forked live on
             self.__exit__()
             self._start()
             pid = self._ask(request)
         if not pid:
-            raise ZygoteError("cannot start processes: the one that forks them ended, see the lines above")
+            raise ZygoteError(
+                "cannot start processes: the one that forks them ended or is stopped, see the lines above"
+            )
+        self._socket.settimeout(ANSWER_LIMIT)
         return Forked(int(pid))
 
     def _ask(self, request: bytes) -> bytes:
-        """The answer; empty when there is nobody to give it."""
+        """The answer; empty when there is nobody to give it in time."""
         try:
             self._socket.sendall(request)
             with self._socket.makefile("rb") as answers:
                 return answers.readline()
-        except OSError:  # closed at the other end
+        except OSError:  # closed at the other end, or TimeoutError
             return b""
 
     def __enter__(self) -> Zygote:
@@ -154,22 +166,33 @@ def serve(link: socket.socket, supervisor: int) -> dict[str, Any] | None:
             link.close()
             os.close(go_write)
             os.close(pid_read)
-            os.read(go_read, 1)  # until the handover is done
-            os.close(go_read)
+            _go_on(go_read)  # the supervisor is its parent
             _settle(request, supervisor)
-            os.write(pid_write, f"{os.getpid()}\n".encode())
+            with contextlib.suppress(BrokenPipeError):
+                os.write(pid_write, f"{os.getpid()}\n".encode())
             os.close(pid_write)
+            _go_on(go_read)  # the supervisor knows of it
+            os.close(go_read)
             return dict(request["specification"])
         os.close(go_read)
         os.close(pid_write)
         os.waitpid(between, 0)
-        os.close(go_write)
-        pid = os.read(pid_read, 32)
+        with contextlib.suppress(BrokenPipeError):  # it was killed already; who waits for it will see that
+            os.write(go_write, b".")
+            pid = os.read(pid_read, 32)
+            if not pid:
+                return None
+            link.sendall(pid)
+            os.write(go_write, b".")
         os.close(pid_read)
-        if not pid:  # it failed and said why
-            return None
-        link.sendall(pid)
+        os.close(go_write)
     return None
+
+
+def _go_on(signal_read: int) -> None:
+    """Wait for the zygote's word; a process whose zygote ended before it was announced ends too, or it would run twice."""
+    if not os.read(signal_read, 1):
+        os._exit(0)
 
 
 def _settle(request: dict[str, Any], supervisor: int) -> None:
@@ -177,10 +200,15 @@ def _settle(request: dict[str, Any], supervisor: int) -> None:
     name = request["specification"]["process"]
     os.setpgid(0, 0)
     prctl(PR_SET_NAME, f"rbtrg-{name}".encode())
-    output = os.open(request["log_path"], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(output, 1)
-    os.dup2(output, 2)
-    os.close(output)
+    log_path = Path(request["log_path"])
+    try:
+        log_path.parent.mkdir(parents=True, exist_ok=True)  # somebody removed it while the stack ran
+        output = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.dup2(output, 1)
+        os.dup2(output, 2)
+        os.close(output)
+    except OSError as error:  # to run is more than to be logged
+        print(f"{name}: cannot write {log_path}: {error.strerror}; its output comes here", file=sys.stderr)
     # These two end in order (stop the robot, index the log); the others have nothing to lose.
     prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name in ("robot", "recorder") else signal.SIGKILL)
     if os.getppid() != supervisor:  # it ended before the line above

@@ -91,6 +91,37 @@ def test_a_killed_zygote_is_replaced_and_its_processes_live_on(tmp_path: Path) -
         assert first.wait(10.0) == -signal.SIGKILL
 
 
+def test_a_stopped_zygote_is_replaced_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbtrg_robot.process.zygote.ANSWER_LIMIT", 0.5)
+    with Zygote() as zygote:
+        first = stopped(zygote, tmp_path / "first.log")
+        stuck = zygote.pid
+        os.kill(stuck, signal.SIGSTOP)
+        second = zygote.fork(tracker(bogus=1), tmp_path / "second.log")
+        assert second.wait(60.0) == FATAL
+        assert zygote.pid != stuck
+        assert not psutil.pid_exists(stuck)
+        assert first.poll() is None
+        first.kill()
+        assert first.wait(10.0) == -signal.SIGKILL
+
+
+def test_a_process_starts_though_its_folder_is_gone_or_cannot_be_written(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    with Zygote() as zygote:
+        gone = zygote.fork(tracker(bogus=1), tmp_path / "gone" / "tracker.log")
+        assert gone.wait(60.0) == FATAL
+        nowhere = zygote.fork(tracker(bogus=1), tmp_path / "file" / "tracker.log")
+        assert nowhere.wait(60.0) == FATAL
+    assert (tmp_path / "gone" / "tracker.log").read_text().startswith("error: ")
+    said = capfd.readouterr().err
+    assert f"tracker: cannot write {tmp_path / 'file' / 'tracker.log'}" in said
+    assert "error: there is no configuration key 'bogus'" in said
+    assert "Traceback" not in said
+
+
 def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:
     script = """
 import json, os, signal, sys

@@ -9,9 +9,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from rbtrg_robot.config import StackConfig
+    from rbtrg_robot.process.zygote import Zygote
 
 ROBOT = "go2w"
 """Name of a robot that was given none."""
@@ -121,7 +125,7 @@ def refuse_second(robot: str) -> None:
     raise AlreadyRunning(robot, pid)
 
 
-def _check(config: Any) -> None:
+def _check(config: StackConfig) -> None:
     """Fail now, in one line, on what would fail in a child."""
     if config.simulated:
         config.load_scene()
@@ -155,7 +159,7 @@ def _run_folder(base: Path, label: str) -> Path:
     return folder
 
 
-def _supervise(config: Any, zygote: Any) -> int:
+def _supervise(config: StackConfig, zygote: Zygote) -> int:
     from rbtrg_robot.cli.table import Screen
     from rbtrg_robot.process.supervisor import Supervisor
 

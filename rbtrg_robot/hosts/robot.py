@@ -13,6 +13,7 @@ from hal.safety.gate import SafetyGate
 from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.stages.stage import Outputs
@@ -31,7 +32,7 @@ START_LIMIT = 150.0
 
 
 def build(
-    config: Any, restored: dict[Topic, bytes] | None = None, clock: SourceClock | None = None
+    config: StackConfig, restored: dict[Topic, bytes] | None = None, clock: SourceClock | None = None
 ) -> RobotStage:
     """From the stack's configuration. Raises BackendError, SceneError.
 
@@ -45,7 +46,7 @@ def build(
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
 
 
-def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
+def _simulator(config: StackConfig, restored: dict[Topic, bytes]) -> Backend:
     from hal.mujoco.backend import MujocoBackend
 
     start, start_time = config.origin, 0
@@ -70,7 +71,7 @@ def _simulator(config: Any, restored: dict[Topic, bytes]) -> Backend:
     return backend
 
 
-def _hardware(config: Any, clock: SourceClock | None) -> Backend:
+def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
     from hal.unitree.factory import make_backend
 
     backend: Backend = make_backend(
@@ -135,7 +136,7 @@ class Window:
         self._handle.close()
 
 
-def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Topic, bytes]) -> None:
+def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: dict[Topic, bytes]) -> None:
     """The process: paced in real time."""
     heart = Heart(bus, BY_NAME["robot"].name)
     heart.beat("starting")
@@ -189,7 +190,7 @@ def main(config: Any, bus: Bus, stopping: Callable[[], bool], restored: dict[Top
         stage.close()
 
 
-def _wait_for_all(bus: Bus, heart: Heart, config: Any, stopping: Callable[[], bool]) -> None:
+def _wait_for_all(bus: Bus, heart: Heart, config: StackConfig, stopping: Callable[[], bool]) -> None:
     """Simulated time starts when every process listens: nobody misses the first messages, so a re-run sees the same."""
     missing = {p.name for p in PROCESSES if p.name not in ("robot", *config.without)}
     if not config.record:

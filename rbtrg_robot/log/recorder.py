@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.log.file import CONFIG, LogWriter, is_intact
 from rbtrg_robot.params import RecorderParams
 from rbtrg_robot.wire.bus import Bus
@@ -73,7 +73,7 @@ class Recorder:
 
 
 def main(
-    config: Any, bus: Bus, stopping: Callable[[], bool], _restored: dict[t.Topic, bytes] | None = None
+    config: StackConfig, bus: Bus, stopping: Callable[[], bool], _restored: dict[t.Topic, bytes] | None = None
 ) -> None:
     """The process: everything on the bus until told to stop."""
     attachments = {CONFIG: config.to_yaml().encode()}

@@ -17,6 +17,7 @@ from mapping.elevation.map import ElevationMap, ElevationParams
 from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.params import ElevationStageParams
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -217,7 +218,7 @@ def _rehearsal() -> Iterator[tuple[Topic, msg.Message]]:
     yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))
 
 
-def build(config: Any) -> ElevationStage:
+def build(config: StackConfig) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
     params: ElevationParams = config.elevation_params()
     elevation = ElevationMap(params)

@@ -14,6 +14,7 @@ from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -182,7 +183,7 @@ class OdometryStage:
         return outputs
 
 
-def build(config: Any) -> OdometryStage:
+def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     mount = config.lidar_mount()
     odometry = LidarInertialOdometry(config.odometry, mount)

@@ -18,6 +18,7 @@ from planning.search.frontier import FrontierMemory
 from planning.search.plan import Plan, PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.params import PlannerParams
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.stage import Outputs
@@ -303,7 +304,7 @@ def _path_msg(path: Path, now: int) -> msg.Path:
     return msg.Path(header=stamp, poses=poses)
 
 
-def build(config: Any) -> PlannerStage:
+def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
     graph = config.graph_params()
     limits = PathLimits(

@@ -10,6 +10,7 @@ from hal.types import NS
 from planning.tracking.tracker import PathError, PathTracker, TrackerParams, TrackOutput
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.params import FreshnessParams
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -142,6 +143,6 @@ class TrackerStage:
         )
 
 
-def build(config: Any) -> TrackerStage:
+def build(config: StackConfig) -> TrackerStage:
     """From the stack's configuration."""
     return TrackerStage(config.tracker, config.freshness)

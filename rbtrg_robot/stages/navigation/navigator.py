@@ -10,6 +10,7 @@ from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.params import NavigatorParams
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState
 from rbtrg_robot.stages.navigation.path_order import PathOrder
@@ -347,7 +348,7 @@ class NavigatorStage:
         self._out.append((t.GOAL_STATUS, status))
 
 
-def build(config: Any) -> NavigatorStage:
+def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
     room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
     area = config.allowed_area()

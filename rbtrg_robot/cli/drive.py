@@ -181,13 +181,19 @@ def cancel(robot: Robot = "go2w") -> None:
 
 
 def stop(robot: Robot = "go2w") -> None:
-    """Emergency stop: zero velocity at once, latched until `resume`."""
-    _latch(robot, "stop", True)
+    """Emergency stop: zero velocity at once, latched until `resume`. Sent until the robot confirms it."""
+    from rbtrg_robot.cli.stop import stop as send
+
+    raise typer.Exit(send(robot))
 
 
 def resume(robot: Robot = "go2w") -> None:
     """Release the emergency stop."""
-    _latch(robot, "resume", False)
+    for state in _order(robot, "resume", ANSWER_LIMIT):
+        if not state.estop:
+            print("resumed")
+            return
+    _fail("the robot does not confirm `resume`; see `rbtrg-robot status`")
 
 
 def posture(
@@ -217,14 +223,6 @@ def posture(
         if state.phase == "fault" and waited > 4 * SETTLE:
             raise typer.Exit(1)
     _fail(f"no `{what}` within {timeout:.0f} s ({shown or 'the robot does not answer'})")
-
-
-def _latch(robot: str, mode: str, latched: bool) -> None:
-    for state in _order(robot, mode, ANSWER_LIMIT):
-        if bool(state.estop) == latched:
-            print(f"stopped: {state.estop_cause}" if latched else "resumed")
-            return
-    _fail(f"the robot does not confirm `{mode}`; use the hardware stop")
 
 
 def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:

@@ -1,0 +1,159 @@
+"""`stop`: the emergency stop on the bus as fast as a process can start.
+
+It imports the standard library and zenoh only: the command's key and bytes are made by hand here, and a test compares
+them with those of `wire`. It needs no run folder: where there is none, or nobody answers there, it tries the default port. It sends
+until the robot says that it is stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import threading
+import time
+
+import zenoh
+from zenoh.handlers import Callback
+
+DEFAULT = ("tcp/127.0.0.1:7447", 0)
+"""Endpoint and domain of a stack that was given no others."""
+COMMAND_KEY = "robot/command/rbtrg_msgs::msg::dds_::RobotCommand_/"
+COMMAND_HASH = "RIHS01_647fb91d189ed989295d440fb779c1694a696f32afd641b0fd0133d6cd16ca31"
+STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
+REPEAT = 0.1
+"""Seconds between two sendings."""
+WORRY = 1.0
+"""Seconds without an answer after which the operator is told."""
+PATIENCE = 30.0
+"""Seconds until it gives up."""
+USE_HARDWARE = "use the hardware stop"
+
+
+def command(words: list[str]) -> int:
+    """`rbtrg-robot stop [--robot NAME]`; returns the exit status. A word it does not know keeps nothing from being stopped."""
+    robot = "go2w"
+    for number, word in enumerate(words):
+        if word == "--robot" and number + 1 < len(words):
+            robot = words[number + 1]
+        elif word.startswith("--robot="):
+            robot = word.partition("=")[2]
+        elif words[max(number - 1, 0)] != "--robot":
+            print(f"rbtrg-robot: stop does not know {word!r}; stopping anyway", file=sys.stderr)
+    try:
+        return stop(robot)
+    except KeyboardInterrupt:
+        return 130
+
+
+def stop(robot: str, patience: float = PATIENCE) -> int:
+    """Send the stop until the robot confirms it; 0 then, 1 after `patience` [s]. Prints what happened."""
+    deadline = time.monotonic() + patience
+    told = False
+    while time.monotonic() < deadline:
+        for endpoint, domain in places(robot):
+            session = _open(endpoint)
+            if session is not None:
+                with session:
+                    return _send(session, domain, deadline)
+        if not told:
+            told = True
+            where = ", ".join(endpoint for endpoint, _ in places(robot))
+            print(f"rbtrg-robot: nothing answers on {where}; still trying, {USE_HARDWARE}", file=sys.stderr)
+        time.sleep(REPEAT)
+    return 1
+
+
+def places(robot: str) -> list[tuple[str, int]]:
+    """Endpoints and domains to try in turn: what the stack of this name wrote down, then the default."""
+    try:
+        from rbtrg_robot.process.runfiles import run_dir
+
+        state = json.loads((run_dir() / f"{robot}.json").read_text())
+        return list(dict.fromkeys([(str(state["endpoint"]), int(state["domain"])), DEFAULT]))
+    except Exception:  # noqa: BLE001  whatever is wrong with that folder: the default port is tried
+        return [DEFAULT]
+
+
+def _open(endpoint: str) -> zenoh.Session | None:
+    settings = {
+        "mode": "client",
+        "connect": {"endpoints": [endpoint], "timeout_ms": 0},
+        "listen": {"endpoints": []},
+        "scouting": {"multicast": {"enabled": False}},
+    }
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
+    except zenoh.ZError:
+        return None
+
+
+def _send(session: zenoh.Session, domain: int, deadline: float) -> int:
+    confirmed = threading.Event()
+    causes: list[str] = []
+
+    def heard(sample: zenoh.Sample) -> None:
+        cause = latch_in(sample.payload.to_bytes())
+        if cause is not None:
+            causes.append(cause)
+            confirmed.set()
+
+    publisher = session.declare_publisher(
+        f"{domain}/{COMMAND_KEY}{COMMAND_HASH}",
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME,
+        express=True,
+    )
+    sender = os.urandom(16)
+    sent, worried = 0, time.monotonic() + WORRY
+    while time.monotonic() < deadline:
+        sent += 1
+        now = time.time_ns()
+        publisher.put(order(now), attachment=struct.pack("<qqB16s", sent, now, 16, sender))
+        if sent == 1:
+            session.declare_subscriber(f"{domain}/{STATE_KEY}", Callback(heard, indirect=False))
+        if confirmed.wait(REPEAT):
+            print(f"stopped: {causes[0]}")
+            return 0
+        if worried and time.monotonic() > worried:
+            worried = 0.0
+            print(
+                f"rbtrg-robot: the robot has not confirmed yet; still sending, {USE_HARDWARE}",
+                file=sys.stderr,
+            )
+    print(f"rbtrg-robot: the robot does not confirm `stop`; {USE_HARDWARE}", file=sys.stderr)
+    return 1
+
+
+def order(stamp: int) -> bytes:
+    """CDR of the rbtrg_msgs/RobotCommand that stops; `stamp` in ns."""
+    body = struct.pack("<iI", *divmod(stamp, 1_000_000_000))
+    for text in (b"", b"stop", b"operator"):  # frame, mode, cause
+        body += bytes(-len(body) % 4) + struct.pack("<I", len(text) + 1) + text + b"\0"
+    return b"\0\1\0\0" + body
+
+
+def latch_in(payload: bytes) -> str | None:
+    """The cause of the emergency stop in a rbtrg_msgs/RobotState; None where it is not latched or the bytes are broken."""
+    body = payload[4:]
+    place = 8  # behind the stamp
+
+    def text() -> str:
+        nonlocal place
+        place += -place % 4
+        (length,) = struct.unpack_from("<I", body, place)
+        if place + 4 + length > len(body):
+            raise ValueError("a text ends behind the message")
+        place += 4 + length
+        return body[place - length : place - 1].decode()
+
+    try:
+        for _ in ("frame", "phase", "cause"):
+            text()
+        latched = body[place]
+        place += 1
+        cause = text()
+    except (struct.error, ValueError, IndexError):
+        return None
+    return cause if latched else None

@@ -1,0 +1,66 @@
+"""`rbtrg-robot stop` from the start of its process to the first stop on the bus, beside an empty Python process."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.msg import RobotState
+from rbtrg_robot.process.runfiles import RunLock
+from rbtrg_robot.wire.bus import Bus
+from tools.bench.report import Report
+
+LIMIT = 0.25
+"""[s]"""
+
+
+def run(args: list[str]) -> Report:
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench stop", description=__doc__)
+    parser.add_argument("--rounds", type=int, default=20)
+    rounds = parser.parse_args(args).rounds
+    report = Report("stop")
+    took: list[float] = []
+    empty: list[float] = []
+    with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        probe.close()
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        (Path(folder) / "rbtrg").mkdir()
+        with Bus(endpoint, "robot", router=True) as bus:
+            bus.subscribe([t.ROBOT_COMMAND])
+            lock = RunLock("go2w")
+            lock.write_state(endpoint=endpoint, domain=0)
+            for _ in range(rounds):
+                began = time.perf_counter()
+                subprocess.run([sys.executable, "-c", "pass"], check=True)
+                empty.append(time.perf_counter() - began)
+                took.append(_once(bus))
+            lock.release()
+    baseline = statistics.median(empty)
+    report.add("stop.first_on_bus.median", statistics.median(took), "s", LIMIT, baseline)
+    report.add("stop.first_on_bus.worst", max(took), "s", LIMIT, max(empty))
+    return report
+
+
+def _once(bus: Bus) -> float:
+    began = time.perf_counter()
+    child = subprocess.Popen([sys.executable, "-m", "rbtrg_robot.cli", "stop"], stdout=subprocess.DEVNULL)
+    while not bus.take(0.5):
+        if child.poll() is not None:
+            raise RuntimeError("stop ended without having sent anything")
+    took = time.perf_counter() - began
+    while child.poll() is None:
+        bus.publish(t.ROBOT_STATE, RobotState(estop=True), 0)
+        bus.take(0.02)
+    bus.take(0.0)
+    return took

@@ -87,6 +87,9 @@ class Simulation:
         self._vadr = np.array([j.dofadr[0] for j in joint])
         self._base = self.model.body("base_link").id
         self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in go2w.LEGS])
+        parts = [b for b in range(self.model.nbody) if self.model.body_rootid[b] == self._base]
+        self._parts_named = {b: self.model.body(b).name for b in parts}
+        self._parts = np.array(parts)
         # Views into MuJoCo's own memory: fetching them through the bindings costs more than using them.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._ctrl, self._bias = self.data.ctrl, self.model.actuator_biasprm
@@ -160,6 +163,17 @@ class Simulation:
         if len(pairs) == 0:
             return False
         return bool((~np.isin(pairs, self._wheel_geoms).any(axis=1)).any())
+
+    def contacts(self) -> tuple[list[str], Array, Array]:
+        """What touches: name of each robot body (`base_link`, `FL_calf`, `FL_wheel`...), places (n, 3) [m] and normals (n, 3), world.
+
+        Normals point from what is touched to the robot.
+        """
+        contact = self.data.contact
+        bodies = self.model.geom_bodyid[contact.geom]
+        first = np.isin(bodies[:, 0], self._parts)
+        names = [self._parts_named[b] for b in np.where(first, bodies[:, 0], bodies[:, 1]).tolist()]
+        return names, contact.pos.copy(), np.where(first, -1.0, 1.0)[:, None] * contact.frame[:, :3]
 
     def ground(self, x: float, y: float) -> float:
         """Terrain height [m] at x, y [m], bilinear; the edge value outside."""

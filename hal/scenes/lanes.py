@@ -73,6 +73,8 @@ class Lane:
     """(n, 2) corners [m] of a way from start to goal `end` on which a body turns at corners only."""
     walls: NDArray[np.float64]
     """(n, 5) x, y of both ends, thickness [m]."""
+    floor: NDArray[np.float32]
+    """(rows, cols) heights without the walls [m]."""
     elements: tuple[str, ...]
     """Kinds, as they lie on the way."""
     beyond: Rect | None
@@ -167,7 +169,7 @@ def lane(seed: int, *, level: int = 2, controller: Controller = "vmc", map: str 
         dead_end = more if layout == "fork" else []
         course = _folded([flat(ZONE), *first], [*second, flat(ZONE)], dead_end, width, side)
     beyond = next((r.rect(r.elements.index(hard), width) for r in course.rows if hard in r.elements), None)
-    canvas, walls = _paint(course, width, grain, seed)
+    canvas, walls, floor = _paint(course, width, grain, seed)
     x0, y0 = canvas.origin
     x1, y1 = float(canvas.x[0, -1]), float(canvas.y[-1, 0])
     scene = Scene(
@@ -189,6 +191,7 @@ def lane(seed: int, *, level: int = 2, controller: Controller = "vmc", map: str 
         width,
         np.array(course.line),
         walls,
+        floor,
         tuple(e.kind for e in must),
         beyond,
     )
@@ -282,8 +285,10 @@ def _box(row: _Row, width: float) -> list[Wall]:
     return [(corners[k], corners[(k + 1) % 4], THICK) for k in range(4)]
 
 
-def _paint(course: _Course, width: float, grain: float, seed: int) -> tuple[Canvas, NDArray[np.float64]]:
-    """Floor, elements, walls, fence; also the walls as (n, 5)."""
+def _paint(
+    course: _Course, width: float, grain: float, seed: int
+) -> tuple[Canvas, NDArray[np.float64], NDArray[np.float32]]:
+    """Floor, elements, walls, fence; also the walls as (n, 5), and the heights without them."""
     walls = [*course.walls, *(w for row in course.rows for w in row.thin_walls())]
     ends = np.array([[p, q] for p, q, _ in walls])
     low = np.floor((ends.min(axis=(0, 1)) - MARGIN) / RESOLUTION) * RESOLUTION
@@ -296,11 +301,12 @@ def _paint(course: _Course, width: float, grain: float, seed: int) -> tuple[Canv
             inside = canvas.inside(row.rect(k, width))
             along, across = row.way * (canvas.x - row.x) - s, row.way * (canvas.y - row.y)
             canvas.height[inside] += e.height(along[inside], across[inside])
+    floor = canvas.array()
     top = WALL_HEIGHT + highest_near(canvas.height, round(0.3 / RESOLUTION))
     for start, end, thick in walls:
         canvas.wall(start, end, thick, top)
     canvas.border(THICK, FENCE)
-    return canvas, np.array([[*p, *q, thick] for p, q, thick in walls])
+    return canvas, np.array([[*p, *q, thick] for p, q, thick in walls]), floor
 
 
 def named(text: str) -> Lane:

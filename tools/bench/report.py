@@ -19,6 +19,10 @@ class Row:
     limit: float | None = None
     baseline: float | None = None
     at_least: bool = False
+    trials: int | None = None
+    """Of a rate: how many trials."""
+    bound: float | None = None
+    """Of a rate: what it keeps at 80 % confidence, on the side of its limit."""
 
     @property
     def ok(self) -> bool:
@@ -47,6 +51,14 @@ class Report:
         """Append one row."""
         self.rows.append(Row(key, float(value), unit, limit, baseline, at_least))
 
+    def rate(
+        self, key: str, hits: int, trials: int, limit: float | None = None, at_least: bool = True
+    ) -> None:
+        """Append a rate with its number of trials and its bound at 80 % confidence; NaN without trials."""
+        value = hits / trials if trials else math.nan
+        bound = least_rate(hits, trials) if at_least else 1.0 - least_rate(trials - hits, trials)
+        self.rows.append(Row(key, value, "rate", limit, None, at_least, trials, bound))
+
     @property
     def ok(self) -> bool:
         """True when every row keeps its limit."""
@@ -62,6 +74,7 @@ class Report:
                 "limit": r.limit,
                 "at_least": r.at_least,
                 "baseline": r.baseline,
+                **({} if r.trials is None else {"trials": r.trials, "bound_80": r.bound}),
             }
             for r in self.rows
         ]
@@ -74,9 +87,23 @@ class Report:
             sign = ">=" if r.at_least else "<="
             limit = "" if r.limit is None else f"  ({sign} {r.limit:g})"
             base = "" if r.baseline is None else f"  baseline {r.baseline:.4g}"
+            if r.trials is not None:
+                base = f"  of {r.trials}, {sign} {r.bound:.3f} at 80 %"
             flag = "" if r.ok else "  MISSED"
             lines.append(f"  {r.key:40s} {r.value:12.5g} {r.unit}{limit}{base}{flag}")
         return "\n".join(lines)
+
+
+def least_rate(hits: int, trials: int, confidence: float = 0.8) -> float:
+    """One-sided Clopper-Pearson lower bound of a rate: below it, `hits` or more of `trials` have a chance of 1 - `confidence` at most."""
+    if hits == 0:
+        return 0.0
+    low, high = 0.0, 1.0
+    for _ in range(60):
+        p = 0.5 * (low + high)
+        chance = sum(math.comb(trials, k) * p**k * (1.0 - p) ** (trials - k) for k in range(hits, trials + 1))
+        low, high = (p, high) if chance < 1.0 - confidence else (low, p)
+    return low
 
 
 def machine() -> str:

@@ -1,0 +1,89 @@
+"""The lanes' bench: its table, its bounds, and one drive whose record is true."""
+
+from math import comb, isnan
+
+import pytest
+
+from hal.mujoco.sim import Simulation
+from hal.scenes.lanes import lane
+from tools.bench.lanes.bench import numbers
+from tools.bench.lanes.table import table
+from tools.bench.lanes.trial import Trial, Watch
+from tools.bench.report import least_rate
+
+
+def record(**fields):
+    base = {
+        "controller": "vmc", "map": "prior", "level": 1, "seed": 0, "outcome": "reached", "tried": False, "driven": 5.0,
+        "shortest": 4.0, "time": 10.0, "wall_body": 0, "wall_wheels": 0, "simulated": 20.0, "cpu": 10.0,
+    }  # fmt: skip
+    return base | fields
+
+
+def test_the_bound_of_a_rate_is_the_one_of_clopper_and_pearson() -> None:
+    assert least_rate(10, 10) == pytest.approx(0.2**0.1, abs=1e-9)
+    assert least_rate(0, 10) == 0.0
+    for hits, trials in ((28, 30), (137, 200), (1, 5)):
+        p = least_rate(hits, trials)
+        tail = sum(comb(trials, k) * p**k * (1 - p) ** (trials - k) for k in range(hits, trials + 1))
+        assert tail == pytest.approx(0.2, abs=1e-9)
+
+
+def test_the_table_counts_by_controller_map_and_level() -> None:
+    records = [record(seed=k, level=1 + k % 3) for k in range(9)]
+    records += [record(seed=9, level=2, outcome="fell", wall_body=2), record(level=4, outcome="aborted")]
+    records += [record(seed=k, level=5, outcome="refused", driven=0.0) for k in range(3)]
+    records += [record(seed=3, level=5, outcome="fell", tried=True)]
+    records += [record(map="seen", seed=0, level=1, time=25.0)]
+    rows = {r.key: r for r in table(records).rows}
+    assert (rows["lanes.vmc.prior.2.reached"].value, rows["lanes.vmc.prior.2.reached"].trials) == (0.75, 4)
+    assert rows["lanes.vmc.prior.1-3.reached"].value == 0.9
+    assert rows["lanes.vmc.prior.1-3.reached"].limit == 0.97
+    assert not rows["lanes.vmc.prior.1-3.reached"].ok
+    assert rows["lanes.vmc.prior.4.reached"].value == 0.0
+    assert rows["lanes.vmc.prior.5.refused"].value == 0.75
+    assert rows["lanes.vmc.prior.5.tried"].value == 0.25
+    assert rows["lanes.vmc.prior.all.falls"].value == pytest.approx(2 / 15)
+    assert rows["lanes.vmc.prior.all.falls"].bound == pytest.approx(1 - least_rate(13, 15))
+    assert rows["lanes.vmc.prior.all.wall_body"].value == 2
+    assert rows["lanes.vmc.prior.all.length"].value == 1.25
+    assert rows["lanes.vmc.seen.all.time"].value == 2.5
+    assert "of 4" in table(records).to_text()
+    assert '"trials": 4' in table(records).to_json()
+
+
+def test_no_trials_make_no_rate() -> None:
+    report = table([])
+    report.rate("x", 0, 0, 0.5)
+    assert isnan(report.rows[0].value)
+    assert not report.ok
+
+
+def test_seeds_are_given_as_ranges_and_lists() -> None:
+    assert numbers("0-2,7") == [0, 1, 2, 7]
+    assert Trial(3, 4, "vmc", "prior").key == "vmc.prior.4.3"
+
+
+def test_a_robot_pushed_onto_a_wall_has_touched_it_and_one_on_a_bar_has_not() -> None:
+    one = lane(0, level=1)
+    sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin)
+    sim.reset(one.scene.start[0], 0.0, settle=0.2)
+    watch = Watch(one, sim)
+    watch.look(0.0, None, None)
+    assert watch.record()["wall_body"] == watch.record()["wall_wheels"] == 0
+    sim.push((0.0, 400.0, 0.0), 1.0)
+    for k in range(200):
+        sim.step()
+        watch.look(0.005 * k, None, None)
+    assert watch.record()["wall_wheels"] + watch.record()["wall_body"] >= 1
+    assert watch.record()["driven"] > 0.1
+
+
+def test_contacts_are_named_and_point_to_the_robot() -> None:
+    one = lane(0, level=1)
+    sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin)
+    sim.reset(one.scene.start[0], 0.0)
+    names, places, normals = sim.contacts()
+    assert set(names) == {f"{leg}_wheel" for leg in ("FR", "FL", "RR", "RL")}
+    assert (normals[:, 2] > 0.9).all()
+    assert abs(places[:, 2]).max() < 0.02

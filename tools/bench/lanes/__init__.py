@@ -1,0 +1,3 @@
+from tools.bench.lanes.bench import run
+
+__all__ = ["run"]

@@ -1,0 +1,108 @@
+"""Rescue lanes from seeds, driven by the whole stack in lockstep: goals reached, falls, refusals, detours, touched walls.
+
+One line per trial goes to `--out` (JSON); trials that stand in it are not driven again. Seeds from 200 on are set aside for results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from tools.bench.lanes.picture import draw
+from tools.bench.lanes.table import table
+from tools.bench.lanes.trial import Trial, drive
+from tools.bench.report import Report
+
+
+def run(args: list[str]) -> Report:
+    """See the module."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench lanes", description=__doc__)
+    parser.add_argument("--seeds", default="0-39", help="such as 0-39 or 3,7,12")
+    parser.add_argument("--levels", default="1-5")
+    parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
+    parser.add_argument("--policy", default="", help="folder of the learnt policy")
+    parser.add_argument("--map", default="prior", help="prior, seen or both: prior,seen")
+    parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
+    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
+    parser.add_argument(
+        "--pictures", type=Path, help="folder for a picture of every trial not as it should be"
+    )
+    parser.add_argument("--logs", type=Path, help="folder for the log of every trial")
+    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
+    parser.add_argument(
+        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
+    )
+    options = parser.parse_args(args)
+    if "policy" in options.controller and not options.policy:
+        parser.error("the learnt policy needs --policy FOLDER")
+    for folder in (options.logs, options.pictures):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+    trials = [
+        Trial(seed, level, controller, how, options.policy, tuple(options.set), str(options.logs or ""))
+        for seed in numbers(options.seeds)
+        for how in options.map.split(",")
+        for controller in options.controller.split(",")
+        for level in numbers(options.levels)
+    ]
+    wanted = {trial.key for trial in trials}
+    done = {r["key"]: r for r in _read(options.out) if r["key"] in wanted}
+    left = [trial for trial in trials if trial.key not in done]
+    for record in _drive_all(left, options.workers, options.scheduler):
+        done[record["key"]] = record
+        told = f"{record['outcome']} {record['reason']} {record['detail']}"
+        print(
+            f"{len(done)}/{len(trials)} {record['key']} {told} {record['time']:.1f} s",
+            file=sys.stderr,
+            flush=True,
+        )
+        if options.out:
+            with options.out.open("a") as file:
+                file.write(json.dumps(record) + "\n")
+        if options.pictures and record["outcome"] != ("refused" if record["level"] == 5 else "reached"):
+            draw(record, options.pictures / f"{record['key']}.png")
+    return table(done.values())
+
+
+def numbers(text: str) -> list[int]:
+    """`0-3,7` -> 0, 1, 2, 3, 7."""
+    out: list[int] = []
+    for part in text.split(","):
+        first, _, last = part.partition("-")
+        out += range(int(first), int(last or first) + 1)
+    return out
+
+
+def _read(file: Path | None) -> list[dict[str, Any]]:
+    if file is None or not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text().splitlines() if line]
+
+
+def _drive_all(trials: Sequence[Trial], workers: int, scheduler: str) -> Iterator[dict[str, Any]]:
+    """Records as they come."""
+    if not trials:
+        return
+    if workers == 0 and not scheduler:
+        yield from map(drive, trials)
+        return
+    from distributed import Client, LocalCluster, as_completed
+
+    # A trial that breaks its worker is told, not driven again elsewhere.
+    cluster = (
+        None
+        if scheduler
+        else LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None)
+    )
+    with Client(scheduler or cluster) as client:
+        try:
+            futures = client.map(drive, trials, retries=0, pure=False)
+            for _, record in as_completed(futures, with_results=True):
+                yield record
+        finally:
+            if cluster is not None:
+                cluster.close()

@@ -1,0 +1,39 @@
+"""A trial seen from above: the lane, where the robot drove, and where it said what."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hal.scenes.lanes import named
+from hal.scenes.picture import GREEN, RED, WHITE, TopView
+
+TRACK = (90, 200, 255)
+LEAST = 1.0
+"""[s] between two labels."""
+
+
+def draw(record: Mapping[str, Any], out: Path) -> None:
+    """Write FILE.png for the record of a trial."""
+    scene = named(f"lanes:{record['seed']},level={record['level']},controller={record['controller']}").scene
+    view = TopView(scene.height, scene.trusted, scene.origin, scene.resolution, 1400)
+    track = record["track"]
+    view.line([(p[1], p[2]) for p in track], TRACK, 2)
+    for p in track[::10]:
+        view.disc(p[1], p[2], TRACK, 2)
+    for name, (x, y, _) in scene.goals.items():
+        view.disc(x, y, RED, 5)
+        view.label(x, y, name)
+    last = -LEAST
+    for state in record["states"]:
+        if state["t"] - last >= LEAST and (
+            state["detail"] or state["reason"] or state["state"] == "recovering"
+        ):
+            view.disc(state["x"], state["y"], WHITE, 4)
+            view.label(state["x"], state["y"], f"{state['t']:.0f} s {state['reason'] or state['state']}")
+            last = state["t"]
+    if track:
+        _, x, y, _, yaw, _ = track[-1]
+        view.arrow(x, y, yaw, 0.35, GREEN)
+    view.save(out)

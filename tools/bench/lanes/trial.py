@@ -1,0 +1,199 @@
+"""One drive of the whole stack through one lane, in lockstep, judged by the truth."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.mujoco.sim import Simulation
+from hal.scenes.lanes import Lane, named
+from hal.scenes.shortest import shortest
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
+from rbtrg_robot.stages.navigation.goal import GoalState
+
+HALF_WIDTH = 0.215
+"""Of the body [m]."""
+ARRIVED = 0.30
+"""Farthest true distance [m] from the goal that counts as reached."""
+FALLEN = math.radians(60.0)
+ENTERED = 0.15
+"""The middle of the body this close [m] to an element means that the robot tries it."""
+NEAR_WALL = 0.04
+"""[m] of a contact from a wall's surface."""
+PAUSE = 0.3
+"""Contacts farther apart in time [s] are two touches."""
+SAMPLE = 2
+"""Steps of 5 ms between looks at contacts and tilt."""
+REFUSALS = ("no_route", "goal_in_obstacle", "start_not_on_graph", "outside_area")
+"""Reasons that say a lane cannot be driven."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What is driven."""
+
+    seed: int
+    level: int
+    controller: str
+    map: str
+    """`prior`: the terrain is the prior map; `seen`: the map is what the robot sees on its way."""
+    policy: str = ""
+    sets: tuple[str, ...] = ()
+    log: str = ""
+    """Folder for the MCAP log of the drive; empty: none."""
+
+    @property
+    def key(self) -> str:
+        """Name of the trial in records."""
+        return f"{self.controller}.{self.map}.{self.level}.{self.seed}"
+
+
+def drive(trial: Trial) -> dict[str, Any]:
+    """The record of a trial: what was driven, `outcome` and `reason`, times, lengths, contacts, states on the way, and the track."""
+    name = f"lanes:{trial.seed},level={trial.level},controller={trial.controller}"
+    lane = named(name)
+    x, y, _ = lane.scene.goals["end"]
+    least = shortest(lane.walls, lane.scene.start[:2], (x, y), HALF_WIDTH)
+    with tempfile.TemporaryDirectory() as folder:
+        prior = ""
+        if trial.map == "prior":
+            prior = str(Path(folder) / "prior.npz")
+            np.savez(
+                prior, height=lane.scene.height, resolution=lane.scene.resolution, origin=lane.scene.origin
+            )
+        config = load(
+            None,
+            trial.sets,
+            scene=name,
+            seed=trial.seed,
+            controller=trial.controller,
+            policy_dir=trial.policy or None,
+            map_file=prior,
+        )
+        log = Lockstep.open_log(config, Path(trial.log) / f"{trial.key}.mcap") if trial.log else None
+        began = time.process_time()
+        with Lockstep(config, log) as stack:
+            watch = Watch(lane, stack.robot.backend.simulation)  # type: ignore[attr-defined]
+            result = _run(stack, watch, (x, y), timeout=40.0 + 15.0 * least)
+            seconds = stack.seconds
+    described = {"layout": lane.layout, "made_of": lane.map, "elements": lane.elements, "shortest": least}
+    cost = {"cpu": time.process_time() - began, "simulated": seconds}
+    return {"key": trial.key, **asdict(trial), **described, **result, **watch.record(), **cost}
+
+
+def _run(stack: Lockstep, watch: Watch, goal: tuple[float, float], timeout: float) -> dict[str, Any]:
+    """Drive to the goal; how it ended."""
+    try:
+        stack.wait_ready()
+    except LockstepTimeout as error:
+        return {"outcome": "not_ready", "reason": "", "detail": str(error), "time": 0.0, "replans": 0}
+    start = stack.seconds
+    stack.send_goal(*goal, timeout=timeout)
+    status: Any = None
+    while stack.seconds < start + timeout + 10.0:
+        for _ in range(SAMPLE):
+            stack.step()
+        status = stack.newest.get(t.GOAL_STATUS)
+        watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
+        if status is not None and GoalState(status.state).terminal:
+            break
+    took = stack.seconds - start
+    away = math.dist(watch.place, goal)
+    outcome = status.state if status is not None else "not_ready"
+    if watch.fell:
+        outcome = "fell"
+    elif outcome == "reached" and away > ARRIVED:
+        outcome = "wrong_place"
+    elif outcome in ("rejected", "aborted") and status.reason in REFUSALS and not watch.tried:
+        outcome = "refused"
+    return {
+        "outcome": outcome,
+        "reason": status.reason if status is not None else "",
+        "detail": status.detail if status is not None else "",
+        "time": took,
+        "error": away,
+        "replans": status.replans if status is not None else 0,
+        "recoveries": status.recoveries if status is not None else 0,
+    }
+
+
+class Watch:
+    """What the truth says about a drive."""
+
+    def __init__(self, lane: Lane, simulation: Simulation) -> None:
+        self._lane, self._sim = lane, simulation
+        self.place = tuple(simulation.position[:2])
+        self.fell = self.tried = False
+        self._tilt = 0.0
+        self._driven = 0.0
+        self._touched = {"body": -math.inf, "wheels": -math.inf}
+        self._touches = {"body": 0, "wheels": 0}
+        self._track: list[tuple[float, ...]] = []
+        self._states: list[dict[str, Any]] = []
+
+    def look(self, now: float, status: Any, robot: Any) -> None:
+        """At time `now` [s] after the goal was sent."""
+        sim = self._sim
+        x, y, z = sim.position
+        tilt = math.acos(min(1.0, max(-1.0, float(sim.rotation[2, 2]))))
+        self._tilt = max(self._tilt, tilt)
+        self.fell |= tilt > FALLEN or (robot is not None and robot.phase == "fault")
+        if self._lane.beyond is not None:
+            x0, x1, y0, y1 = self._lane.beyond
+            self.tried |= x0 - ENTERED < x < x1 + ENTERED and y0 < y < y1
+        step = math.dist(self.place, (x, y))
+        if step > 0.02:  # a robot that stands and sways does not drive
+            self._driven += step
+            self.place = (float(x), float(y))
+        self._contacts(now)
+        if not self._track or now - self._track[-1][0] >= 0.1 - 1e-6:
+            seen = (now, x, y, z, sim.yaw, math.degrees(tilt))
+            self._track.append(tuple(round(float(v), 3) for v in seen))
+        if status is not None:
+            told = {
+                k: getattr(status, k)
+                for k in ("state", "reason", "detail", "replans", "recoveries", "frontier")
+            }
+            last = self._states[-1] if self._states else {}
+            if any(last.get(k) != v for k, v in told.items()):
+                self._states.append(
+                    {"t": round(now, 2), "x": round(float(x), 2), "y": round(float(y), 2), **told}
+                )
+
+    def _contacts(self, now: float) -> None:
+        """A wall is touched above the floor at its foot."""
+        names, places, normals = self._sim.contacts()
+        steep = np.abs(normals[:, 2]) < 0.7
+        if not steep.any():
+            return
+        walls, scene = self._lane.walls, self._lane.scene
+        a, d = walls[:, :2], walls[:, 2:4] - walls[:, :2]
+        for k in np.flatnonzero(steep):
+            share = np.clip(((places[k, :2] - a) * d).sum(1) / (d * d).sum(1), 0.0, 1.0)
+            gap = np.hypot(*(places[k, :2] - a - share[:, None] * d).T) - 0.5 * walls[:, 4]
+            column, row = (round((places[k, i] - scene.origin[i]) / scene.resolution) for i in (0, 1))
+            around = self._lane.floor[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
+            if gap.min() < NEAR_WALL and places[k, 2] > around.max() + 0.01:
+                part = "wheels" if names[k].endswith("wheel") else "body"
+                self._touches[part] += now - self._touched[part] > PAUSE
+                self._touched[part] = now
+
+    def record(self) -> dict[str, Any]:
+        """For the file."""
+        return {
+            "driven": self._driven,
+            "tilt": math.degrees(self._tilt),
+            "tried": self.tried,
+            "wall_body": self._touches["body"],
+            "wall_wheels": self._touches["wheels"],
+            "states": self._states,
+            "track": self._track,
+        }

@@ -64,10 +64,18 @@ class PlannerParams(BaseModel):
 
 
 class RecorderParams(BaseModel):
-    """When to flush and when to begin a new file."""
+    """When to flush, when to begin a new file, and what may stay on the disk."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     flush_period: float = Field(1.0, gt=0, description="most that a killed recorder loses [s]")
     rotate_seconds: float = Field(300.0, gt=0, description="begin a new file after [s]")
     rotate_megabytes: int = Field(1000, gt=0, description="or after [MB]")
+    keep_gb: float = Field(
+        50.0, gt=0, description="all runs of a log folder together; the oldest unmarked go first [GB]"
+    )
+    spare_gb: float = Field(
+        2.0,
+        ge=0,
+        description="free space below which clouds are not recorded; below a tenth of it, nothing is [GB]",
+    )

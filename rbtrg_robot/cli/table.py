@@ -33,7 +33,12 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
             f"{row['memory_mb']:.0f}",
             "-" if age is None else f"{age:.1f} s",
         )
-    parts: list[Any] = [processes, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    told = [
+        Text(f"{row['process']}: {row['detail']}", "yellow")
+        for row in status["processes"]
+        if row.get("detail")
+    ]
+    parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
     refused = {row["process"]: row["refused"] for row in status["processes"]}
     refused["supervisor"] = status["refused"]
     if any(refused.values()):

@@ -181,6 +181,10 @@ class LogWriter:
         os.fsync(self._file.fileno())
         self._stream.close()
 
+    def abandon(self) -> None:
+        """Close without an index: what was flushed can be read, and `recover` makes an index. For a disk that takes no more."""
+        self._file.close()
+
     def __enter__(self) -> Self:
         return self
 

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
+import shutil
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,7 +13,8 @@ from pathlib import Path
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.log.file import CONFIG, LogWriter, is_intact
+from rbtrg_robot.log.file import CONFIG, LogError, LogWriter, is_intact
+from rbtrg_robot.log.keep import GIGABYTE, prune
 from rbtrg_robot.params import RecorderParams
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.clock import SourceClock
@@ -21,8 +25,16 @@ INBOX_DEPTH = 2000
 """Messages per topic that may wait while a chunk is compressed."""
 
 
+RETRY = 5.0
+"""[s] until a recorder that had to stop tries again."""
+BULKY = frozenset({t.POINTS, t.CLOUD})
+"""Topics that go first when space is short."""
+NOTHING = 0.1
+"""Share of the spare space below which nothing is recorded."""
+
+
 class Recorder:
-    """Writes log_0.mcap, log_1.mcap, ... into one folder."""
+    """Writes log_0.mcap, log_1.mcap, ... into one folder. A disk that is full stops the recording, never the process."""
 
     def __init__(
         self,
@@ -43,33 +55,114 @@ class Recorder:
             if not is_intact(path):
                 log.warning("%s has no index: `rbtrg-robot log recover` makes one", path.name)
         self._number = 1 + max((int(path.stem[4:]) for path in older), default=-1)
-        self._writer = self._open()
-        self._opened = time.monotonic()
-        self._flushed = self._opened
+        self._writer: LogWriter | None = self._open()
+        self._opened = self._flushed = time.monotonic()
+        self._retry = 0.0
+        self._free_due = 0.0
+        self._free = math.inf
+        self._closing: list[threading.Thread] = []
+        self.trouble = ""
+        """What an operator should know, in plain words; empty when everything is recorded."""
+        self.left_out = 0
+        """Messages that were not recorded for want of space."""
 
     def _open(self) -> LogWriter:
         return LogWriter(self._folder / f"log_{self._number}.mcap", self._metadata, self._attachments)
 
     def write(self, topic: t.Topic, payload: bytes, stamp: int, sequence: int) -> None:
         """One message; `stamp` is its source clock [ns]."""
-        self._writer.write(topic, payload, self._clock(), stamp, sequence)
+        if self._writer is None or (topic in BULKY and self._free < self._params.spare_gb * GIGABYTE):
+            self.left_out += 1
+            return
+        try:
+            self._writer.write(topic, payload, self._clock(), stamp, sequence)
+        except LogError as error:
+            self.left_out += 1
+            self._give_up(str(error))
 
     def housekeep(self) -> None:
-        """Flush and rotate when it is time."""
+        """Look at the disk, flush and rotate when it is time."""
         now = time.monotonic()
-        if now - self._flushed >= self._params.flush_period:
-            self._flushed = now
-            self._writer.flush()
-        full = self._writer.size > self._params.rotate_megabytes * 1_000_000
-        if full or now - self._opened > self._params.rotate_seconds:
-            self._writer.close()
-            self._number += 1
-            self._opened = now
+        if now >= self._free_due:
+            self._free_due = now + 1.0
+            self._look()
+        if self._writer is None:
+            if now >= self._retry and not self._full:
+                self._begin(now)
+            return
+        try:
+            if now - self._flushed >= self._params.flush_period:
+                self._flushed = now
+                self._writer.flush()
+        except LogError as error:
+            self._give_up(str(error))
+            return
+        big = self._writer.size > self._params.rotate_megabytes * 1_000_000
+        if big or now - self._opened > self._params.rotate_seconds:
+            self._retire(self._writer)
+            self._begin(now)
+            prune(self._folder.parent, self._params.keep_gb, spare=self._folder)
+
+    @property
+    def _full(self) -> bool:
+        return self._free < NOTHING * self._params.spare_gb * GIGABYTE
+
+    def _look(self) -> None:
+        """Free space, and what it means."""
+        try:
+            self._free = shutil.disk_usage(self._folder).free
+        except OSError as error:
+            self._give_up(f"cannot read {self._folder}: {error.strerror}")
+            return
+        if self._writer is None and not self._full:
+            return  # why it stopped stays told until it records again
+        self.trouble = ""
+        left = f"{self._free / GIGABYTE:.1f} GB are left on the disk of the log"
+        if self._full:
+            self._give_up(f"nothing is recorded: {left}; make room")
+        elif self._free < self._params.spare_gb * GIGABYTE:
+            self.trouble = f"clouds are not recorded: {left}; make room"
+
+    def _begin(self, now: float) -> None:
+        """A new file."""
+        self._number += 1
+        self._opened = now
+        try:
             self._writer = self._open()
+        except LogError as error:
+            self._writer = None
+            self._give_up(str(error))
+
+    def _give_up(self, why: str) -> None:
+        """Stop for now: the process lives on, tells why, and tries again."""
+        if self.trouble != why:
+            log.warning("%s", why)
+        self.trouble = why
+        self._retry = time.monotonic() + RETRY
+        if self._writer is not None:
+            self._writer.abandon()
+            self._writer = None
+
+    def _retire(self, writer: LogWriter) -> None:
+        """Index a full file and wait for the disk beside the recording: an fsync can take longer than a heartbeat may."""
+
+        def close() -> None:
+            try:
+                writer.close()
+            except LogError as error:
+                log.warning("%s", error)
+                writer.abandon()
+
+        self._closing = [thread for thread in self._closing if thread.is_alive()]
+        self._closing.append(threading.Thread(target=close, name="close log"))
+        self._closing[-1].start()
 
     def close(self) -> None:
         """Write the index."""
-        self._writer.close()
+        if self._writer is not None:
+            self._retire(self._writer)
+        for thread in self._closing:
+            thread.join()
 
 
 def main(
@@ -83,7 +176,7 @@ def main(
         bus.subscribe(deep)
         heart = Heart(bus, "recorder")
         while not stopping():
-            heart.beat()
+            heart.beat(detail=recorder.trouble)
             for received in bus.take(0.2):
                 recorder.write(deep[received.topic], received.payload, received.stamp, received.sequence)
             recorder.housekeep()

@@ -6,6 +6,7 @@ import base64
 import json
 import logging
 import os
+import shutil
 import signal
 import subprocess
 import threading
@@ -40,6 +41,10 @@ SETTLED = 30.0
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
 SHARED_MEMORY = Path("/dev/shm")
+TAIL = 4096
+"""Bytes of a process log in which its last words are looked for."""
+PROCESS_LOG = 5_000_000
+"""Bytes after which a process log is rotated: twice that stays on the disk."""
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
@@ -262,6 +267,8 @@ class Supervisor:
             return
         self._usage_due = now + 1.0
         for child in self._children.values():
+            if child.forked is not None:
+                rotate(child.log_path, PROCESS_LOG)
             if child.alive and child.usage is not None:
                 try:
                     child.cpu = child.usage.cpu_percent()
@@ -318,6 +325,7 @@ class Supervisor:
                     "heartbeat_age": None if age is None else round(age, 2),
                     "dropped": beat[1].dropped if beat else 0,
                     "refused": beat[1].refused if beat else 0,
+                    "detail": beat[1].detail if beat else "",
                 }
             )
         return {
@@ -347,6 +355,19 @@ def end(limits: dict[Forked, float]) -> None:
             process.wait()
 
 
+def rotate(path: Path, limit: int) -> None:
+    """Move what a process wrote to FILE.1 when it is more than `limit` bytes.
+
+    The process keeps its descriptor, which appends: the file is copied and cut, not renamed.
+    """
+    try:
+        if path.stat().st_size > limit:
+            shutil.copyfile(path, path.with_name(f"{path.name}.1"))
+            os.truncate(path, 0)
+    except OSError as error:
+        log.warning("cannot rotate %s: %s", path, error.strerror)
+
+
 def shared_segments(process: psutil.Process) -> set[Path]:
     """Zenoh's shared memory that a process has mapped: its own and that of those it talks to."""
     try:
@@ -359,7 +380,9 @@ def shared_segments(process: psutil.Process) -> set[Path]:
 def last_words(path: Path) -> str:
     """The last line a process wrote."""
     try:
-        lines = path.read_text(errors="replace").strip().splitlines()
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - TAIL))
+            lines = file.read().decode(errors="replace").strip().splitlines()
     except OSError:
         return ""
     return lines[-1].removeprefix("error: ") if lines else ""

@@ -1,0 +1,190 @@
+"""The recorder on a disk that runs out of room, and what stays on it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+from collections import namedtuple
+from pathlib import Path
+
+import pytest
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.log import file as log_file
+from rbtrg_robot.log import recorder as module
+from rbtrg_robot.log.file import is_intact, read_log
+from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
+from rbtrg_robot.log.recorder import Recorder
+from rbtrg_robot.params import RecorderParams
+from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
+from rbtrg_robot.process.supervisor import last_words, rotate
+from rbtrg_robot.wire.clock import SourceClock
+from rbtrg_robot.wire.messages import encode, header, make
+
+Usage = namedtuple("Usage", "total used free")
+
+
+class Clock:
+    """Both clocks of the recorder, moved by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now = 100.0
+        self.free = 100 * GIGABYTE
+        monkeypatch.setattr(module.time, "monotonic", lambda: self.now)
+        monkeypatch.setattr(module.shutil, "disk_usage", lambda _path: Usage(0, 0, self.free))
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+def recorder_in(folder: Path, **params: float) -> Recorder:
+    folder.mkdir(parents=True, exist_ok=True)
+    return Recorder(folder, RecorderParams(**params), {}, {}, SourceClock())  # type: ignore[arg-type]
+
+
+def one(recorder: Recorder, topic: t.Topic, stamp: int) -> None:
+    message = make(topic.type, header=header(stamp, "x"))
+    recorder.write(topic, encode(message), stamp, 1)
+
+
+def topics_in(folder: Path) -> list[str]:
+    return [e.topic for path in sorted(folder.glob("*.mcap")) for e, _, _ in read_log(path)]
+
+
+def test_clouds_go_first_when_space_is_short(tmp_path: Path, clock: Clock) -> None:
+    recorder = recorder_in(tmp_path / "run", spare_gb=2.0)
+    clock.free = GIGABYTE
+    recorder.housekeep()
+    assert "clouds are not recorded: 1.0 GB" in recorder.trouble
+    one(recorder, t.POINTS, 1)
+    one(recorder, t.IMU, 2)
+    clock.free, clock.now = 3 * GIGABYTE, clock.now + 2.0
+    recorder.housekeep()
+    assert recorder.trouble == ""
+    one(recorder, t.POINTS, 3)
+    recorder.close()
+    assert topics_in(tmp_path / "run") == [t.IMU.name, t.POINTS.name]
+    assert recorder.left_out == 1
+
+
+def test_a_full_disk_stops_the_recording_and_is_told(tmp_path: Path, clock: Clock) -> None:
+    recorder = recorder_in(tmp_path / "run", spare_gb=2.0)
+    one(recorder, t.IMU, 1)
+    clock.now += 2.0
+    recorder.housekeep()  # flushes
+    clock.free, clock.now = GIGABYTE // 10, clock.now + 2.0
+    recorder.housekeep()
+    assert "nothing is recorded: 0.1 GB" in recorder.trouble
+    one(recorder, t.IMU, 2)
+    clock.now += 10.0
+    recorder.housekeep()
+    assert "nothing is recorded" in recorder.trouble
+    clock.free, clock.now = 3 * GIGABYTE, clock.now + 10.0
+    recorder.housekeep()
+    clock.now += 2.0
+    recorder.housekeep()
+    assert recorder.trouble == ""
+    one(recorder, t.IMU, 3)
+    recorder.close()
+    assert recorder.left_out == 1
+    assert is_intact(tmp_path / "run" / "log_1.mcap")
+    assert topics_in(tmp_path / "run") == [t.IMU.name, t.IMU.name]
+
+
+def test_a_write_that_fails_does_not_end_the_recorder(
+    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = recorder_in(tmp_path / "run")
+    full = True
+    plain = log_file._LogFile.write
+
+    def write(self: log_file._LogFile, data: bytes) -> int:
+        if full:
+            raise log_file._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+        return plain(self, data)
+
+    monkeypatch.setattr(log_file._LogFile, "write", write)
+    one(recorder, t.IMU, 1)
+    clock.now += 2.0
+    recorder.housekeep()
+    assert "No space left" in recorder.trouble
+    full = False
+    clock.now += 10.0
+    recorder.housekeep()
+    one(recorder, t.IMU, 2)
+    recorder.close()
+    assert topics_in(tmp_path / "run")[-1] == t.IMU.name
+    assert is_intact(tmp_path / "run" / "log_1.mcap")
+
+
+def test_a_new_file_begins_and_the_old_one_gets_its_index(tmp_path: Path, clock: Clock) -> None:
+    recorder = recorder_in(tmp_path / "run", rotate_seconds=10.0)
+    one(recorder, t.IMU, 1)
+    clock.now += 11.0
+    recorder.housekeep()
+    one(recorder, t.IMU, 2)
+    recorder.close()
+    assert [is_intact(tmp_path / "run" / f"log_{k}.mcap") for k in (0, 1)] == [True, True]
+
+
+def make_run(base: Path, name: str, megabytes: int) -> Path:
+    folder = base / name
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text("{}\n")
+    (folder / "log_0.mcap").write_bytes(bytes(megabytes * 1_000_000))
+    return folder
+
+
+def test_the_oldest_unmarked_runs_go_when_the_quota_is_full(tmp_path: Path) -> None:
+    first, second, third, last = (make_run(tmp_path, f"2026010{k}", 3) for k in range(4))
+    (tmp_path / "notes").mkdir()
+    mark(first)
+    assert prune(tmp_path, 0.0095) == [second]
+    assert [run.folder for run in runs(tmp_path)] == [first, third, last]
+    assert prune(tmp_path, 0.0, spare=last) == [third]
+    mark(first, keep=False)
+    assert prune(tmp_path, 0.0, spare=last) == [first]
+    assert (tmp_path / "notes").is_dir()
+
+
+def test_a_run_that_is_being_written_stays(tmp_path: Path, clock: Clock) -> None:
+    folder = tmp_path / "20260101"
+    recorder = recorder_in(folder)
+    (folder / "config.yaml").write_text("{}\n")
+    assert prune(tmp_path, 0.0) == []
+    recorder.close()
+    assert prune(tmp_path, 0.0) == [folder]
+
+
+def test_the_last_words_of_a_long_log_are_read_from_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "robot.log"
+    path.write_text("word\n" * 100_000 + "error: the cable is out\n")
+    assert last_words(path) == "the cable is out"
+
+
+def test_a_long_process_log_is_rotated_under_its_writer(tmp_path: Path) -> None:
+    path = tmp_path / "robot.log"
+    with path.open("ab", buffering=0) as writer:
+        writer.write(b"old\n" * 10)
+        rotate(path, limit=1000)
+        assert not path.with_name("robot.log.1").exists()
+        rotate(path, limit=10)
+        writer.write(b"new\n")
+    assert path.read_bytes() == b"new\n"
+    assert path.with_name("robot.log.1").read_bytes() == b"old\n" * 10
+
+
+def test_a_run_folder_of_somebody_else_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert run_dir() == tmp_path / "rbtrg"
+    (tmp_path / "rbtrg").chmod(0o777)
+    with pytest.raises(UnsafeFolder, match="writable by others"):
+        run_dir()
+    shutil.rmtree(tmp_path / "rbtrg")
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "rbtrg").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UnsafeFolder):
+        run_dir()

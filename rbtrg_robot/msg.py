@@ -267,7 +267,6 @@ class MapRequest(Message):
     __msgtype__ = "rbtrg_msgs/msg/MapRequest"
     header: Header = field(default_factory=Header)
     action: str = ""
-    path: str = ""
 
 
 @dataclass(slots=True, eq=False)

@@ -83,7 +83,7 @@ MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.ST
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
 MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded=False)
-MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full or save")
+MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full: send the whole map")
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")
 GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False)
 GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,6 +14,11 @@ Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
 scene_app = typer.Typer(help="Built-in scenes and terrain files.", no_args_is_help=True)
 config_app = typer.Typer(help="Configuration of the stack.", no_args_is_help=True)
 map_app = typer.Typer(help="The elevation map of the running stack.", no_args_is_help=True)
+
+MAP_LIMIT = 15.0
+"""Longest wait [s] for the whole map."""
+MAP_AGAIN = 3.0
+"""[s] until it is asked for again."""
 
 
 def register(app: typer.Typer) -> None:
@@ -101,29 +105,36 @@ def config_schema() -> None:
 @map_app.command("save")
 def map_save(file: Path, robot: Robot = "go2w") -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
+    from mapping.elevation import ElevationMap, ElevationParams, MapError
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.wire.convert import map_patch
     from rbtrg_robot.wire.messages import header
 
-    target = file.resolve()
+    if not file.resolve().parent.is_dir():
+        raise MapError(f"there is no folder {file.resolve().parent}")
     with connect(robot) as bus:
-        bus.subscribe([t.MAP_STATUS])
-        asked = time.time_ns()
-        request = msg.MapRequest(header=header(asked, ""), action="save", path=str(target))
+        bus.subscribe([t.MAP_FULL])
         bus.advertise(t.MAP_REQUEST)
-        bus.take(1.0)
-        bus.publish(t.MAP_REQUEST, request, asked)
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + MAP_LIMIT
+        asked = 0.0
         while time.monotonic() < deadline:
+            if time.monotonic() >= asked + MAP_AGAIN:
+                asked = time.monotonic()
+                request = msg.MapRequest(header=header(time.time_ns(), ""), action="full")
+                bus.publish(t.MAP_REQUEST, request, time.time_ns())
             for received in bus.take(0.2):
-                status = bus.open(received)
-                detail = status.detail if status is not None else ""
-                if str(target) in detail:
-                    print(detail)
-                    raise typer.Exit(0 if detail.startswith("saved") else 1)
-    print("rbtrg-robot: the elevation process does not answer; see `rbtrg-robot status`", file=sys.stderr)
-    raise typer.Exit(1)
+                message = bus.open(received)
+                if message is None:
+                    continue
+                patch = map_patch(message, 0)
+                elevation = ElevationMap(ElevationParams(resolution=patch.resolution))
+                known = elevation.restore(patch)
+                elevation.save(file)
+                print(f"{known} known cells -> {file}")
+                return
+    raise MapError("the elevation process sends no map; see `rbtrg-robot status`")
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:

@@ -208,6 +208,30 @@ def log_film(
     draw(file, out)
 
 
+@log_app.command("list")
+def log_list(base: Annotated[Path, typer.Argument(help="Folder of the runs.")] = Path("logs")) -> None:
+    """The runs on the disk: size, and which are kept whatever the quota says."""
+    from rbtrg_robot.log.keep import GIGABYTE, runs
+
+    found = runs(base)
+    for run in found:
+        words = "kept" if run.kept else "being written" if run.active else ""
+        print(f"{run.folder.name:48s} {run.size / 1e6:9.1f} MB  {words}".rstrip())
+    print(f"{len(found)} runs, {sum(run.size for run in found) / GIGABYTE:.2f} GB")
+
+
+@log_app.command("keep")
+def log_keep(
+    run: Annotated[Path, typer.Argument(help="Folder of a run.")],
+    off: Annotated[bool, typer.Option("--off", help="No longer.")] = False,
+) -> None:
+    """Keep a run: the quota (`recorder.keep_gb`) never removes it."""
+    from rbtrg_robot.log.keep import mark
+
+    mark(run, keep=not off)
+    print(f"{run} {'may go when the quota is full' if off else 'stays'}")
+
+
 @log_app.command("picture")
 def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
     """Draw a run from above: the map at its end, the last path, the way that was driven."""

@@ -67,6 +67,7 @@ def up(
 
     with Zygote() as zygote:  # imports while this process does
         from rbtrg_robot.config import ConfigError, load
+        from rbtrg_robot.log.keep import prune
         from rbtrg_robot.processes import BY_NAME
 
         for name in without or []:
@@ -106,6 +107,10 @@ def up(
         folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
         loaded = loaded.model_copy(update={"log_dir": str(folder)})
         (folder / "config.yaml").write_text(loaded.to_yaml())
+        for gone in prune(folder.parent, loaded.recorder.keep_gb, spare=folder):
+            print(
+                f"removed {gone}: the runs took more than recorder.keep_gb = {loaded.recorder.keep_gb:g} GB"
+            )
         code = _supervise(loaded, zygote)
         if render is not None and not code:
             from rbtrg_robot.cli.logs import draw

@@ -157,7 +157,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
         bus.subscribe(stage.inputs)
         for topic, payload in restored.items():
             stage.on(topic, messages.decode(payload, topic.kind))
-        if config.simulated and not restored:
+        if config.simulated and t.TRUTH not in restored:
             _wait_for_all(bus, heart, config, stopping)
         window = Window(stage.backend) if config.viewer else None
         pace = Pace(now)

@@ -25,7 +25,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
-from rbtrg_robot.process.runfiles import RunLock
+from rbtrg_robot.process.runfiles import LatchFile, RunLock
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.topics import Topic
@@ -108,6 +108,10 @@ class Supervisor:
     def run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
         """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning."""
         lock = RunLock(self._config.robot)
+        self._latch = LatchFile(self._config.robot)
+        if latched := self._latch.read():
+            self._kept[t.ROBOT_STATE] = latched
+            self._say("the emergency stop of before is still latched: `rbtrg-robot resume` releases it")
         try:
             with Bus(
                 self._config.endpoint, "supervisor", self._config.domain, router=True, clock=self._clock
@@ -286,6 +290,7 @@ class Supervisor:
             self._goal_said = text
         elif topic is t.ROBOT_STATE:
             if bool(message.estop) != self._estop_said:
+                self._latch.write(self._kept[t.ROBOT_STATE] if message.estop else b"")
                 self._estop_said = bool(message.estop)
                 self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
             away = message.phase == Phase.DISCONNECTED

@@ -162,14 +162,7 @@ class ElevationStage:
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
             return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
-        if message.action == "save":
-            try:
-                self.map.save(Path(message.path))
-                self._detail = f"saved {message.path}"
-            except (OSError, MapError) as error:
-                self._detail = f"cannot save {message.path}: {error}"
-        else:
-            self._detail = f"unknown request {message.action!r}"
+        self._detail = f"unknown request {message.action!r}"
         self._status_due = 0
         return []
 

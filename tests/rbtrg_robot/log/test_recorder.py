@@ -7,6 +7,7 @@ import os
 import shutil
 from collections import namedtuple
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from rbtrg_robot.params import RecorderParams
 from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
 from rbtrg_robot.process.supervisor import last_words, rotate
 from rbtrg_robot.wire.clock import SourceClock
-from rbtrg_robot.wire.messages import encode, header, make
+from rbtrg_robot.wire.messages import encode, header
 
 Usage = namedtuple("Usage", "total used free")
 
@@ -45,8 +46,8 @@ def recorder_in(folder: Path, **params: float) -> Recorder:
     return Recorder(folder, RecorderParams(**params), {}, {}, SourceClock())  # type: ignore[arg-type]
 
 
-def one(recorder: Recorder, topic: t.Topic, stamp: int) -> None:
-    message = make(topic.type, header=header(stamp, "x"))
+def one(recorder: Recorder, topic: t.Topic[Any], stamp: int) -> None:
+    message = topic.kind(header=header(stamp, "x"))
     recorder.write(topic, encode(message), stamp, 1)
 
 

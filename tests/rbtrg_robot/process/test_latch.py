@@ -1,0 +1,105 @@
+"""An emergency stop outlives the stack that was told of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rbtrg_robot.process.runfiles import LatchFile, RunLock
+
+OTHERS = ("odometry", "elevation", "planner", "navigator", "tracker")
+pytestmark = pytest.mark.timeout(300)
+
+
+class Robot:
+    """The robot process alone under a supervisor of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
+        self._folder = folder
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._port = probe.getsockname()[1]
+
+    def run(self, *arguments: str) -> str:
+        done = subprocess.run(
+            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
+            capture_output=True,
+            text=True,
+            env=self._environment,
+            timeout=200,
+            check=True,
+        )
+        return done.stdout
+
+    def up(self) -> str:
+        without = [word for name in (*OTHERS, *self.optional()) for word in ("--without", name)]
+        place = ("--port", str(self._port), "--log-dir", str(self._folder / "logs"))
+        return self.run("up", "--detach", "--scene", "flat", "--no-record", *place, *without)
+
+    def optional(self) -> list[str]:
+        from rbtrg_robot.processes import PROCESSES
+
+        return [p.name for p in PROCESSES if p.name not in (*OTHERS, "robot", "recorder")]
+
+    def status(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.run("status", "--json"))
+        return found
+
+    def until(self, estop: bool) -> None:
+        end = time.monotonic() + 20.0
+        while self.status()["robot"].get("estop") is not estop:
+            assert time.monotonic() < end, self.status()["robot"]
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Iterator[Robot]:
+    made = Robot(tmp_path)
+    try:
+        yield made
+    finally:
+        for process in psutil.process_iter(["cmdline"]):
+            if str(tmp_path) in " ".join(process.info["cmdline"] or []):
+                process.terminate()
+
+
+def test_a_stop_is_still_latched_after_the_supervisor_was_killed(robot: Robot) -> None:
+    robot.up()
+    robot.until(estop=False)
+    robot.run("stop")
+    robot.until(estop=True)
+    supervisor = psutil.Process(robot.status()["pid"])
+    family = supervisor.children(recursive=True)
+    supervisor.send_signal(signal.SIGKILL)
+    psutil.wait_procs([supervisor, *family], timeout=20.0)
+    assert "still latched" in robot.up()
+    robot.until(estop=True)
+    robot.run("resume")
+    robot.until(estop=False)
+    robot.run("down")
+    assert "still latched" not in robot.up()
+    robot.until(estop=False)
+
+
+def test_a_latch_is_written_whole_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    RunLock("a").release()
+    latch = LatchFile("a")
+    assert latch.read() == b""
+    latch.write(b"state")
+    assert LatchFile("a").read() == b"state"
+    assert LatchFile("b").read() == b""
+    latch.write(b"")
+    latch.write(b"")
+    assert latch.read() == b""

@@ -19,22 +19,22 @@ from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.spec import LIDARS
 from hal.mujoco.config import CAPABILITIES, SimConfig
-from hal.safety.gate import GateParams
+from hal.safety.gate import GateConfig
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics
-from hal.unitree.options import UnitreeOptions, UnitreeSettings
-from mapping.elevation.params import ElevationParams
-from mapping.odometry.pipeline import OdometryParams
+from hal.unitree.config import UnitreeOptions, UnitreeSettings
+from mapping.elevation.config import ElevationConfig
+from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
-from planning.tracking.tracker import TrackerParams
+from planning.tracking.tracker import TrackerConfig
 from rbtrg_robot import __version__
-from rbtrg_robot.params import (
-    ElevationStageParams,
-    FreshnessParams,
-    NavigatorParams,
-    PlannerParams,
-    RecorderParams,
+from rbtrg_robot.stage_config import (
+    ElevationStageConfig,
+    FreshnessConfig,
+    NavigatorConfig,
+    PlannerConfig,
+    RecorderConfig,
 )
 
 
@@ -48,7 +48,7 @@ class StackConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     robot: str = Field("go2w", pattern=r"^[A-Za-z0-9_-]+$", description="name of this robot on this machine")
-    backend: Literal["sim", "unitree"] = "sim"
+    backend: Literal["sim", "unitree"] = Field("sim", description="simulated or real robot")
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
@@ -70,21 +70,21 @@ class StackConfig(BaseModel):
         None, description="polygon x, y [m] in `map`: goals outside are refused, the robot stops at its edge"
     )
     without: tuple[str, ...] = Field((), description="processes not to start")
-    record: bool = True
+    record: bool = Field(True, description="write the MCAP log of the run")
     log_dir: str = Field("logs", description="folder of this run's log and process output")
     map_file: str = Field("", description="prior map (.npz, .pcd, .ply)")
 
-    gate: GateParams = GateParams()
-    odometry: OdometryParams = OdometryParams()
-    elevation: ElevationParams = ElevationParams()
-    elevation_stage: ElevationStageParams = ElevationStageParams()
+    gate: GateConfig = GateConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    elevation: ElevationConfig = ElevationConfig()
+    elevation_stage: ElevationStageConfig = ElevationStageConfig()
     graph: GraphParams = GraphParams()
     body: BodyModel = BodyModel()
-    planner: PlannerParams = PlannerParams()
-    navigator: NavigatorParams = NavigatorParams()
-    tracker: TrackerParams = TrackerParams(max_speed=0.5)
-    freshness: FreshnessParams = FreshnessParams()
-    recorder: RecorderParams = RecorderParams()
+    planner: PlannerConfig = PlannerConfig()
+    navigator: NavigatorConfig = NavigatorConfig()
+    tracker: TrackerConfig = TrackerConfig(max_speed=0.5)
+    freshness: FreshnessConfig = FreshnessConfig()
+    recorder: RecorderConfig = RecorderConfig()
 
     @property
     def simulated(self) -> bool:
@@ -137,7 +137,7 @@ class StackConfig(BaseModel):
         }
         return self.graph.model_copy(update=limits)
 
-    def elevation_params(self) -> ElevationParams:
+    def elevation_params(self) -> ElevationConfig:
         """Settings of the map, with the noise of the LiDAR at hand where none is set."""
         return self.elevation.for_lidar(LIDARS[self.lidar])
 

@@ -23,11 +23,11 @@ from hal.rotation import rotation
 from hal.scenes import Scene
 from hal.scenes.survey import relief
 from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.odometry.pipeline import LidarInertialOdometry
-from mapping.odometry.types import OdometryParams, ScanOdometry
-from rbtrg_robot.params import ElevationStageParams
+from mapping.odometry.types import OdometryConfig, ScanOdometry
+from rbtrg_robot.stage_config import ElevationStageConfig
 from tools.synthetic import SyntheticRun
 from tools.synthetic_motion import Motion
 from tools.synthetic_scenes import FEATURES, corridor, feature_scene
@@ -35,7 +35,7 @@ from tools.synthetic_scenes import FEATURES, corridor, feature_scene
 BINS = np.array([0.4, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0])
 """Distance ahead of base_link [m]."""
 STEP = 0.04
-CLEAN_EVERY = ElevationStageParams().clean_every
+CLEAN_EVERY = ElevationStageConfig().clean_every
 LEVEL = Motion(kind="straight", pitch=radians(1.0), roll=radians(1.0), bob=0.003)
 SHAKEN = Motion(kind="straight")
 MID360_LEVEL = Extrinsics((0.16, 0.0, 0.13))
@@ -66,10 +66,10 @@ class Stack:
     """Odometry and map as the robot runs them."""
 
     def __init__(self, run: SyntheticRun, engine: str) -> None:
-        params = OdometryParams().model_copy(update={"engine": engine})
+        params = OdometryConfig().model_copy(update={"engine": engine})
         self.odometry = LidarInertialOdometry(params, run.extrinsics)
         self.odometry.warm_up()
-        self.map = ElevationMap(ElevationParams().for_lidar(run.lidar))
+        self.map = ElevationMap(ElevationConfig().for_lidar(run.lidar))
         self.map.warm_up()
         self._origin = run.extrinsics.translation
         self._joints: JointSample | None = None

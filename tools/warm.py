@@ -20,7 +20,7 @@ def warm(part: str) -> float:
     """Seconds it took. Raises what the part raises."""
     began = time.monotonic()
     if part == "unitree":
-        from hal.unitree.options import UnitreeOptions
+        from hal.unitree.config import UnitreeOptions
         from hal.unitree.telemetry import Telemetry
 
         Telemetry(None, UnitreeOptions()).warm_up()  # type: ignore[arg-type]

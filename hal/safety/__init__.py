@@ -1,13 +1,13 @@
 """The safety gate in front of every robot, its geofence and the tilt it watches."""
 
 from hal.safety.gate import SafetyGate
-from hal.safety.gate_types import GateInputs, GateParams, GateStatus, Refusal, RefusalReason, StopCause
+from hal.safety.gate_types import GateConfig, GateInputs, GateStatus, Refusal, RefusalReason, StopCause
 from hal.safety.geofence import Geofence, GeofenceError
 from hal.safety.tilt import TiltFilter
 
 __all__ = [
+    "GateConfig",
     "GateInputs",
-    "GateParams",
     "GateStatus",
     "Geofence",
     "GeofenceError",

@@ -16,13 +16,13 @@ import math
 from collections import Counter
 
 from hal.go2w import BODY_WIDTH
-from hal.safety.gate_types import GateInputs, GateParams, GateStatus, Refusal, RefusalReason, StopCause
+from hal.safety.gate_types import GateConfig, GateInputs, GateStatus, Refusal, RefusalReason, StopCause
 from hal.safety.geofence import Geofence
 from hal.types import NS, Capabilities, Phase, VelocityCommand
 
 __all__ = [
+    "GateConfig",
     "GateInputs",
-    "GateParams",
     "GateStatus",
     "Refusal",
     "RefusalReason",
@@ -35,10 +35,10 @@ class SafetyGate:
     """See the module. `command` on every incoming command, `output` at the rate the robot is driven (>= 50 Hz)."""
 
     def __init__(
-        self, capabilities: Capabilities, params: GateParams | None = None, geofence: Geofence | None = None
+        self, capabilities: Capabilities, params: GateConfig | None = None, geofence: Geofence | None = None
     ) -> None:
         self.capabilities = capabilities
-        self.params = params or GateParams()
+        self.params = params or GateConfig()
         self.geofence = geofence
         self._limits = (
             capabilities.max_vx,

@@ -24,7 +24,7 @@ class SensorTimeouts(BaseModel):
     lidar: float = Field(default=1.0, gt=0, description="[s]")
 
 
-class GateParams(BaseModel):
+class GateConfig(BaseModel):
     """Thresholds of the safety gate. The velocity and acceleration limits are the robot's `Capabilities`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)

@@ -23,11 +23,11 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.connect import open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
 from hal.unitree.link import DRY_RUN, DryRunLink, Link
 from hal.unitree.mover import Mover
-from hal.unitree.options import UnitreeOptions
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import MOUNT_TOLERANCE, Telemetry
 from hal.unitree.transitions import Failed, Steps, Transitions

@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from hal.contract import BackendError
 from hal.types import NS
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, Link
-from hal.unitree.options import UnitreeOptions
 from hal.unitree.telemetry import Telemetry
 
 log = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from hal.contract import BackendError
 
 if TYPE_CHECKING:
     from hal.unitree.backend import UnitreeBackend
-    from hal.unitree.options import UnitreeOptions
+    from hal.unitree.config import UnitreeOptions
 
 
 class MissingExtra(BackendError):

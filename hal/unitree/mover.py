@@ -6,7 +6,7 @@ import math
 
 from hal.types import NS, Capabilities, PostureCommand, VelocityCommand
 from hal.unitree import api
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import Telemetry
 

@@ -14,9 +14,9 @@ from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan,
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import Mount, RawCloud, RawImu, decode_cloud, decode_imu, sweep
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
-from hal.unitree.options import UnitreeOptions
 
 log = logging.getLogger(__name__)
 

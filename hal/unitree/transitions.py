@@ -8,7 +8,7 @@ from typing import Any
 from hal.types import NS, Phase
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport, WireError
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.rpc import NO_ANSWER, Rpc
 from hal.unitree.telemetry import Telemetry
 

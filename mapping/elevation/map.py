@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from hal.go2w import XT16_MOUNT
 from hal.lidar.spec import LIDARS
 from mapping.elevation import fusion as kernels
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.files import load_into, restore_store, save_store
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import MapReader
@@ -65,9 +65,9 @@ class FuseReport:
 class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
-    def __init__(self, params: ElevationParams | None = None) -> None:
-        """Noise that `params` leave open is that of an XT16: see `ElevationParams.for_lidar`."""
-        self.params = p = (params or ElevationParams()).for_lidar(LIDARS["xt16"])
+    def __init__(self, params: ElevationConfig | None = None) -> None:
+        """Noise that `params` leave open is that of an XT16: see `ElevationConfig.for_lidar`."""
+        self.params = p = (params or ElevationConfig()).for_lidar(LIDARS["xt16"])
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
         self.z_correction = 0.0

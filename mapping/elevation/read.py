@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.tiles import BRIDGED, Layers, TileStore
 
 _BLOCK = 12
@@ -25,7 +25,7 @@ Box = tuple[int, int, int, int]
 class MapReader:
     """Turns the tiles of one store into patches."""
 
-    def __init__(self, store: TileStore, params: ElevationParams) -> None:
+    def __init__(self, store: TileStore, params: ElevationConfig) -> None:
         self.store = store
         self.params = p = params
         self._rule = bridge_rule(

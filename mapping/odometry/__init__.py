@@ -1,6 +1,6 @@
 """LiDAR-inertial odometry around KISS-ICP."""
 
 from mapping.odometry.pipeline import LidarInertialOdometry
-from mapping.odometry.types import FastPose, OdometryParams, ScanOdometry
+from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 
-__all__ = ["FastPose", "LidarInertialOdometry", "OdometryParams", "ScanOdometry"]
+__all__ = ["FastPose", "LidarInertialOdometry", "OdometryConfig", "ScanOdometry"]

@@ -34,7 +34,7 @@ class Health(StrEnum):
     LOST = "lost"
 
 
-class HealthParams(BaseModel):
+class HealthConfig(BaseModel):
     """Limits of the verdict."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -98,7 +98,7 @@ class Verdict:
 class HealthMonitor:
     """Remembers when scans last fitted."""
 
-    def __init__(self, params: HealthParams) -> None:
+    def __init__(self, params: HealthConfig) -> None:
         self.params = params
         self.lost = False
         self._last_fit = 0

@@ -9,7 +9,7 @@ import numpy as np
 
 from hal.types import NS, Array, ImuSample, JointSample, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, TopicClock, clean_scan
-from mapping.odometry.types import OdometryParams
+from mapping.odometry.types import OdometryConfig
 
 JOINT_PERIOD = 18_000_000
 """Joint samples that follow faster [ns] are thinned: 50 Hz are enough."""
@@ -19,7 +19,7 @@ class Inbox:
     """What has arrived and is not used up. A source clock that is set empties it and calls `on_jump(stamp)`."""
 
     def __init__(
-        self, params: OdometryParams, counters: Counter[str], on_jump: Callable[[int], None]
+        self, params: OdometryConfig, counters: Counter[str], on_jump: Callable[[int], None]
     ) -> None:
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""

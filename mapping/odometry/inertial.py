@@ -21,7 +21,7 @@ from hal.types import Array
 from mapping.odometry.inertial_kernels import GRAVITY, correct, output, run, settle
 
 
-class InertialParams(BaseModel):
+class InertialConfig(BaseModel):
     """Noise of the inertial and wheel measurements, as seen by the filter (vibration and slip included)."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -61,7 +61,7 @@ class InertialFilter:
     WHEEL_GATE = 5.0
     """Wheel velocities further off [standard deviations] are refused."""
 
-    def __init__(self, params: InertialParams) -> None:
+    def __init__(self, params: InertialConfig) -> None:
         self.params = params
         self.stamp = 0
         self.x = np.zeros(16)

@@ -31,7 +31,7 @@ from mapping.odometry.intake import Sweep
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Engine, GicpEngine, KissEngine, Match
 from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
-from mapping.odometry.types import FastPose, OdometryParams, ScanOdometry
+from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities
 
@@ -43,7 +43,7 @@ HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
 class LidarInertialOdometry:
     """Feed samples in, `poll` for finished scans. One thread."""
 
-    def __init__(self, params: OdometryParams = OdometryParams(), mount: Extrinsics = XT16_MOUNT) -> None:
+    def __init__(self, params: OdometryConfig = OdometryConfig(), mount: Extrinsics = XT16_MOUNT) -> None:
         """`mount`: LiDAR in base_link."""
         self.params = params
         self.counters: Counter[str] = Counter()
@@ -296,7 +296,7 @@ class LidarInertialOdometry:
             other.poll()
 
 
-def make_engine(params: OdometryParams) -> Engine:
+def make_engine(params: OdometryConfig) -> Engine:
     """The engine that `params.engine` names."""
     if params.engine == "kiss_icp":
         return KissEngine(params.kiss_icp, params.max_range)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hal.rotation import quaternion, rotation
 from hal.types import Array
 from mapping.odometry.health import Health, HealthMonitor
-from mapping.odometry.inertial import InertialFilter, InertialParams
+from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.intake import SampleBuffer
 from mapping.odometry.types import FastPose
 from mapping.odometry.wheels import WheelOdometry, leg_velocity, velocities
@@ -26,7 +26,7 @@ class PoseStream:
 
     def __init__(
         self,
-        params: InertialParams,
+        params: InertialConfig,
         smoothing: float,
         imu: SampleBuffer,
         joints: SampleBuffer,

@@ -9,21 +9,21 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.types import Array
-from mapping.odometry.health import Health, HealthParams
-from mapping.odometry.inertial import InertialParams
-from mapping.odometry.registration.engines import EngineName, GicpParams, KissParams
+from mapping.odometry.health import Health, HealthConfig
+from mapping.odometry.inertial import InertialConfig
+from mapping.odometry.registration.engines import EngineName, GicpConfig, KissConfig
 
 
-class OdometryParams(BaseModel):
+class OdometryConfig(BaseModel):
     """The whole odometry."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     engine: EngineName = "kiss_icp"
-    kiss_icp: KissParams = KissParams()
-    small_gicp: GicpParams = GicpParams()
-    inertial: InertialParams = InertialParams()
-    health: HealthParams = HealthParams()
+    kiss_icp: KissConfig = KissConfig()
+    small_gicp: GicpConfig = GicpConfig()
+    inertial: InertialConfig = InertialConfig()
+    health: HealthConfig = HealthConfig()
     min_range: float = Field(default=0.4, ge=0, description="nearer points are dropped [m]")
     max_range: float = Field(
         default=20.0, gt=1, description="farther points are dropped; radius of the local map [m]"

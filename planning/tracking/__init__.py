@@ -2,6 +2,6 @@
 
 from planning.tracking.path import PathError, TrackPath
 from planning.tracking.tracker import PathTracker
-from planning.tracking.types import TrackerParams, TrackOutput, TrackPhase
+from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
-__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPath", "TrackPhase", "TrackerParams"]
+__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPath", "TrackPhase", "TrackerConfig"]

@@ -16,9 +16,9 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from planning.tracking.path import PathError, TrackPath, make_path, wrap
-from planning.tracking.types import TrackerParams, TrackOutput, TrackPhase
+from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
-__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerParams"]
+__all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
 
 _WINDOW = 0.6
 """How far ahead of the progress the nearest point is looked for [m]: beyond it a crossing path could capture us."""
@@ -35,8 +35,8 @@ _MAX_DRIFT = 0.35
 class PathTracker:
     """Holds one path at a time. `set_path`, then `step` at a steady rate (50 Hz); `clear` forgets the path."""
 
-    def __init__(self, params: TrackerParams | None = None) -> None:
-        self.params = params or TrackerParams()
+    def __init__(self, params: TrackerConfig | None = None) -> None:
+        self.params = params or TrackerConfig()
         self._vx = 0.0
         self._wz = 0.0
         self._now: int | None = None

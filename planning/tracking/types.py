@@ -8,7 +8,7 @@ from enum import StrEnum
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class TrackerParams(BaseModel):
+class TrackerConfig(BaseModel):
     """Limits and gains of the tracker. Keep the limits below the robot's `Capabilities`: the gate clips silently."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

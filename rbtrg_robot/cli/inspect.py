@@ -105,7 +105,7 @@ def config_schema() -> None:
 @map_app.command("save")
 def map_save(file: Path, robot: Robot = "go2w") -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
-    from mapping.elevation import ElevationMap, ElevationParams, MapError
+    from mapping.elevation import ElevationConfig, ElevationMap, MapError
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
@@ -129,7 +129,7 @@ def map_save(file: Path, robot: Robot = "go2w") -> None:
                 if message is None:
                     continue
                 patch = map_patch(message, 0)
-                elevation = ElevationMap(ElevationParams(resolution=patch.resolution))
+                elevation = ElevationMap(ElevationConfig(resolution=patch.resolution))
                 known = elevation.restore(patch)
                 elevation.save(file)
                 print(f"{known} known cells -> {file}")

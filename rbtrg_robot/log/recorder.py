@@ -15,7 +15,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.log.file import CONFIG, LogError, LogWriter, is_intact
 from rbtrg_robot.log.keep import GIGABYTE, prune
-from rbtrg_robot.params import RecorderParams
+from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.heart import Heart
@@ -39,7 +39,7 @@ class Recorder:
     def __init__(
         self,
         folder: Path,
-        params: RecorderParams,
+        params: RecorderConfig,
         metadata: dict[str, str],
         attachments: dict[str, bytes],
         clock: SourceClock,

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from hal.go2w import MOTORS
 from hal.types import Extrinsics, JointSample
 from mapping.elevation.exchange import MapError
-from mapping.elevation.map import ElevationMap, ElevationParams
+from mapping.elevation.map import ElevationConfig, ElevationMap
 from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.params import ElevationStageParams
+from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -59,7 +59,7 @@ class ElevationStage:
     def __init__(
         self,
         elevation: ElevationMap,
-        params: ElevationStageParams,
+        params: ElevationStageConfig,
         mount: Extrinsics,
     ) -> None:
         self.map = elevation
@@ -213,7 +213,7 @@ def _rehearsal() -> Iterator[tuple[Topic, msg.Message]]:
 
 def build(config: StackConfig) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
-    params: ElevationParams = config.elevation_params()
+    params: ElevationConfig = config.elevation_params()
     elevation = ElevationMap(params)
     if config.map_file:
         elevation.load_prior(Path(config.map_file))

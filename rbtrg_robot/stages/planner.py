@@ -19,7 +19,7 @@ from planning.search.plan import Plan, PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.params import PlannerParams
+from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -49,7 +49,7 @@ class PlannerStage:
 
     def __init__(
         self,
-        params: PlannerParams,
+        params: PlannerConfig,
         graph_params: GraphParams,
         body: BodyModel,
         limits: PathLimits,

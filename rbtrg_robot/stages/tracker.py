@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from planning.tracking.tracker import PathError, PathTracker, TrackerParams, TrackOutput
+from planning.tracking.tracker import PathError, PathTracker, TrackerConfig, TrackOutput
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.params import FreshnessParams
+from rbtrg_robot.stage_config import FreshnessConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import BASE, up_tilt, yaw_of
@@ -25,7 +25,7 @@ class TrackerStage:
     inputs = (t.PATH_COMMAND, t.POSE, t.ODOM, t.ODOM_HEALTH, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC)
     outputs = (t.CMD_VEL, t.TRACKER_STATE)
 
-    def __init__(self, params: TrackerParams, freshness: FreshnessParams) -> None:
+    def __init__(self, params: TrackerConfig, freshness: FreshnessConfig) -> None:
         self._tracker = PathTracker(params)
         self._frame = MapFrame()
         self._limits: dict[Topic, float] = {

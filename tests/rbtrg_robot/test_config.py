@@ -13,7 +13,7 @@ import yaml
 from hal.contract import BackendError
 from hal.mujoco.config import SimConfig
 from hal.types import Extrinsics
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.stages.planner import build as build_planner

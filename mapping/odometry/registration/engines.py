@@ -60,7 +60,7 @@ class Engine(Protocol):
         """Add the cloud of the last `align` to the local map at `pose` (4, 4)."""
 
 
-class KissParams(BaseModel):
+class KissConfig(BaseModel):
     """KISS-ICP, driven frame by frame."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -73,14 +73,16 @@ class KissParams(BaseModel):
         default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
     min_source: int = Field(default=500, ge=0, description="with fewer points the source voxel is halved")
-    max_iterations: int = Field(default=20, ge=1)
+    max_iterations: int = Field(default=20, ge=1, description="least-squares steps per scan")
     surface_sigma: float = Field(
         default=0.008, gt=0, description="systematic error of a registered surface [m]"
     )
-    convergence: float = Field(default=1e-3, gt=0)
+    convergence: float = Field(
+        default=1e-3, gt=0, description="smallest step [m, rad] that is followed by another"
+    )
 
 
-class GicpParams(BaseModel):
+class GicpConfig(BaseModel):
     """small_gicp VGICP."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -93,7 +95,7 @@ class GicpParams(BaseModel):
     surface_sigma: float = Field(
         default=0.004, gt=0, description="systematic error of a registered surface [m]"
     )
-    max_iterations: int = Field(default=20, ge=1)
+    max_iterations: int = Field(default=20, ge=1, description="least-squares steps per scan")
     horizon: int = Field(
         default=600, ge=10, description="scans after which an unseen voxel of the map is forgotten"
     )
@@ -105,7 +107,7 @@ class KissEngine:
 
     name: EngineName = "kiss_icp"
 
-    def __init__(self, params: KissParams, max_range: float) -> None:
+    def __init__(self, params: KissConfig, max_range: float) -> None:
         from kiss_icp.config import KISSConfig
         from kiss_icp.mapping import get_voxel_hash_map
         from kiss_icp.registration import get_registration
@@ -158,7 +160,7 @@ class GicpEngine:
 
     name: EngineName = "small_gicp"
 
-    def __init__(self, params: GicpParams, max_range: float) -> None:
+    def __init__(self, params: GicpConfig, max_range: float) -> None:
         import small_gicp
 
         self._params = params

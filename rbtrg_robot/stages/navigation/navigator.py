@@ -11,7 +11,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState
 from rbtrg_robot.stages.navigation.path_order import PathOrder
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
@@ -47,7 +47,7 @@ class NavigatorStage:
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
-    def __init__(self, params: NavigatorParams, area: Geofence | None = None, room: float = 0.0) -> None:
+    def __init__(self, params: NavigatorConfig, area: Geofence | None = None, room: float = 0.0) -> None:
         """`area`: what goals must lie in, `room` [m] from its edge."""
         self._params = params
         self._area, self._room = area, room

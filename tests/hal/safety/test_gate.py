@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from hal.safety.gate import GateInputs, GateParams, RefusalReason, SafetyGate, StopCause
+from hal.safety.gate import GateConfig, GateInputs, RefusalReason, SafetyGate, StopCause
 from hal.safety.geofence import Geofence, GeofenceError
 from hal.safety.tilt import TiltFilter
 from hal.types import NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
@@ -175,7 +175,7 @@ def test_conditions_an_operator_must_look_at_latch(changes, cause: str):
 def test_a_stale_sensor_holds_and_its_return_releases(sensor: str):
     gate = SafetyGate(CAPS)
     _, now = run(gate, 0, 1.0)
-    limit = getattr(GateParams().sensor_timeout, sensor)
+    limit = getattr(GateConfig().sensor_timeout, sensor)
     dead = now - TICK
     held = []
     for _ in range(round((limit + 0.3) / 0.02)):
@@ -195,8 +195,8 @@ def test_a_stale_sensor_holds_and_its_return_releases(sensor: str):
 
 
 def test_no_setting_takes_a_sensor_out_of_the_checks():
-    one = GateParams.model_validate({"sensor_timeout": {"lidar": 2.0}})
-    none = GateParams.model_validate({"sensor_timeout": {}})
+    one = GateConfig.model_validate({"sensor_timeout": {"lidar": 2.0}})
+    none = GateConfig.model_validate({"sensor_timeout": {}})
     assert one.sensor_timeout.lidar == 2.0
     for params in (one, none):
         for sensor in ("state", "imu", "joints", "lidar"):
@@ -217,14 +217,14 @@ def test_no_setting_takes_a_sensor_out_of_the_checks():
 @pytest.mark.parametrize("key", ["state", "imu", "joints", "lidar"])
 def test_a_timeout_that_could_never_trip_is_refused(key: str, value: float | None):
     with pytest.raises(ValidationError):
-        GateParams.model_validate({"sensor_timeout": {key: value}})
+        GateConfig.model_validate({"sensor_timeout": {key: value}})
 
 
-@pytest.mark.parametrize("key", sorted(set(GateParams.model_fields) - {"sensor_timeout"}))
+@pytest.mark.parametrize("key", sorted(set(GateConfig.model_fields) - {"sensor_timeout"}))
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_no_threshold_is_infinite(key: str, value: float):
     with pytest.raises(ValidationError):
-        GateParams.model_validate({key: value})
+        GateConfig.model_validate({key: value})
 
 
 def test_the_operators_own_remote_takes_the_motion_until_resume():
@@ -255,7 +255,7 @@ def test_what_was_never_seen_holds():
 
 
 def test_a_command_that_moves_nothing_is_flagged_and_latches_in_the_end():
-    gate = SafetyGate(CAPS, GateParams(not_moving_stop=4.0))
+    gate = SafetyGate(CAPS, GateConfig(not_moving_stop=4.0))
     _, now = run(gate, 0, 1.0, velocity=(0.0, 0.0, 0.0))
     assert not gate.status().not_moving
     _, now = run(gate, now, 1.0, velocity=(0.02, 0.0, 0.0))
@@ -285,8 +285,8 @@ def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
     assert out.vx == 0.5
     # Its front is 0.09 m inside: no faster than it gets there in the horizon.
     out, now = run(gate, now, 1.0, wz=0.3, pose=(3.5, 2.0, 0.0))
-    front = 4.0 - 3.5 - GateParams().fence_margin
-    assert out.vx == pytest.approx(front / GateParams().fence_horizon)
+    front = 4.0 - 3.5 - GateConfig().fence_margin
+    assert out.vx == pytest.approx(front / GateConfig().fence_horizon)
     assert gate.status().hold == ""
     out, now = run(gate, now, 1.0, wz=0.3, pose=(3.6, 2.0, 0.0))
     assert out.vx == 0.0

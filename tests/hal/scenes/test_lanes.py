@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.mujoco.options import CAPABILITIES
+from hal.mujoco.config import CAPABILITIES
 from hal.scenes import SceneError, load_scene
 from hal.scenes.elements import BAR, BEYOND, ENVELOPE, MAPS, PIT, TRACK
 from hal.scenes.lanes import LAYOUTS, RESOLUTION, WALL_HEIGHT, Lane, lane, named

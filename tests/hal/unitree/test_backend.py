@@ -24,8 +24,8 @@ from hal.types import (
     RobotState,
 )
 from hal.unitree.api import Sport
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.link import L1_CLOUD
-from hal.unitree.options import UnitreeOptions
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 from tests.hal.unitree.world import HOST_EPOCH, World
 

@@ -16,9 +16,9 @@ from cyclonedds.domain import DomainParticipant
 
 from hal.scenes import Scene
 from hal.unitree.api import Request, Response
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.connect import open_link
 from hal.unitree.factory import make_backend
-from hal.unitree.options import UnitreeOptions
 from tests.hal.unitree.peer import Peer
 from tests.hal.unitree.peer_process import PeerProcess
 from tests.hal.unitree.robot import MujocoBody

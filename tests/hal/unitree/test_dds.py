@@ -17,8 +17,8 @@ pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.contract import BackendError
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, VelocityCommand
 from hal.unitree.backend import UnitreeBackend
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.factory import make_backend
-from hal.unitree.options import UnitreeOptions
 from tests.hal.unitree.peer_process import REST, PeerProcess
 from tests.places import ROOT
 
@@ -28,7 +28,7 @@ import signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 from hal.types import VelocityCommand
 from hal.unitree.factory import make_backend
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 backend = make_backend("lo", options=UnitreeOptions(domain=int(sys.argv[1])))
 backend.connect()
 print("up", flush=True)

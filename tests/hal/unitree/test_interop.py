@@ -12,8 +12,8 @@ import pytest
 pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.types import ImuSample, Phase, VelocityCommand
 from hal.unitree.backend import UnitreeBackend
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR
-from hal.unitree.options import UnitreeOptions
 
 PYTHON = os.environ.get("CYCLONEDDS_0_10_PYTHON", "")
 SCRIPT = Path(__file__).parent / "old_peer.py"

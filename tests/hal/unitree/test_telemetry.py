@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hal.types import NS, ImuSample, JointSample
+from hal.unitree.config import UnitreeOptions
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR
 from hal.unitree.link import LOW_STATE
-from hal.unitree.options import UnitreeOptions
 from hal.unitree.telemetry import Telemetry
 
 

@@ -7,7 +7,7 @@ from typing import Any
 from hal.types import NS, Phase, RobotState, VelocityCommand
 from hal.unitree.api import SERVICES, Request, Response
 from hal.unitree.backend import UnitreeBackend
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapMirror
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.tiles import LIDAR
 from tests.places import TERRAIN, needs_shared
 
@@ -18,7 +18,7 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 
 def seen_map(**params) -> ElevationMap:
     """A map of a 4 x 2 m bump, each cell hit three times."""
-    elevation = ElevationMap(ElevationParams(**params))
+    elevation = ElevationMap(ElevationConfig(**params))
     x, y = np.meshgrid(np.arange(-2.0, 2.0, 0.02), np.arange(-1.0, 1.0, 0.02))
     z = 0.3 * np.exp(-(x**2 + y**2))
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel() - 1.6]).astype(np.float32)
@@ -54,7 +54,7 @@ def test_the_same_map_saves_to_the_same_bytes(tmp_path: Path) -> None:
 def test_a_map_loads_at_another_resolution(tmp_path: Path) -> None:
     seen_map().save(tmp_path / "map.npz")
     for resolution in (0.02, 0.05, 0.1):
-        again = ElevationMap(ElevationParams(resolution=resolution))
+        again = ElevationMap(ElevationConfig(resolution=resolution))
         again.load_prior(tmp_path / "map.npz")
         patch = again.window(3.0, -5.0, 0.5)
         x = patch.origin[0] + patch.resolution * np.arange(patch.shape[1]) - 3.0
@@ -160,7 +160,7 @@ def test_saving_where_nothing_can_be_written_raises_and_leaves_nothing(tmp_path:
 
 @needs_shared
 def test_the_maze_sample_covers_its_floor_at_five_centimetres() -> None:
-    elevation = ElevationMap(ElevationParams(resolution=0.05))
+    elevation = ElevationMap(ElevationConfig(resolution=0.05))
     assert elevation.load_prior(TERRAIN / "maze.ply") > 8000
     layers = elevation.full().layers
     # inside the hall's western part nothing is missing but what the blocks hide

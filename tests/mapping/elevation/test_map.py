@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from hal.lidar.spec import LIDARS
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapMirror
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.tiles import BRIDGED, CONTACT, LIDAR
 from rbtrg_robot.config import load
 from tools.bench.perception.map import Mapper, registered
@@ -108,7 +108,7 @@ def test_same_calls_give_the_same_bytes() -> None:
 
 
 def test_cells_lie_on_the_world_lattice() -> None:
-    elevation = ElevationMap(ElevationParams(resolution=0.05))
+    elevation = ElevationMap(ElevationConfig(resolution=0.05))
     point = np.array([[2.0, -1.0, -0.4]] * 3, dtype=np.float32)
     elevation.fuse(point, (0.51, 0.26, 0.4), LEVEL, 1)
     grid = elevation.grid()
@@ -256,17 +256,17 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
     off = np.abs(found.layers["elevation"][both] - lost.layers["elevation"][both])
     assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
     with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
-        ElevationMap(ElevationParams(resolution=0.05)).restore(lost)
+        ElevationMap(ElevationConfig(resolution=0.05)).restore(lost)
 
 
 def test_the_noise_is_that_of_the_lidar_unless_it_is_set() -> None:
     assert ElevationMap().params.range_sigma == LIDARS["xt16"].range_sigma
-    params = ElevationParams(beam_sigma=0.004).for_lidar(LIDARS["mid360"])
+    params = ElevationConfig(beam_sigma=0.004).for_lidar(LIDARS["mid360"])
     assert (params.range_sigma, params.beam_sigma) == (0.02, 0.004)
     steep = np.array([[0.5, 0.0, -0.4]] * 3, np.float32)
     variance = []
     for name in ("xt16", "mid360"):
-        elevation = ElevationMap(ElevationParams(min_sigma=1e-4).for_lidar(LIDARS[name]))
+        elevation = ElevationMap(ElevationConfig(min_sigma=1e-4).for_lidar(LIDARS[name]))
         elevation.fuse(steep, np.zeros(3), (0, 0, 0, 1), 0, LIDARS[name].mount.translation)
         variance.append(np.nanmin(elevation.full().layers["variance"]))
     assert variance[1] > 1.5 * variance[0]

@@ -10,8 +10,8 @@ import pytest
 
 from hal.lidar import LIDARS
 from hal.rotation import quaternion, rotation
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.prior import FEW, PriorCheck
 from mapping.elevation.tiles import LIDAR, PRIOR, TileStore
 from tools.bench.perception.map import Mapper, Registered, registered
@@ -87,7 +87,7 @@ def test_a_prior_map_from_another_start_is_taken_at_its_level(
 
 
 def test_without_a_prior_map_there_is_nothing_to_say(later: list[Registered]) -> None:
-    elevation = ElevationMap(ElevationParams())
+    elevation = ElevationMap(ElevationConfig())
     for scan in later[:3]:
         elevation.fuse(scan.cloud, scan.position, scan.orientation, scan.stamp)
     assert elevation.warning == ""
@@ -124,12 +124,12 @@ def test_each_cell_counts_once_and_few_cells_say_nothing() -> None:
 
 def test_the_elevation_process_publishes_the_warning(prior: Path, later: list[Registered]) -> None:
     from rbtrg_robot import topics as t
-    from rbtrg_robot.params import ElevationStageParams
+    from rbtrg_robot.stage_config import ElevationStageConfig
     from rbtrg_robot.stages.elevation import ElevationStage
 
     for yaw in (0.0, 90.0):
         stage = ElevationStage(
-            started_at(prior, later, yaw=yaw), ElevationStageParams(), LIDARS["xt16"].mount
+            started_at(prior, later, yaw=yaw), ElevationStageConfig(), LIDARS["xt16"].mount
         )
         ((topic, status),) = stage.tick(1)
         assert topic is t.MAP_STATUS

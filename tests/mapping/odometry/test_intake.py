@@ -13,7 +13,7 @@ from hal.lidar import LIDARS
 from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
-from mapping.odometry.pipeline import LidarInertialOdometry, OdometryParams
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from tools.synthetic import arena_run
 
 
@@ -89,7 +89,7 @@ def test_spoiled_scans_are_counted_and_survived(samples: list[Sample], kind: str
 def test_equal_point_times_never_abort(samples: list[Sample], time: float) -> None:
     spoiled = [all_at_once(s, time) if isinstance(s, LidarScan) else s for s in samples]
     for engine in ("kiss_icp", "small_gicp"):
-        results = feed(LidarInertialOdometry(OdometryParams(engine=engine)), spoiled)
+        results = feed(LidarInertialOdometry(OdometryConfig(engine=engine)), spoiled)
         assert len(results) > 20
         assert sane(results)
 

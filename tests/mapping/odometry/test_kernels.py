@@ -11,7 +11,7 @@ from hal.go2w import IMU_POSITION, STAND, WHEEL_RADIUS, stand_height, wheel_cent
 from hal.rotation import quaternion, rotation, rotation_vector, skew, turn
 from hal.types import NS
 from mapping.odometry.deskew import deskew, mount_matrix
-from mapping.odometry.inertial import InertialFilter, InertialParams
+from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.inertial_kernels import propagate, update_velocity
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.wheels import leg_velocity
@@ -44,7 +44,7 @@ def test_rotations_agree_with_rodrigues(a: np.ndarray, b: np.ndarray) -> None:
 def test_what_nobody_hears_comes_to_rest(gap: float, wheels: bool, moved: bool) -> None:
     """A body at 0.5 m/s and 0.3 rad/s, whose samples stop for a while; wheels alone let it go on."""
     level = np.array([0.0, 0.0, 0.3, 0.0, 0.0, 9.81])
-    state = InertialFilter(InertialParams())
+    state = InertialFilter(InertialConfig())
     state.start(0, np.tile(level, (5, 1)), False, np.array([0.5, 0.0, 0.0]), 0.4)
     there, sigma = state.pose(), np.sqrt(state.p[8, 8])
     stamps = np.array([round((gap + 0.005 * k) * NS) for k in range(3)])
@@ -134,7 +134,7 @@ def test_velocity_far_off_is_refused() -> None:
 
 
 def test_pose_update_moves_base_link_to_a_certain_measurement() -> None:
-    f = InertialFilter(InertialParams())
+    f = InertialFilter(InertialConfig())
     f.x, f.p = random_state(np.random.default_rng(4))
     f.p *= 0.01
     target = f.pose()

@@ -11,14 +11,14 @@ from hal.lidar import LIDARS
 from hal.rotation import rotation, rotation_vector
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
-from mapping.odometry.pipeline import LidarInertialOdometry, OdometryParams
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from tools.synthetic import SyntheticRun, arena_run
 from tools.synthetic_motion import Motion
 
 SECONDS = 9.0
-PARAMS = OdometryParams()
+PARAMS = OdometryConfig()
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def recorded() -> tuple[SyntheticRun, list[Sample]]:
 class Driven:
     """What came out of one pass."""
 
-    def __init__(self, samples: list[Sample], params: OdometryParams = PARAMS, lidar: str = "xt16") -> None:
+    def __init__(self, samples: list[Sample], params: OdometryConfig = PARAMS, lidar: str = "xt16") -> None:
         self.odometry = LidarInertialOdometry(params, LIDARS[lidar].mount)
         self.scans: list[ScanOdometry] = []
         self.fast: list[FastPose] = []
@@ -99,7 +99,7 @@ def test_motion_over_one_second_is_within_the_limits(
     run, samples = recorded
     if not joints:
         samples = [s for s in samples if not isinstance(s, JointSample)]
-    out = Driven(samples, OdometryParams(engine=engine, use_joints=joints))
+    out = Driven(samples, OdometryConfig(engine=engine, use_joints=joints))
     assert len(out.scans) >= SECONDS * 10 - 8
     assert rpe(run, out.scans, 10)[0] < mm
     assert rpe(run, out.scans, 10)[1] < deg

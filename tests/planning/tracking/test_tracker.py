@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planning.tracking.path import PathError, make_path, wrap
-from planning.tracking.tracker import PathTracker, TrackerParams, TrackOutput, TrackPhase
+from planning.tracking.tracker import PathTracker, TrackerConfig, TrackOutput, TrackPhase
 
 DT = 0.02
 
@@ -140,7 +140,7 @@ def test_sideways_drift_is_learnt_away():
     offs = {}
     for gain in (0.0, 0.3):
         base = Base(drift=0.05)
-        tracker = PathTracker(TrackerParams(drift_gain=gain))
+        tracker = PathTracker(TrackerConfig(drift_gain=gain))
         tracker.set_path(line(8.0), None, 0.5)
         run = drive(tracker, base)
         offs[gain] = float(np.abs(run.xy[-400:-100, 1]).mean())
@@ -292,7 +292,7 @@ def test_turning_round_into_reverse_while_moving_never_jumps():
 
 def test_outputs_keep_the_acceleration_limits():
     points, yaw = figure_eight(1.2)
-    p = TrackerParams()
+    p = TrackerConfig()
     tracker, base = PathTracker(p), Base(yaw=yaw[0] + 2.0, noise=0.01)
     tracker.set_path(points, yaw, 0.7, goal_yaw=2.0)
     run = drive(tracker, base)
@@ -305,7 +305,7 @@ def test_outputs_keep_the_acceleration_limits():
 
 
 def test_bends_slopes_and_the_speed_profile_slow_down():
-    p = TrackerParams(lateral_accel=0.2)
+    p = TrackerConfig(lateral_accel=0.2)
     path = make_path(
         np.array([[math.sin(t), 1 - math.cos(t)] for t in np.linspace(0, 3, 200)]) * 0.4,
         None,
@@ -446,7 +446,7 @@ def test_a_clock_that_stops_or_jumps_never_makes_a_jump_of_speed():
 @given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=2, max_size=30), st.integers(0, 1000))
 @settings(max_examples=60, deadline=None)
 def test_any_path_and_any_pose_keep_the_limits(points, seed):
-    p = TrackerParams()
+    p = TrackerConfig()
     tracker, rng = PathTracker(p), np.random.default_rng(seed)
     tracker.set_path(np.array(points), None, 2.0, goal_yaw=0.5)
     last = (0.0, 0.0)

@@ -12,12 +12,12 @@ import pytest
 
 from hal.contract import Backend
 from hal.mujoco.backend import MujocoBackend
-from hal.safety.gate import GateParams, SafetyGate
+from hal.safety.gate import GateConfig, SafetyGate
 from hal.safety.geofence import Geofence
 from hal.safety.tilt import TiltFilter
 from hal.scenes import Scene
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, RobotState, Sample
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import robot_line
 from rbtrg_robot.process.health import Health
@@ -86,7 +86,7 @@ class Rig:
         backend, self.speed = make_backend()
         self.robot = Bent(backend)
         fence = Geofence.of([(-50, -50), (50, -50), (50, 50), (-50, 50)])
-        self.gate = SafetyGate(backend.capabilities, GateParams(not_moving_stop=3.0), fence)
+        self.gate = SafetyGate(backend.capabilities, GateConfig(not_moving_stop=3.0), fence)
         self.stage = RobotStage(self.robot, self.gate, simulated=True, watched=frozenset({"navigator"}))  # type: ignore[arg-type]
         self.health = Health(simulated=True)
         self.now = 0

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import goal_line, robot_line
 from rbtrg_robot.config import load

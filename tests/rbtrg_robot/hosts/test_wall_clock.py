@@ -13,7 +13,7 @@ import pytest
 from hal.safety.gate import SafetyGate
 from hal.types import NS
 from hal.unitree.api import SPORT, Sport
-from hal.unitree.options import UnitreeOptions
+from hal.unitree.config import UnitreeOptions
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import robot as robot_process

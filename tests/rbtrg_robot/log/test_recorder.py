@@ -17,9 +17,9 @@ from rbtrg_robot.log import recorder as module
 from rbtrg_robot.log.file import is_intact, read_log
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
 from rbtrg_robot.log.recorder import Recorder
-from rbtrg_robot.params import RecorderParams
 from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
 from rbtrg_robot.process.supervisor import last_words, rotate
+from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import encode, header
 
@@ -43,7 +43,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 def recorder_in(folder: Path, **params: float) -> Recorder:
     folder.mkdir(parents=True, exist_ok=True)
-    return Recorder(folder, RecorderParams(**params), {}, {}, SourceClock())  # type: ignore[arg-type]
+    return Recorder(folder, RecorderConfig(**params), {}, {}, SourceClock())  # type: ignore[arg-type]
 
 
 def one(recorder: Recorder, topic: t.Topic[Any], stamp: int) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from hal.lowlevel import Locomotion
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
-from planning.tracking.tracker import PathTracker, TrackerParams, TrackPhase
+from planning.tracking.tracker import PathTracker, TrackerConfig, TrackPhase
 from tools.bench.envelope.terrain import RESOLUTION, course, rolling_ground
 from tools.bench.envelope.trial import DT, TIPPED
 
@@ -45,7 +45,7 @@ def figure_eight(controller: Locomotion) -> Ride:
     direction = points[1] - points[0]
     sim.reset(0.0, 0.0, float(np.arctan2(direction[1], direction[0])))
     controller.reset()
-    tracker = PathTracker(TrackerParams(max_speed=SPEED))
+    tracker = PathTracker(TrackerConfig(max_speed=SPEED))
     tracker.set_path(points, None, SPEED)
     posture = PostureCommand(0)
     command = VelocityCommand(0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 
-from mapping.odometry.types import OdometryParams
+from mapping.odometry.types import OdometryConfig
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
 from tools.bench.perception import soak as _perception_soak
@@ -57,7 +57,7 @@ def _odometry_rows(report: Report, lidar: str, seconds: float, seed: int, joints
     tracks = drive(
         scene_run,
         ENGINES,
-        OdometryParams(use_joints=joints),
+        OdometryConfig(use_joints=joints),
         on_scan=lambda name, scan: maps[name].take(scan),
     )
     rmse = {name: m.rmse_mm() for name, m in maps.items()}

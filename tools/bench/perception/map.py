@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from hal.rotation import rotation, turn
 from hal.scenes import Scene
 from hal.types import NS, Array, ImuSample, JointSample, LidarScan
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.elevation.tiles import LIDAR
 from mapping.odometry.contacts import wheel_contacts
 from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.types import ScanOdometry
-from rbtrg_robot.params import ElevationStageParams
+from rbtrg_robot.stage_config import ElevationStageConfig
 from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run, clearing_run, feature_run
 from tools.synthetic_scenes import FEATURES, OBSTACLE
@@ -28,7 +28,7 @@ RMSE_LIMIT = {"xt16": 5.0, "mid360": 10.0}
 """True poses, gyro deskew [mm]."""
 ENGINE_LIMIT = {"xt16": 20.0, "mid360": 35.0}
 """Default engine [mm]."""
-STAGE = ElevationStageParams()
+STAGE = ElevationStageConfig()
 """How often the stack cleans up and publishes."""
 FINE = 0.02
 """Cell size of the error figures [m]."""
@@ -91,7 +91,7 @@ class Mapper:
     scans: int = 0
 
     def __post_init__(self) -> None:
-        self.map = ElevationMap(ElevationParams(resolution=self.resolution).for_lidar(self.run.lidar))
+        self.map = ElevationMap(ElevationConfig(resolution=self.resolution).for_lidar(self.run.lidar))
         self.map.warm_up()
 
     def take(self, scan: Registered | ScanOdometry) -> None:

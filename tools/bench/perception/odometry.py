@@ -14,7 +14,7 @@ from hal.rotation import quaternion, rotation, rotation_vector
 from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.deskew import mount_matrix
 from mapping.odometry.health import Health
-from mapping.odometry.pipeline import LidarInertialOdometry, OdometryParams
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.registration.engines import ENGINES
 from mapping.odometry.types import ScanOdometry
 
@@ -102,11 +102,11 @@ class StockKissIcp:
 def drive(
     run: Run,
     engines: Iterable[str],
-    params: OdometryParams | None = None,
+    params: OdometryConfig | None = None,
     on_scan: OnScan | None = None,
 ) -> dict[str, Track]:
     """Stream `run` once through all `engines` (`kiss_icp`, `small_gicp`, `stock`)."""
-    params = params or OdometryParams()
+    params = params or OdometryConfig()
     ours = {
         name: LidarInertialOdometry(params.model_copy(update={"engine": name}), run.extrinsics)
         for name in engines

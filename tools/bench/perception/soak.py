@@ -8,11 +8,11 @@ import numpy as np
 import psutil
 
 from hal.types import GroundTruth, ImuSample, JointSample, LidarScan
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
-from mapping.elevation.params import ElevationParams
 from mapping.grid import ElevationGrid
 from mapping.odometry.contacts import wheel_contacts
-from mapping.odometry.pipeline import LidarInertialOdometry, OdometryParams
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from tools.bench.report import Report
 from tools.synthetic import soak_run
 
@@ -24,9 +24,9 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
     cells that were trusted after the first third and are unknown at the end [%].
     """
     run = soak_run(lidar, minutes=minutes, azimuth_step=azimuth_step)
-    odometry = LidarInertialOdometry(OdometryParams(), run.extrinsics)
+    odometry = LidarInertialOdometry(OdometryConfig(), run.extrinsics)
     odometry.warm_up()
-    elevation = ElevationMap(ElevationParams().for_lidar(run.lidar))
+    elevation = ElevationMap(ElevationConfig().for_lidar(run.lidar))
     elevation.warm_up()
     cpu: list[float] = []
     spent = 0.0

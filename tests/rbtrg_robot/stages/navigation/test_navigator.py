@@ -14,7 +14,7 @@ from hal.safety.geofence import Geofence
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
 from rbtrg_robot import topics as t
-from rbtrg_robot.params import NavigatorParams
+from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
@@ -30,7 +30,7 @@ class World:
     """Plays everyone the navigator talks to."""
 
     def __init__(self, area: Any = None, *, placed: bool = True) -> None:
-        self.stage = NavigatorStage(NavigatorParams(), Geofence.of(area) if area else None, room=0.46)
+        self.stage = NavigatorStage(NavigatorConfig(), Geofence.of(area) if area else None, room=0.46)
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
@@ -524,7 +524,7 @@ def test_a_tracker_that_lost_its_path_gets_it_again(world: World) -> None:
 
 
 def test_after_a_crash_an_active_goal_ends_with_a_reason() -> None:
-    stage = NavigatorStage(NavigatorParams())
+    stage = NavigatorStage(NavigatorConfig())
     before = t.GOAL_STATUS.kind(header=header(1, "map"), id="g", state="moving", x=1.0)
     out = [m for x, m in stage.on(t.GOAL_STATUS, before) if x is t.GOAL_STATUS]
     assert (out[-1].id, out[-1].state, out[-1].reason) == ("g", "aborted", "process_lost")

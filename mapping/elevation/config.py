@@ -10,7 +10,7 @@ LEAST_BEAM_SIGMA = 1e-4
 """A beam has some width, whatever a specification says [rad]."""
 
 
-class ElevationParams(BaseModel):
+class ElevationConfig(BaseModel):
     """Sources: noise model and gates after ANYbotics/elevation_mapping; own two-mode cells and bridging."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -116,7 +116,7 @@ class ElevationParams(BaseModel):
         default=0.005, description="height change that makes a cell part of the next delta [m]"
     )
 
-    def for_lidar(self, lidar: LidarSpec) -> ElevationParams:
+    def for_lidar(self, lidar: LidarSpec) -> ElevationConfig:
         """With the noise of `lidar` where none is set."""
         own = {"range_sigma": lidar.range_sigma, "beam_sigma": max(lidar.angle_sigma, LEAST_BEAM_SIGMA)}
         return self.model_copy(update={k: v for k, v in own.items() if getattr(self, k) is None})

@@ -54,7 +54,7 @@ class UnitreeSettings(BaseModel):
     sport_timeout: float = Field(default=1.0, gt=0, description="without sportmodestate for this long: fault")
     connect_timeout: float = Field(default=10.0, gt=0, description="for discovery")
     rpc_timeout: float = Field(default=1.0, gt=0, description="per request, then it is repeated")
-    rpc_tries: int = Field(default=3, ge=1)
+    rpc_tries: int = Field(default=3, ge=1, description="requests before a service counts as silent")
     busy_timeout: float = Field(default=15.0, gt=0, description="for a mode switcher that answers busy")
     stand_timeout: float = Field(default=8.0, gt=0, description="for standing up or lying down")
     ignored_timeout: float = Field(

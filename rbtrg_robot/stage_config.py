@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 
-class NavigatorParams(BaseModel):
+class NavigatorConfig(BaseModel):
     """Patience of the navigator."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -31,7 +31,7 @@ class NavigatorParams(BaseModel):
     avoid_radius: float = Field(0.3, gt=0, description="radius kept free around it [m]")
 
 
-class FreshnessParams(BaseModel):
+class FreshnessConfig(BaseModel):
     """How old the tracker's inputs may be while it drives."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -42,7 +42,7 @@ class FreshnessParams(BaseModel):
     goal: float = Field(1.2, gt=0, description="goal status of the navigator [s]")
 
 
-class ElevationStageParams(BaseModel):
+class ElevationStageConfig(BaseModel):
     """Cadence of the elevation process, counted in scans so that a re-run makes the same map."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -52,7 +52,7 @@ class ElevationStageParams(BaseModel):
     clean_every: int = Field(3, ge=1, description="scans between two visibility clean-ups")
 
 
-class PlannerParams(BaseModel):
+class PlannerConfig(BaseModel):
     """How the planner process works; the graph and the body have their own parameters."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -63,7 +63,7 @@ class PlannerParams(BaseModel):
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
 
 
-class RecorderParams(BaseModel):
+class RecorderConfig(BaseModel):
     """When to flush, when to begin a new file, and what may stay on the disk."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")

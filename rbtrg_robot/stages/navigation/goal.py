@@ -61,6 +61,8 @@ class Goal:
     detail: str = ""
     replans: int = 0
     recoveries: int = 0
+    begun: bool = False
+    """There was a route."""
     frontier: bool = False
     risk: float = 0.0
 
@@ -118,6 +120,13 @@ class Goal:
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         """Enter a terminal state."""
         self.state, self.reason, self.detail = state, reason, detail
+
+    def place(self, pose: Pose2 | None) -> str:
+        """Where the robot was when it gave up, for the detail."""
+        if pose is None:
+            return ""
+        left = math.dist(pose[:2], (self.x, self.y))
+        return f"; the robot is at x {pose[0]:.2f} y {pose[1]:.2f}, {left:.2f} m from the goal"
 
     def status(self, now: int, distance_left: float) -> msg.GoalStatus:
         """rbtrg_msgs/GoalStatus in frame `map`; `now` [ns], `distance_left` along the path [m]."""

@@ -17,6 +17,7 @@ from rbtrg_robot.stages.navigation.path_order import PathOrder
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance
+from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
@@ -24,7 +25,7 @@ from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header
 
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
-"""Reasons that refuse a goal when its first plan meets them; later they abort it."""
+"""Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
@@ -62,9 +63,8 @@ class NavigatorStage:
         self._query = PlanQuery()
         self._plan: msg.Plan | None = None
         self._route_bad = ""
-        self._no_route = 0
         self._short = 0
-        self._avoid: list[float] = []
+        self._recovery = Recovery(params)
         self._order = PathOrder()
         self._progress = ProgressMonitor()
         self._trail = Trail()
@@ -126,8 +126,8 @@ class NavigatorStage:
         if self._goal and self._goal.state.active:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
         self._goal = goal
-        self._no_route = self._short = 0
-        self._avoid = []
+        self._short = 0
+        self._recovery = Recovery(self._params)
         self._progress = ProgressMonitor()
         self._plan = None
         self._query.drop()
@@ -153,8 +153,9 @@ class NavigatorStage:
             return  # asked before the inputs went: a new route is asked for when they are back
         self._route_bad = ""
         if message.ok:
-            self._no_route = 0
+            self._recovery.found()
             self._plan = message
+            goal.begun = True
             goal.frontier = not message.reaches_goal
             goal.risk = float(message.transition_body.max(initial=0.0))
             goal.state = GoalState.MOVING
@@ -163,21 +164,14 @@ class NavigatorStage:
             self._status()
             return
         reason = Reason(message.reason)
-        if reason in REJECTING and self._plan is None and goal.replans == 0:
-            self._end(GoalState.REJECTED, reason, message.detail)
-            return
-        self._no_route += 1
-        if self._no_route > self._params.no_route_retries:
-            # It may only lack the room to turn here: it had room where it came from.
-            first = self._pose is not None and self._progress.tries(self._pose) == 1
-            if reason is Reason.NO_ROUTE and first and self._move_out(goal):
-                self._no_route = 0
-            else:
-                self._end(GoalState.ABORTED, reason, message.detail)
-            return
-        # Noise can close a passage for a moment: stand and look again before giving up.
-        self._stand(goal, message.detail)
-        goal.state = GoalState.PLANNING
+        measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
+        if measure is Measure.LOOK:  # noise can close a passage for a moment
+            self._stand(goal, message.detail)
+            goal.state = GoalState.PLANNING
+        elif measure is Measure.GIVE_UP or reason is Reason.IN_OBSTACLE or not self._move_out(goal):
+            refused = reason in REJECTING and not goal.begun
+            state = GoalState.REJECTED if refused else GoalState.ABORTED
+            self._end(state, reason, message.detail + goal.place(self._pose))
 
     # --- clock ------------------------------------------------------------------------------------------------
 
@@ -282,15 +276,12 @@ class NavigatorStage:
         """Move out of the place, then replan around it; give up where that was done often enough."""
         self._progress.reset()
         assert self._pose is not None
-        if self._progress.tries(self._pose) > self._params.max_recoveries:
-            self._end(GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries")
-            return
-        if (
-            self._tracker is None or self._tracker.phase not in TURNING
-        ):  # what stalls a turn lies under the robot, not ahead
-            (x, y, yaw), reach = self._pose, self._params.avoid_ahead
-            self._avoid += [x + reach * math.cos(yaw), y + reach * math.sin(yaw), self._params.avoid_radius]
-        if not self._move_out(goal):
+        turning = self._tracker is not None and self._tracker.phase in TURNING
+        if self._recovery.stuck(self._pose, turning=turning) is Measure.GIVE_UP:
+            self._end(
+                GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
+            )
+        elif not self._move_out(goal):
             goal.recoveries += 1
             self._replan(goal)
 
@@ -320,7 +311,7 @@ class NavigatorStage:
         if self._plan is None:
             goal.state = GoalState.PLANNING
         ask = self._query.repeat if again else self._query.ask
-        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._avoid)))
+        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._recovery.avoid)))
 
     def _halt(self) -> None:
         self._progress.reset()

@@ -22,8 +22,6 @@ STUCK_DISTANCE = 0.15
 """[m]: less than this in STUCK_SECONDS is no progress, unless it turned."""
 STUCK_ANGLE = 0.5
 """[rad]."""
-SAME_PLACE = 1.0
-"""[m]"""
 TRAIL_SPACING = 0.05
 TRAIL_LENGTH = 100
 TRAIL_ANGLE = 0.1
@@ -54,7 +52,6 @@ class ProgressMonitor:
 
     def __init__(self) -> None:
         self._anchor: tuple[int, Pose2] | None = None
-        self._stuck_at: list[Pose2] = []
 
     def reset(self) -> None:
         """A new path, or standing on purpose."""
@@ -71,11 +68,6 @@ class ProgressMonitor:
             self._anchor = (now, pose)
             return False
         return now - since > STUCK_SECONDS * NS
-
-    def tries(self, pose: Pose2) -> int:
-        """Note that it is stuck here; how often it was at this place, this time included."""
-        self._stuck_at.append(pose)
-        return sum(math.dist(pose[:2], other[:2]) < SAME_PLACE for other in self._stuck_at)
 
 
 class Trail:

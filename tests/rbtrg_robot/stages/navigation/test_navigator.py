@@ -244,10 +244,46 @@ def test_nothing_is_planned_before_the_start_in_the_map_is_known() -> None:
     assert world.count(t.PLAN_REQUEST) == 1
 
 
-def test_a_goal_in_an_obstacle_is_rejected_at_once(world: World) -> None:
+def test_a_goal_in_an_obstacle_is_rejected_after_looking_again(world: World) -> None:
     world.goal()
+    for _ in range(3):
+        world.answer(ok=False, reason="goal_in_obstacle")
+        assert world.status.state == "planning", "the map may show free ground in a moment"
+        world.run(1.5)
     world.answer(ok=False, reason="goal_in_obstacle")
     assert (world.status.state, world.status.reason) == ("rejected", "goal_in_obstacle")
+    assert "3.00 m from the goal" in world.status.detail
+
+
+def test_a_goal_that_had_a_route_is_aborted_not_rejected(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.route_valid = False
+    for _ in range(4):
+        world.run(1.5)
+        world.answer(ok=False, reason="goal_in_obstacle")
+    assert (world.status.state, world.status.reason) == ("aborted", "goal_in_obstacle")
+
+
+def test_where_only_the_places_kept_off_are_left_the_way_leads_over_them(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    world.answer()
+    world.run(5.5)
+    assert world.status.state == "recovering"
+    world.tracker_phase = "done"
+    world.run(0.1)
+    world.tracker_phase = "following"
+    for _ in range(4):
+        assert len(world.last(t.PLAN_REQUEST).avoid) == 3
+        world.answer(ok=False, reason="no_route")
+        world.run(1.5)
+    assert world.status.state == "planning"
+    assert len(world.last(t.PLAN_REQUEST).avoid) == 0
+    world.answer()
+    assert world.status.state == "moving"
 
 
 def test_no_route_is_tried_again_before_it_is_final(world: World) -> None:
@@ -485,7 +521,7 @@ def test_stuck_moves_out_then_replans_around_a_few_times_then_aborts(world: Worl
     assert world.status.state == "moving"
     world.run(5.5)
     assert (world.status.state, world.status.reason) == ("aborted", "stuck")
-    assert world.status.detail == "after 3 recoveries"
+    assert world.status.detail.startswith("after 3 recoveries; the robot is at x 0.95 y 0.00")
 
 
 def test_recoveries_are_counted_at_each_place(world: World) -> None:

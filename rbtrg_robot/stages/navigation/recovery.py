@@ -1,0 +1,68 @@
+"""What the navigator tries where there is no route or no progress, in the order of what it costs."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+
+from rbtrg_robot.stage_config import NavigatorConfig
+from rbtrg_robot.stages.navigation.progress import Pose2
+
+SAME_PLACE = 1.0
+"""[m]"""
+
+
+class Measure(StrEnum):
+    """What to do next."""
+
+    LOOK = "look"
+    """Stand, wait for a newer map and ask again; the planner draws another graph meanwhile."""
+    MOVE_OUT = "move_out"
+    """Move straight over ground the body covered, then ask again."""
+    GIVE_UP = "give_up"
+
+
+class Recovery:
+    """Keeps what was tried for one goal, and what routes must keep off.
+
+    No route: look again a few times; then once more without the places to keep off, because they may be the only way; then move out of the
+    place once, because it may only lack the room to turn; then give up. Stuck: keep off the place and move out, a few times at each place.
+    """
+
+    def __init__(self, config: NavigatorConfig) -> None:
+        self._config = config
+        self.avoid: list[float] = []
+        """x, y, radius [m] of places that routes keep off, one after the other."""
+        self._failed = 0
+        self._stuck_at: list[Pose2] = []
+        self._lost_at: list[Pose2] = []
+
+    def found(self) -> None:
+        """There is a route."""
+        self._failed = 0
+
+    def no_route(self, pose: Pose2 | None) -> Measure:
+        """The planner found none from `pose`."""
+        self._failed += 1
+        if self._failed <= self._config.no_route_retries:
+            return Measure.LOOK
+        self._failed = 0
+        if self.avoid:
+            self.avoid = []
+            return Measure.LOOK
+        return Measure.MOVE_OUT if pose and _visit(self._lost_at, pose) == 1 else Measure.GIVE_UP
+
+    def stuck(self, pose: Pose2, *, turning: bool) -> Measure:
+        """No progress at `pose`. What stalls a turn lies under the robot, not ahead: nothing is kept off then."""
+        if _visit(self._stuck_at, pose) > self._config.max_recoveries:
+            return Measure.GIVE_UP
+        if not turning:
+            (x, y, yaw), ahead = pose, self._config.avoid_ahead
+            self.avoid += [x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self._config.avoid_radius]
+        return Measure.MOVE_OUT
+
+
+def _visit(places: list[Pose2], pose: Pose2) -> int:
+    """Note the pose; how often the robot was at this place, this time included."""
+    places.append(pose)
+    return sum(math.dist(pose[:2], other[:2]) < SAME_PLACE for other in places)

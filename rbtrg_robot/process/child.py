@@ -20,7 +20,7 @@ PASSING = 75
 def run(spec: dict[str, Any]) -> int:
     """One process until told to stop; returns its exit status.
 
-    `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock,
+    `spec`: `process` its name, `config` the dumped StackConfig, `clock` the offset of the stack's SourceClock, `stack` its id on the bus,
     `restored` {topic: base64 of its newest message}.
     """
     name: str = spec["process"]
@@ -38,19 +38,19 @@ def run(spec: dict[str, Any]) -> int:
     from rbtrg_robot.wire.clock import SourceClock
 
     row = BY_NAME[name]
-    clock = SourceClock(spec["clock"])
+    ours: dict[str, Any] = {"clock": SourceClock(spec["clock"]), "stack": spec["stack"]}
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
         config = load(base=spec["config"])
         module, function = row.entry.split(":")
         entry = getattr(importlib.import_module(module), function)
         if not row.hosted:
-            with Bus(config.endpoint, name, config.domain, clock=clock) as bus:
+            with Bus(config.endpoint, name, config.domain, **ours) as bus:
                 entry(config, bus, stop.is_set, restored)
             return 0
         stage = entry(config)
         stage.warm_up()
-        with Bus(config.endpoint, name, config.domain, clock=clock) as bus:
+        with Bus(config.endpoint, name, config.domain, **ours) as bus:
             node = Node(row, stage, bus, simulated=config.simulated)
             node.restore(restored)
             try:

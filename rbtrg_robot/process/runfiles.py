@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import json
 import os
+import socket
 import stat
 import tempfile
 import time
@@ -27,6 +28,10 @@ class AlreadyRunning(OperatorError):
             f"a stack for robot {robot!r} is already running with pid {pid}; "
             "stop it with `rbtrg-robot down` or choose another --robot"
         )
+
+
+class RobotTaken(OperatorError):
+    """Another stack on this computer drives the robot behind the same interface."""
 
 
 class NotRunning(OperatorError):
@@ -121,6 +126,22 @@ class LatchFile:
             fresh.replace(self._path)
         else:
             self._path.unlink(missing_ok=True)
+
+
+def take_interface(interface: str, domain: int | None) -> socket.socket:
+    """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
+
+    An abstract socket is one for all users of the computer, and the system frees it however its owner ends. `domain`: of DDS.
+    """
+    held = socket.socket(socket.AF_UNIX)
+    try:
+        held.bind(f"\0rbtrg-robot-{interface}-{domain}")
+    except OSError as error:
+        held.close()
+        raise RobotTaken(
+            f"another stack on this computer drives the robot on {interface!r}; stop it with `rbtrg-robot down`"
+        ) from error
+    return held
 
 
 def read_state(robot: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,11 +26,11 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
-from rbtrg_robot.process.runfiles import LatchFile, RunLock
+from rbtrg_robot.process.runfiles import LatchFile, RunLock, take_interface
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.bus import Bus, stack_id
 from rbtrg_robot.wire.clock import SourceClock
 
 log = logging.getLogger(__name__)
@@ -91,6 +92,7 @@ class Supervisor:
         self._children = {row.name: Child(row) for row in rows}
         self._expected = expected_topics(rows, simulated=config.simulated)
         self._clock = SourceClock()
+        self._stack = stack_id()
         self._health = Health(config.simulated, self._clock)
         self._kept: dict[Topic, bytes] = {}
         self._lock = threading.Lock()
@@ -106,15 +108,23 @@ class Supervisor:
     # --- life -------------------------------------------------------------------------------------------------
 
     def run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
-        """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning."""
+        """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning, RobotTaken."""
+        config = self._config
+        real = config.backend != "sim"
+        held = take_interface(config.interface, config.unitree.domain) if real else nullcontext()
+        with held:
+            self._run(stopping, on_turn)
+
+    def _run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
         lock = RunLock(self._config.robot)
         self._latch = LatchFile(self._config.robot)
         if latched := self._latch.read():
             self._kept[t.ROBOT_STATE] = latched
             self._say("the emergency stop of before is still latched: `rbtrg-robot resume` releases it")
         try:
+            endpoint, domain = self._config.endpoint, self._config.domain
             with Bus(
-                self._config.endpoint, "supervisor", self._config.domain, router=True, clock=self._clock
+                endpoint, "supervisor", domain, router=True, clock=self._clock, stack=self._stack
             ) as bus:
                 self._write_state(lock)
                 restored = {topic for child in self._children.values() for topic in child.row.restores}
@@ -190,6 +200,7 @@ class Supervisor:
             "process": name,
             "config": self._config.model_dump(mode="json"),
             "clock": self._clock.offset,
+            "stack": self._stack,
             "restored": restored,
         }
         child.log_path = Path(self._config.log_dir) / f"{name}.log"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import logging
+import secrets
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -51,9 +52,15 @@ class Received(Generic[M]):
         return messages.decode(self.payload, self.topic.kind)
 
 
-def session_config(endpoint: str, *, router: bool) -> zenoh.Config:
-    """Zenoh configuration of the router (`up`) or of a client of it."""
+def stack_id() -> str:
+    """What the session ids of one stack's processes begin with: 8 hexadecimal digits, the first not 0."""
+    return f"5{secrets.token_hex(4)[1:]}"
+
+
+def session_config(endpoint: str, *, router: bool, stack: str = "") -> zenoh.Config:
+    """Zenoh configuration of the router (`up`) or of a client of it. `stack`: what the session id begins with."""
     config: dict[str, Any] = {
+        **({"id": stack + secrets.token_hex(12)} if stack else {}),
         "mode": "router" if router else "client",
         "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
         "timestamping": {"enabled": True},
@@ -92,16 +99,18 @@ class Bus:
         *,
         router: bool = False,
         clock: SourceClock | None = None,
+        stack: str = "",
     ) -> None:
         """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client).
 
-        `clock`: that of the stack; None where stamps serve logs only.
+        `clock`: that of the stack; None where stamps serve logs only. `stack`: id of the stack whose process this is.
         """
         self.clock = clock or SourceClock()
         self.node = node
         self.domain = domain
         zenoh.init_log_from_env_or("off")
-        config = session_config(endpoint, router=router)
+        self._stack = stack
+        config = session_config(endpoint, router=router, stack=stack)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
@@ -221,10 +230,25 @@ class Bus:
         self._signal.set()
 
     def watch_processes(self, changed: Callable[[str, bool], None]) -> None:
-        """`changed(process, alive)` for every process on the bus, now and at each change. Runs in Zenoh's thread."""
+        """`changed(process, alive)` for every process of this stack, now and at each change. Runs in Zenoh's thread.
+
+        A process is known by the id of its session: anybody may call a node `tracker` and end it again.
+        """
+        sessions: dict[str, set[str]] = {}
 
         def receive(sample: zenoh.Sample) -> None:
-            changed(wire.process_of(str(sample.key_expr)), sample.kind == zenoh.SampleKind.PUT)
+            token = str(sample.key_expr)
+            process, session = wire.process_of(token), wire.session_of(token)
+            if not session.startswith(self._stack):
+                return
+            alive = sessions.setdefault(process, set())
+            if sample.kind == zenoh.SampleKind.PUT:
+                alive.add(session)
+            else:
+                alive.discard(session)
+                changed(process, False)
+            if alive:
+                changed(process, True)
 
         pattern = wire.node_token(self.domain, "*", "*")
         subscriber = self.session.liveliness().declare_subscriber(

@@ -42,6 +42,11 @@ def process_of(token: str) -> str:
     return token.rsplit("/", 1)[1]
 
 
+def session_of(token: str) -> str:
+    """The id of the Zenoh session that holds a token."""
+    return token.split("/", 3)[2]
+
+
 def endpoint_token(domain: int, zid: str, node: str, topic: Topic, entity: int, kind: str) -> str:
     """Liveliness token of a publisher (`kind` MP) or subscription (MS)."""
     name = topic.name.replace("/", "%")

@@ -34,6 +34,7 @@ def tracker(process: str = "tracker", **config: Any) -> dict[str, Any]:
         "config": {**StackConfig().model_dump(mode="json"), **config},
         "restored": {},
         "clock": 0,
+        "stack": "",
     }
 
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.wire.bus import Bus, BusError, Received
+from rbtrg_robot.wire.bus import Bus, BusError, Received, stack_id
 from rbtrg_robot.wire.messages import header, stamp_of
 
 
@@ -91,6 +91,36 @@ def test_the_death_of_a_process_is_seen(router: Bus, endpoint: str) -> None:
         assert not gone.is_set()
     assert gone.wait(10.0)
     assert ("a", True) in changes
+
+
+def test_a_foreign_node_of_the_same_name_changes_nothing(endpoint: str) -> None:
+    """Any ROS node may be called tracker; its end is not the tracker's, and its life does not hide the tracker's death."""
+    stack = stack_id()
+    changes: list[tuple[str, bool]] = []
+    turn = threading.Condition()
+
+    def changed(process: str, alive: bool) -> None:
+        with turn:
+            changes.append((process, alive))
+            turn.notify()
+
+    def seen(*expected: tuple[str, bool]) -> None:
+        with turn:
+            assert turn.wait_for(lambda: changes == list(expected), 10.0), changes
+
+    with Bus(endpoint, "supervisor", router=True, stack=stack) as watcher:
+        watcher.watch_processes(changed)
+        own = ("supervisor", True)
+        with Bus(endpoint, "tracker", stack=stack):
+            seen(own, ("tracker", True))
+            with Bus(endpoint, "tracker"), Bus(endpoint, "end", stack=stack):
+                seen(own, ("tracker", True), ("end", True))
+            foreign = Bus(endpoint, "tracker")
+            seen(own, ("tracker", True), ("end", True), ("end", False))
+        seen(own, ("tracker", True), ("end", True), ("end", False), ("tracker", False))
+        with Bus(endpoint, "tracker", stack=stack):  # started again
+            seen(own, ("tracker", True), ("end", True), ("end", False), ("tracker", False), ("tracker", True))
+            foreign.close()
 
 
 def test_queries_are_answered_and_time_out(router: Bus, endpoint: str) -> None:

@@ -112,7 +112,7 @@ class LatchFile:
         self._path = run_dir() / f"{robot}.estop"
 
     def read(self) -> bytes:
-        """The RobotState message on the wire; empty when nothing is latched."""
+        """What `write` was given last; empty when nothing is latched."""
         try:
             return self._path.read_bytes()
         except FileNotFoundError:

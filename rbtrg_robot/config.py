@@ -8,7 +8,7 @@ from __future__ import annotations
 import platform
 import subprocess
 from collections.abc import Iterable
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -152,7 +152,7 @@ class StackConfig(BaseModel):
 
     def metadata(self) -> dict[str, str]:
         """What a log says of the run that made it."""
-        packages = ("eclipse-zenoh", "numpy", "numba", "mujoco", "kiss-icp", "open3d", "mcap")
+        packages = ("eclipse-zenoh", "numpy", "numba", "mujoco", "kiss-icp", "cyclonedds", "mcap")
         return {
             "version": __version__,
             "commit": commit(),
@@ -164,8 +164,16 @@ class StackConfig(BaseModel):
             "seed": str(self.seed),
             "clock": "simulated" if self.simulated else "wall",
             "machine": f"{platform.machine()} {platform.system()} Python {platform.python_version()}",
-            **{f"package.{name}": version(name) for name in packages},
+            **{f"package.{name}": _version(name) for name in packages},
         }
+
+
+def _version(package: str) -> str:
+    """Of an installed package; the simulator and DDS are optional."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
 
 
 def commit() -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import MASS, WHEEL_RADIUS, wheel_jacobians
-from hal.lidar.caster import OrientedBox, TerrainCaster, make_caster
+from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
 from hal.scenes import Scene
@@ -130,7 +130,7 @@ class SyntheticRun:
     def _lidar(self) -> LidarSimulator:
         caster = self.caster
         if caster is None:
-            caster, _ = make_caster(self.scene.height, self.scene.resolution, self.scene.origin)
+            caster = self.scene.caster()
         simulator = LidarSimulator(self.lidar, self.extrinsics, caster, self.seed)
         simulator.set_boxes(self.boxes)
         return simulator

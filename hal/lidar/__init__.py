@@ -1,6 +1,6 @@
 """LiDAR models and the ray casters behind them."""
 
-from hal.lidar.caster import CasterError, OrientedBox, TerrainCaster, make_caster
+from hal.lidar.caster import CasterError, OrientedBox, TerrainCaster
 from hal.lidar.simulator import GO2W_BODY, LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
 
@@ -12,5 +12,4 @@ __all__ = [
     "LidarSpec",
     "OrientedBox",
     "TerrainCaster",
-    "make_caster",
 ]

@@ -1,6 +1,6 @@
-"""What a ray hits: the terrain surface by Embree (open3d) or by numba, and moving boxes on top.
+"""What a ray hits: the terrain, as a height surface (numba) or as a mesh (Embree), and moving boxes on top.
 
-Both casters see the same triangles: vertices at the cell centres, each cell cut from [r, c] to [r+1, c+1].
+A height surface has its vertices at the cell centres; each cell is cut in two triangles from [r, c] to [r+1, c+1].
 """
 
 from __future__ import annotations
@@ -11,25 +11,20 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import OperatorError
 from hal.lidar.kernels import cast_boxes, incidence, pyramid
 from hal.lidar.march import cast_surface
+from hal.optional import open3d_hint
 
 Float32 = NDArray[np.float32]
 
-OPEN3D_HINT = (
-    "LiDAR uses the built-in ray caster: open3d does not load ({}). "
-    "For open3d's: apt-get install libusb-1.0-0 libgl1 libgomp1"
-)
 
-
-class CasterError(ValueError):
-    """The terrain cannot be ray-cast; the message names what was expected."""
+class CasterError(OperatorError):
+    """The terrain cannot be ray-cast; the message names what was expected or what is missing."""
 
 
 class TerrainCaster(Protocol):
     """The static terrain as the LiDAR sees it."""
-
-    surface: Surface
 
     def cast(self, origins: Float32, directions: Float32) -> Float32:
         """Ranges (n,) [m], inf for a miss, along unit `directions` (n, 3) from `origins` (n, 3), world frame."""
@@ -94,56 +89,41 @@ class NumbaCaster:
         )
 
 
-class EmbreeCaster:
-    """open3d's RaycastingScene on the same triangles; about as fast, holds the GIL while it casts."""
+class MeshCaster:
+    """Embree, by open3d, on the triangles of a mesh: surfaces above one another, which a height array cannot hold.
 
-    def __init__(self, surface: Surface, open3d: Any) -> None:
-        self.surface = surface
-        self._core = open3d.core
-        rows, cols = surface.height.shape
-        x0, y0 = surface.origin
-        x, y = np.meshgrid(
-            x0 + surface.resolution * np.arange(cols), y0 + surface.resolution * np.arange(rows)
+    It holds the GIL while it casts.
+    """
+
+    def __init__(self, vertices: NDArray[np.float64], triangles: NDArray[np.int64]) -> None:
+        """`vertices` (n, 3) [m], `triangles` (m, 3) indices into them. Raises CasterError where open3d does not load."""
+        try:
+            import open3d  # heavy, and needs system libraries that a bare machine may lack
+        except (ImportError, OSError) as error:
+            raise CasterError(
+                f"the scene has surfaces above one another; rays on them need open3d. {open3d_hint(error)}"
+            ) from error
+        core: Any = open3d.core  # its stubs do not know that a Tensor takes an array
+        self._tensor = core.Tensor
+        self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(
+            self._tensor(np.ascontiguousarray(vertices, np.float32)),
+            self._tensor(np.ascontiguousarray(triangles, np.uint32)),
         )
-        vertices = np.stack([x, y, surface.height], axis=-1).reshape(-1, 3).astype(np.float32)
-        corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).reshape(-1)
-        lower = np.stack([corner, corner + 1, corner + cols + 1], axis=1)
-        upper = np.stack([corner, corner + cols + 1, corner + cols], axis=1)
-        triangles = np.concatenate([lower, upper]).astype(np.uint32)
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(self._core.Tensor(vertices), self._core.Tensor(triangles))
 
     def cast(self, origins: Float32, directions: Float32) -> Float32:
         """See TerrainCaster."""
-        if len(origins) == 0:
-            return np.empty(0, np.float32)
-        rays = self._core.Tensor(np.concatenate([origins, directions], axis=1).astype(np.float32, copy=False))
-        ranges: Float32 = self._scene.cast_rays(rays, nthreads=1)["t_hit"].numpy()
-        return ranges
+        return self.returns(origins, directions)[0]
 
     def returns(self, origins: Float32, directions: Float32) -> tuple[Float32, Float32]:
         """See TerrainCaster."""
-        ranges = self.cast(origins, directions)
-        return ranges, self.surface.cos_incidence(origins, directions, ranges)
-
-
-def make_caster(
-    height: Float32, resolution: float, origin: tuple[float, float], *, prefer: str = "embree"
-) -> tuple[TerrainCaster, str]:
-    """The caster of this machine, and one line that says which and, if need be, how to get open3d's.
-
-    `prefer="numba"` skips open3d.
-    """
-    surface = Surface(height, resolution, origin)
-    if prefer == "numba":
-        return NumbaCaster(surface), "LiDAR uses the built-in ray caster"
-    try:
-        import open3d  # heavy, and needs system libraries that a bare machine may lack
-    except (ImportError, OSError) as error:
-        return NumbaCaster(surface), OPEN3D_HINT.format(
-            str(error).splitlines()[0] if str(error) else "no reason given"
-        )
-    return EmbreeCaster(surface, open3d), "LiDAR uses open3d's ray caster"
+        if len(origins) == 0:
+            return np.empty(0, np.float32), np.empty(0, np.float32)
+        rays = np.concatenate([origins, directions], axis=1).astype(np.float32, copy=False)
+        hits = self._scene.cast_rays(self._tensor(rays), nthreads=1)
+        ranges: Float32 = hits["t_hit"].numpy()
+        cosine = np.abs(np.einsum("ij,ij->i", hits["primitive_normals"].numpy(), rays[:, 3:]))
+        return ranges, np.where(np.isfinite(ranges), cosine, np.float32(0.0))
 
 
 @dataclass(frozen=True, slots=True)

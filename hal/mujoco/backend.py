@@ -9,7 +9,6 @@ import numpy as np
 
 from hal import go2w
 from hal.contract import BackendError
-from hal.lidar.caster import make_caster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS
 from hal.locomotion.policy import PolicyController
@@ -111,13 +110,7 @@ class MujocoBackend:
         if lidar is not None and self._mount is not None:
             self.capabilities = replace(self.capabilities, lidar=lidar, lidar_mount=self._mount)
         self._spec = spec
-        self.notice = ""
-        """One line for the operator about the ray caster."""
-        self._caster = None
-        if spec is not None:
-            self._caster, self.notice = make_caster(
-                scene.height, scene.resolution, scene.origin, prefer=o.caster
-            )
+        self._caster = scene.caster() if spec is not None else None
         self._modes = Modes(self.controller)
         self._connected = False
         self._state = RobotState(start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
@@ -65,9 +64,6 @@ class SimConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     lidar_step: int = Field(1, ge=1, description="keep every n-th firing of the LiDAR")
-    caster: Literal["embree", "numba"] = Field(
-        "embree", description="ray caster; embree falls back to numba where open3d does not load"
-    )
     timestep: float = Field(0.005, gt=0.0, le=0.01, description="physics step [s]")
     seated: bool = Field(
         False, description="start lying and wait for `posture stand`; else take the stance at the start"

@@ -12,7 +12,7 @@ from PIL import Image, UnidentifiedImageError
 
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
-from hal.scenes.scene import Goal, Pose, Scene, SceneError
+from hal.scenes.scene import Geometry, Goal, Pose, Scene, SceneError
 
 DEFAULT_RESOLUTION = 0.05
 """Cell size for clouds and meshes [m]."""
@@ -36,7 +36,7 @@ def read_scene(
         raise SceneError(f"{path}: no such file")
     if resolution is not None and not resolution > 0.0:
         raise SceneError(f"resolution must be a positive number of metres, got {resolution}")
-    ending = path.suffix.lower()
+    ending, mesh = path.suffix.lower(), None
     if ending == ".npz":
         if resolution is not None or height_range is not None:
             raise SceneError(
@@ -48,12 +48,14 @@ def read_scene(
         assert resolution is not None
     elif ending in ENDINGS:
         resolution = resolution or DEFAULT_RESOLUTION
-        height, origin = grid(read_geometry(path), resolution, path.name)
+        geometry = read_geometry(path)
+        height, origin, overhangs = grid(geometry, resolution, path.name)
+        mesh = geometry if overhangs else None
     else:
         raise SceneError(
             f"{path.name}: cannot read {ending or 'a file without ending'}: use {', '.join(ENDINGS)}"
         )
-    return _scene(path.stem, height, resolution, origin, start, None, f"from {path.name}")
+    return _scene(path.stem, height, resolution, origin, start, None, f"from {path.name}", mesh)
 
 
 def _scene(
@@ -64,6 +66,7 @@ def _scene(
     start: Pose | None,
     goals: Mapping[str, Goal] | None,
     description: str,
+    mesh: Geometry | None = None,
 ) -> Scene:
     known = np.isfinite(height)
     filled = fill(height)
@@ -79,6 +82,7 @@ def _scene(
         goals=goals or {"home": start},
         description=description,
         survey=None if known.all() else height,
+        mesh=mesh,
     )
 
 

@@ -9,13 +9,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.scenes.readers import Geometry
-from hal.scenes.scene import Goal, Pose, SceneError
+from hal.scenes.scene import Geometry, Goal, Pose, SceneError
 from hal.scenes.survey import relief
 
 MAX_CELLS = 16_000_000
 MAX_COORDINATE = 10_000.0
 """[m]; beyond, single precision no longer holds a millimetre."""
+HEADROOM = 0.8
+"""Free height [m] over ground under a ceiling; what hangs lower stands on the ground. As `clearance` of the elevation map."""
+SAME = 1e-3
+"""Surfaces closer above one another than this are one [m]."""
 CLEARANCE = 0.45
 """Half side of the square that must be level around a start [m]."""
 LEVEL = (0.06, 0.12, 0.25)
@@ -24,10 +27,14 @@ STEP = 0.08
 """Highest edge between neighbouring cells of one connected area [m]."""
 
 
-def grid(geometry: Geometry, resolution: float, name: str) -> tuple[NDArray[np.float32], tuple[float, float]]:
-    """Highest point or surface per cell: height (rows, cols) [m] with NaN where nothing was, and the origin.
+def grid(
+    geometry: Geometry, resolution: float, name: str
+) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
+    """The ground of each cell: height (rows, cols) [m] with NaN where nothing was, the origin, and whether a mesh goes on above it.
 
-    What hangs over the ground hides it: remove ceilings beforehand.
+    Of points, the highest is the ground. Of a mesh, it is the lowest surface that faces up and has HEADROOM below the
+    next one, which must face down (a ceiling, a bridge): faces run counterclockwise seen from the free side, as
+    modelling programs write them. Where there is none, the highest surface is the ground.
     """
     if np.abs(geometry.vertices).max() > MAX_COORDINATE:
         raise SceneError(
@@ -43,27 +50,41 @@ def grid(geometry: Geometry, resolution: float, name: str) -> tuple[NDArray[np.f
         )
     if min(rows, cols) < 2:
         raise SceneError(f"{name}: smaller than two cells of {resolution} m: give a finer resolution")
-    height = np.full((rows, cols), -np.inf, np.float32)
     scaled = (geometry.vertices[:, :2] - low[:2]) / resolution
     z = geometry.vertices[:, 2]
+    origin = (float(low[0]), float(low[1]))
     if len(geometry.triangles):
-        _rasterise(height, scaled, z, geometry.triangles)
-    else:
-        cell = np.round(scaled).astype(np.int64)
-        np.maximum.at(height, (cell[:, 1], cell[:, 0]), z.astype(np.float32))
+        first = np.zeros(rows * cols + 1, np.int64)
+        _rasterise(scaled, z, geometry.triangles, rows, cols, first, np.empty(0), np.empty(0, np.int8))
+        first = np.concatenate([[0], np.cumsum(first[:-1])])
+        levels, faces = np.empty(first[-1]), np.empty(first[-1], np.int8)
+        _rasterise(scaled, z, geometry.triangles, rows, cols, first.copy(), levels, faces)
+        height, top = np.full((2, rows * cols), np.nan, np.float32)
+        _ground(first, levels, faces, HEADROOM, SAME, height, top)
+        return height.reshape(rows, cols), origin, bool((top > height).any())
+    height = np.full((rows, cols), -np.inf, np.float32)
+    cell = np.round(scaled).astype(np.int64)
+    np.maximum.at(height, (cell[:, 1], cell[:, 0]), z.astype(np.float32))
     height[np.isinf(height)] = np.nan
-    return height, (float(low[0]), float(low[1]))
+    return height, origin, False
 
 
 @njit(cache=True)
 def _rasterise(
-    height: NDArray[np.float32],
     xy: NDArray[np.float64],
     z: NDArray[np.float64],
     triangles: NDArray[np.int64],
+    rows: int,
+    cols: int,
+    place: NDArray[np.int64],
+    levels: NDArray[np.float64],
+    faces: NDArray[np.int8],
 ) -> None:
-    """Raise every cell centre below a triangle to it. `xy` in cells."""
-    rows, cols = height.shape
+    """Where each triangle stands over the cell centres. `xy` in cells.
+
+    With empty `levels`, counts the surfaces of each cell in `place` (rows * cols + 1). Else `place` is where each cell
+    begins in `levels` [m] and `faces` (1 up, -1 down), and moves on.
+    """
     for k in range(triangles.shape[0]):
         a, b, c = triangles[k]
         ux, uy = xy[b, 0] - xy[a, 0], xy[b, 1] - xy[a, 1]
@@ -81,8 +102,47 @@ def _rasterise(
                 s = (px * vy - py * vx) / area
                 t = (ux * py - uy * px) / area
                 if s >= -1e-9 and t >= -1e-9 and s + t <= 1.0 + 1e-9:
-                    top = z[a] + s * (z[b] - z[a]) + t * (z[c] - z[a])
-                    height[r, col] = max(height[r, col], top)
+                    at = place[r * cols + col]
+                    place[r * cols + col] += 1
+                    if len(levels):
+                        levels[at] = z[a] + s * (z[b] - z[a]) + t * (z[c] - z[a])
+                        faces[at] = 1 if area > 0.0 else -1
+
+
+@njit(cache=True)
+def _ground(
+    first: NDArray[np.int64],
+    levels: NDArray[np.float64],
+    faces: NDArray[np.int8],
+    headroom: float,
+    same: float,
+    height: NDArray[np.float32],
+    top: NDArray[np.float32],
+) -> None:
+    """Out, per cell with surfaces: `height`, the ground as `grid` defines it, and `top`, the highest surface [m]."""
+    for cell in range(len(height)):
+        begin, end = first[cell], first[cell + 1]
+        if begin == end:
+            continue
+        order = begin + np.argsort(levels[begin:end])
+        top[cell] = height[cell] = levels[order[-1]]
+        k = 0
+        while k < len(order):
+            z, up, down = levels[order[k]], False, False
+            while k < len(order) and levels[order[k]] <= z + same:
+                up |= faces[order[k]] > 0
+                down |= faces[order[k]] < 0
+                k += 1
+            if not up or down or k == len(order):
+                continue  # the underside of something, or something stands on it, or it is the highest
+            above, ceiling = levels[order[k]], False
+            for j in range(k, len(order)):
+                if levels[order[j]] > above + same:
+                    break
+                ceiling |= faces[order[j]] < 0
+            if ceiling and above - z >= headroom:
+                height[cell] = z
+                break
 
 
 def fill(height: NDArray[np.float32]) -> NDArray[np.float32]:

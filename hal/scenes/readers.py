@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.scenes.scene import SceneError
+from hal.scenes.scene import Geometry, SceneError
 
 _PLY_TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
@@ -16,14 +16,6 @@ _PLY_TYPES = {
     "double": "f8", "float64": "f8",
 }  # fmt: skip
 _PCD_TYPES = {"F": "f", "I": "i", "U": "u"}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
-    """Vertices (n, 3) [m] and, for a mesh, triangles (m, 3) as indices into them."""
-
-    vertices: NDArray[np.float64]
-    triangles: NDArray[np.int64]
 
 
 def read_geometry(path: Path) -> Geometry:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import OperatorError
+
+if TYPE_CHECKING:
+    from hal.lidar.caster import TerrainCaster
 
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
@@ -20,6 +24,14 @@ Pair = tuple[tuple[float, float], tuple[float, float]]
 
 class SceneError(OperatorError):
     """The scene does not exist or cannot be read; the message tells what to do."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """Vertices (n, 3) [m] and, for a mesh, triangles (m, 3) as indices into them."""
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +56,8 @@ class Scene:
     """(rows, cols) heights as scanner stations measured them: with noise, NaN where none saw the cell. None: as `height`."""
     pairs: tuple[Pair, ...] = field(default=())
     """Start and goal of each benchmark query, frozen."""
+    mesh: Geometry | None = None
+    """What the LiDAR sees instead of `height` where surfaces lie above one another; the robot stands on `height`."""
 
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, np.float32)
@@ -75,6 +89,14 @@ class Scene:
         if self.survey is None:
             return np.ones(self.height.shape, np.bool_)
         return np.isfinite(self.survey)
+
+    def caster(self) -> TerrainCaster:
+        """What the rays of a LiDAR hit. Raises CasterError where a mesh needs open3d and it does not load."""
+        from hal.lidar.caster import MeshCaster, NumbaCaster, Surface  # only a simulator casts rays
+
+        if self.mesh is not None:
+            return MeshCaster(self.mesh.vertices, self.mesh.triangles)
+        return NumbaCaster(Surface(self.height, self.resolution, self.origin))
 
     def contains(self, x: float, y: float) -> bool:
         """True inside the extent."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hal.contract import BackendError
+from hal.optional import INSTALL_DDS
 
 if TYPE_CHECKING:
     from hal.unitree.backend import UnitreeBackend
@@ -25,7 +26,7 @@ def check(interface: str) -> None:
         import cyclonedds.core  # noqa: F401
     except ImportError as error:
         raise MissingExtra(
-            f"the Unitree backend needs DDS ({error}); install it with: pip install 'rbtrg-robot[unitree]'"
+            f"the Unitree backend needs DDS ({error}); install it with: {INSTALL_DDS}"
         ) from error
     from hal.unitree.link import check_interface
 

@@ -12,7 +12,12 @@ from typing import Any
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import array, byte, float32, float64, int16, int32, int64, sequence, uint16, uint32
+from cyclonedds.idl.types import array, float32, float64, int16, int32, int64, sequence, uint16, uint32
+
+try:
+    from cyclonedds.idl.types import byte
+except ImportError:  # cyclonedds 0.10 (aarch64) has no other octet, and announces it as the robot does
+    from cyclonedds.idl.types import uint8 as byte
 
 
 def _of(cls: Any, cdr: bytes) -> Any:

@@ -150,7 +150,7 @@ def _import_geometry(store: TileStore, path: Path, resolution: float, trust_coun
         if len(geometry.triangles) == 0:
             x, y, z = geometry.vertices.T
             return _enter_points(store, x, y, z, resolution, resolution, trust_count)
-        height, origin = grid(geometry, resolution, path.name)
+        height, origin, _ = grid(geometry, resolution, path.name)
     except SceneError as error:
         raise MapError(str(error)) from error
     return _enter(store, height, resolution, origin, resolution, trust_count)

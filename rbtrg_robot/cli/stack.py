@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import signal
@@ -133,7 +134,17 @@ def refuse_second(robot: str) -> None:
 def _check(config: StackConfig) -> None:
     """Fail now, in one line, on what would fail in a child."""
     if config.simulated:
-        config.load_scene()
+        if importlib.util.find_spec("mujoco") is None:
+            from hal.optional import INSTALL_SIMULATOR
+            from rbtrg_robot.config import ConfigError
+
+            raise ConfigError(
+                f"the simulated robot is not installed: {INSTALL_SIMULATOR}; "
+                "for the real one: up --backend unitree --interface NIC"
+            )
+        scene = config.load_scene()
+        if scene.mesh is not None:
+            scene.caster()
         if config.controller == "policy":
             from hal.locomotion.policy import PolicyController
 

@@ -55,7 +55,7 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes]) -> Backend:
         place = truth.pose.pose
         start = (place.position.x, place.position.y, yaw_of(place.orientation))
         start_time = stamp_of(truth) // STEP * STEP
-    backend = MujocoBackend(
+    return MujocoBackend(
         config.load_scene(),
         config.sim,
         controller=config.controller,
@@ -66,9 +66,6 @@ def _simulator(config: StackConfig, restored: dict[Topic, bytes]) -> Backend:
         start=start,
         start_time=start_time,
     )
-    if backend.notice:
-        log.info("%s", backend.notice)
-    return backend
 
 
 def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:

@@ -15,7 +15,10 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
-REQUIRED = ("zenoh", "numpy", "numba", "mujoco", "kiss_icp", "mcap", "pydantic", "typer", "rosbags")
+from hal.errors import one_line
+from hal.optional import INSTALL_DDS, INSTALL_SIMULATOR, open3d_hint
+
+REQUIRED = ("zenoh", "numpy", "numba", "kiss_icp", "mcap", "pydantic", "typer", "rosbags")
 SHM_BYTES = 256 * 1024 * 1024
 DISK_BYTES = 2 * 1024**3
 OPEN_FILES = 1024
@@ -43,6 +46,7 @@ def examine(port: int) -> Iterator[Finding]:
     """All checks, in order."""
     yield _python()
     yield from (_library(name) for name in REQUIRED)
+    yield _simulator()
     yield _open3d()
     yield _unitree()
     yield _port(port)
@@ -67,20 +71,28 @@ def _library(name: str) -> Finding:
     return Finding(name, Level.OK, "imports")
 
 
+def _simulator() -> Finding:
+    try:
+        importlib.import_module("mujoco")
+    except Exception as error:  # noqa: BLE001 - whatever stops an import is the finding
+        words = f"no simulated robot ({one_line(error)}); for one: {INSTALL_SIMULATOR}"
+        return Finding("simulator", Level.NOTE, words)
+    return Finding("simulator", Level.OK, "MuJoCo imports")
+
+
 def _open3d() -> Finding:
     # In a process of its own: a broken graphics library may take the importer down with it.
-    code = "import open3d, open3d.t.geometry"
     done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", "import open3d"], capture_output=True, text=True, timeout=120, check=False
     )
     if done.returncode == 0:
-        return Finding("open3d", Level.OK, "imports; LiDAR rays are cast by Embree")
-    lines = done.stderr.strip().splitlines()
+        return Finding("open3d", Level.OK, "imports; mesh scenes with ceilings and bridges can be simulated")
+    reason = (done.stderr.strip().splitlines() or ["it crashes"])[-1]
+    error = ModuleNotFoundError(reason) if "ModuleNotFoundError" in reason else ImportError(reason)
     return Finding(
         "open3d",
         Level.NOTE,
-        f"does not import ({lines[-1] if lines else 'crash'}); LiDAR rays are cast by the slower numba caster. "
-        "On Debian or Ubuntu: apt-get install libusb-1.0-0 libgl1 libgomp1",
+        f"only mesh scenes with ceilings or bridges need it: {open3d_hint(error)}",
     )
 
 
@@ -88,8 +100,7 @@ def _unitree() -> Finding:
     try:
         importlib.import_module("cyclonedds.core")
     except Exception as error:  # noqa: BLE001 - whatever stops an import is the finding
-        words = f"no DDS ({error}); for a real robot: pip install 'rbtrg-robot[unitree]'"
-        return Finding("unitree", Level.NOTE, words)
+        return Finding("unitree", Level.NOTE, f"no DDS ({one_line(error)}); for a real robot: {INSTALL_DDS}")
     return Finding("unitree", Level.OK, "DDS imports")
 
 

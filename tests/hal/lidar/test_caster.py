@@ -1,21 +1,21 @@
 """The ray casters against plain geometry and against each other."""
 
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from hal.lidar.caster import (
     CasterError,
-    EmbreeCaster,
+    MeshCaster,
     NumbaCaster,
     OrientedBox,
     Surface,
     cast_onto_boxes,
-    make_caster,
     pack_boxes,
 )
+from hal.optional import open3d_hint
+from tests.places import needs_open3d
 
 
 def rough(seed: int, rows: int = 61, cols: int = 83) -> Surface:
@@ -130,98 +130,79 @@ def test_unknown_cells_are_refused() -> None:
     height = np.zeros((5, 5), np.float32)
     height[2, 2] = np.nan
     with pytest.raises(CasterError, match="finite"):
-        make_caster(height, 0.1, (0.0, 0.0))
+        Surface(height, 0.1, (0.0, 0.0))
 
 
-def test_without_open3d_the_message_names_the_packages(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "open3d", None)
-    caster, message = make_caster(np.zeros((5, 5), np.float32), 0.1, (0.0, 0.0))
-    assert isinstance(caster, NumbaCaster)
-    assert "libusb-1.0-0 libgl1 libgomp1" in message
-    assert "\n" not in message
+def triangles_of(surface: Surface) -> tuple[np.ndarray, np.ndarray]:
+    """The height surface as vertices (n, 3) and triangles (m, 3)."""
+    rows, cols = surface.height.shape
+    x = surface.origin[0] + surface.resolution * np.arange(cols)
+    y = surface.origin[1] + surface.resolution * np.arange(rows)
+    vertices = np.stack([*np.meshgrid(x, y), surface.height], axis=-1).reshape(-1, 3)
+    corner = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)).reshape(-1)
+    lower = np.stack([corner, corner + 1, corner + cols + 1], axis=1)
+    upper = np.stack([corner, corner + cols + 1, corner + cols], axis=1)
+    return vertices, np.concatenate([lower, upper])
 
 
-def test_embree_and_numba_agree_within_a_millimetre() -> None:
-    try:
-        import open3d  # noqa: F401
-    except (ImportError, OSError):
-        pytest.skip("open3d does not load on this machine")
+def nearest_triangle(
+    vertices: np.ndarray, triangles: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Range and |cos| of the nearest hit of each ray, in plain numpy (Möller and Trumbore 1997)."""
+    a, b, c = vertices[triangles].astype(float).transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    ranges, cosine = np.full(len(origins), np.inf), np.zeros(len(origins))
+    for k, (o, d) in enumerate(zip(origins.astype(float), directions.astype(float), strict=True)):
+        p = np.cross(d, c - a)
+        det = (p * (b - a)).sum(axis=1)
+        u = ((o - a) * p).sum(axis=1) / det
+        q = np.cross(o - a, b - a)
+        v, t = q @ d / det, (q * (c - a)).sum(axis=1) / det
+        t = np.where((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0), t, np.inf)
+        if np.isfinite(t.min()):
+            ranges[k], cosine[k] = t.min(), abs(normal[t.argmin()] @ d)
+    return ranges, cosine
+
+
+def test_a_mesh_is_cast_as_plain_numpy_does() -> None:
+    needs_open3d()
+    random = np.random.default_rng(7)
+    corner = random.uniform(-4.0, 4.0, (60, 1, 3))
+    vertices = (corner + random.uniform(-1.5, 1.5, (60, 3, 3))).reshape(-1, 3)
+    triangles = np.arange(180).reshape(-1, 3)
+    origins = random.uniform(-5.0, 5.0, (500, 3)).astype(np.float32)
+    directions = random.normal(size=(500, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    ranges, cosine = MeshCaster(vertices, triangles).returns(origins, directions)
+    expected, angle = nearest_triangle(vertices, triangles, origins, directions)
+    assert ranges.dtype == np.float32
+    agree = np.isclose(ranges, expected, atol=1e-3)  # a ray over an edge may go either way in float32
+    assert np.isfinite(expected).sum() > 50
+    assert (~agree).sum() <= 2
+    np.testing.assert_allclose(cosine[agree], angle[agree], atol=1e-3)
+
+
+def test_the_surface_and_its_mesh_are_cast_alike() -> None:
+    needs_open3d()
     surface = rough(3, 200, 240)
     origins, directions = rays(4, 20_000)
-    embree, message = make_caster(surface.height, surface.resolution, surface.origin)
-    assert "open3d" in message
-    a, b = embree.cast(origins, directions), NumbaCaster(surface).cast(origins, directions)
+    mesh = MeshCaster(*triangles_of(surface))
+    (a, cos_a), (b, cos_b) = (caster.returns(origins, directions) for caster in (mesh, NumbaCaster(surface)))
     # A ray that leaves exactly over the rim or grazes an edge may go either way in float32.
     assert np.mean(np.isinf(a) != np.isinf(b)) < 1e-3
     hit = np.isfinite(a) & np.isfinite(b)
-    error = np.abs(a[hit] - b[hit])
-    assert np.percentile(error, 99.9) < 1e-3
+    assert np.percentile(np.abs(a[hit] - b[hit]), 99.9) < 1e-3
+    assert np.percentile(np.abs(cos_a[hit] - cos_b[hit]), 99.0) < 1e-2
+    assert mesh.cast(origins[:0], directions[:0]).shape == (0,)
 
 
-class FakeTensor:
-    """`open3d.core.Tensor` as the caster uses it."""
-
-    def __init__(self, array: np.ndarray) -> None:
-        self.array = np.asarray(array)
-
-    def numpy(self) -> np.ndarray:
-        return self.array
-
-
-class FakeScene:
-    """`open3d.t.geometry.RaycastingScene` of open3d 0.20 in plain numpy (Möller and Trumbore)."""
-
-    def __init__(self, nthreads: int = 0, device: object = None) -> None:
-        assert nthreads == 1
-
-    def add_triangles(self, vertex_positions: FakeTensor, triangle_indices: FakeTensor) -> int:
-        assert vertex_positions.array.dtype == np.float32
-        assert triangle_indices.array.dtype == np.uint32
-        self.corners = vertex_positions.array[triangle_indices.array].astype(float)  # (m, 3, 3)
-        return 0
-
-    def cast_rays(self, rays: FakeTensor, nthreads: int = 0) -> dict[str, FakeTensor]:
-        assert nthreads == 1
-        assert rays.array.dtype == np.float32
-        a, b, c = self.corners.transpose(1, 0, 2)
-        hit = []
-        for ray in rays.array.astype(float):
-            o, d = ray[:3], ray[3:]
-            p = np.cross(d, c - a)
-            det = (p * (b - a)).sum(axis=1)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                u = ((o - a) * p).sum(axis=1) / det
-                q = np.cross(o - a, b - a)
-                v, t = q @ d / det, (q * (c - a)).sum(axis=1) / det
-            inside = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (t > 0.0)
-            hit.append(t[inside].min(initial=np.inf))
-        return {"t_hit": FakeTensor(np.array(hit, np.float32))}
-
-
-def test_with_open3d_its_caster_gets_the_triangles_that_numba_sees(monkeypatch: pytest.MonkeyPatch) -> None:
-    fake = SimpleNamespace(
-        core=SimpleNamespace(Tensor=FakeTensor),
-        t=SimpleNamespace(geometry=SimpleNamespace(RaycastingScene=FakeScene)),
-    )
-    monkeypatch.setitem(sys.modules, "open3d", fake)
-    surface = rough(5)
-    caster, message = make_caster(surface.height, surface.resolution, surface.origin)
-    assert isinstance(caster, EmbreeCaster)
-    assert message == "LiDAR uses open3d's ray caster"
-    assert isinstance(
-        make_caster(surface.height, surface.resolution, surface.origin, prefer="numba")[0], NumbaCaster
-    )
-    origins, directions = rays(6, 400)
-    a, b = caster.cast(origins, directions), NumbaCaster(surface).cast(origins, directions)
-    assert a.dtype == np.float32
-    both = np.isfinite(a) & np.isfinite(b)
-    assert both.sum() > 50
-    assert (np.isfinite(a) != np.isfinite(b)).sum() <= 2  # a ray exactly over an edge may go either way
-    np.testing.assert_allclose(a[both], b[both], atol=1e-3)
-    with_angles = caster.returns(origins, directions)
-    assert np.array_equal(with_angles[0], a)
-    assert with_angles[1][np.isfinite(a)].min() > 0.0
-    assert caster.cast(origins[:0], directions[:0]).shape == (0,)
+def test_without_open3d_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(CasterError, match=r"surfaces above one another.*rbtrg-robot\[mesh\]") as caught:
+        MeshCaster(np.eye(3), np.array([[0, 1, 2]]))
+    assert "\n" not in str(caught.value)
+    assert "libusb-1.0-0 libgl1 libx11-6 libgomp1" in open3d_hint(ImportError("libusb-1.0.so.0: cannot open"))
 
 
 def test_the_lidar_sees_the_same_triangles_as_the_physics() -> None:

@@ -42,7 +42,7 @@ class Robot:
     """A connected backend and its clock. Without LiDAR unless asked: most tests need none."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
-        self.backend = MujocoBackend(scene or floor(), **{"lidar": None, "caster": "numba", **options})
+        self.backend = MujocoBackend(scene or floor(), **{"lidar": None, **options})
         self.backend.connect()
         self.now = self.backend.start_time
         self.samples: list[Sample] = []
@@ -469,7 +469,6 @@ def test_options_come_from_plain_values_and_name_what_is_wrong() -> None:
     for values, word in (
         ({"paylod": 2}, "paylod"),
         ({"timestep": 0.0}, "timestep"),
-        ({"caster": "magic"}, "caster"),
         ({"seed": 3}, "seed"),
         ({"pushes": [{"time": 1.0}]}, "force"),
     ):
@@ -516,6 +515,6 @@ def test_stop_from_full_speed_comes_to_rest_soon() -> None:
 
 def test_capabilities_tell_the_lidar_and_its_mount() -> None:
     mount = Extrinsics((0.1, 0.0, 0.2), (0.0, 0.1, 0.0))
-    backend = MujocoBackend(floor(), lidar="mid360", lidar_mount=mount, caster="numba")
+    backend = MujocoBackend(floor(), lidar="mid360", lidar_mount=mount)
     assert backend.capabilities.lidar == "mid360"
     assert backend.capabilities.lidar_mount == mount

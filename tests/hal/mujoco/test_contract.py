@@ -23,7 +23,7 @@ def walled_floor() -> Scene:
 
 def rig_of(**options: Any) -> Rig:
     """The simulated robot, its clock, and what its physics can do to it."""
-    backend = MujocoBackend(walled_floor(), lidar_step=20, caster="numba", **options)
+    backend = MujocoBackend(walled_floor(), lidar_step=20, **options)
     sim = backend.simulation
     follow = sim.apply
     clock = [0]

@@ -194,10 +194,11 @@ def test_holes_are_filled_from_around_them() -> None:
 def test_rasterised_triangles_match_their_plane(tmp_path: Path) -> None:
     vertices = np.array([[0, 0, 0], [3, 0, 1.5], [0, 3, 3.0]])
     (tmp_path / "t.obj").write_text("".join(f"v {x} {y} {z}\n" for x, y, z in vertices) + "f 1 2 3\n")
-    height, origin = grid(read_geometry(tmp_path / "t.obj"), 0.1, "t")
+    height, origin, overhangs = grid(read_geometry(tmp_path / "t.obj"), 0.1, "t")
     x, y = np.meshgrid(
         origin[0] + 0.1 * np.arange(height.shape[1]), origin[1] + 0.1 * np.arange(height.shape[0])
     )
+    assert not overhangs
     known = np.isfinite(height)
     assert height[known] == pytest.approx((0.5 * x + y)[known], abs=1e-5)
     assert known.mean() == pytest.approx(0.5, abs=0.03)

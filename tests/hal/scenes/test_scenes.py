@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hal.lidar.caster import make_caster
 from hal.scenes import Scene, SceneError, load_scene, scene_names
 from hal.scenes.picture import render_scene_png
 
@@ -57,7 +56,7 @@ def test_the_yard_has_its_ramp_platform_and_steps() -> None:
 
 def test_the_wall_in_the_yard_is_not_seen_from_the_start() -> None:
     yard = load_scene("yard")
-    caster, _ = make_caster(yard.height, yard.resolution, yard.origin, prefer="numba")
+    caster = yard.caster()
     angle = np.linspace(-np.pi, np.pi, 4000)
     rays = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1).astype(np.float32)
     origin = np.tile(np.array([*yard.start[:2], 0.55], np.float32), (len(rays), 1))

@@ -39,7 +39,7 @@ class DdsWorld(World):
     """The backend's own DDS endpoints against the peer's, on one clock: what is written is there at once."""
 
     def __init__(self) -> None:
-        body = MujocoBody(walled_floor(), lidar_step=20, caster="numba")
+        body = MujocoBody(walled_floor(), lidar_step=20)
         super().__init__(options=XT16, body=body)
         self._dds = open_link("lo", DOMAIN, XT16)
         self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic() or "")

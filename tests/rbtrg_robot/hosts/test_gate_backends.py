@@ -35,7 +35,7 @@ REST = 0.05
 def simulated() -> tuple[Backend, Callable[[], float]]:
     """The MuJoCo robot on a floor, and its true speed."""
     scene = Scene("floor", np.zeros((101, 101), np.float32), 0.1, (-5.0, -5.0), (0.0, 0.0, 0.0), {})
-    backend = MujocoBackend(scene, lidar_step=40, caster="numba")
+    backend = MujocoBackend(scene, lidar_step=40)
     return backend, lambda: float(backend.simulation.linear_velocity[0])
 
 

@@ -25,7 +25,7 @@ class Wired:
     """The Unitree backend on the lockstep clock: reading advances the robot's side first."""
 
     def __init__(self, config: Any) -> None:
-        body = MujocoBody(config.load_scene(), lidar_step=4, caster="numba", seed=3)
+        body = MujocoBody(config.load_scene(), lidar_step=4, seed=3)
         self.world = World(options=UnitreeOptions(lidar="xt16"), body=body, epoch=0)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities

@@ -1,0 +1,84 @@
+"""A robot's computer has neither simulator nor open3d: everything it runs starts without them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.places import ROOT
+
+HIDE = """
+import importlib.metadata, sys
+HIDDEN = ("mujoco", "open3d")
+sys.modules.update(dict.fromkeys(HIDDEN))
+version = importlib.metadata.version
+def hidden(name):
+    if name in HIDDEN:
+        raise importlib.metadata.PackageNotFoundError(name)
+    return version(name)
+importlib.metadata.version = hidden
+"""
+
+
+def without_simulator(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", HIDE + code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=150,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    "command", ["--help", "config show --set backend=unitree --set interface=eth0", "scene list"]
+)
+def test_commands_answer(command: str) -> None:
+    done = without_simulator(
+        f"sys.argv = ['rbtrg-robot', *{command!r}.split()]\nfrom rbtrg_robot.cli.main import main\nsys.exit(main())"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+
+
+def test_every_process_of_the_real_robot_can_be_built() -> None:
+    done = without_simulator(
+        """
+import rbtrg_robot.hosts.live, rbtrg_robot.hosts.robot, rbtrg_robot.process.child, rbtrg_robot.process.zygote
+import rbtrg_robot.process.supervisor, rbtrg_robot.log.recorder, hal.unitree.backend
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import build_stages
+config = load(None, ["backend=unitree", "interface=eth0"])
+assert config.metadata()["package.mujoco"] == "not installed"
+print(sorted(build_stages(config, ['odometry', 'elevation', 'planner', 'tracker'])))
+"""
+    )
+    assert done.returncode == 0, done.stderr
+    assert "planner" in done.stdout
+
+
+def test_the_doctor_calls_the_missing_simulator_no_fault() -> None:
+    done = without_simulator(
+        """
+from rbtrg_robot.process.doctor import REQUIRED, Level, _library, _simulator
+assert all(_library(name).level is Level.OK for name in REQUIRED)
+print(_simulator().level.name, _simulator().words)
+"""
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("NOTE no simulated robot")
+    assert "rbtrg-robot[sim]" in done.stdout
+
+
+def test_up_with_a_simulator_says_what_to_install(tmp_path) -> None:
+    done = without_simulator(
+        f"sys.argv = ['rbtrg-robot', 'up', '--log-dir', {str(tmp_path)!r}, '--robot', 'bare', '--port', '7993']\n"
+        "from rbtrg_robot.cli.main import main\nsys.exit(main())"
+    )
+    assert done.returncode == 1
+    assert "rbtrg-robot[sim]" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import socket
 from collections.abc import Iterable
+from ctypes import c_size_t
 from typing import Any, Protocol
 
 import psutil
@@ -161,7 +162,12 @@ class DdsLink:
 
     def reachable(self, service: str) -> bool:
         """Whether a server of this service has been discovered."""
-        return bool(self._writers[service].get_matched_subscriptions())
+        writer = self._writers[service]
+        if hasattr(writer, "get_matched_subscriptions"):
+            return bool(writer.get_matched_subscriptions())
+        # cyclonedds 0.10 (aarch64) does not wrap this function of its C library.
+        count: int = writer._dll_handle.dds_get_matched_subscriptions(writer._ref, None, c_size_t(0))
+        return count > 0
 
     def close(self) -> None:
         """Release everything. Idempotent."""

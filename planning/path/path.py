@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
-from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
+from planning.graph.graph import SNAP_DISTANCE
 from planning.path.spline import curve, distance_to_polyline, reach_limits
+from planning.path.types import Path, PathLimits
+from planning.path.watch import terrain_around
 from planning.risk.body import (
     BodyModel,
     edge_poses,
     moments_of,
     sweep_poses,
     terrain_features,
-    terrain_of,
 )
 from planning.risk.footprint import steps_under
 from planning.risk.pose_sets import turn_angle
@@ -26,56 +25,6 @@ from planning.risk.terrain import Terrain, heights_at
 from planning.search.plan import Plan
 
 Array = NDArray[np.float64]
-SIDE = 0.5
-"""[m] beside the corners of a route that its path, its corridor and what lies under the body's rim stay within."""
-
-
-class PathLimits(BaseModel):
-    """What the path may ask of the robot."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    max_speed: float = Field(default=0.8, gt=0.0, description="fastest [m/s]")
-    min_speed: float = Field(default=0.1, gt=0.0, description="slowest while moving [m/s]")
-    max_accel: float = Field(default=0.6, gt=0.0, description="speeding up and braking [m/s^2]")
-    lateral_accel: float = Field(default=0.6, gt=0.0, description="in curves [m/s^2]")
-    max_yaw_rate: float = Field(default=0.8, gt=0.0, description="in curves [rad/s]")
-    max_slope: float = Field(default=0.436, gt=0.0, description="steepest ground; half speed there [rad]")
-    max_step: float = Field(default=0.10, gt=0.0, description="highest vertical face under the body [m]")
-    spacing: float = Field(default=0.02, gt=0.0, description="distance between samples [m]")
-    corridor: float = Field(default=0.08, gt=0.0, description="farthest the path leaves the route [m]")
-
-
-@dataclass(frozen=True, slots=True)
-class Path:
-    """A path in the `map` frame."""
-
-    points: Array = field(repr=False)
-    """(n, 3) x, y, z of the ground [m]."""
-    yaw: Array = field(repr=False)
-    """(n,) direction of travel [rad]."""
-    speed: Array = field(repr=False)
-    """(n,) [m/s] upper bound; 0 at the end."""
-    s: Array = field(repr=False)
-    """(n,) planar distance along the path [m]."""
-    route: Array = field(repr=False)
-    """(m, 2) the polyline it follows: start, nodes, goal [m]."""
-    initial_turn: float | None
-    """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
-    goal_yaw: float | None
-    """Heading wanted at the end [rad]; the last `yaw` is the direction of travel."""
-    raw_corners: int
-    """Corners of the route that stayed sharp because rounding them left the corridor or raised the risk."""
-    worst: tuple[float, float, float]
-    """Largest d_fb [m], a_lr [deg], p_int [m] on the path when it was made."""
-    worst_step: float
-    """Highest vertical face under the body on the path when it was made [m]."""
-    limits: PathLimits = field(repr=False)
-
-    @property
-    def length(self) -> float:
-        """[m]"""
-        return float(self.s[-1])
 
 
 def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimits | None = None) -> Path:
@@ -88,7 +37,7 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     limits = limits or PathLimits()
     wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
     ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
-    terrain = _terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
+    terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
     vertices = _vertices(plan, terrain, body, limits)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
@@ -113,42 +62,10 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
         goal_yaw,
         raw,
         (worst[0], worst[1], worst[2]),
-        float(steps_under(terrain, poses[sparse], body.length, body.width).max()),
+        poses[sparse],
+        steps_under(terrain, poses[sparse], body.length, body.width),
         limits,
     )
-
-
-def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
-    """Whether a path made on an earlier map still holds on this one, and if not, what is in the way.
-
-    It does not hold when `face_in_the_way` finds one, or when the graph lost the ground around a corner of the route.
-    """
-    face = face_in_the_way(path, grid, body)
-    if face:
-        return False, face
-    for x, y in path.route.tolist():
-        if graph.nearest_node((x, y)) is None:
-            return False, f"no drivable ground left around ({x:.2f}, {y:.2f})"
-    return True, ""
-
-
-def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
-    """The highest face under the body on that part of the path which lies on `grid`; empty while all are within the limit."""
-    poses = np.column_stack([path.points[:, :2], path.yaw])[_thin(path.points, 0.05)]
-    x0, y0, x1, y1 = grid.extent
-    poses = poses[((poses[:, :2] >= (x0, y0)) & (poses[:, :2] <= (x1, y1))).all(axis=1)]
-    if not len(poses):
-        return ""
-    step = steps_under(_terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
-    bad = int(np.argmax(step))
-    if step[bad] <= max(path.limits.max_step, path.worst_step) + 0.02:
-        return ""
-    return f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
-
-
-def _terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
-    """What a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
-    return terrain_of(grid.around(xy, body.circumradius + SIDE), body)
 
 
 def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits) -> Array:

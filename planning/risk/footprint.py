@@ -308,7 +308,7 @@ def poses_features(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
-    """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
+    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
     height, trusted, stride = sampler.height, sampler.trusted, sampler.stride
     rows = height.size // stride
     out = np.zeros(poses.shape[0])
@@ -316,20 +316,19 @@ def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
         c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
         col0, row0 = (poses[i, 0] - sampler.ox) * sampler.inv, (poses[i, 1] - sampler.oy) * sampler.inv
         for k in range(sampler.u.size):
-            col = int(col0 + sampler.u[k] * c - sampler.v[k] * s + 0.5)
-            row = int(row0 + sampler.u[k] * s + sampler.v[k] * c + 0.5)
+            col = int(np.floor(col0 + sampler.u[k] * c - sampler.v[k] * s + 0.5))
+            row = int(np.floor(row0 + sampler.u[k] * s + sampler.v[k] * c + 0.5))
             at = row * stride + col
-            if col < 0 or row < 0 or col > stride - 2 or row > rows - 2 or not trusted[at]:
+            if col < 1 or row < 1 or col > stride - 2 or row > rows - 2 or not trusted[at]:
                 continue
-            if trusted[at + 1]:
-                out[i] = max(out[i], abs(height[at + 1] - height[at]))
-            if trusted[at + stride]:
-                out[i] = max(out[i], abs(height[at + stride] - height[at]))
+            for other in (at - 1, at + 1, at - stride, at + stride):
+                if trusted[other]:
+                    out[i] = max(out[i], abs(height[other] - height[at]))
     return out
 
 
 def steps_under(
     terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
 ) -> NDArray[np.float64]:
-    """(n,) largest height difference [m] between trusted neighbour cells under the body, per pose (n, 3)."""
+    """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
     return steps_beneath(terrain.sampler(length, width), np.ascontiguousarray(poses, dtype=np.float64))

@@ -11,7 +11,7 @@ from mapping.elevation.exchange import MapError, MapMirror, MapPatch
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path.path import Path, PathLimits, face_in_the_way, make_path, still_safe
+from planning.path import Path, PathLimits, face_in_the_way, make_path, still_safe
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory

@@ -9,7 +9,7 @@ import pytest
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
-from planning.path.path import PathLimits, make_path, still_safe
+from planning.path import PathLimits, make_path, still_safe
 from planning.path.spline import curve, distance_to_polyline, reach_limits
 from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
 from planning.search.plan import PlanRequest, plan

@@ -11,7 +11,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.describe import ALL_HEADINGS
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path.path import make_path
+from planning.path import make_path
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
 from planning.risk.turns import may_turn_off, may_turn_to

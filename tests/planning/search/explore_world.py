@@ -10,7 +10,7 @@ import numpy as np
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.graph import TraversalGraph
-from planning.path.path import make_path, still_safe
+from planning.path import make_path, still_safe
 from planning.risk.body import BodyModel
 from planning.search.frontier import FrontierMemory
 from planning.search.plan import PlanRequest, plan

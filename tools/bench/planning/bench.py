@@ -1,4 +1,6 @@
-"""Planning times: graph builds and updates here, queries in `_planning_query`.
+"""Planning: graph builds and updates here, queries in `query`, the path's watch in `watch`.
+
+    python -m tools.bench planning [--only watch] [--json]
 
 The large build is the graph and its risk table with every edge evaluated, which then serves all queries on that map;
 its two parts have rows of their own, and `large.query_cold_s` is a query that finds neither table nor evaluation.
@@ -10,6 +12,7 @@ rebuild of the same map; the large build's is that numpy build of 400 m^2, scale
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -24,7 +27,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from tools.bench.planning import query as _planning_query
+from tools.bench.planning import query, watch
 from tools.bench.planning.oracle import NativeOracle
 from tools.bench.planning.worlds import dense_map, mountain_map, rough_terrain
 from tools.bench.report import Report
@@ -115,8 +118,14 @@ def _large(report: Report, baseline: float) -> RiskTable:
 
 
 def run(args: list[str]) -> Report:
-    """Rows of the graph, then those of the queries."""
+    """Rows of the path's watch; without `--only` also those of the graph and of the queries."""
+    parser = argparse.ArgumentParser(prog="planning", description=__doc__)
+    parser.add_argument("--only", choices=("watch",))
+    options = parser.parse_args(args)
     report = Report("planning")
+    watch.rows(report)
+    if options.only:
+        return report
     area_s = 0.0
     for key, problem, limit in (("native_20m", mountain_map(), 40.0), ("native_8m", dense_map(), 120.0)):
         TraversalGraph.build(*problem)
@@ -126,5 +135,5 @@ def run(args: list[str]) -> Report:
         if key == "native_20m":
             area_s = baseline * 10_000.0 / 400.0
     _update_ms(report)
-    _planning_query.rows(report, _large(report, area_s))
+    query.rows(report, _large(report, area_s))
     return report

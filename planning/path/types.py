@@ -1,0 +1,61 @@
+"""A path the robot can follow and what it may ask of the robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+Array = NDArray[np.float64]
+
+
+class PathLimits(BaseModel):
+    """What the path may ask of the robot."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    max_speed: float = Field(default=0.8, gt=0.0, description="fastest [m/s]")
+    min_speed: float = Field(default=0.1, gt=0.0, description="slowest while moving [m/s]")
+    max_accel: float = Field(default=0.6, gt=0.0, description="speeding up and braking [m/s^2]")
+    lateral_accel: float = Field(default=0.6, gt=0.0, description="in curves [m/s^2]")
+    max_yaw_rate: float = Field(default=0.8, gt=0.0, description="in curves [rad/s]")
+    max_slope: float = Field(default=0.436, gt=0.0, description="steepest ground; half speed there [rad]")
+    max_step: float = Field(default=0.10, gt=0.0, description="highest vertical face under the body [m]")
+    spacing: float = Field(default=0.02, gt=0.0, description="distance between samples [m]")
+    corridor: float = Field(default=0.08, gt=0.0, description="farthest the path leaves the route [m]")
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A path in the `map` frame."""
+
+    points: Array = field(repr=False)
+    """(n, 3) x, y, z of the ground [m]."""
+    yaw: Array = field(repr=False)
+    """(n,) direction of travel [rad]."""
+    speed: Array = field(repr=False)
+    """(n,) [m/s] upper bound; 0 at the end."""
+    s: Array = field(repr=False)
+    """(n,) planar distance along the path [m]."""
+    route: Array = field(repr=False)
+    """(m, 2) the polyline it follows: start, nodes, goal [m]."""
+    initial_turn: float | None
+    """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
+    goal_yaw: float | None
+    """Heading wanted at the end [rad]; the last `yaw` is the direction of travel."""
+    raw_corners: int
+    """Corners of the route that stayed sharp because rounding them left the corridor or raised the risk."""
+    worst: tuple[float, float, float]
+    """Largest d_fb [m], a_lr [deg], p_int [m] on the path when it was made."""
+    watched: Array = field(repr=False)
+    """(k, 3) x, y [m], yaw [rad] every 5 cm: where faces are looked for."""
+    faces: Array = field(repr=False)
+    """(k,) highest vertical face under the body at each of these when the path was made [m]."""
+    limits: PathLimits = field(repr=False)
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return float(self.s[-1])

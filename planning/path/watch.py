@@ -1,0 +1,60 @@
+"""Does a path still hold on a newer map?"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import TraversalGraph
+from planning.path.types import Path
+from planning.risk.body import BodyModel, terrain_of
+from planning.risk.footprint import steps_under
+from planning.risk.terrain import Terrain
+
+Array = NDArray[np.float64]
+SIDE = 0.5
+"""[m] beside the corners of a route that its path, its corridor and what lies under the body's rim stay within."""
+TOLERANCE = 0.02
+"""[m] by which a new face must exceed the robot's limit."""
+NOISE = 0.04
+"""[m] by which a face must have grown: four standard deviations of its change, when each height is known to 5 mm."""
+
+
+def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
+    """Whether a path made on an earlier map still holds on this one, and if not, what is in the way.
+
+    It does not hold when `face_in_the_way` finds one, or when the graph lost the ground around a corner of the route.
+    """
+    face = face_in_the_way(path, grid, body)
+    if face:
+        return False, face
+    for x, y in path.route.tolist():
+        if graph.nearest_node((x, y)) is None:
+            return False, f"no drivable ground left around ({x:.2f}, {y:.2f})"
+    return True, ""
+
+
+def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
+    """The face under the body that is most too high, on that part of the path which lies on `grid`; empty without one.
+
+    Too high is a face above the robot's limit and above what was under the body at the same place when the path was
+    made. A path that passes close to a wall has high faces there, and may have them there only.
+    """
+    x0, y0, x1, y1 = grid.extent
+    at = path.watched[:, :2]
+    inside = ((at >= (x0, y0)) & (at <= (x1, y1))).all(axis=1)
+    poses = path.watched[inside]
+    if not len(poses):
+        return ""
+    step = steps_under(terrain_around(grid, poses[:, :2], body), poses, body.length, body.width)
+    excess = step - np.maximum(path.limits.max_step + TOLERANCE, path.faces[inside] + NOISE)
+    bad = int(np.argmax(excess))
+    if excess[bad] <= 0.0:
+        return ""
+    return f"a {step[bad]:.2f} m face at ({poses[bad, 0]:.2f}, {poses[bad, 1]:.2f})"
+
+
+def terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
+    """What a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
+    return terrain_of(grid.around(xy, body.circumradius + SIDE), body)

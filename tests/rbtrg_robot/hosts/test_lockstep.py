@@ -154,14 +154,11 @@ def test_the_nearest_goal_to_the_fence_that_is_accepted_is_reached() -> None:
             assert math.dist(goal, truth(stack)[:2]) < 0.25
 
 
-def test_a_goal_inside_a_known_wall_is_rejected(stack: Lockstep) -> None:
-    stack.run(2.0)
-    scene = config().load_scene()
-    x0, _, _, _ = scene.extent
-    stack.send_goal(x0 + 0.05, truth(stack)[1])
+def test_a_goal_outside_the_area_is_rejected(stack: Lockstep) -> None:
+    x0, _, _, _ = config().load_scene().extent
+    stack.send_goal(x0 - 1.0, truth(stack)[1])
     status = stack.finish_goal(20.0)
-    assert status.state in ("rejected", "aborted")
-    assert status.reason in ("goal_in_obstacle", "no_route", "outside_area")
+    assert (status.state, status.reason) == ("rejected", "outside_area")
 
 
 def test_the_same_seed_gives_the_same_log_and_a_rerun_gives_the_recorded_map(tmp_path: Path) -> None:
@@ -214,7 +211,8 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
     assert frames["/lidar/points"] == {"lidar"}
     assert frames["/odom"] == {"odom"}
     assert frames["/elevation_map/update"] == frames["/elevation_map/window"] == {"map"}
-    assert np.isfinite(len(frames))
+    steady = {x.name for x in t.TOPICS if x.rate and x.owner and "header" in x.kind.__slots__}
+    assert frames.keys() >= steady, steady - frames.keys()
 
 
 def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() -> None:

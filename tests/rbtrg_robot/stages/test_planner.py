@@ -64,6 +64,19 @@ def passage(seed: int, width: float) -> tuple[np.ndarray, tuple[float, float], t
     return z, (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
 
 
+def test_a_goal_inside_a_known_wall_is_in_an_obstacle_and_one_beside_it_is_not() -> None:
+    y, x = np.mgrid[0:125, 0:125] * RES
+    walls = (np.abs(x - 3.3) < 0.8) & (np.abs(y - 2.5) < 0.8) & (np.floor(x / 0.2) % 2 == 0)
+    stage = planner()
+    stage.on(
+        t.MAP_UPDATE, patch(np.where(walls, 1.0, 0.005 * np.random.default_rng(0).standard_normal(x.shape)))
+    )
+    answer = ask(stage, (1.0, 2.5), (3.3, 2.5))
+    assert (answer.ok, answer.reason) == (False, "goal_in_obstacle")
+    beside = ask(stage, (1.0, 2.5), (1.8, 1.2), sequence=2)
+    assert (beside.ok, beside.reaches_goal) == (True, True)
+
+
 def test_before_any_map_a_request_is_answered_with_what_is_missing() -> None:
     stage = planner()
     answer = ask(stage, (0.0, 0.0), (1.0, 0.0))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ Array = NDArray[np.float64]
 
 NS = 1_000_000_000
 """Nanoseconds in a second."""
+
+LidarName = Literal["main", "head"]
+"""What a LiDAR is for: `main` localises and maps all around, `head` sees the ground in front of the feet."""
 
 POINT_DTYPE = np.dtype(
     [
@@ -28,7 +32,7 @@ POINT_DTYPE = np.dtype(
         ("time", "<f4"),
     ]
 )
-"""One LiDAR return: x, y, z [m] in the `lidar` frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`."""
+"""One LiDAR return: x, y, z [m] in the LiDAR's own frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +61,13 @@ class JointSample:
 
 @dataclass(frozen=True, slots=True)
 class LidarScan:
-    """One sweep. `points` is a structured array of `POINT_DTYPE` in the `lidar` frame, body returns removed."""
+    """One sweep. `points` is a structured array of `POINT_DTYPE` in the LiDAR's own frame, body returns removed."""
 
     stamp: int
     """Start of the sweep [ns]; `points["time"]` counts from here."""
     points: NDArray[np.void]
+    name: LidarName = "main"
+    """Which LiDAR of the robot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +168,16 @@ class Extrinsics:
 
 
 @dataclass(frozen=True, slots=True)
+class MountedLidar:
+    """One LiDAR of a robot."""
+
+    name: LidarName
+    model: str
+    """A name in `hal.lidar.spec.LIDARS`."""
+    mount: Extrinsics
+
+
+@dataclass(frozen=True, slots=True)
 class Capabilities:
     """What this robot with this controller can do: hard limits for gate, planner and tracker."""
 
@@ -182,8 +198,8 @@ class Capabilities:
     max_gap: float = 0.10
     """Widest gap crossed [m]."""
     strafe: bool = False
-    lidar: str = "none"
-    lidar_mount: Extrinsics = Extrinsics((0.0, 0.0, 0.0))
+    lidars: tuple[MountedLidar, ...] = ()
+    """What is there; at most one of each name."""
 
 
 Sample = ImuSample | JointSample | LidarScan | RobotState | GroundTruth

@@ -13,15 +13,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
-from hal.lidar.spec import LIDARS
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateConfig
 from hal.scenes import Scene, load_scene
-from hal.types import Capabilities, Extrinsics
+from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeOptions, UnitreeSettings
 from mapping.elevation.config import ElevationConfig
 from mapping.odometry.pipeline import OdometryConfig
@@ -55,8 +55,9 @@ class StackConfig(BaseModel):
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
     controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
     policy_dir: str = Field("", description="folder of a locomotion policy in rl_sar's layout")
-    lidar: Literal["xt16", "mid360", "l1"] = "xt16"
-    mount: Extrinsics | None = Field(None, description="LiDAR in base_link; None = the model's usual mount")
+    lidars: tuple[LidarConfig, ...] = Field(
+        DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
+    )
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
     sim: SimConfig = SimConfig(lidar_step=2)
     interface: str = Field("", description="network interface of the robot (unitree)")
@@ -86,6 +87,14 @@ class StackConfig(BaseModel):
     freshness: FreshnessConfig = FreshnessConfig()
     recorder: RecorderConfig = RecorderConfig()
 
+    @field_validator("lidars")
+    @classmethod
+    def _one_of_each(cls, value: tuple[LidarConfig, ...]) -> tuple[LidarConfig, ...]:
+        names = [lidar.name for lidar in value]
+        if "main" not in names or len(set(names)) < len(names):
+            raise ValueError("one LiDAR is `main`, another may be `head`, no name comes twice")
+        return value
+
     @property
     def simulated(self) -> bool:
         """Source clock is the simulator's."""
@@ -112,16 +121,17 @@ class StackConfig(BaseModel):
             return tuple(self.area)
         return self.load_scene().allowed_area if self.simulated else None
 
-    def lidar_mount(self) -> Extrinsics:
-        """Pose of the LiDAR in base_link."""
-        if not self.simulated:
-            return self.unitree_options().mount()
-        return self.mount or LIDARS[self.lidar].mount
+    def mounted_lidars(self) -> tuple[MountedLidar, ...]:
+        """The LiDARs in base_link."""
+        return (
+            self.unitree_options().mounted()
+            if not self.simulated
+            else tuple(lidar.mounted() for lidar in self.lidars)
+        )
 
     def unitree_options(self) -> UnitreeOptions:
-        """Settings of the real robot with the LiDAR it carries."""
-        mount = None if self.mount is None else (*self.mount.translation, *self.mount.rpy)
-        return UnitreeOptions(**self.unitree.model_dump(), lidar=self.lidar, lidar_mount=mount)
+        """Settings of the real robot with the LiDARs it carries."""
+        return UnitreeOptions(**self.unitree.model_dump(), lidars=self.lidars)
 
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""
@@ -136,10 +146,6 @@ class StackConfig(BaseModel):
             "max_gap": min(self.graph.max_gap, robot.max_gap),
         }
         return self.graph.model_copy(update=limits)
-
-    def elevation_params(self) -> ElevationConfig:
-        """Settings of the map, with the noise of the LiDAR at hand where none is set."""
-        return self.elevation.for_lidar(LIDARS[self.lidar])
 
     def imu_mount(self) -> Extrinsics:
         """Pose of the IMU in base_link."""
@@ -160,7 +166,7 @@ class StackConfig(BaseModel):
             "backend": self.backend,
             "scene": self.scene if self.simulated else "",
             "controller": self.controller if self.simulated else "",
-            "lidar": self.lidar,
+            "lidars": ", ".join(f"{lidar.name} {lidar.model}" for lidar in self.lidars),
             "seed": str(self.seed),
             "clock": "simulated" if self.simulated else "wall",
             "machine": f"{platform.machine()} {platform.system()} Python {platform.python_version()}",
@@ -225,6 +231,9 @@ def load(
 def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
     """The configuration a log was made with, and its keys that this version does not have, left out of it."""
     values: dict[str, Any] = yaml.safe_load(attached) or {}
+    if "lidar" in values:  # before a robot carried several
+        main = {"model": values.pop("lidar"), "mount": values.pop("mount", None)}
+        values["lidars"] = [main]
     unknown: list[str] = []
     try:
         StackConfig.model_validate(values)

@@ -11,6 +11,7 @@ from enum import StrEnum
 from fnmatch import fnmatch
 from typing import Generic, TypeGuard, TypeVar
 
+from hal.types import LidarName
 from rbtrg_robot import msg
 
 
@@ -67,7 +68,8 @@ class Topic(Generic[M]):
 CLOCK          = Topic("/clock",                 msg.Clock,          100, Qos.SENSOR,    1, "robot",     "simulated time; absent on hardware")
 IMU            = Topic("/imu/data",              msg.Imu,            200, Qos.SENSOR,  400, "robot",     "gyro [rad/s] and specific force, base_link axes")
 JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
-POINTS         = Topic("/lidar/points",          msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar, per-point time")
+POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time")
+HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
@@ -76,9 +78,10 @@ ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.ST
 POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control")
 WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone")
 ODOM_HEALTH    = Topic("/odom/health",           msg.OdometryHealth,  10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
-CLOUD          = Topic("/cloud",                 msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to its end, base_link")
+CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to the stamp of /odom, base_link")
+HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came")
 TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
-TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar, imu")
+TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar_main, lidar_head, imu")
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
@@ -99,6 +102,11 @@ HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.ST
 
 TOPICS: tuple[Topic, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Topic))
 BY_NAME: dict[str, Topic] = {t.name: t for t in TOPICS}
+SWEEPS: dict[LidarName, Topic[msg.PointCloud2]] = {"main": POINTS, "head": HEAD_POINTS}
+CLOUDS: dict[LidarName, Topic[msg.PointCloud2]] = {"main": CLOUD, "head": HEAD_CLOUD}
+"""Of each LiDAR: as measured, and deskewed."""
+RENAMED = {"/lidar/points": POINTS, "/cloud": CLOUD}
+"""Names in logs of robots that carried one LiDAR."""
 
 
 def matching(patterns: list[str]) -> list[Topic]:

@@ -23,7 +23,6 @@ from hal.rotation import rotation
 from hal.scenes import Scene
 from hal.scenes.survey import relief
 from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
-from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import OdometryConfig, ScanOdometry
@@ -67,11 +66,11 @@ class Stack:
 
     def __init__(self, run: SyntheticRun, engine: str) -> None:
         params = OdometryConfig().model_copy(update={"engine": engine})
-        self.odometry = LidarInertialOdometry(params, run.extrinsics)
+        self.odometry = LidarInertialOdometry(params, {"main": run.extrinsics})
         self.odometry.warm_up()
-        self.map = ElevationMap(ElevationConfig().for_lidar(run.lidar))
+        self.map = ElevationMap()
         self.map.warm_up()
-        self._origin = run.extrinsics.translation
+        self._sensor = run.sensor
         self._joints: JointSample | None = None
         self.cpu: list[float] = []
 
@@ -89,7 +88,7 @@ class Stack:
             begin = time.thread_time()  # the 200 Hz pose is not part of a scan's cost
         results = [r for r in self.odometry.poll() if len(r.cloud)]
         for r in results:
-            self.map.fuse(r.cloud, r.position, r.orientation, r.stamp, self._origin)
+            self.map.fuse(r.cloud, r.position, r.orientation, r.stamp, self._sensor)
             if self._joints is not None:
                 below = wheel_centres(self._joints.position) - np.array([0.0, 0.0, WHEEL_RADIUS])
                 self.map.fuse_ground(below, r.position, r.orientation, r.stamp)

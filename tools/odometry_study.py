@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.lidar.config import only
 from hal.types import NS, Array, Extrinsics, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
@@ -92,7 +93,7 @@ def record(config: StackConfig, goals: list[tuple[float, float]]) -> RecordedDri
     stamps, position, orientation = (np.array(values) for values in zip(*truth, strict=True))
     flips = np.cumprod(np.where(np.einsum("ij,ij->i", orientation[1:], orientation[:-1]) < 0.0, -1.0, 1.0))
     orientation[1:] *= flips[:, None]
-    return RecordedDrive(config.lidar_mount(), samples, stamps, position, orientation)
+    return RecordedDrive(config.mounted_lidars()[0].mount, samples, stamps, position, orientation)
 
 
 def main() -> None:
@@ -103,7 +104,7 @@ def main() -> None:
     parser.add_argument("--goals", default="6,0")
     options = parser.parse_args()
     goals = [(float(a), float(b)) for a, b in (goal.split(",") for goal in options.goals.split(";"))]
-    run = record(load(None, [], scene=options.scene, lidar=options.lidar), goals)
+    run = record(load(None, [], scene=options.scene, lidars=only(options.lidar)), goals)
     seconds = (run.recorded[-1].stamp - run.recorded[0].stamp) / NS
     print(f"{options.scene}, {options.lidar}: {run.path_length():.1f} m in {seconds:.0f} s")
     for name, track in drive(run, ENGINES).items():

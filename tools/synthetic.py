@@ -21,7 +21,8 @@ from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
 from hal.scenes import Scene
-from hal.types import NS, Array, Extrinsics, GroundTruth, ImuSample, JointSample, Sample
+from hal.types import NS, Array, Extrinsics, GroundTruth, ImuSample, JointSample, MountedLidar, Sample
+from mapping.elevation.sensor import Sensor
 from tools.synthetic_motion import GRAVITY, Motion, legs, quaternions
 from tools.synthetic_scenes import FEATURES, OBSTACLE, arena, corridor, feature_scene
 
@@ -83,6 +84,11 @@ class SyntheticRun:
     def extrinsics(self) -> Extrinsics:
         """LiDAR in base_link as simulated."""
         return self.mount or self.lidar.mount
+
+    @property
+    def sensor(self) -> Sensor:
+        """The LiDAR as the elevation map takes it."""
+        return Sensor.of(MountedLidar("main", self.lidar.name, self.extrinsics))
 
     def seconds(self, stamps: NDArray[np.integer] | int) -> Array:
         """Run time (n,) [s] of stamps [ns]."""

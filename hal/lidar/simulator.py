@@ -13,7 +13,7 @@ from hal.lidar.beams import measure, moving_rays, turn_beams, unblocked
 from hal.lidar.caster import OrientedBox, TerrainCaster, cast_onto_boxes, pack_boxes
 from hal.lidar.spec import LidarSpec
 from hal.rotation import rotation_rpy
-from hal.types import POINT_DTYPE, Array, Extrinsics, LidarScan
+from hal.types import POINT_DTYPE, Array, Extrinsics, LidarName, LidarScan
 
 QUANTUM = 2.0**-10
 """Coordinates are multiples of this [m]: a third of the noise bits gone, logs half the size."""
@@ -78,11 +78,14 @@ class LidarSimulator:
         *,
         self_filter: Sequence[OrientedBox] = GO2W_BODY,
         noise: bool = True,
+        name: LidarName = "main",
     ) -> None:
         self.spec = spec
+        self.name = name
         self.mount = mount
         self.caster = caster
-        self._seed = seed
+        self._seed = (seed,) if name == "main" else (seed, *name.encode())
+        """Two LiDARs of a robot make unlike errors."""
         self._noise = noise
         self._rotation = rotation_rpy(*mount.rpy)
         self._offset = np.asarray(mount.translation, np.float64)
@@ -143,7 +146,7 @@ class LidarSimulator:
                 self._unblocked(pattern.directions),
             )
         nominal, time, ring, seen = self._pattern
-        random = np.random.Generator(np.random.SFC64([self._seed, number]))
+        random = np.random.Generator(np.random.SFC64([*self._seed, number]))
         n = len(nominal)
         beams = np.empty_like(nominal)
         if self._noise and self.spec.angle_sigma > 0.0:
@@ -205,4 +208,4 @@ class LidarSimulator:
         m = measure(
             sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, sweep.time, sweep.ring, spec.rings, draw, noise, limits, points
         )  # fmt: skip
-        return LidarScan(sweep.start, points[:m])
+        return LidarScan(sweep.start, points[:m], self.name)

@@ -9,8 +9,9 @@ import numpy as np
 
 from hal import go2w
 from hal.contract import BackendError
+from hal.lidar.caster import TerrainCaster
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lidar.simulator import LidarSimulator
-from hal.lidar.spec import LIDARS
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController, warm_up
 from hal.lowlevel import Locomotion
@@ -23,7 +24,6 @@ from hal.rotation import up_of
 from hal.scenes import Scene
 from hal.types import (
     NS,
-    Extrinsics,
     GroundTruth,
     ModeRequest,
     Phase,
@@ -58,8 +58,7 @@ class MujocoBackend:
         *,
         controller: Literal["vmc", "policy"] = "vmc",
         policy_dir: str = "",
-        lidar: str | None = "xt16",
-        lidar_mount: Extrinsics | None = None,
+        lidars: tuple[LidarConfig, ...] = DEFAULT_LIDARS,
         seed: int = 0,
         start: tuple[float, float, float] | None = None,
         start_time: int = 0,
@@ -67,8 +66,7 @@ class MujocoBackend:
     ) -> None:
         """
         policy_dir: folder of a policy in rl_sar's layout; needed with `controller="policy"`
-        lidar: a name in `hal.lidar.spec.LIDARS`, or None for none (physics only, faster)
-        lidar_mount: None for the model's usual mount
+        lidars: empty for none (physics only, faster)
         seed: of everything random here
         start: x, y [m], yaw [rad]; None for the scene's
         start_time: source clock at connect [ns]
@@ -80,8 +78,7 @@ class MujocoBackend:
         self.scene = scene
         self.start_time = start_time
         self._start, self._seed = start, seed
-        if lidar is not None and lidar not in LIDARS:
-            raise BackendError(f"there is no LiDAR {lidar!r}: use one of {', '.join(LIDARS)}", retry=False)
+        self._fitted = lidars
         self._dt = round(o.timestep * NS)
         self.controller: Locomotion
         if controller == "policy":
@@ -104,13 +101,9 @@ class MujocoBackend:
             command_delay=o.command_delay,
             boxes=tuple(box.size for box in o.obstacles),
         )
-        spec = LIDARS[lidar].decimated(o.lidar_step) if lidar is not None else None
-        self._mount = lidar_mount or (spec.mount if spec else None)
-        self.capabilities = CAPABILITIES[controller]
-        if lidar is not None and self._mount is not None:
-            self.capabilities = replace(self.capabilities, lidar=lidar, lidar_mount=self._mount)
-        self._spec = spec
-        self._caster = scene.caster() if spec is not None else None
+        mounted = tuple(lidar.mounted() for lidar in lidars)
+        self.capabilities = replace(CAPABILITIES[controller], lidars=mounted)
+        self._caster = scene.caster() if lidars else None
         self._modes = Modes(self.controller)
         self._connected = False
         self._state = RobotState(start_time, Phase.DISCONNECTED, self._modes.cause, o.battery)
@@ -130,9 +123,9 @@ class MujocoBackend:
         self._ran = 0
         self._sensors = Sensors(self._seed, o.noise)
         self._out = DelayLine()
-        self._lidar = None
-        if self._spec is not None and self._caster is not None and self._mount is not None:
-            self._lidar = LidarSimulator(self._spec, self._mount, self._caster, self._seed, noise=o.noise)
+        self._lidars = [
+            self._simulated(lidar, self._caster) for lidar in self._fitted if self._caster is not None
+        ]
         self._pushes = sorted(o.pushes, key=lambda push: push.time)
         self._shown: tuple[bool, ...] = (False,) * len(o.obstacles)
         self._moving = any(box.velocity != (0.0, 0.0) for box in o.obstacles)
@@ -184,6 +177,11 @@ class MujocoBackend:
         self._modes.disconnect()
         self._state = replace(self._state, phase=self._modes.phase, cause=self._modes.cause)
 
+    def _simulated(self, lidar: LidarConfig, caster: TerrainCaster) -> LidarSimulator:
+        o = self.config
+        spec = lidar.spec.decimated(o.lidar_step) if lidar.name == "main" else lidar.spec
+        return LidarSimulator(spec, lidar.mounted().mount, caster, self._seed, noise=o.noise, name=lidar.name)
+
     def _check_connected(self) -> None:
         if not self._connected:
             raise BackendError("not connected: call connect() first")
@@ -219,11 +217,12 @@ class MujocoBackend:
         if elapsed % JOINT_PERIOD < dt:
             self._out.put(stamp + round(o.joint_delay * NS), joint_sample(stamp, self._low))
             self._watch()
-        if self._lidar is not None and elapsed % LIDAR_SLICE < dt:
+        if self._lidars and elapsed % LIDAR_SLICE < dt:
             sim = self.simulation
-            scan = self._lidar.advance(stamp, sim.position, sim.quaternion)
-            if scan is not None:
-                self._out.put(stamp + round(o.lidar_delay * NS), scan)
+            for lidar in self._lidars:
+                scan = lidar.advance(stamp, sim.position, sim.quaternion)
+                if scan is not None:
+                    self._out.put(stamp + round(o.lidar_delay * NS), scan)
         if elapsed % TRUTH_PERIOD < dt:
             self._out.put(stamp, self._truth(stamp))
         phase, cause = self._modes.phase, self._modes.cause
@@ -266,8 +265,8 @@ class MujocoBackend:
             self.simulation.place_box(
                 index, None if box is None else box.centre, 0.0 if box is None else box.yaw
             )
-        if self._lidar is not None:
-            self._lidar.set_boxes([box for box in boxes if box is not None])
+        for lidar in self._lidars:
+            lidar.set_boxes([box for box in boxes if box is not None])
 
 
 __all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]

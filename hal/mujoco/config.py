@@ -63,7 +63,7 @@ class SimConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    lidar_step: int = Field(1, ge=1, description="keep every n-th firing of the LiDAR")
+    lidar_step: int = Field(1, ge=1, description="keep every n-th firing of the main LiDAR")
     timestep: float = Field(0.005, gt=0.0, le=0.01, description="physics step [s]")
     seated: bool = Field(
         False, description="start lying and wait for `posture stand`; else take the stance at the start"

@@ -204,8 +204,8 @@ class UnitreeBackend:
         t = self._connected()
         return {
             "low_state_clock_offset_ns": t.low_clock.offset,
-            "lidar_clock_offset_ns": t.lidar_clock.offset,
-            "clock_jumps": t.low_clock.jumps + t.lidar_clock.jumps,
+            "lidar_clock_offset_ns": {lidar.name: lidar.clock.offset for lidar in t.lidars},
+            "clock_jumps": t.low_clock.jumps + sum(lidar.clock.jumps for lidar in t.lidars),
             "late_responses": self._rpc.late,
             "unreadable_messages": dict(t.bad),
             "robot_restarts": t.reboots,
@@ -306,7 +306,7 @@ class UnitreeBackend:
         seen = t.speed > 0.05 or t.yaw_rate > 0.1 or self._phase is Phase.MOVING
         if self._mover.moving and seen and ignored < 1.5:
             return Phase.MOVING, note or "following velocity"
-        return Phase.READY, note or t.order_note or "balance stand, takes velocity"
+        return Phase.READY, note or t.order_note or t.silence(now) or "balance stand, takes velocity"
 
     def _trouble(self, t: Telemetry, now: int) -> str:
         """What makes a fault now, in words; empty when nothing does."""
@@ -320,7 +320,7 @@ class UnitreeBackend:
         if self._guarded and (self._guardian is None or not self._guardian.alive()):
             return "guardian process lost: recover starts it again"
         if t.mount_error is not None and t.mount_error > MOUNT_TOLERANCE:
-            return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check lidar_mount"
+            return f"LiDAR mount disagrees with gravity by {math.degrees(t.mount_error):.0f} deg: check the mount in lidars"
         ignored = self._ignored(t, now)
         if ignored > o.ignored_timeout:
             return f"robot ignores Move for {ignored:.0f} s: request recover"

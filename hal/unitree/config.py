@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.lidar.spec import LIDARS
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.rotation import rotation_rpy, rpy_of
-from hal.types import Capabilities, Extrinsics
+from hal.types import Capabilities, Extrinsics, MountedLidar
 
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
 
 
 class UnitreeSettings(BaseModel):
-    """How to reach and treat a real Go2-W; which LiDAR it carries stands elsewhere. Times in seconds."""
+    """How to reach and treat a real Go2-W; which LiDARs it carries stands elsewhere. Times in seconds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     domain: int | None = Field(
         default=None, ge=0, le=232, description="DDS domain; null: 0 on the robot's network, 1 on loopback"
-    )
-    lidar_topic: str = Field(
-        default="", description="DDS topic of the LiDAR's PointCloud2; empty takes the usual one"
     )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
@@ -31,9 +29,6 @@ class UnitreeSettings(BaseModel):
     )
     check_crc: bool = Field(
         default=True, description="LowState whose checksum is wrong is not believed; one without (0) is"
-    )
-    lidar_time_offset: float = Field(
-        default=0.0, ge=-0.1, le=0.1, description="[s] added to the LiDAR's stamps (one XT16: -0.005)"
     )
     l1_yaw: float = Field(
         default=0.0, description="[rad] of the L1 about its own z axis, which gravity cannot see"
@@ -70,29 +65,27 @@ class UnitreeSettings(BaseModel):
 class UnitreeOptions(UnitreeSettings):
     """All of it."""
 
-    lidar: Literal["l1", "xt16", "mid360", "none"] = Field(
-        default="xt16", description="which LiDAR is mounted"
-    )
-    lidar_mount: tuple[float, float, float, float, float, float] | None = Field(
-        default=None,
-        description="x, y, z [m], roll, pitch, yaw [rad] of the LiDAR in base_link; null: the usual mount",
-    )
+    lidars: tuple[LidarConfig, ...] = DEFAULT_LIDARS
 
-    def topic(self) -> str | None:
-        """DDS topic of the LiDAR, or None without one."""
-        return None if self.lidar == "none" else self.lidar_topic or _TOPICS[self.lidar]
+    def topic(self, lidar: LidarConfig) -> str:
+        """DDS topic of its clouds."""
+        return lidar.topic or _TOPICS[lidar.model]
 
-    def mount(self) -> Extrinsics:
-        """LiDAR in base_link."""
-        mount = LIDARS[self.lidar].mount if self.lidar in LIDARS else Extrinsics((0.0, 0.0, 0.0))
-        if self.lidar_mount is not None:
-            x, y, z, roll, pitch, yaw = self.lidar_mount
-            mount = Extrinsics((x, y, z), (roll, pitch, yaw))
-        if self.lidar == "l1" and self.l1_yaw != 0.0:
-            mount = Extrinsics(
-                mount.translation, rpy_of(rotation_rpy(*mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw))
-            )
-        return mount
+    @property
+    def carries_l1(self) -> bool:
+        """Whether an L1, which has an IMU of its own, is among the LiDARs."""
+        return any(lidar.model == "l1" for lidar in self.lidars)
+
+    def mounted(self) -> tuple[MountedLidar, ...]:
+        """The LiDARs in base_link."""
+        return tuple(self._mounted(lidar) for lidar in self.lidars)
+
+    def _mounted(self, lidar: LidarConfig) -> MountedLidar:
+        mounted = lidar.mounted()
+        if lidar.model != "l1" or self.l1_yaw == 0.0:
+            return mounted
+        turned = rotation_rpy(*mounted.mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw)
+        return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
     def capabilities(self) -> Capabilities:
         """What the robot may be asked for with these settings: the vendor's own gaits, held well below their limits."""
@@ -105,6 +98,5 @@ class UnitreeOptions(UnitreeSettings):
             max_step=0.15,
             max_slope=math.radians(25.0),
             max_gap=0.10,
-            lidar=self.lidar,
-            lidar_mount=self.mount(),
+            lidars=self.mounted(),
         )

@@ -22,11 +22,9 @@ def open_link(interface: str, domain: int, options: UnitreeOptions) -> Link:
         (LOW_STATE, idl.LowState, 256),
         (SPORT_STATE, idl.SportModeState, 64),
     ]
-    if options.lidar == "l1":
+    if options.carries_l1:
         topics.append((L1_IMU, idl.Imu, 128))
-    cloud = options.topic()
-    if cloud is not None:
-        topics.append((cloud, idl.PointCloud2, 4))
+    topics += [(options.topic(lidar), idl.PointCloud2, 4) for lidar in options.lidars]
     return DdsLink(interface, domain, topics)
 
 

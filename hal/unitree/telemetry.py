@@ -10,12 +10,13 @@ import numpy as np
 
 from hal import go2w
 from hal.rotation import rotation_rpy, up_of
-from hal.types import NS, POINT_DTYPE, Array, ImuSample, JointSample, LidarScan, Phase
+from hal.types import NS, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
-from hal.unitree.cloud import Mount, RawCloud, RawImu, decode_cloud, decode_imu, sweep
+from hal.unitree.cloud import RawImu, decode_imu
 from hal.unitree.config import UnitreeOptions
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
+from hal.unitree.lidars import LidarInput
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 
 log = logging.getLogger(__name__)
@@ -24,6 +25,8 @@ IMU_PERIOD = 4
 """[ms] of LowState ticks between IMU samples: 250 Hz from 500 Hz."""
 JOINT_PERIOD = 20
 """[ms] of LowState ticks between joint samples."""
+LIDAR_SILENT = 2 * NS
+"""Without a cloud for this long [ns] a LiDAR counts as silent."""
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
@@ -45,12 +48,13 @@ class Telemetry:
     def __init__(self, link: Link, options: UnitreeOptions) -> None:
         self._link, self._options = link, options
         self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)
-        mount = options.mount()
-        self._mount = Mount(rotation_rpy(*mount.rpy), np.array(mount.translation))
+        self.lidars = [
+            LidarInput(lidar, mounted, options.topic(lidar))
+            for lidar, mounted in zip(options.lidars, options.mounted(), strict=True)
+        ]
+        self._l1 = next((lidar for lidar in self.lidars if lidar.model == "l1"), None)
         self._leak = np.array([*options.l1_gyro_leak, 0.0])
-        self._topic = options.topic()
         self.low_clock = ClockOffset()
-        self.lidar_clock = ClockOffset()
         self.low: np.void | None = None
         self.sport: np.void | None = None
         self._low_at: int | None = None
@@ -74,8 +78,9 @@ class Telemetry:
         self.reboots = 0
 
     def warm_up(self) -> None:
-        """Compile the cloud kernel before the first sweep has to wait for it."""
-        sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self._mount)
+        """Compile before the first sweep has to wait for it."""
+        for lidar in self.lidars:
+            lidar.warm_up()
 
     # -- draining --------------------------------------------------------------------------------------------------
 
@@ -87,12 +92,12 @@ class Telemetry:
         fresh = [self._guarded(LOW_STATE, self._take_low, data, now) for data in self._link.take(LOW_STATE)]
         for low in fresh:  # after the clock has seen the whole batch: all of it was received by now
             out += self._low_samples(low, now) if low is not None else []
-        if self._options.lidar == "l1":
+        if self._l1 is not None:
             for data in self._link.take(L1_IMU):
                 out += self._guarded(L1_IMU, self._take_l1_imu, data, now) or []
-        if self._topic is not None:
-            for data in self._link.take(self._topic):
-                out += self._guarded(self._topic, self._take_cloud, data, now) or []
+        for lidar in self.lidars:
+            for data in self._link.take(lidar.topic):
+                out += self._guarded(lidar.topic, lidar.take, data, now) or []
         out.sort(key=lambda sample: sample.stamp)
         return out
 
@@ -175,16 +180,15 @@ class Telemetry:
         return stamp
 
     def _take_l1_imu(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
+        assert self._l1 is not None
         raw = decode_imu(data, self._options.l1_imu_wxyz)
-        self.lidar_clock.observe(raw.stamp, now)
-        gyro, accel = (
-            self._mount.rotation @ (raw.gyro - raw.gyro[2] * self._leak),
-            self._mount.rotation @ raw.accel,
-        )
+        self._l1.clock.observe(raw.stamp, now)
+        rotation = self._l1.mount.rotation
+        gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
         self._judge_mount(raw, gyro, accel)
         if self._options.imu != "l1":
             return []
-        return self._imu(self.lidar_clock.convert(raw.stamp, now), gyro, accel)
+        return self._imu(self._l1.clock.convert(raw.stamp, now), gyro, accel)
 
     def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array) -> None:
         """Compare gravity through the configured mount with the trunk's own, at rest."""
@@ -212,16 +216,10 @@ class Telemetry:
                 f"the L1 stores its quaternion {order}: set unitree.l1_imu_wxyz={str(not wxyz).lower()}"
             )
 
-    def _take_cloud(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
-        start, points = sweep(decode_cloud(data), self._mount)
-        if not len(points):
-            return []
-        # The end of the sweep is what was just received; its start lies a sweep earlier.
-        duration = round(float(points["time"].max()) * NS)
-        self.lidar_clock.observe(start + duration, now)
-        end = self.lidar_clock.convert(start + duration, now) + round(self._options.lidar_time_offset * NS)
-        end = min(end, now)
-        return [LidarScan(self._after(LidarScan, end - duration), points)]
+    def silence(self, now: int) -> str:
+        """Which LiDAR does not speak, in words; empty when all do."""
+        silent = [lidar for lidar in self.lidars if now - (lidar.heard_at or 0) > LIDAR_SILENT]
+        return ", ".join(f"the {lidar.name} LiDAR is silent on {lidar.topic}" for lidar in silent)
 
     # -- values ----------------------------------------------------------------------------------------------------
 

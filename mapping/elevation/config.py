@@ -4,11 +4,6 @@ from __future__ import annotations
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.lidar.spec import LidarSpec
-
-LEAST_BEAM_SIGMA = 1e-4
-"""A beam has some width, whatever a specification says [rad]."""
-
 
 class ElevationConfig(BaseModel):
     """Sources: noise model and gates after ANYbotics/elevation_mapping; own two-mode cells and bridging."""
@@ -30,15 +25,7 @@ class ElevationConfig(BaseModel):
         default=(-0.45, 0.45, -0.30, 0.30, -0.50, 0.25),
         description="x0 x1 y0 y1 z0 z1 of the robot itself, base_link [m]",
     )
-    # --- noise of one point
-    range_sigma: float | None = Field(
-        default=None, gt=0.0, description="LiDAR range noise [m]; None: of the LiDAR's specification"
-    )
-    beam_sigma: float | None = Field(
-        default=None,
-        gt=0.0,
-        description="LiDAR beam direction noise [rad]; None: of the LiDAR's specification",
-    )
+    # --- noise of the pose
     attitude_sigma: float = Field(default=0.0035, gt=0.0, description="roll/pitch noise of the pose [rad]")
     height_sigma: float = Field(
         default=0.005, gt=0.0, description="height noise of the pose from scan to scan [m]"
@@ -115,8 +102,3 @@ class ElevationConfig(BaseModel):
     patch_step: float = Field(
         default=0.005, description="height change that makes a cell part of the next delta [m]"
     )
-
-    def for_lidar(self, lidar: LidarSpec) -> ElevationConfig:
-        """With the noise of `lidar` where none is set."""
-        own = {"range_sigma": lidar.range_sigma, "beam_sigma": max(lidar.angle_sigma, LEAST_BEAM_SIGMA)}
-        return self.model_copy(update={k: v for k, v in own.items() if getattr(self, k) is None})

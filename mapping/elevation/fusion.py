@@ -26,7 +26,8 @@ def project(
     not exist, its row and column in `absent` (2,): make it and call again.
 
     points (n,3) f32 base_link; rotation (3,3) world <- base; position (3,); origin (3,) sensor in base_link.
-    limits: min range, max range, ceiling above base at the robot, ceiling growth per metre.
+    limits: min range, max range, ceiling above base at the robot, ceiling growth per metre; x0, x1, y0, y1 in base_link of what
+    counts.
     body (6,): x0, x1, y0, y1, z0, z1 of the self-filter box, base_link.
     noise: range sigma, beam angle sigma, attitude sigma, height sigma. directory, first, shift: of the tile store.
     Out, compacted (counts[USED]): cell i64 index into the pool; z f32 world height; weight f32, one over the variance
@@ -66,7 +67,8 @@ def project(
         h = r20 * px + r21 * py + r22 * pz
         wx, wy, wz = x + position[0], y + position[1], h + position[2]
         rays[q, 0], rays[q, 1], rays[q, 2] = wx, wy, wz
-        if rr > far:
+        outside = not (limits[4] < px < limits[5] and limits[6] < py < limits[7])
+        if rr > far or outside:
             q += 1
             counts[DROP_RANGE] += 1
             continue

@@ -16,8 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hal.go2w import XT16_MOUNT
-from hal.lidar.spec import LIDARS
 from mapping.elevation import fusion as kernels
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
@@ -25,6 +23,7 @@ from mapping.elevation.files import load_into, restore_store, save_store
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import MapReader
+from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, support_patch
@@ -38,7 +37,6 @@ CONTRADICTED = 0.25
 """Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
-XT16_ORIGIN = XT16_MOUNT.translation
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +64,7 @@ class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
     def __init__(self, params: ElevationConfig | None = None) -> None:
-        """Noise that `params` leave open is that of an XT16: see `ElevationConfig.for_lidar`."""
-        self.params = p = (params or ElevationConfig()).for_lidar(LIDARS["xt16"])
+        self.params = p = params or ElevationConfig()
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
         self.z_correction = 0.0
@@ -75,11 +72,10 @@ class ElevationMap:
         self.scans = 0
         self._lived = 0
         self._fresh = True
-        self._rays = 0
+        self._rays = self._half = 0
         self._sensor = np.zeros(3)
         self._prior: PriorCheck | None = None
         self._buffers(1024)
-        self._limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope])
         self._body = np.array(p.body_box)
         self._fuse_rule = np.array(
             [
@@ -126,14 +122,14 @@ class ElevationMap:
         position: ArrayLike,
         orientation: ArrayLike,
         stamp: int,
-        sensor_origin: ArrayLike = XT16_ORIGIN,
+        sensor: Sensor = XT16,
         attitude_sigma: float | None = None,
         height_sigma: float | None = None,
     ) -> FuseReport:
         """Fuse one scan.
 
         points (n,3) float32 in base_link, deskewed to `stamp`; position (3,) and orientation (4,) x, y, z, w of
-        base_link in `map`; sensor_origin (3,) in base_link; sigmas of the pose override the parameters [rad, m].
+        base_link in `map`; sensor: the LiDAR that made it; sigmas of the pose override the parameters [rad, m].
         Raises MapError for wrong shapes or a pose that is not finite. A stamp up to a second back counts as the last.
         """
         p = self.params
@@ -142,24 +138,25 @@ class ElevationMap:
             raise MapError(f"points must be (n, 3), got {points.shape}")
         points = np.ascontiguousarray(points, dtype=np.float32)
         rotation, place = checked_pose(position, orientation)
-        origin = np.asarray(sensor_origin, dtype=np.float64)
+        origin = np.asarray(sensor.origin, dtype=np.float64)
         place[2] += self.z_correction
         now = self._clock(stamp)
         if len(points) > len(self._z):
             self._buffers(2 * len(points))
         noise = np.array(
             [
-                p.range_sigma,
-                p.beam_sigma,
+                sensor.range_sigma,
+                sensor.beam_sigma,
                 p.attitude_sigma if attitude_sigma is None else attitude_sigma,
                 p.height_sigma if height_sigma is None else height_sigma,
             ]
         )
+        limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope, *sensor.region])
         drops = np.zeros(7, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
         s = self.store
         while not kernels.project(
-            points, rotation, place, origin, self._limits, self._body, noise, p.resolution,
+            points, rotation, place, origin, limits, self._body, noise, p.resolution,
             s.directory, s.first, s.shift,
             self._cell, self._z, self._weight, self._shared, self._ends, drops, absent,
         ):  # fmt: skip
@@ -169,14 +166,12 @@ class ElevationMap:
             self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
             self._which, self._slot, self._sums,
         )  # fmt: skip
-        if self._prior is not None and not self._prior.done:
+        if self._prior is not None and not self._prior.done and sensor.levels:
             which, sums = self._which[:k], self._sums[:k]
             higher = self._prior.level(s, which, sums)
             if higher != 0.0:  # the prior map counts from another start: take its level
                 self.z_correction -= higher
-                return self.fuse(
-                    points, position, orientation, stamp, sensor_origin, attitude_sigma, height_sigma
-                )
+                return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)
             self._prior.take(s, which, sums)
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
@@ -184,7 +179,7 @@ class ElevationMap:
             self._which, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
             s.touched, 2 * s.shift,
         )  # fmt: skip
-        if residuals[1] >= p.drift_min_cells:
+        if sensor.levels and residuals[1] >= p.drift_min_cells:
             # a dead band, or the estimate would walk: the map follows the corrected scans
             mean = residuals[0] / residuals[1]
             self.z_correction -= p.drift_gain * float(
@@ -271,8 +266,9 @@ class ElevationMap:
             return 0
         # neighbouring rays of a dense scan cross the same cells: alternate halves do
         stride = 2 if self._rays > 8000 else 1
+        self._half = 1 - self._half if stride == 2 else 0
         n = trace(
-            self._ends, self._rays, stride, self.scans % stride, self._sensor, s.directory, s.first, s.shift,
+            self._ends, self._rays, stride, self._half, self._sensor, s.directory, s.first, s.shift,
             p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
             s.cells, s.touched, s.mark, *self._looks,
         )  # fmt: skip

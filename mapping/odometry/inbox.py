@@ -1,16 +1,27 @@
-"""Samples on their way into the odometry: checked, in stamp order, handed over when every topic has reached the scan's end."""
+"""Samples on their way into the odometry: checked, in stamp order, handed over when every topic has reached the scan's end.
+
+Of several LiDARs the main one sets the pace. A sweep of another one goes along with the first sweep of the main one that
+ends after it; where the main one is silent, the other sets the pace.
+"""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from hal.types import NS, Array, ImuSample, JointSample, LidarScan
+from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, TopicClock, clean_scan
 from mapping.odometry.types import OdometryConfig
 
+SWEEP_PERIOD = NS // 10
+SLACK = 10_000_000
+"""Sweeps of two LiDARs that end within this time [ns] belong together."""
+SILENT = NS // 2
+"""A LiDAR that has not begun a sweep for this long [ns] is silent."""
+NEAR = 0.1
+"""A LiDAR that is there for the ground in front of it may see it this near [m]."""
 JOINT_PERIOD = 18_000_000
 """Joint samples that follow faster [ns] are thinned: 50 Hz are enough."""
 
@@ -19,19 +30,26 @@ class Inbox:
     """What has arrived and is not used up. A source clock that is set empties it and calls `on_jump(stamp)`."""
 
     def __init__(
-        self, params: OdometryConfig, counters: Counter[str], on_jump: Callable[[int], None]
+        self,
+        params: OdometryConfig,
+        counters: Counter[str],
+        on_jump: Callable[[int], None],
+        lidars: Iterable[LidarName] = ("main",),
     ) -> None:
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""
         self.joints = SampleBuffer(48, 4_000)
         """Rows position, velocity, effort of 16 motors."""
-        self._sweeps: deque[Sweep] = deque()
+        self._sweeps: dict[LidarName, deque[Sweep]] = {name: deque() for name in lidars}
+        self._ends: dict[LidarName, int] = {}
+        """End of the newest sweep of each LiDAR [ns]."""
+        self._first: int | None = None
         self._joint_stamp = -NS
         self._params, self._counters, self._on_jump = params, counters, on_jump
-        self._clocks = {
+        self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
-            "scan": TopicClock("scan", 2, counters),
+            **{name: TopicClock("scan", 2, counters) for name in self._sweeps},
         }
 
     @property
@@ -40,7 +58,7 @@ class Inbox:
         return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)
 
     def heard(self, topic: str) -> bool:
-        """`imu`, `joints` or `scan` has ever spoken."""
+        """`imu`, `joints` or a LiDAR has ever spoken."""
         return self._clocks[topic].newest is not None
 
     def take_imu(self, sample: ImuSample) -> Array | None:
@@ -71,29 +89,58 @@ class Inbox:
 
     def take_scan(self, scan: LidarScan) -> None:
         """Queue a scan, reduced to its usable points."""
-        if not self._admit("scan", scan.stamp):
+        if scan.name not in self._sweeps:
+            self._counters["scan_of_unknown_lidar"] += 1
+            return
+        if not self._admit(scan.name, scan.stamp):
             return
         p = self._params
-        sweep = clean_scan(scan, p.min_range, p.max_range, p.max_points, 0.5, self._counters)
+        near = p.min_range if scan.name == "main" else NEAR
+        sweep = clean_scan(scan, near, p.max_range, p.max_points, 0.5, self._counters)
         if sweep is not None:
-            self._sweeps.append(sweep)
+            self._sweeps[scan.name].append(sweep)
+            self._ends[scan.name] = sweep.end
+
+    @property
+    def pace(self) -> LidarName:
+        """The LiDAR whose sweeps are registered: the main one, unless it is silent and another speaks."""
+        others = [name for name in self._sweeps if name != "main" and not self._silent(name)]
+        return others[0] if others and self._silent("main") else "main"
+
+    def _silent(self, name: LidarName) -> bool:
+        newest = self._clocks[name].newest
+        since = newest if newest is not None else self._first
+        return since is None or self.now - since > SILENT
 
     @property
     def waiting(self) -> bool:
-        """A scan is queued."""
-        return bool(self._sweeps)
+        """A scan to be registered is queued."""
+        return bool(self._sweeps[self.pace])
 
     def next_sweep(self) -> Sweep | None:
-        """The oldest scan once IMU and joints have passed its end, or another topic is `patience` ahead of it."""
-        if not self._sweeps:
+        """The oldest scan to be registered, once IMU, joints and what is due of other LiDARs have passed its end, or another
+        topic is `patience` ahead of it.
+        """
+        queue = self._sweeps[self.pace]
+        if not queue:
             return None
-        end = self._sweeps[0].end
+        end = queue[0].end
         topics = ["imu", "joints"] if self._params.use_joints else ["imu"]
         stamps = [self._clocks[t].newest for t in topics]
-        passed = all(s is not None and s >= end for s in stamps)
+        passed = all(s is not None and s >= end for s in stamps) and not any(
+            last + SWEEP_PERIOD <= end + SLACK for name, last in self._ends.items() if not self._silent(name)
+        )
         if passed or self.now > end + self._params.patience * NS:
-            return self._sweeps.popleft()
+            return queue.popleft()
         return None
+
+    def beside(self, sweep: Sweep) -> list[Sweep]:
+        """Sweeps of the other LiDARs that belong to a registered `sweep`; those of before it was waited for are gone."""
+        out: list[Sweep] = []
+        for name, queue in self._sweeps.items():
+            while name != sweep.name and queue and queue[0].end <= sweep.end + SLACK:
+                out.append(queue.popleft())
+        return [other for other in out if other.end > sweep.end - 2 * SWEEP_PERIOD]
 
     def forget(self, until: int) -> None:
         """Drop IMU and joint samples with stamp <= until [ns]."""
@@ -102,6 +149,8 @@ class Inbox:
 
     def _admit(self, topic: str, stamp: int) -> bool:
         verdict = self._clocks[topic].admit(stamp)
+        if self._first is None and verdict == "ok":
+            self._first = int(stamp)
         if verdict == "jump":
             self._follow_clock(topic, int(stamp))
         return verdict != "drop"
@@ -114,7 +163,10 @@ class Inbox:
         self.imu.clear()
         self.joints.clear()
         self._joint_stamp = -NS
-        self._sweeps.clear()
+        for queue in self._sweeps.values():
+            queue.clear()
+        self._ends.clear()
+        self._first = stamp
         self._on_jump(stamp)
 
 

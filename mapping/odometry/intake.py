@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.types import NS, Array, LidarScan
+from hal.types import NS, Array, LidarName, LidarScan
 
 JUMP_BACK = NS
 JUMP_AHEAD = 10 * NS
@@ -102,11 +102,12 @@ class Sweep:
     end: int
     """[ns]; of the last point."""
     xyz: NDArray[np.float32]
-    """(n, 3) [m], `lidar` frame, finite, within range."""
+    """(n, 3) [m], frame of the LiDAR, finite, within range."""
     time: Array
     """(n,) [s] since start."""
     problem: str
     """Plain words; empty when the scan is sound."""
+    name: LidarName = "main"
 
 
 def clean_scan(
@@ -149,4 +150,4 @@ def clean_scan(
     elif not keep.any():
         counters["scan_no_usable_points"] += 1
         problem = "scan has no usable points"
-    return Sweep(start, end, xyz[keep], time[keep], problem)
+    return Sweep(start, end, xyz[keep], time[keep], problem, scan.name)

@@ -3,6 +3,9 @@
     imu, joints ──> predict ──> deskew ──> register ──> judge ──> correct ──> local map
                  (filter)     (to scan end)  (engine)   (health)   (filter)
 
+Of several LiDARs the main one is registered; the sweeps of the others come deskewed to the same stamp, for the map. While the main
+one is silent the other takes its place, and the health is `degraded`.
+
 Results are a function of the samples, not of the order in which topics arrive: a scan waits until IMU and joints have
 passed its end, or until another topic is `patience` ahead. `FastPose` and `WheelOdometry` are the exception: they
 answer at once with what has arrived.
@@ -15,13 +18,15 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_rpy
-from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarScan
+from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.health import Health, HealthMonitor, Verdict
 from mapping.odometry.inbox import Inbox
@@ -43,20 +48,26 @@ HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
 class LidarInertialOdometry:
     """Feed samples in, `poll` for finished scans. One thread."""
 
-    def __init__(self, params: OdometryConfig = OdometryConfig(), mount: Extrinsics = XT16_MOUNT) -> None:
-        """`mount`: LiDAR in base_link."""
+    def __init__(
+        self,
+        params: OdometryConfig = OdometryConfig(),
+        mounts: Mapping[LidarName, Extrinsics] = MappingProxyType({"main": XT16_MOUNT}),
+    ) -> None:
+        """`mounts`: each LiDAR in base_link."""
         self.params = params
         self.counters: Counter[str] = Counter()
         self.initialised = False
         self._engine = make_engine(params)
         self._filter = InertialFilter(params.inertial)
         self._monitor = HealthMonitor(params.health)
-        self._mount = mount_matrix(mount)
+        self._mounts = {name: mount_matrix(mount) for name, mount in mounts.items()}
         self._lever = np.array(params.inertial.imu_position)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._inbox = Inbox(params, self.counters, self._follow_clock)
+        self._inbox = Inbox(params, self.counters, self._follow_clock, mounts)
         self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
+        self._path: tuple[NDArray[np.int64], Array] | None = None
+        """Track of the last scan: a sweep of another LiDAR began before this one did."""
         self._startup = Startup()
         self._before: Before | None = None
         self._scale = WheelScale()
@@ -123,10 +134,12 @@ class LidarInertialOdometry:
             return None
         before, since = self._filter.pose(), self._filter.stamp
         stamps, track = self._predict(sweep.end)
+        if sweep.name != "main":
+            self._notes.append(f"the main LiDAR is silent, the {sweep.name} LiDAR takes its place")
+        others = self._others(sweep, stamps, track)
         if sweep.problem:
-            return self._dead_reckoned(sweep.problem)
-        xyz = sweep.xyz @ self._mount[:3, :3].T.astype(np.float32) + self._mount[:3, 3].astype(np.float32)
-        cloud = deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
+            return self._dead_reckoned(sweep.problem, others)
+        cloud = self._deskewed(sweep, stamps, track)
 
         predicted = self._filter.pose()
         prior = self._filter.output(ZERO).covariance
@@ -152,7 +165,26 @@ class LidarInertialOdometry:
             self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
         self._notes.clear()
         self._rejoin()
-        return self._result(cloud, match, predicted, verdict.degenerate, verdict.degeneracy)
+        clouds = {sweep.name: cloud, **others}
+        return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
+
+    def _deskewed(self, sweep: Sweep, stamps: NDArray[np.int64], track: Array) -> NDArray[np.float32]:
+        """(n, 3) base_link at the end of the track."""
+        mount = self._mounts[sweep.name].astype(np.float32)
+        xyz = sweep.xyz @ mount[:3, :3].T + mount[:3, 3]
+        return deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
+
+    def _others(
+        self, sweep: Sweep, stamps: NDArray[np.int64], track: Array
+    ) -> dict[LidarName, NDArray[np.float32]]:
+        """What the other LiDARs saw meanwhile, each to the end of the track."""
+        path, self._path = self._path, (stamps, track)
+        if path is not None:
+            stamps, track = np.concatenate([path[0], stamps]), np.concatenate([path[1], track])
+        parts: dict[LidarName, list[NDArray[np.float32]]] = {}
+        for other in self._inbox.beside(sweep):
+            parts.setdefault(other.name, []).append(self._deskewed(other, stamps, track))
+        return {name: np.concatenate(clouds) for name, clouds in parts.items()}
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
@@ -231,18 +263,23 @@ class LidarInertialOdometry:
         self._advance(until)
         return self._dead_reckoned("no scan")
 
-    def _dead_reckoned(self, reason: str) -> ScanOdometry:
+    def _dead_reckoned(
+        self, reason: str, clouds: Mapping[LidarName, NDArray[np.float32]] = MappingProxyType({})
+    ) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
         self._rejoin()
         nothing = Match(self._filter.pose(), 0, 0.0, 0, 0.0, 0.0, np.zeros((6, 6)))
-        return self._result(
-            np.empty((0, 3), np.float32), nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0
-        )
+        return self._result(clouds, nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0)
 
     def _result(
-        self, cloud: NDArray[np.float32], match: Match, predicted: Array, direction: Array, share: float
+        self,
+        clouds: Mapping[LidarName, NDArray[np.float32]],
+        match: Match,
+        predicted: Array,
+        direction: Array,
+        share: float,
     ) -> ScanOdometry:
         state = self._filter.output(ZERO)
         return ScanOdometry(
@@ -260,7 +297,7 @@ class LidarInertialOdometry:
             degenerate=direction,
             degeneracy=share,
             correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
-            cloud=cloud,
+            clouds=clouds,
         )
 
     def _rejoin(self) -> None:
@@ -270,6 +307,7 @@ class LidarInertialOdometry:
 
     def _follow_clock(self, stamp: int) -> None:
         """The source clock was set: go on at the new time with the pose and the map kept."""
+        self._path = None
         self._filter.move_clock(stamp)
         self._stream.move_clock(stamp)
         # A long time without any message looks the same, and the robot may have been carried meanwhile.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.types import Array
+from hal.types import Array, LidarName
 from mapping.odometry.health import Health, HealthConfig
 from mapping.odometry.inertial import InertialConfig
 from mapping.odometry.registration.engines import EngineName, GicpConfig, KissConfig
@@ -74,8 +75,13 @@ class ScanOdometry:
     """Share of surface that faces it [0..1/3]."""
     correction: float
     """How far registration moved the prediction [m]."""
-    cloud: NDArray[np.float32]
-    """(n, 3) [m] deskewed to `stamp`, base_link; empty where the scan was not usable."""
+    clouds: Mapping[LidarName, NDArray[np.float32]]
+    """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link."""
+
+    @property
+    def cloud(self) -> NDArray[np.float32]:
+        """That of the main LiDAR; empty where its scan was not usable."""
+        return self.clouds.get("main", np.empty((0, 3), np.float32))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

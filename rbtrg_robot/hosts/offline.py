@@ -60,7 +60,7 @@ def rerun(
         host = SyncHost(stages, sink)
         first: int | None = None
         for entry in read_run(log):
-            topic = t.BY_NAME.get(entry.topic)
+            topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
             if topic is None or topic in replaced or topic is t.HEARTBEAT or entry.type != topic.type:
                 continue
             if topic is t.CLOCK:

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import MOTORS
-from hal.types import Extrinsics, JointSample
+from hal.types import JointSample, LidarName, MountedLidar
 from mapping.elevation.exchange import MapError
-from mapping.elevation.map import ElevationConfig, ElevationMap
+from mapping.elevation.map import ElevationMap
+from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -42,6 +43,9 @@ from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
 WAIT_SCANS = 2
 """A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
+SILENT_SCANS = 5
+"""Scans without a point of a LiDAR after which it counts as silent."""
+NOTHING = np.empty((0, 3), np.float32)
 RESTORE_PATIENCE = 3_000_000_000
 """How long a restarted process waits for the planner's copy of the map [ns]."""
 STATUS_PERIOD = 500_000_000
@@ -53,21 +57,25 @@ TRUSTED_SENT = 16
 class ElevationStage:
     """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
 
-    inputs = (t.ODOM, t.CLOUD, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_MIRROR)
     outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS)
 
     def __init__(
         self,
         elevation: ElevationMap,
         params: ElevationStageConfig,
-        mount: Extrinsics,
+        lidars: tuple[MountedLidar, ...],
     ) -> None:
+        clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
+        self.inputs = (t.ODOM, *clouds, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_MIRROR)
         self.map = elevation
         self._params = params
-        self._mount = mount
-        self._sensor = np.asarray(mount.translation, np.float64)
+        self._lidars = lidars
+        self._topics = clouds
+        self._sensors = {lidar.name: Sensor.of(lidar) for lidar in lidars}
+        self._silent = dict.fromkeys(self._sensors, 0)
+        """Scans in a row without points, by LiDAR."""
         self._poses: OrderedDict[int, msg.Odometry] = OrderedDict()
-        self._clouds: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
+        self._clouds: OrderedDict[int, dict[LidarName, NDArray[np.float32]]] = OrderedDict()
         self._joints: list[JointSample] = []
         self._frame = MapFrame()
         self._scans = 0
@@ -81,8 +89,8 @@ class ElevationStage:
     def warm_up(self) -> None:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
-        stage = ElevationStage(ElevationMap(self.map.params), self._params, self._mount)
-        for topic, message in _rehearsal():
+        stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars)
+        for topic, message in _rehearsal(tuple(self._topics)):
             stage.on(topic, decode(encode(message), topic.kind))
 
     def close(self) -> None:
@@ -93,8 +101,9 @@ class ElevationStage:
         try:
             if t.ODOM.carried(message, topic):
                 self._poses[stamp_of(message)] = message
-            elif t.CLOUD.carried(message, topic):
-                self._clouds[stamp_of(message)] = cloud_points(message)
+            elif topic in self._topics:
+                clouds = self._clouds.setdefault(stamp_of(message), {})
+                clouds[self._topics[topic]] = cloud_points(message)
             elif t.JOINTS.carried(message, topic):
                 self._joints.append(joint_sample(message))
                 del self._joints[:-100]
@@ -122,7 +131,8 @@ class ElevationStage:
         for stamp in sorted(self._poses.keys() & self._clouds.keys()):
             joints = self._joints_at(stamp)
             newer = sum(1 for other in self._clouds if other > stamp)
-            if joints is None and newer < WAIT_SCANS:
+            complete = joints is not None and self._clouds[stamp].keys() == self._sensors.keys()
+            if not complete and newer < WAIT_SCANS:
                 break
             outputs += self._fuse(stamp, self._poses.pop(stamp), self._clouds.pop(stamp), joints)
             for waiting in (self._poses, self._clouds):
@@ -142,22 +152,36 @@ class ElevationStage:
         return before[-1] if before else self._joints[0]
 
     def _fuse(
-        self, stamp: int, odom: msg.Odometry, points: NDArray[np.float32], joints: JointSample | None
+        self,
+        stamp: int,
+        odom: msg.Odometry,
+        clouds: dict[LidarName, NDArray[np.float32]],
+        joints: JointSample | None,
     ) -> Outputs:
         position, orientation = self._frame.pose3(
             xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
         )
-        self.map.fuse(points, position, orientation, stamp, self._sensor)
+        self._scans += 1
+        for name, sensor in self._sensors.items():
+            points = clouds.get(name, NOTHING)
+            self._silent[name] = 0 if len(points) else self._silent[name] + 1
+            if len(points):
+                self.map.fuse(points, position, orientation, stamp, sensor)
+                if self._scans % self._params.clean_every == 0:
+                    self.map.clean()
         if joints is not None:
             self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp)
-        self._scans += 1
-        if self._scans % self._params.clean_every == 0:
-            self.map.clean()
         outputs: Outputs = []
         if self._scans % self._params.publish_every == 1:
             outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
+
+    def _blind(self) -> str:
+        """What an operator should know of the LiDARs, in plain words."""
+        silent = [name for name, scans in self._silent.items() if scans >= SILENT_SCANS]
+        unseen = "; the ground in front of the feet is not seen" if "head" in silent else ""
+        return f"nothing from the {' and the '.join(silent)} LiDAR{unseen}" if silent else ""
 
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
@@ -193,28 +217,28 @@ class ElevationStage:
             resolution=self.map.params.resolution,
             height_correction=self.map.z_correction,
             restoring=self._restoring,
-            warning=self.map.warning,
+            warning="; ".join(filter(None, (self._blind(), self.map.warning))),
             refused=self._refused,
             detail=self._detail,
         )
         return [(t.MAP_STATUS, status)]
 
 
-def _rehearsal() -> Iterator[tuple[Topic, msg.Message]]:
+def _rehearsal(clouds: tuple[Topic, ...]) -> Iterator[tuple[Topic, msg.Message]]:
     """One scan as the wire brings it: what comes from there is read-only, and numba compiles for that apart."""
     turned = (0.0, 0.0, 0.0, 1.0)
     points = np.array([[2.0, 0.1 * k, -0.4] for k in range(8)], np.float32)
     still = np.zeros(len(MOTORS))
     yield t.TF_STATIC, msg.TFMessage(transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
     yield t.JOINTS, joint_msg(JointSample(0, still, still, still))
-    yield t.CLOUD, cloud_msg(0, BASE, points)
+    for topic in clouds:
+        yield topic, cloud_msg(0, BASE, points)
     yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))
 
 
 def build(config: StackConfig) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
-    params: ElevationConfig = config.elevation_params()
-    elevation = ElevationMap(params)
+    elevation = ElevationMap(config.elevation)
     if config.map_file:
         elevation.load_prior(Path(config.map_file))
-    return ElevationStage(elevation, config.elevation_stage, config.lidar_mount())
+    return ElevationStage(elevation, config.elevation_stage, config.mounted_lidars())

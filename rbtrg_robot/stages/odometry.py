@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from hal.rotation import rotation
-from hal.types import Extrinsics
+from hal.types import Extrinsics, MountedLidar
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -42,25 +41,29 @@ from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
+NOTHING = np.empty((0, 3), np.float32)
 
 
 class OdometryStage:
     """See the module."""
 
-    inputs = (t.IMU, t.JOINTS, t.POINTS)
-    outputs = (t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, t.CLOUD, t.TF, t.TF_STATIC)
-
     def __init__(
         self,
         odometry: LidarInertialOdometry,
-        mount: Extrinsics,
+        lidars: tuple[MountedLidar, ...],
         imu: Extrinsics,
         start: tuple[float, float, float],
     ) -> None:
         """`start`: x, y [m], yaw [rad] of the robot in `map`."""
+        names = [lidar.name for lidar in lidars]
+        self.inputs = (t.IMU, t.JOINTS, *(t.SWEEPS[name] for name in names))
+        self.outputs = (
+            t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, *(t.CLOUDS[name] for name in names), t.TF, t.TF_STATIC,
+        )  # fmt: skip
         self._odometry = odometry
         self._start = start
-        self._mount = mount
+        self._lidars = lidars
+        self._sweeps = {t.SWEEPS[name]: name for name in names}
         self._imu = imu
         self._before: msg.Pose | None = None
         """Where the robot was before this process was restarted: the new odometry goes on from there."""
@@ -89,8 +92,8 @@ class OdometryStage:
                 wheel = self._odometry.add_joints(joint_sample(message))
                 if wheel is not None:
                     outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
-            elif t.POINTS.carried(message, topic):
-                self._odometry.add_scan(lidar_scan(message))
+            elif topic in self._sweeps:
+                self._odometry.add_scan(lidar_scan(message, self._sweeps[topic]))
             elif t.ODOM.carried(message, topic):
                 self._before, self._before_stamp = message.pose.pose, stamp_of(message)
             elif t.CLOUD.carried(message, topic):
@@ -135,10 +138,8 @@ class OdometryStage:
                 msg.TFMessage(
                     transforms=[
                         transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
-                        transform_msg(
-                            now, BASE, LIDAR, self._mount.translation, rpy_quaternion(self._mount.rpy)
-                        ),
-                        transform_msg(now, BASE, IMU, self._imu.translation, rpy_quaternion(self._imu.rpy)),
+                        *(_mount_msg(now, LIDAR + lidar.name, lidar.mount) for lidar in self._lidars),
+                        _mount_msg(now, IMU, self._imu),
                     ],
                 ),
             )
@@ -179,12 +180,18 @@ class OdometryStage:
         )
         outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
         if scan.health != "lost":  # a scan that fits nowhere must not reach the map
-            outputs.append((t.CLOUD, cloud_msg(scan.stamp, BASE, scan.cloud)))
+            for name in self._sweeps.values():  # an empty one says that nothing came
+                cloud = scan.clouds.get(name, NOTHING)
+                outputs.append((t.CLOUDS[name], cloud_msg(scan.stamp, BASE, cloud)))
         return outputs
 
 
-def build(config: StackConfig) -> OdometryStage:
+def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:
+    return transform_msg(now, BASE, frame, mount.translation, rpy_quaternion(mount.rpy))
+
+
+def build(config: Any) -> OdometryStage:
     """From the stack's configuration."""
-    mount = config.lidar_mount()
-    odometry = LidarInertialOdometry(config.odometry, mount)
-    return OdometryStage(odometry, mount, config.imu_mount(), config.start_pose())
+    lidars = config.mounted_lidars()
+    odometry = LidarInertialOdometry(config.odometry, {lidar.name: lidar.mount for lidar in lidars})
+    return OdometryStage(odometry, lidars, config.imu_mount(), config.start_pose())

@@ -71,7 +71,8 @@ class RobotStage:
         self._unknown = 0
         """Requests that are no ModeRequest."""
         self.realtime_factor = 1.0
-        sensors = (t.IMU, t.JOINTS, t.POINTS, t.ROBOT_STATE)
+        lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
+        sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE)
         self.outputs: tuple[Topic, ...] = (*sensors, t.CLOCK, t.TRUTH) if simulated else sensors
 
     def warm_up(self) -> None:
@@ -190,8 +191,9 @@ class RobotStage:
             self._stamps["joints"] = sample.stamp
             return [(t.JOINTS, joint_msg(sample))]
         if isinstance(sample, LidarScan):
-            self._stamps["lidar"] = sample.stamp
-            return [(t.POINTS, scan_msg(sample))]
+            # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
+            self._stamps["lidar"] = max(sample.stamp, self._stamps.get("lidar", 0))
+            return [(t.SWEEPS[sample.name], scan_msg(sample))]
         if isinstance(sample, GroundTruth):
             return [(t.TRUTH, truth_msg(sample))]
         return []  # RobotState is read from the backend at each tick

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import MOTORS
-from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan
+from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarName, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import header, stamp_of
@@ -17,7 +17,8 @@ from rbtrg_robot.wire.messages import header, stamp_of
 MAP = "map"
 ODOM = "odom"
 BASE = "base_link"
-LIDAR = "lidar"
+LIDAR = "lidar_"
+"""With the name of a LiDAR behind it: its frame."""
 IMU = "imu"
 
 _names = POINT_DTYPE.names or ()
@@ -117,18 +118,18 @@ def joint_sample(message: msg.JointState) -> JointSample:
 
 
 def scan_msg(scan: LidarScan) -> msg.PointCloud2:
-    """PointCloud2 with the fields of `POINT_DTYPE`, frame lidar."""
-    return _cloud(scan.stamp, LIDAR, scan.points, _FIELDS, POINT_DTYPE.itemsize)
+    """PointCloud2 with the fields of `POINT_DTYPE`, in the frame of its LiDAR."""
+    return _cloud(scan.stamp, LIDAR + scan.name, scan.points, _FIELDS, POINT_DTYPE.itemsize)
 
 
-def lidar_scan(message: msg.PointCloud2) -> LidarScan:
-    """The sweep in a PointCloud2. Raises LayoutError where fields differ."""
+def lidar_scan(message: msg.PointCloud2, name: LidarName = "main") -> LidarScan:
+    """The sweep of LiDAR `name` in a PointCloud2. Raises LayoutError where fields differ."""
     got = [(f.name, f.offset, f.datatype) for f in message.fields]
     want = [(f.name, f.offset, f.datatype) for f in _FIELDS]
     if got != want or message.point_step != POINT_DTYPE.itemsize or message.is_bigendian:
         raise LayoutError(f"cloud fields are {got}, expected {want}")
     usable = len(message.data) // POINT_DTYPE.itemsize * POINT_DTYPE.itemsize
-    return LidarScan(stamp_of(message), message.data[:usable].view(POINT_DTYPE))
+    return LidarScan(stamp_of(message), message.data[:usable].view(POINT_DTYPE), name)
 
 
 def cloud_msg(stamp: int, frame: str, points: NDArray[np.float32]) -> msg.PointCloud2:

@@ -12,7 +12,7 @@ import yaml
 
 from hal.contract import BackendError
 from hal.mujoco.config import SimConfig
-from hal.types import Extrinsics
+from hal.types import Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeOptions
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
@@ -62,10 +62,9 @@ def test_one_key_of_a_group_leaves_the_defaults_of_the_others(tmp_path: Path) ->
     assert load(None, ["sim.noise=false"]).sim == StackConfig().sim.model_copy(update={"noise": False})
     assert load(None, ["tracker.lookahead=0.4"]).tracker.max_speed == StackConfig().tracker.max_speed
     file = tmp_path / "c.yaml"
-    file.write_text("sim: {noise: false}\nmount:\n")
-    config = load(file, ["mount.translation=[0.1, 0, 0.2]"])
+    file.write_text("sim: {noise: false}\n")
+    config = load(file)
     assert config.sim.lidar_step == StackConfig().sim.lidar_step != SimConfig().lidar_step
-    assert config.mount == Extrinsics((0.1, 0.0, 0.2))
 
 
 def test_obstacles_and_pushes_reach_the_processes_as_they_were_given() -> None:
@@ -115,21 +114,33 @@ def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.Mo
 
     monkeypatch.setattr("hal.unitree.factory.make_backend", make_backend)
     sets = [
-        "backend=unitree", "interface=eth7", "lidar=mid360", "unitree.lidar_topic=rt/mid", "unitree.domain=3",
-        "unitree.imu_yaw=1.57", "unitree.max_vx=0.5", "mount={translation: [0.1, 0, 0.2], rpy: [0, 0.3, 0]}",
+        "backend=unitree", "interface=eth7", "unitree.domain=3", "unitree.imu_yaw=1.57", "unitree.max_vx=0.5",
+        "lidars=[{model: mid360, topic: rt/mid, mount: {translation: [0.1, 0, 0.2], rpy: [0, 0.3, 0]}}]",
     ]  # fmt: skip
     with pytest.raises(BackendError, match="no robot here"):
         build(load(None, sets), clock=SourceClock(77))
     assert (got["interface"], got["dry_run"], got["clock"].offset) == ("eth7", False, 77)
     options = got["options"]
-    assert (options.topic(), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
-    assert options.mount() == Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))
+    (lidar,) = options.lidars
+    assert (options.topic(lidar), options.domain, options.imu_yaw, options.max_vx) == ("rt/mid", 3, 1.57, 0.5)
+    assert options.mounted() == (
+        MountedLidar("main", "mid360", Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))),
+    )
     assert options.capabilities().max_vx == 0.5
 
 
 def test_mapping_and_backend_agree_on_where_the_lidar_is() -> None:
-    sets = ["backend=unitree", "lidar=l1", "unitree.l1_yaw=-2.15"]
-    for mount in ([], ["mount={translation: [0.3, 0.0, 0.0], rpy: [0.0, 2.8, 0.1]}"]):
-        config = load(None, sets + mount)
-        assert config.lidar_mount() == config.unitree_options().capabilities().lidar_mount
-        assert abs(config.lidar_mount().rpy[2]) > 0.5
+    sets = ["backend=unitree", "unitree.l1_yaw=-2.15"]
+    for mount in ("", ", mount: {translation: [0.3, 0.0, 0.0], rpy: [0.0, 2.8, 0.1]}"):
+        config = load(None, [*sets, f"lidars=[{{name: main}}, {{name: head, model: l1{mount}}}]"])
+        main, head = config.mounted_lidars()
+        assert (main, head) == config.unitree_options().capabilities().lidars
+        assert (main.model, head.model) == ("xt16", "l1")
+        assert abs(head.mount.rpy[2]) > 0.5
+
+
+def test_every_robot_has_one_main_lidar() -> None:
+    assert [lidar.name for lidar in load().lidars] == ["main", "head"]
+    for wrong in ("[]", "[{name: head, model: l1}]", "[{name: main}, {name: main, model: l1}]"):
+        with pytest.raises(ConfigError, match="lidars"):
+            load(None, [f"lidars={wrong}"])

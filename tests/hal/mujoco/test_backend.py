@@ -11,6 +11,7 @@ import pytest
 from pydantic import ValidationError
 
 from hal.contract import BackendError
+from hal.lidar.config import only
 from hal.mujoco.backend import MujocoBackend, Obstacle, Push, SimConfig
 from hal.scenes import Scene
 from hal.types import (
@@ -21,6 +22,7 @@ from hal.types import (
     JointSample,
     LidarScan,
     ModeRequest,
+    MountedLidar,
     Phase,
     PostureCommand,
     RobotState,
@@ -42,7 +44,7 @@ class Robot:
     """A connected backend and its clock. Without LiDAR unless asked: most tests need none."""
 
     def __init__(self, scene: Scene | None = None, **options: Any) -> None:
-        self.backend = MujocoBackend(scene or floor(), **{"lidar": None, **options})
+        self.backend = MujocoBackend(scene or floor(), **{"lidars": (), **options})
         self.backend.connect()
         self.now = self.backend.start_time
         self.samples: list[Sample] = []
@@ -94,7 +96,7 @@ def digest(samples: list[Sample]) -> str:
 
 def drive_around(seed: int, step: int) -> tuple[list[Sample], Robot]:
     r = Robot(
-        lidar="xt16", lidar_step=20, seed=seed, imu_delay=0.003, lidar_delay=0.02, friction_spread=0.1,
+        lidars=only("xt16"), lidar_step=20, seed=seed, imu_delay=0.003, lidar_delay=0.02, friction_spread=0.1,
         pushes=(Push(1.0, (0.0, 60.0, 0.0)),),
     )  # fmt: skip
     for vx, wz in ((0.0, 0.0), (0.5, 0.0), (0.2, 0.5), (0.0, 0.0)):
@@ -132,7 +134,7 @@ def test_connecting_again_starts_over_identically() -> None:
 
 
 def test_rates_and_stamps() -> None:
-    samples = Robot(lidar="xt16", lidar_step=50).run(2.0)
+    samples = Robot(lidars=only("xt16"), lidar_step=50).run(2.0)
     expected = {ImuSample: 401, JointSample: 101, GroundTruth: 101, LidarScan: 20}
     for kind, count in expected.items():
         stamps = np.array([s.stamp for s in of(samples, kind)])
@@ -191,7 +193,7 @@ def test_true_velocity_is_that_of_the_true_position() -> None:
 
 
 def test_delays_hold_samples_back_but_not_their_stamps() -> None:
-    r = Robot(lidar="xt16", lidar_step=50, imu_delay=0.013, joint_delay=0.03, lidar_delay=0.05)
+    r = Robot(lidars=only("xt16"), lidar_step=50, imu_delay=0.013, joint_delay=0.03, lidar_delay=0.05)
     seen = set()
     for _ in range(200):
         for sample in r.run(0.005):
@@ -208,14 +210,14 @@ def test_delays_hold_samples_back_but_not_their_stamps() -> None:
 
 def test_the_clock_may_start_anywhere() -> None:
     start = 1_700_000_000 * NS + 3
-    samples = Robot(start_time=start, lidar="xt16", lidar_step=50).run(0.5)
+    samples = Robot(start_time=start, lidars=only("xt16"), lidar_step=50).run(0.5)
     assert of(samples, ImuSample)[0].stamp == start
     assert start <= of(samples, LidarScan)[0].stamp < start + NS // 10
 
 
 def test_the_lidar_moves_with_the_robot_during_a_sweep() -> None:
     """The wall behind a driving robot recedes within one sweep."""
-    r = Robot(lidar="xt16", lidar_step=1, noise=False, start=(0.0, 0.0, 0.0))
+    r = Robot(lidars=only("xt16"), lidar_step=1, noise=False, start=(0.0, 0.0, 0.0))
     r.run(1.5, vx=1.0)
     scan = of(r.run(0.25, vx=1.0), LidarScan)[-1].points
     ring = scan[scan["ring"] == 8]
@@ -236,7 +238,7 @@ def points_in(
 ) -> int:
     """How many returns of a standing robot lie in a box of the world."""
     p = scan.points
-    mount = backend.capabilities.lidar_mount
+    mount = backend.capabilities.lidars[0].mount
     c, s = np.cos(mount.rpy[2]), np.sin(mount.rpy[2])
     body = np.stack([c * p["x"] - s * p["y"], s * p["x"] + c * p["y"], p["z"]], axis=1) + mount.translation
     sim = backend.simulation
@@ -246,7 +248,7 @@ def points_in(
 
 def test_an_obstacle_is_seen_from_when_it_appears_until_it_goes() -> None:
     box = Obstacle((1.5, 0.0, 0.4), (0.4, 0.8, 0.8), appear=1.0, disappear=2.0)
-    r = Robot(lidar="xt16", lidar_step=10, obstacles=(box,))
+    r = Robot(lidars=only("xt16"), lidar_step=10, obstacles=(box,))
     seen = []
     for _ in range(30):
         for scan in of(r.run(0.1), LidarScan):
@@ -258,7 +260,7 @@ def test_an_obstacle_is_seen_from_when_it_appears_until_it_goes() -> None:
 
 def test_a_moving_obstacle_moves_for_the_lidar_and_blocks_the_robot() -> None:
     box = Obstacle((0.3, 2.0, 0.4), (0.3, 0.6, 0.8), velocity=(0.0, -1.0), appear=0.5, disappear=2.5)
-    r = Robot(lidar="xt16", lidar_step=10, obstacles=(box,))
+    r = Robot(lidars=only("xt16"), lidar_step=10, obstacles=(box,))
     r.run(2.4)
     scan = of(r.run(0.1), LidarScan)[-1]
     assert points_in(scan, r.backend, (0.1, -0.3, 0.1), (0.5, 0.5, 0.9)) > 20
@@ -453,9 +455,9 @@ def test_divergence_is_a_fault() -> None:
 
 
 def test_bad_use_is_refused_in_words() -> None:
-    with pytest.raises(BackendError, match="use one of xt16"):
-        MujocoBackend(floor(), lidar="xt99")
-    far = MujocoBackend(floor(), lidar=None, start=(99.0, 0.0, 0.0))
+    with pytest.raises(ValidationError, match="'xt16', 'mid360' or 'l1'"):
+        only("xt99")
+    far = MujocoBackend(floor(), lidars=(), start=(99.0, 0.0, 0.0))
     with pytest.raises(BackendError, match="outside scene floor"):
         far.connect()
     r = Robot()
@@ -518,6 +520,5 @@ def test_stop_from_full_speed_comes_to_rest_soon() -> None:
 
 def test_capabilities_tell_the_lidar_and_its_mount() -> None:
     mount = Extrinsics((0.1, 0.0, 0.2), (0.0, 0.1, 0.0))
-    backend = MujocoBackend(floor(), lidar="mid360", lidar_mount=mount)
-    assert backend.capabilities.lidar == "mid360"
-    assert backend.capabilities.lidar_mount == mount
+    backend = MujocoBackend(floor(), lidars=only("mid360", mount))
+    assert backend.capabilities.lidars == (MountedLidar("main", "mid360", mount),)

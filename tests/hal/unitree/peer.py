@@ -22,6 +22,7 @@ import time
 from dataclasses import fields
 from typing import Any
 
+from hal.lidar.config import only
 from hal.types import NS
 from hal.unitree import api, idl
 from hal.unitree.api import Request, WireError
@@ -146,7 +147,7 @@ def main() -> int:
             options.scene,
             not options.lying,
             seed=options.seed,
-            lidar=options.lidar,
+            lidars=only(options.lidar),
             lidar_step=options.lidar_step,
             start=tuple(options.start) if options.start else None,
         )

@@ -451,7 +451,7 @@ class MujocoBody:
         scene = load_scene(scene) if isinstance(scene, str) else scene
         self._backend = MujocoBackend(scene, seated=not standing, **options)
         self._backend.connect()
-        self._mount = self._backend.capabilities.lidar_mount
+        self._mount = self._backend.capabilities.lidars[0].mount
         self._rotation = rotation_rpy(*self._mount.rpy)
         self.x = self.y = self.yaw = self.v = self.wz = self.tilt = 0.0
         self.height = 0.35 if standing else 0.08

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hal.contract import Backend, BackendError
+from hal.lidar.config import LidarConfig, only
 from hal.rotation import rotation_rpy
 from hal.types import (
     NS,
@@ -98,7 +99,7 @@ def test_samples_have_host_stamps_rates_and_frames():
 def test_the_flipped_l1_shows_the_floor_below():
     world = ready()
     scans = [s for s in world.run(1.0) if isinstance(s, LidarScan)]
-    mount = world.backend.capabilities.lidar_mount
+    mount = world.backend.capabilities.lidars[0].mount
     points = scans[-1].points
     local = np.stack([points["x"], points["y"], points["z"]], axis=1)
     base = local @ rotation_rpy(*mount.rpy).T + mount.translation
@@ -109,7 +110,7 @@ def test_the_flipped_l1_shows_the_floor_below():
 
 
 def test_imu_of_the_l1_is_turned_into_the_trunk():
-    world = ready(options=UnitreeOptions(lidar="l1", imu="l1"))
+    world = ready(options=UnitreeOptions(lidars=only("l1"), imu="l1"))
     imu = [s for s in world.run(2.0, wz=0.4) if isinstance(s, ImuSample)]
     assert len(imu) == pytest.approx(500, rel=0.1)
     assert imu[-1].gyro == pytest.approx([0.0, 0.0, 0.38], abs=0.02)
@@ -210,7 +211,7 @@ def test_attitude_offsets_are_repeated_at_rest_only():
 
 
 def test_obstacle_avoidance_takes_and_gives_back_the_remote_role():
-    world = ready(options=UnitreeOptions(lidar="l1", avoid_obstacles=True))
+    world = ready(options=UnitreeOptions(lidars=only("l1"), avoid_obstacles=True))
     assert world.robot.avoid_remote
     world.run(2.0, vx=0.4)
     assert world.body.x > 0.5
@@ -299,7 +300,9 @@ def test_a_robot_that_never_follows_is_a_fault():
 
 
 def test_released_motion_service_is_selected_through_busy():
-    world = World(Faults(released=True, busy=6.0), options=UnitreeOptions(lidar="l1", connect_timeout=2.0))
+    world = World(
+        Faults(released=True, busy=6.0), options=UnitreeOptions(lidars=only("l1"), connect_timeout=2.0)
+    )
     world.backend.connect()
     world.until(Phase.READY, 5.0)
     assert world.robot.motion == "ai-w"
@@ -314,7 +317,9 @@ def test_an_answer_that_cannot_be_read_does_not_replace_the_running_motion_servi
 
 
 def test_busy_for_too_long_is_an_error_with_advice():
-    world = World(Faults(released=True, busy=60.0), options=UnitreeOptions(lidar="l1", connect_timeout=1.0))
+    world = World(
+        Faults(released=True, busy=60.0), options=UnitreeOptions(lidars=only("l1"), connect_timeout=1.0)
+    )
     with pytest.raises(BackendError, match="busy"):
         world.backend.connect()
 
@@ -402,7 +407,7 @@ def test_a_restarted_robot_is_noticed():
 
 def test_control_of_a_restarted_robot_is_taken_again():
     """It came back listening to its joystick alone."""
-    world = ready(options=UnitreeOptions(lidar="l1", avoid_obstacles=True))
+    world = ready(options=UnitreeOptions(lidars=only("l1"), avoid_obstacles=True))
     world.run(2.0, vx=0.5)
     restarted(world, Faults(late=0.1), standing=True)
     world.states.clear()
@@ -466,7 +471,7 @@ def test_a_refused_request_ends_in_a_fault_in_plain_words():
 
 def test_no_robot_is_an_error_with_advice():
     world = World(
-        Faults(low_silent=True, sport_silent=True), options=UnitreeOptions(lidar="none", connect_timeout=1.0)
+        Faults(low_silent=True, sport_silent=True), options=UnitreeOptions(lidars=(), connect_timeout=1.0)
     )
     with pytest.raises(BackendError, match=r"no LowState .* switched on.* cable"):
         world.backend.connect()
@@ -537,7 +542,7 @@ def test_an_l1_mounted_the_other_way_round_is_found_out_by_gravity():
     world.backend.connect()
     state = world.until(Phase.FAULT, 3.0)
     assert "165 deg" in state.cause
-    assert "lidar_mount" in state.cause
+    assert "check the mount in lidars" in state.cause
 
 
 def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
@@ -548,7 +553,7 @@ def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
     world.run(2.0, vx=0.3)
     assert world.body.x > 0.3, "nothing drives by it"
     for faults, setting in ((Faults(wxyz=False), False), (Faults(), True)):
-        world = ready(faults, options=UnitreeOptions(lidar="l1", l1_imu_wxyz=setting))
+        world = ready(faults, options=UnitreeOptions(lidars=only("l1"), l1_imu_wxyz=setting))
         world.run(1.5)
         assert world.cause == "balance stand, takes velocity"
 
@@ -556,7 +561,7 @@ def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
 def in_base(world: World) -> np.ndarray:
     """(n, 3) points of a sweep that comes within the next second."""
     scan = next(s for s in world.run(1.0) if isinstance(s, LidarScan)).points
-    mount = world.backend.capabilities.lidar_mount
+    mount = world.backend.capabilities.lidars[0].mount
     local = np.stack([scan["x"], scan["y"], scan["z"]], axis=1).astype(np.float64)
     return local @ rotation_rpy(*mount.rpy).T + mount.translation
 
@@ -564,7 +569,7 @@ def in_base(world: World) -> np.ndarray:
 def test_an_l1_turned_about_itself_is_set_right_by_its_yaw():
     usual = in_base(ready())
     yaw = -2.15
-    turned = ready(Faults(l1_yaw=yaw), options=UnitreeOptions(lidar="l1", l1_yaw=yaw))
+    turned = ready(Faults(l1_yaw=yaw), options=UnitreeOptions(lidars=only("l1"), l1_yaw=yaw))
     np.testing.assert_allclose(in_base(turned), usual, atol=1e-4)
     assert turned.cause == "balance stand, takes velocity"
     unset = in_base(ready(Faults(l1_yaw=yaw)))
@@ -573,7 +578,7 @@ def test_an_l1_turned_about_itself_is_set_right_by_its_yaw():
 
 def test_the_z_rate_that_leaks_into_the_l1s_gyro_is_taken_out():
     def rates(leak: float) -> np.ndarray:
-        options = UnitreeOptions(lidar="l1", imu="l1", l1_gyro_leak=(leak, 0.0))
+        options = UnitreeOptions(lidars=only("l1"), imu="l1", l1_gyro_leak=(leak, 0.0))
         samples = ready(Faults(l1_leak=0.15), options=options).run(2.0, wz=0.4)
         return [s for s in samples if isinstance(s, ImuSample)][-1].gyro
 
@@ -583,7 +588,7 @@ def test_the_z_rate_that_leaks_into_the_l1s_gyro_is_taken_out():
 
 def test_the_lidars_stamps_are_shifted_by_its_time_offset():
     def stamps(offset: float) -> np.ndarray:
-        world = ready(options=UnitreeOptions(lidar="l1", lidar_time_offset=offset))
+        world = ready(options=UnitreeOptions(lidars=(LidarConfig(model="l1", time_offset=offset),)))
         return np.array([s.stamp - world.epoch for s in world.run(1.0) if isinstance(s, LidarScan)])
 
     np.testing.assert_array_equal(stamps(0.0) - stamps(-0.005), 5_000_000)
@@ -626,7 +631,7 @@ def test_low_state_with_a_wrong_checksum_is_not_believed():
 
 
 def test_a_robot_whose_checksums_are_always_wrong_is_an_error_with_the_setting_that_takes_them():
-    options = {"lidar": "l1", "connect_timeout": 1.0}
+    options = {"lidars": only("l1"), "connect_timeout": 1.0}
     world = World(Faults(low_bent=True), options=UnitreeOptions(**options))
     with pytest.raises(BackendError, match=r"its checksum is wrong; .*unitree.check_crc=false"):
         world.backend.connect()

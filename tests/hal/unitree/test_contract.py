@@ -14,6 +14,7 @@ from tests.hal.contract_suite import ContractSuite, Rig
 pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from cyclonedds.domain import DomainParticipant
 
+from hal.lidar.config import only
 from hal.scenes import Scene
 from hal.unitree.api import Request, Response
 from hal.unitree.config import UnitreeOptions
@@ -25,7 +26,7 @@ from tests.hal.unitree.robot import MujocoBody
 from tests.hal.unitree.world import World
 
 DOMAIN = 20 + os.getpid() % 200
-XT16 = UnitreeOptions(lidar="xt16")
+XT16 = UnitreeOptions(lidars=only("xt16"))
 
 
 def walled_floor() -> Scene:
@@ -42,7 +43,7 @@ class DdsWorld(World):
         body = MujocoBody(walled_floor(), lidar_step=20)
         super().__init__(options=XT16, body=body)
         self._dds = open_link("lo", DOMAIN, XT16)
-        self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic() or "")
+        self._peer = Peer(DomainParticipant(DOMAIN), self.robot, XT16.topic(XT16.lidars[0]))
 
     def send(self, service: str, request: Request) -> None:
         self._dds.send(service, request)

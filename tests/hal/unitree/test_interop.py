@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
+from hal.lidar.config import only
 from hal.types import ImuSample, Phase, VelocityCommand
 from hal.unitree.backend import UnitreeBackend
 from hal.unitree.config import UnitreeOptions
@@ -39,7 +40,7 @@ def test_a_peer_on_cyclone_0_10_serves_us_and_lives():
         assert peer.stdin is not None
         assert peer.stdout.readline() == "old peer up\n"
         # All topics we ever announce, the cloud and the L1 included.
-        backend = UnitreeBackend("lo", DOMAIN, UnitreeOptions(lidar="l1", sit_on_close=False))
+        backend = UnitreeBackend("lo", DOMAIN, UnitreeOptions(lidars=only("l1"), sit_on_close=False))
         backend.connect()
         samples = []
         deadline = time.monotonic() + 3.0

@@ -34,7 +34,7 @@ class Wire:
 def stamps(ticks: list[int], kind: type) -> np.ndarray:
     """Stamps [s] of the samples of one kind, each LowState read when it comes: one per its tick in ms."""
     wire = Wire()
-    telemetry = Telemetry(wire, UnitreeOptions(lidar="none"))  # type: ignore[arg-type]
+    telemetry = Telemetry(wire, UnitreeOptions(lidars=()))  # type: ignore[arg-type]
     out = []
     for tick in ticks:
         wire.put(tick)

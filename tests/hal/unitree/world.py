@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from hal.lidar.config import only
 from hal.types import NS, Phase, RobotState, VelocityCommand
 from hal.unitree.api import SERVICES, Request, Response
 from hal.unitree.backend import UnitreeBackend
@@ -11,7 +12,7 @@ from hal.unitree.config import UnitreeOptions
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS
-L1 = UnitreeOptions(lidar="l1")
+L1 = UnitreeOptions(lidars=only("l1"))
 
 
 class World:
@@ -28,8 +29,9 @@ class World:
     ) -> None:
         self.epoch = epoch
         self.body: Any = body or KinematicBody(standing)
-        topic = options.topic() or ""
-        self.robot = RobotSide(self.body, faults, lidar=options.lidar, topic=topic)
+        lidar = options.lidars[0] if options.lidars else None
+        topic = options.topic(lidar) if lidar else ""
+        self.robot = RobotSide(self.body, faults, lidar=lidar.model if lidar else "", topic=topic)
         self.faults = self.robot.faults
         self.elapsed = 0
         self.cut = False

@@ -9,7 +9,9 @@ import pytest
 
 from hal.lidar import LIDARS, LidarSimulator, OrientedBox
 from hal.lidar.caster import NumbaCaster, Surface
+from hal.types import MountedLidar
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.sensor import Sensor
 from mapping.elevation.tiles import LIDAR
 
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
@@ -54,7 +56,13 @@ def run(
             continue
         p = scan.points
         points = np.stack([p["x"], p["y"], p["z"]], axis=1) @ mount.T + np.array(SPEC.mount.translation)
-        elevation.fuse(points.astype(np.float32), place, LEVEL, stamp, SPEC.mount.translation)
+        elevation.fuse(
+            points.astype(np.float32),
+            place,
+            LEVEL,
+            stamp,
+            Sensor.of(MountedLidar("main", SPEC.name, SPEC.mount)),
+        )
         if k % 3 == 2:
             elevation.clean()
         watch(t, elevation)

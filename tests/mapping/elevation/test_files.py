@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapMirror
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.sensor import XT16
 from mapping.elevation.tiles import LIDAR
 from tests.places import TERRAIN, needs_shared
 
@@ -23,7 +25,9 @@ def seen_map(**params) -> ElevationMap:
     z = 0.3 * np.exp(-(x**2 + y**2))
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel() - 1.6]).astype(np.float32)
     for k in range(3):
-        elevation.fuse(points, (3.0, -5.0, 1.6), LEVEL, 10**9 + k * 10**8, (0.0, 0.0, 0.3))
+        elevation.fuse(
+            points, (3.0, -5.0, 1.6), LEVEL, 10**9 + k * 10**8, replace(XT16, origin=(0.0, 0.0, 0.3))
+        )
     return elevation
 
 
@@ -71,7 +75,7 @@ def test_driving_on_goes_on_from_a_loaded_map(tmp_path: Path) -> None:
     again.load_prior(tmp_path / "map.npz")
     higher = np.array([[2.0, 0.0, 0.2]] * 5, dtype=np.float32)
     for k in range(4):
-        again.fuse(higher, (1.0, -5.0, 0.6), LEVEL, k * 10**8, (0.0, 0.0, 0.3))
+        again.fuse(higher, (1.0, -5.0, 0.6), LEVEL, k * 10**8, replace(XT16, origin=(0.0, 0.0, 0.3)))
     assert again.window(3.0, -5.0, 0.0).layers["elevation"][0, 0] == pytest.approx(0.8, abs=0.01)
 
 

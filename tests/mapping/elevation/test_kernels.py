@@ -23,7 +23,10 @@ def test_project_equals_numpy() -> None:
     points[::50, 1] = np.nan
     points[1::200] *= 4
     r, p, o = rotation(rng), rng.normal(size=3), np.array([0.1, -0.2, 0.3])
-    limits, body = np.array([0.4, 8.0, 1.0, 0.5]), np.array([-1.0, 1.0, -2.0, 2.0, -1.0, 1.0])
+    limits, body = (
+        np.array([0.4, 8.0, 1.0, 0.5, -np.inf, np.inf, -np.inf, np.inf]),
+        np.array([-1.0, 1.0, -2.0, 2.0, -1.0, 1.0]),
+    )
     noise = np.array([0.01, 0.002, 0.004, 0.005])
     n = len(points)
     store = TileStore(8)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.lidar.spec import LIDARS
+from hal.go2w import L1_MOUNT
+from hal.lidar.config import only
+from hal.types import MountedLidar
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapMirror
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import BRIDGED, CONTACT, LIDAR
-from rbtrg_robot.config import load
 from tools.bench.perception.map import Mapper, registered
 from tools.synthetic import arena_run
 
@@ -259,16 +261,28 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
         ElevationMap(ElevationConfig(resolution=0.05)).restore(lost)
 
 
-def test_the_noise_is_that_of_the_lidar_unless_it_is_set() -> None:
-    assert ElevationMap().params.range_sigma == LIDARS["xt16"].range_sigma
-    params = ElevationConfig(beam_sigma=0.004).for_lidar(LIDARS["mid360"])
-    assert (params.range_sigma, params.beam_sigma) == (0.02, 0.004)
+def test_the_noise_is_that_of_the_lidar() -> None:
     steep = np.array([[0.5, 0.0, -0.4]] * 3, np.float32)
     variance = []
-    for name in ("xt16", "mid360"):
-        elevation = ElevationMap(ElevationConfig(min_sigma=1e-4).for_lidar(LIDARS[name]))
-        elevation.fuse(steep, np.zeros(3), (0, 0, 0, 1), 0, LIDARS[name].mount.translation)
+    for model in ("xt16", "mid360"):
+        (lidar,) = only(model)
+        sensor = Sensor.of(lidar.mounted())
+        assert (sensor.range_sigma, sensor.origin) == (lidar.spec.range_sigma, lidar.spec.mount.translation)
+        elevation = ElevationMap(ElevationConfig(min_sigma=1e-4))
+        elevation.fuse(steep, np.zeros(3), (0, 0, 0, 1), 0, sensor)
         variance.append(np.nanmin(elevation.full().layers["variance"]))
     assert variance[1] > 1.5 * variance[0]
-    assert load(None, [], lidar="mid360").elevation_params().range_sigma == 0.02
-    assert load(None, ["elevation.range_sigma=0.03"], lidar="mid360").elevation_params().range_sigma == 0.03
+
+
+def test_the_head_lidar_maps_the_ground_ahead_alone_and_tells_no_drift() -> None:
+    head = Sensor.of(MountedLidar("head", "l1", L1_MOUNT))
+    ahead, aside, far = [1.0, 0.0, -0.4], [1.0, 1.5, -0.4], [2.5, 0.0, -0.4]
+    elevation = ElevationMap()
+    report = elevation.fuse(np.array([ahead, aside, far] * 3, np.float32), np.zeros(3), (0, 0, 0, 1), 0, head)
+    assert (report.used, report.out_of_range) == (3, 6)
+    grid = np.stack(np.meshgrid(np.linspace(0.6, 1.7, 40), np.linspace(-1, 1, 60), [-0.4]), -1).reshape(-1, 3)
+    for sensor, drifts in ((head, False), (XT16, True)):
+        elevation = ElevationMap()
+        for k in range(4):
+            elevation.fuse(grid.astype(np.float32), (0, 0, 0.01 * (k == 3)), (0, 0, 0, 1), k * 10**8, sensor)
+        assert (elevation.z_correction != 0.0) == drifts

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hal.lidar import LIDARS
+from hal.lidar import LIDARS, LidarConfig
 from hal.rotation import quaternion, rotation
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
@@ -129,7 +129,7 @@ def test_the_elevation_process_publishes_the_warning(prior: Path, later: list[Re
 
     for yaw in (0.0, 90.0):
         stage = ElevationStage(
-            started_at(prior, later, yaw=yaw), ElevationStageConfig(), LIDARS["xt16"].mount
+            started_at(prior, later, yaw=yaw), ElevationStageConfig(), (LidarConfig().mounted(),)
         )
         ((topic, status),) = stage.tick(1)
         assert topic is t.MAP_STATUS

@@ -32,7 +32,7 @@ class Driven:
     """What came out of one pass."""
 
     def __init__(self, samples: list[Sample], params: OdometryConfig = PARAMS, lidar: str = "xt16") -> None:
-        self.odometry = LidarInertialOdometry(params, LIDARS[lidar].mount)
+        self.odometry = LidarInertialOdometry(params, {"main": LIDARS[lidar].mount})
         self.scans: list[ScanOdometry] = []
         self.fast: list[FastPose] = []
         self.wheels: list[WheelOdometry] = []

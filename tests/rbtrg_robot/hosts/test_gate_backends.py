@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from hal.contract import Backend
+from hal.lidar.config import only
 from hal.mujoco.backend import MujocoBackend
 from hal.safety.gate import GateConfig, SafetyGate
 from hal.safety.geofence import Geofence
@@ -43,7 +44,7 @@ class Wired:
     """The Unitree backend; reading lets the robot on the other side of the wire live on."""
 
     def __init__(self) -> None:
-        self.world = World(options=UnitreeOptions(lidar="xt16"), epoch=0)
+        self.world = World(options=UnitreeOptions(lidars=only("xt16")), epoch=0)
         self._backend = self.world.backend
 
     def __getattr__(self, name: str) -> Any:

@@ -208,7 +208,8 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
             if entry.topic not in ("/goal/request", "/heartbeat"):
                 assert 0 <= stamp_of(message) <= entry.log_time, entry.topic
     assert all(len(names) == 1 and "" not in names for names in frames.values()), frames
-    assert frames["/lidar/points"] == {"lidar"}
+    assert frames["/lidar/main/points"] == {"lidar_main"}
+    assert frames["/lidar/head/points"] == {"lidar_head"}
     assert frames["/odom"] == {"odom"}
     assert frames["/elevation_map/update"] == frames["/elevation_map/window"] == {"map"}
     steady = {x.name for x in t.TOPICS if x.rate and x.owner and "header" in x.kind.__slots__}

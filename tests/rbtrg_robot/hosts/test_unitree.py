@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hal.lidar.config import only
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
 from hal.unitree.config import UnitreeOptions
 from rbtrg_robot import topics as t
@@ -26,7 +27,7 @@ class Wired:
 
     def __init__(self, config: Any) -> None:
         body = MujocoBody(config.load_scene(), lidar_step=4, seed=3)
-        self.world = World(options=UnitreeOptions(lidar="xt16"), body=body, epoch=0)
+        self.world = World(options=UnitreeOptions(lidars=only("xt16")), body=body, epoch=0)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities
 

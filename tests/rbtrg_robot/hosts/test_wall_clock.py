@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.lidar.config import only
 from hal.safety.gate import SafetyGate
 from hal.types import NS
 from hal.unitree.api import SPORT, Sport
@@ -95,7 +96,7 @@ class FakeBus:
 def test_the_robot_drives_on_and_says_so_when_the_wall_clock_is_set(
     step: int, clocks: Time, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = World(options=UnitreeOptions(lidar="xt16"))
+    world = World(options=UnitreeOptions(lidars=only("xt16")))
     monkeypatch.setattr(robot_process, "_hardware", lambda _config, _clock: world.backend)
     bus = FakeBus(clocks, world.advance)
 

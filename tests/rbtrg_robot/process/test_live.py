@@ -192,7 +192,15 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
     (last,) = [before for (_, before), (count, _) in itertools.pairwise(commands) if count == 1]
     stood = next(stamp for stamp, speed in speeds.items() if stamp > last and speed < 0.1)
     assert stood - last < 0.6
-    for name in ("/lidar/points", "/odom", "/elevation_map/update", "/plan", "/goal/request", "/cmd_vel"):
+    for name in (
+        "/lidar/main/points",
+        "/lidar/head/points",
+        "/odom",
+        "/elevation_map/update",
+        "/plan",
+        "/goal/request",
+        "/cmd_vel",
+    ):
         assert counts[name] > 0, name
 
 

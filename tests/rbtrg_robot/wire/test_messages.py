@@ -134,7 +134,8 @@ def test_attachment_is_what_rmw_zenoh_reads() -> None:
 def test_keys_are_those_of_rmw_zenoh() -> None:
     key = wire.key(topics.POINTS, 0)
     assert (
-        key == f"0/lidar/points/sensor_msgs::msg::dds_::PointCloud2_/{messages.type_hash(topics.POINTS.type)}"
+        key
+        == f"0/lidar/main/points/sensor_msgs::msg::dds_::PointCloud2_/{messages.type_hash(topics.POINTS.type)}"
     )
     token = wire.endpoint_token(0, "abc", "robot", topics.POINTS, 4, "MP")
     assert token.startswith(

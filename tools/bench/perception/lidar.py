@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 
+from hal.lidar.config import only
 from hal.mujoco.backend import MujocoBackend
 from hal.scenes import load_scene
 from hal.types import NS, VelocityCommand
@@ -28,7 +29,7 @@ def rows(report: Report, lidars: list[str]) -> None:
 def sweep_ms(lidar: str) -> tuple[float, float]:
     """Thread time of a sweep and of the physics meanwhile [ms]: two robots in turns, one of them without a LiDAR."""
     scene = load_scene("yard")
-    robots = [MujocoBackend(scene, lidar=name) for name in (None, lidar)]
+    robots = [MujocoBackend(scene, lidars=lidars) for lidars in ((), only(lidar))]
     spent: list[list[float]] = [[], []]
     for robot in robots:
         robot.connect()

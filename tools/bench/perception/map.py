@@ -91,14 +91,13 @@ class Mapper:
     scans: int = 0
 
     def __post_init__(self) -> None:
-        self.map = ElevationMap(ElevationConfig(resolution=self.resolution).for_lidar(self.run.lidar))
+        self.map = ElevationMap(ElevationConfig(resolution=self.resolution))
         self.map.warm_up()
 
     def take(self, scan: Registered | ScanOdometry) -> None:
         """Fuse one scan; clean up at every third."""
-        origin = self.run.extrinsics.translation
         start = time.thread_time()
-        self.map.fuse(scan.cloud, scan.position, scan.orientation, scan.stamp, origin)
+        self.map.fuse(scan.cloud, scan.position, scan.orientation, scan.stamp, self.run.sensor)
         self.fusion.append(time.thread_time() - start)
         if isinstance(scan, Registered):
             self.map.fuse_ground(scan.contacts, scan.position, scan.orientation, scan.stamp)

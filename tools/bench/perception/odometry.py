@@ -95,7 +95,7 @@ class StockKissIcp:
             degenerate=none,
             degeneracy=np.nan,
             correction=np.nan,
-            cloud=np.asarray(cloud, np.float32),
+            clouds={"main": np.asarray(cloud, np.float32)},
         )
 
 
@@ -108,7 +108,7 @@ def drive(
     """Stream `run` once through all `engines` (`kiss_icp`, `small_gicp`, `stock`)."""
     params = params or OdometryConfig()
     ours = {
-        name: LidarInertialOdometry(params.model_copy(update={"engine": name}), run.extrinsics)
+        name: LidarInertialOdometry(params.model_copy(update={"engine": name}), {"main": run.extrinsics})
         for name in engines
         if name in ENGINES
     }

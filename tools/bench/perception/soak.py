@@ -8,7 +8,6 @@ import numpy as np
 import psutil
 
 from hal.types import GroundTruth, ImuSample, JointSample, LidarScan
-from mapping.elevation.config import ElevationConfig
 from mapping.elevation.map import ElevationMap
 from mapping.grid import ElevationGrid
 from mapping.odometry.contacts import wheel_contacts
@@ -24,9 +23,9 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
     cells that were trusted after the first third and are unknown at the end [%].
     """
     run = soak_run(lidar, minutes=minutes, azimuth_step=azimuth_step)
-    odometry = LidarInertialOdometry(OdometryConfig(), run.extrinsics)
+    odometry = LidarInertialOdometry(OdometryConfig(), {"main": run.extrinsics})
     odometry.warm_up()
-    elevation = ElevationMap(ElevationConfig().for_lidar(run.lidar))
+    elevation = ElevationMap()
     elevation.warm_up()
     cpu: list[float] = []
     spent = 0.0
@@ -46,7 +45,7 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
             odometry.add_scan(sample)
         results = odometry.poll()
         for r in results:
-            elevation.fuse(r.cloud, r.position, r.orientation, r.stamp, run.extrinsics.translation)
+            elevation.fuse(r.cloud, r.position, r.orientation, r.stamp, run.sensor)
             if joints is not None:
                 elevation.fuse_ground(wheel_contacts(joints), r.position, r.orientation, r.stamp)
             if len(cpu) % 3 == 0:

@@ -1,0 +1,47 @@
+"""One LiDAR on the wire: its clouds, its clock, its mount."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hal.lidar.config import LidarConfig
+from hal.rotation import rotation_rpy
+from hal.types import NS, POINT_DTYPE, LidarScan, MountedLidar
+from hal.unitree.clock import ClockOffset
+from hal.unitree.cloud import Mount, RawCloud, decode_cloud, sweep
+
+
+class LidarInput:
+    """Turns the clouds of one LiDAR into scans on the host clock."""
+
+    def __init__(self, lidar: LidarConfig, mounted: MountedLidar, topic: str) -> None:
+        self.name = lidar.name
+        self.model = lidar.model
+        self.topic = topic
+        self.clock = ClockOffset()
+        """The LiDAR's own clock; its IMU has the same."""
+        self.mount = Mount(rotation_rpy(*mounted.mount.rpy), np.array(mounted.mount.translation))
+        self.heard_at: int | None = None
+        """When the last cloud with points came [ns, host clock]."""
+        self._offset = round(lidar.time_offset * NS)
+        self._last: int | None = None
+
+    def warm_up(self) -> None:
+        """Compile the cloud kernel before the first sweep has to wait for it."""
+        sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self.mount)
+
+    def take(self, data: bytes, now: int) -> list[LidarScan]:
+        """The scan in a cloud received by `now` [ns]; none without points. Raises WireError."""
+        start, points = sweep(decode_cloud(data), self.mount)
+        if not len(points):
+            return []
+        self.heard_at = now
+        # The end of the sweep is what was just received; its start lies a sweep earlier.
+        duration = round(float(points["time"].max()) * NS)
+        self.clock.observe(start + duration, now)
+        end = min(self.clock.convert(start + duration, now) + self._offset, now)
+        stamp = end - duration
+        if self._last is not None and self._last - NS < stamp <= self._last:
+            stamp = self._last + 1  # a better clock offset must not turn time back
+        self._last = stamp
+        return [LidarScan(stamp, points, self.name)]

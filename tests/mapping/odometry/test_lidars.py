@@ -1,0 +1,135 @@
+"""Two LiDARs on one robot: the main one is registered, the other goes along, and takes over where the main one is silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hal.go2w import L1_MOUNT, XT16_MOUNT
+from hal.lidar import LIDARS
+from hal.rotation import rotation
+from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
+from mapping.odometry.health import Health
+from mapping.odometry.pipeline import LidarInertialOdometry
+from mapping.odometry.types import ScanOdometry
+from tools.synthetic import SyntheticRun, arena_run
+
+SECONDS = 6.0
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[SyntheticRun, list[Sample]]:
+    """Figure-eight with a pitching trunk, both LiDARs, in order of arrival; their sweeps do not end together."""
+    run = replace(arena_run("xt16", duration=SECONDS, seed=3), lidar=LIDARS["xt16"].decimated(4))
+    head = replace(run, lidar=LIDARS["l1"])
+    samples = [s for s in run.samples() if not isinstance(s, GroundTruth)]
+    samples += [replace(s, name="head") for s in head.samples() if isinstance(s, LidarScan)]
+    return run, in_order(samples)
+
+
+def in_order(samples: list[Sample], head_late: int = 0) -> list[Sample]:
+    """By arrival: a scan comes when its sweep ends, one of the head LiDAR `head_late` [ns] after that."""
+
+    def arrival(s: Sample) -> int:
+        return s.stamp + NS // 10 + head_late * (s.name == "head") if isinstance(s, LidarScan) else s.stamp
+
+    return sorted(samples, key=arrival)
+
+
+def driven(samples: list[Sample]) -> list[ScanOdometry]:
+    odometry = LidarInertialOdometry(mounts={"main": XT16_MOUNT, "head": L1_MOUNT})
+    out = []
+    for sample in samples:
+        if isinstance(sample, ImuSample):
+            odometry.add_imu(sample)
+        elif isinstance(sample, JointSample):
+            odometry.add_joints(sample)
+        elif isinstance(sample, LidarScan):
+            odometry.add_scan(sample)
+        out += odometry.poll()
+    return out
+
+
+def off(run: SyntheticRun, scan: ScanOdometry) -> float:
+    """Horizontal error [m]; the run begins at the origin of its frame."""
+    position, orientation = run.truth(np.array([run.start_stamp, scan.stamp]))
+    return float(
+        np.linalg.norm((rotation(orientation[0]).T @ (position[1] - position[0]))[:2] - scan.position[:2])
+    )
+
+
+def test_each_lidar_has_a_cloud_at_the_stamp_of_the_pose(
+    recorded: tuple[SyntheticRun, list[Sample]],
+) -> None:
+    run, samples = recorded
+    scans = driven(samples)
+    assert len(scans) >= 50
+    for scan in scans[5:]:
+        assert set(scan.clouds) == {"main", "head"}
+        position, orientation = run.truth(scan.stamp)
+        world = scan.clouds["head"] @ rotation(orientation[0]).T + position[0]
+        ground = world[np.abs(world[:, 2]) < 0.06]
+        assert len(ground) > 300
+        assert np.abs(ground[:, 2]).mean() < 0.02
+
+
+def test_the_pose_is_that_of_the_main_lidar_alone(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    _, samples = recorded
+    both = driven(samples)
+    alone = driven([s for s in samples if not (isinstance(s, LidarScan) and s.name == "head")])
+    assert [s.stamp for s in both] == [s.stamp for s in alone]
+    assert all((a.position == b.position).all() for a, b in zip(both, alone, strict=True))
+    assert not any("head" in s.clouds for s in alone)
+
+
+def test_a_late_head_cloud_changes_nothing(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    _, samples = recorded
+    on_time, late = driven(samples), driven(in_order(samples, head_late=60_000_000))
+    assert len(late) >= len(on_time) - 1
+    for a, b in zip(on_time, late, strict=False):
+        assert a.stamp == b.stamp
+        assert all(a.clouds[name].tobytes() == b.clouds[name].tobytes() for name in ("main", "head"))
+
+
+def test_the_head_lidar_takes_over_where_the_main_one_is_silent(
+    recorded: tuple[SyntheticRun, list[Sample]],
+) -> None:
+    run, samples = recorded
+    begin = samples[0].stamp
+    gap = begin + 2 * NS, begin + 4 * NS
+    scans = driven(
+        [
+            s
+            for s in samples
+            if not (isinstance(s, LidarScan) and s.name == "main" and gap[0] <= s.stamp < gap[1])
+        ]
+    )
+    taken = [s for s in scans if gap[0] + 0.7 * NS < s.stamp < gap[1]]
+    assert len(taken) >= 11
+    for scan in taken:
+        assert set(scan.clouds) == {"head"}
+        assert scan.health is Health.DEGRADED
+        assert "the main LiDAR is silent" in scan.reason
+    assert max(off(run, s) for s in scans) < 0.06
+    assert [s.health for s in scans[-5:]] == [Health.GOOD] * 5
+    assert set(scans[-1].clouds) == {"main", "head"}
+
+
+def test_a_silent_head_lidar_is_not_waited_for(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    _, samples = recorded
+    silent = samples[0].stamp + 2 * NS
+    odometry = LidarInertialOdometry(mounts={"main": XT16_MOUNT, "head": L1_MOUNT})
+    delay = []
+    for sample in samples:
+        if isinstance(sample, LidarScan) and (sample.name == "main" or sample.stamp < silent):
+            odometry.add_scan(sample)
+        elif isinstance(sample, ImuSample):
+            odometry.add_imu(sample)
+            delay += [(s.stamp, sample.stamp - s.stamp) for s in odometry.poll()]
+        elif isinstance(sample, JointSample):
+            odometry.add_joints(sample)
+    late = [d for stamp, d in delay if stamp > silent + NS]
+    assert len(late) > 25
+    assert max(late) < 30_000_000

@@ -10,7 +10,7 @@ import subprocess
 from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -42,6 +42,19 @@ class ConfigError(OperatorError):
     """A configuration file or key is wrong; the message names it."""
 
 
+class NetworkConfig(BaseModel):
+    """Who else than this computer reaches the stack."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    listen: tuple[Annotated[str, Field(pattern=r"^tls/(\[[0-9a-fA-F:]+\]|[^:/\s]+):\d{1,5}$")], ...] = Field(
+        (), description="tls/ADDRESS:PORT where people with certificates connect; empty = loopback only"
+    )
+    keys: str = Field(
+        "", description="folder of the robot's certificate; empty = `robot` where `keys init` puts it"
+    )
+
+
 class StackConfig(BaseModel):
     """Everything that can be set. Units stand in the descriptions."""
 
@@ -51,6 +64,7 @@ class StackConfig(BaseModel):
     backend: Literal["sim", "unitree"] = Field("sim", description="simulated or real robot")
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
+    network: NetworkConfig = NetworkConfig()
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
     controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
@@ -272,6 +286,8 @@ def explain(error: ValidationError) -> str:
     first = error.errors()[0]
     key = ".".join(str(part) for part in first["loc"])
     more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    if key.startswith("network.listen."):
+        return f"configuration key 'network.listen': {first['input']!r} is not tls/ADDRESS:PORT; nothing else is served{more}"
     if first["type"] == "extra_forbidden":
         return f"there is no configuration key {key!r}; `rbtrg-robot config show` lists them{more}"
     return f"configuration key {key!r}: {first['msg']}, got {first['input']!r}{more}"

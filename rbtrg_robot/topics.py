@@ -28,6 +28,15 @@ class Qos(StrEnum):
     """Real-time priority, sent at once."""
 
 
+class Role(StrEnum):
+    """Who comes from another computer with a certificate."""
+
+    OBSERVER = "observer"
+    """Sees everything and may stop the robot."""
+    OPERATOR = "operator"
+    """May do what an observer may, and command the robot."""
+
+
 M = TypeVar("M", bound=msg.Message)
 
 
@@ -49,6 +58,8 @@ class Topic(Generic[M]):
     recorded: bool = True
     safe_to_replay: bool = True
     """False for what makes a robot move: replay never publishes it."""
+    publish_by: Role | None = None
+    """Who from outside may publish it, and whoever is above; None: only processes on the robot's computer."""
 
     @property
     def type(self) -> str:
@@ -71,7 +82,8 @@ JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SE
 POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time")
 HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
-ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False)
+ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
+ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
 ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
@@ -86,10 +98,10 @@ MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.ST
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
 MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded=False)
-MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full: send the whole map")
+MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full: send the whole map", publish_by=Role.OPERATOR)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")
-GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False)
-GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False)
+GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False, publish_by=Role.OPERATOR)
+GOAL_POSE      = Topic("/goal_pose",             msg.PoseStamped,      0, Qos.STATE,     4, "",          "a goal from RViz", safe_to_replay=False, publish_by=Role.OPERATOR)
 GOAL_STATUS    = Topic("/goal/status",           msg.GoalStatus,       2, Qos.LATCHED,  16, "navigator", "lifecycle of the newest goal")
 PLAN_REQUEST   = Topic("/plan/request",          msg.PlanRequest,      0, Qos.STATE,     4, "navigator", "navigator asks for a route")
 PLAN           = Topic("/plan",                  msg.Plan,             0, Qos.STATE,     4, "planner",   "route, path and their risks")

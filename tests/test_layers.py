@@ -38,6 +38,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
     "rbtrg_robot.wire": "hal mapping.elevation rbtrg_robot",
+    "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.graph planning.path "
@@ -46,9 +47,9 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.hosts": "hal hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
-    "rbtrg_robot.process": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.hosts",
+    "rbtrg_robot.process": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.hosts",
     "rbtrg_robot.cli": "hal hal.locomotion hal.mujoco.view hal.scenes hal.unitree mapping.elevation rbtrg_robot "
-    "rbtrg_robot.wire rbtrg_robot.stages.navigation rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
+    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
 }
 FLOORS = ("hal", "mapping", "planning", "rbtrg_robot", "tools")
 FILES = [f.relative_to(ROOT) for floor in FLOORS for f in sorted((ROOT / floor).rglob("*.py"))]

@@ -56,11 +56,10 @@ def goal(
 ) -> None:
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
     from rbtrg_robot import topics as t
-    from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.process.runfiles import read_state
+    from rbtrg_robot.cli.link import connect, scene
     from rbtrg_robot.stages.navigation.goal import goal_request
 
-    x, y, goal_yaw, name = _target(target, read_state(robot))
+    x, y, goal_yaw, name = _target(target, scene(robot))
     if yaw is not None:
         goal_yaw = math.radians(yaw)
     if not all(math.isfinite(v) for v in (x, y, goal_yaw or 0.0, timeout)):
@@ -73,7 +72,7 @@ def goal(
         raise typer.Exit(_follow(bus, goal_id, request, wait=wait, timeout=timeout))
 
 
-def _target(words: list[str], state: dict[str, Any]) -> tuple[float, float, float | None, str]:
+def _target(words: list[str], scene: str) -> tuple[float, float, float | None, str]:
     from rbtrg_robot.config import ConfigError
 
     if len(words) == 2:
@@ -83,13 +82,13 @@ def _target(words: list[str], state: dict[str, Any]) -> tuple[float, float, floa
             raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}") from error
     if len(words) != 1:
         raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}")
-    if state["backend"] != "sim":
-        raise ConfigError("named goals exist in scenes only; give X Y")
+    if not scene:
+        raise ConfigError("named goals exist in scenes simulated on this computer only; give X Y")
     from hal.scenes import load_scene
 
-    goals = load_scene(state["scene"]).goals
+    goals = load_scene(scene).goals
     if words[0] not in goals:
-        raise ConfigError(f"scene {state['scene']} has no goal {words[0]!r}; it has {', '.join(goals)}")
+        raise ConfigError(f"scene {scene} has no goal {words[0]!r}; it has {', '.join(goals)}")
     x, y, yaw = goals[words[0]]
     return x, y, yaw, words[0]
 

@@ -1,12 +1,29 @@
-"""A command's connection to the running stack."""
+"""A command's connection to the stack: that of this computer, or the one that RBTRG_CONNECT names."""
 
 from __future__ import annotations
 
+from typing import Any
+
+from rbtrg_robot.access.identity import NAME, client_tls, problem, remote
 from rbtrg_robot.process.runfiles import read_state
-from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.bus import Bus, BusError, Security
 
 
 def connect(robot: str) -> Bus:
     """Open the bus of a robot. Raises NotRunning, BusError."""
-    state = read_state(robot)
-    return Bus(state["endpoint"], "cli", int(state["domain"]))
+    far = remote()
+    if far is None:
+        state = read_state(robot)
+        return Bus(state["endpoint"], "cli", int(state["domain"]))
+    wrong = problem(far.folder)
+    if wrong:
+        raise BusError(f"{wrong}; set {NAME} to your name or to the folder of your certificate")
+    return Bus(far.endpoint, "cli", far.domain, security=Security(client_tls(far.folder)))
+
+
+def scene(robot: str) -> str:
+    """The scene that the stack of this computer simulates; empty where there is none. Raises NotRunning."""
+    if remote() is not None:
+        return ""
+    state: dict[str, Any] = read_state(robot)
+    return str(state["scene"]) if state["backend"] == "sim" else ""

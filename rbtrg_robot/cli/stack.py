@@ -133,6 +133,10 @@ def refuse_second(robot: str) -> None:
 
 def _check(config: StackConfig) -> None:
     """Fail now, in one line, on what would fail in a child."""
+    if config.network.listen:
+        from rbtrg_robot.access.serve import security
+
+        security(config)
     if config.simulated:
         if importlib.util.find_spec("mujoco") is None:
             from hal.optional import INSTALL_SIMULATOR
@@ -258,7 +262,10 @@ def status(
     with connect(robot) as bus:
         answer = bus.ask("status")
     if answer is None:
-        print("rbtrg-robot: the supervisor does not answer", file=sys.stderr)
+        from rbtrg_robot.access.identity import remote
+
+        why = "; is this certificate still on the robot's list?" if remote() else ""
+        print(f"rbtrg-robot: the supervisor does not answer{why}", file=sys.stderr)
         raise typer.Exit(1)
     if as_json:
         print(json.dumps(json.loads(answer), indent=1))

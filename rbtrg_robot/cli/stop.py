@@ -1,8 +1,9 @@
 """`stop`: the emergency stop on the bus as fast as a process can start.
 
-It imports the standard library and zenoh only: the command's key and bytes are made by hand here, and a test compares
+It imports the standard library and zenoh only (`access.identity` keeps to that too): the command's key and bytes are made by hand here, and a test compares
 them with those of `wire`. It needs no run folder: where there is none, or nobody answers there, it tries the default port. It sends
-until the robot says that it is stopped.
+until the robot says that it is stopped. With RBTRG_CONNECT it stops the robot of that computer and no other: another one's
+answer would be taken for this one's.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ import struct
 import sys
 import threading
 import time
+from typing import Any
 
 import zenoh
 from zenoh.handlers import Callback
 
+from rbtrg_robot.access.identity import client_tls, problem, remote
+
 DEFAULT = ("tcp/127.0.0.1:7447", 0)
 """Endpoint and domain of a stack that was given no others."""
-COMMAND_KEY = "robot/command/rbtrg_msgs::msg::dds_::RobotCommand_/"
-COMMAND_HASH = "RIHS01_647fb91d189ed989295d440fb779c1694a696f32afd641b0fd0133d6cd16ca31"
+STOP_KEY = "robot/stop/rbtrg_msgs::msg::dds_::RobotCommand_/"
+STOP_HASH = "RIHS01_647fb91d189ed989295d440fb779c1694a696f32afd641b0fd0133d6cd16ca31"
 STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
 REPEAT = 0.1
 """Seconds between two sendings."""
@@ -60,13 +64,21 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
         if not told:
             told = True
             where = ", ".join(endpoint for endpoint, _ in places(robot))
-            print(f"rbtrg-robot: nothing answers on {where}; still trying, {USE_HARDWARE}", file=sys.stderr)
+            far = remote()
+            why = problem(far.folder) if far is not None else ""
+            print(
+                f"rbtrg-robot: {why or f'nothing answers on {where}'}; still trying, {USE_HARDWARE}",
+                file=sys.stderr,
+            )
         time.sleep(REPEAT)
     return 1
 
 
 def places(robot: str) -> list[tuple[str, int]]:
-    """Endpoints and domains to try in turn: what the stack of this name wrote down, then the default."""
+    """Endpoints and domains to try in turn: that of another computer, or what the stack of this name wrote down and the default."""
+    far = remote()
+    if far is not None:
+        return [(far.endpoint, far.domain)]
     try:
         from rbtrg_robot.process.runfiles import run_dir
 
@@ -77,12 +89,15 @@ def places(robot: str) -> list[tuple[str, int]]:
 
 
 def _open(endpoint: str) -> zenoh.Session | None:
-    settings = {
+    far = remote()
+    settings: dict[str, Any] = {
         "mode": "client",
         "connect": {"endpoints": [endpoint], "timeout_ms": 0},
         "listen": {"endpoints": []},
         "scouting": {"multicast": {"enabled": False}},
     }
+    if far is not None:
+        settings["transport"] = {"link": {"tls": client_tls(far.folder)}}
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(settings)))
     except zenoh.ZError:
@@ -100,7 +115,7 @@ def _send(session: zenoh.Session, domain: int, deadline: float) -> int:
             confirmed.set()
 
     publisher = session.declare_publisher(
-        f"{domain}/{COMMAND_KEY}{COMMAND_HASH}",
+        f"{domain}/{STOP_KEY}{STOP_HASH}",
         congestion_control=zenoh.CongestionControl.DROP,
         priority=zenoh.Priority.REAL_TIME,
         express=True,

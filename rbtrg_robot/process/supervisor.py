@@ -23,6 +23,7 @@ from hal.errors import OperatorError
 from hal.types import LYING, Phase
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
+from rbtrg_robot.access.serve import security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
@@ -124,8 +125,16 @@ class Supervisor:
         try:
             endpoint, domain = self._config.endpoint, self._config.domain
             with Bus(
-                endpoint, "supervisor", domain, router=True, clock=self._clock, stack=self._stack
+                endpoint,
+                "supervisor",
+                domain,
+                router=True,
+                clock=self._clock,
+                stack=self._stack,
+                security=security(self._config),
             ) as bus:
+                if self._config.network.listen:
+                    self._say(f"listening on {', '.join(self._config.network.listen)}")
                 self._write_state(lock)
                 restored = {topic for child in self._children.values() for topic in child.row.restores}
                 self._bus = bus

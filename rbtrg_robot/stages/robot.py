@@ -45,7 +45,7 @@ POSE_LIMIT = 0.3
 class RobotStage:
     """Backend, gate and their messages."""
 
-    inputs = (t.CMD_VEL, t.ROBOT_COMMAND, t.POSE, t.TF_STATIC)
+    inputs = (t.CMD_VEL, t.ROBOT_COMMAND, t.ROBOT_STOP, t.POSE, t.TF_STATIC)
 
     def __init__(
         self, backend: Backend, gate: SafetyGate, *, simulated: bool, watched: frozenset[str]
@@ -120,6 +120,10 @@ class RobotStage:
             self._frame.take(message)
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
+        elif t.ROBOT_STOP.carried(message, topic):
+            self._request(
+                msg.RobotCommand(header=message.header, mode=ModeRequest.STOP.value, cause=message.cause)
+            )
         elif (
             t.ROBOT_STATE.carried(message, topic) and message.estop
         ):  # handed over after a restart: a latch outlives a crash

@@ -16,7 +16,7 @@ import secrets
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Generic, Self
 
@@ -57,7 +57,20 @@ def stack_id() -> str:
     return f"5{secrets.token_hex(4)[1:]}"
 
 
-def session_config(endpoint: str, *, router: bool, stack: str = "") -> zenoh.Config:
+@dataclass(frozen=True, slots=True)
+class Security:
+    """Zenoh's settings for sessions between computers."""
+
+    tls: dict[str, Any]
+    listen: tuple[str, ...] = ()
+    """Where the router listens too."""
+    access_control: dict[str, Any] = field(default_factory=dict)
+    """Of the router."""
+
+
+def session_config(
+    endpoint: str, *, router: bool, stack: str = "", security: Security | None = None
+) -> zenoh.Config:
     """Zenoh configuration of the router (`up`) or of a client of it. `stack`: what the session id begins with."""
     config: dict[str, Any] = {
         **({"id": stack + secrets.token_hex(12)} if stack else {}),
@@ -81,7 +94,13 @@ def session_config(endpoint: str, *, router: bool, stack: str = "") -> zenoh.Con
             "shared_memory": {"mode": "init", "transport_optimization": {"messages": ["put"]}},
         },
     }
-    config["listen" if router else "connect"] = {"endpoints": [endpoint]}
+    endpoints = [endpoint]
+    if security is not None:
+        config["transport"]["link"]["tls"] = security.tls
+        endpoints += security.listen
+        if security.access_control:
+            config["access_control"] = security.access_control
+    config["listen" if router else "connect"] = {"endpoints": endpoints}
     if not router:
         config["connect"]["timeout_ms"] = 3000
         config["listen"] = {"endpoints": []}
@@ -100,25 +119,31 @@ class Bus:
         router: bool = False,
         clock: SourceClock | None = None,
         stack: str = "",
+        security: Security | None = None,
     ) -> None:
         """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client).
 
         `clock`: that of the stack; None where stamps serve logs only. `stack`: id of the stack whose process this is.
+        `security`: for sessions between computers; None on loopback.
         """
         self.clock = clock or SourceClock()
         self.node = node
         self.domain = domain
         zenoh.init_log_from_env_or("off")
         self._stack = stack
-        config = session_config(endpoint, router=router, stack=stack)
+        config = session_config(endpoint, router=router, stack=stack, security=security)
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
-            what = (
-                f"cannot listen on {endpoint}: is another program using the port? Choose one with --port"
-                if router
-                else f"nothing answers on {endpoint}: is the stack up? Start it with `rbtrg-robot up`"
-            )
+            if router:
+                where = " or ".join((endpoint, *(security.listen if security else ())))
+                what = f"cannot listen on {where}: is another program using the port? Choose one with --port"
+            elif security is not None:
+                what = (
+                    f"{endpoint} does not let us in: is the stack up, and is the certificate one of its keys?"
+                )
+            else:
+                what = f"nothing answers on {endpoint}: is the stack up? Start it with `rbtrg-robot up`"
             raise BusError(what, retry=not router) from error
         self._zid = str(self.session.zid())
         self._held: list[Any] = [

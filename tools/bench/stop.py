@@ -37,7 +37,7 @@ def run(args: list[str]) -> Report:
         os.environ["XDG_RUNTIME_DIR"] = folder
         (Path(folder) / "rbtrg").mkdir()
         with Bus(endpoint, "robot", router=True) as bus:
-            bus.subscribe([t.ROBOT_COMMAND])
+            bus.subscribe([t.ROBOT_STOP])
             lock = RunLock("go2w")
             lock.write_state(endpoint=endpoint, domain=0)
             for _ in range(rounds):

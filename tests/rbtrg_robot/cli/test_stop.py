@@ -26,7 +26,7 @@ HEAVY = {"numpy", "rosbags", "typer", "pydantic", "numba", "yaml", "rich", "rbtr
 
 
 def test_key_and_bytes_are_those_of_the_wire() -> None:
-    assert keys.key(t.ROBOT_COMMAND, 7) == f"7/{module.COMMAND_KEY}{module.COMMAND_HASH}"
+    assert keys.key(t.ROBOT_STOP, 7) == f"7/{module.STOP_KEY}{module.STOP_HASH}"
     assert keys.key(t.ROBOT_STATE, 7).rpartition("/")[0] == f"7/{module.STATE_KEY}".rpartition("/")[0]
     stamp = 1_700_000_000_123_456_789
     message = msg.RobotCommand(header=header(stamp, ""), mode="stop", cause="operator")
@@ -72,7 +72,7 @@ class Robot:
         self._latches_at = latches_at
         self._end = threading.Event()
         self._bus = Bus(endpoint, "robot", router=True)
-        self._bus.subscribe([t.ROBOT_COMMAND])
+        self._bus.subscribe([t.ROBOT_STOP])
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
 

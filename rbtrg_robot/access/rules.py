@@ -1,0 +1,83 @@
+"""Zenoh's access control, made from the table of topics: what no row allows is denied.
+
+`**` does not match a chunk that begins with `@`: without the patterns of their own, latched messages (`@adv`) and process
+tokens (`@ros2_lv`) would be lost in silence.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rbtrg_robot import topics as t
+from rbtrg_robot.topics import Role
+from rbtrg_robot.wire import keys
+
+LOCAL = "local"
+ASKED = ("status",)
+"""What outsiders may ask the supervisor."""
+EVERY_MESSAGE = (
+    "put",
+    "delete",
+    "declare_subscriber",
+    "query",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+)
+SEE = ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber")
+"""What one who sees sends."""
+RANKS = {Role.OBSERVER: (Role.OBSERVER,), Role.OPERATOR: (Role.OBSERVER, Role.OPERATOR)}
+"""A role and those whose rights it has."""
+
+
+def access_control(domain: int, members: dict[Role, list[str]]) -> dict[str, Any]:
+    """Zenoh's `access_control` of the router. `members`: common names of the certificates that have each role.
+
+    Who has none of these certificates may do nothing, whoever signed it. Outsiders declare no token and answer no query: with those
+    they could pass for a process that died, or hand out a false map.
+    """
+    all_keys = [f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"]
+    rules: list[dict[str, Any]] = [
+        _rule(LOCAL, EVERY_MESSAGE, ["**", "**/@adv/**", "@ros2_lv/**"]),
+        _rule("hear", EVERY_MESSAGE, all_keys, "egress"),
+        _rule("see", SEE, all_keys, "ingress"),
+        _rule(
+            "ask",
+            ("query",),
+            [f"{domain}/**/@adv/**", *(f"{domain}/rbtrg/{name}" for name in ASKED)],
+            "ingress",
+        ),
+    ]
+    subjects: list[dict[str, Any]] = [{"id": LOCAL, "link_protocols": ["tcp"], "interfaces": ["lo"]}]
+    policies: list[dict[str, Any]] = [{"rules": [LOCAL], "subjects": [LOCAL]}]
+    for role, own in RANKS.items():
+        rules.append(_rule(role.value, ("put",), [keys.key(x, domain) for x in publishable(role)], "ingress"))
+        if members.get(role):  # a subject with an empty list of names would be everybody
+            names = members[role]
+            subjects.append({"id": role.value, "cert_common_names": names, "link_protocols": ["tls"]})
+            allowed = ["hear", "see", "ask", *(x.value for x in own)]
+            policies.append({"rules": allowed, "subjects": [role.value]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+def publishable(role: Role) -> list[t.Topic]:
+    """Topics whose rows name exactly this role, in table order."""
+    return [topic for topic in t.TOPICS if topic.publish_by is role]
+
+
+def _rule(name: str, messages: tuple[str, ...], key_exprs: list[str], *flows: str) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": list(flows or ("ingress", "egress")),
+        "messages": list(messages),
+        "key_exprs": key_exprs,
+    }

@@ -1,0 +1,20 @@
+"""What the router of a stack needs in order to serve other computers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rbtrg_robot.access.certificates import check, members
+from rbtrg_robot.access.identity import ROBOT, keys_dir, server_tls
+from rbtrg_robot.access.rules import access_control
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.wire.bus import Security
+
+
+def security(config: StackConfig) -> Security | None:
+    """Certificate and rules; None where nobody else is served. Raises KeysError."""
+    if not config.network.listen:
+        return None
+    folder = Path(config.network.keys or keys_dir() / ROBOT)
+    check(folder)
+    return Security(server_tls(folder), config.network.listen, access_control(config.domain, members(folder)))

@@ -1,0 +1,174 @@
+"""Who gets in over TLS, and what passes: a real router on loopback."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+
+import pytest
+from typer.testing import CliRunner
+
+from hal.safety.gate import SafetyGate
+from hal.types import NS
+from rbtrg_robot import topics as t
+from rbtrg_robot.access import rules
+from rbtrg_robot.access.certificates import KeysError
+from rbtrg_robot.access.identity import CONNECT, NAME, client_tls, server_tls
+from rbtrg_robot.cli.main import app
+from rbtrg_robot.cli.stop import stop
+from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.topics import Role
+from rbtrg_robot.wire.bus import Bus, BusError, Security
+from tests.hal.unitree.world import World
+from tools.bench import access
+from tools.bench.access import NOBODY, Site, free_port, site
+
+
+@pytest.fixture(scope="module")
+def place() -> Iterator[Site]:
+    """One for all."""
+    with site() as made:
+        yield made
+
+
+def test_a_topic_is_closed_unless_its_row_opens_it() -> None:
+    """A new topic is nobody's from outside; who opens one changes this test too."""
+    opened = {role: {topic.name for topic in rules.publishable(role)} for role in Role}
+    assert opened[Role.OBSERVER] == {"/robot/stop"}
+    assert opened[Role.OPERATOR] <= access.OPERATOR_MAY - access.OBSERVER_MAY
+    assert {"/goal/request", "/goal_pose", "/robot/command", "/elevation_map/request"} <= opened[
+        Role.OPERATOR
+    ]
+    assert t.Topic("/new", t.CMD_VEL.kind, 0, t.Qos.STATE, 1, "", "").publish_by is None
+
+
+def test_a_role_without_people_is_no_subject() -> None:
+    """Zenoh takes a subject without names for everybody."""
+    made = rules.access_control(0, {Role.OPERATOR: [], Role.OBSERVER: ["observer:bob:00000000"]})
+    assert [s["id"] for s in made["subjects"]] == ["local", "observer"]
+    assert all(s["id"] == "local" or s["cert_common_names"] for s in made["subjects"])
+    assert [p["subjects"] for p in made["policies"]] == [["local"], ["observer"]]
+
+
+@pytest.mark.parametrize("who", ["foreign", "robot", NOBODY])
+def test_who_has_no_certificate_of_a_person_does_not_get_in(place: Site, who: str) -> None:
+    with pytest.raises(BusError, match="does not let us in"):
+        place.enter(who)
+
+
+def test_a_person_cannot_pass_for_the_robot(place: Site) -> None:
+    endpoint = f"tls/127.0.0.1:{free_port()}"
+    observer = Security(client_tls(place.folders["observer"]))
+    with Bus(endpoint, "robot", router=True, security=Security(server_tls(place.folders["robot"]))):
+        Bus(endpoint, "cli", security=observer).close()
+    with (
+        Bus(endpoint, "false", router=True, security=Security(server_tls(place.folders["operator"]))),
+        pytest.raises(BusError, match="does not let us in"),
+    ):
+        Bus(endpoint, "cli", security=observer)
+
+
+@pytest.mark.parametrize("who", ["operator", "observer", "removed"])
+def test_what_each_may_publish(place: Site, who: str) -> None:
+    cells = access.publish(place, who)
+    assert {name for name, (got, _) in cells.items() if got} == access.MAY_PUBLISH[who] & set(t.BY_NAME)
+    assert len(cells) > len(t.TOPICS)
+
+
+@pytest.mark.parametrize("who", ["operator", "observer", "removed"])
+def test_latched_messages_and_tokens_reach_who_may_see(place: Site, who: str) -> None:
+    """`**` alone matches neither."""
+    sees = who != "removed"
+    got = {name: got for name, (got, _) in access.look(place, who).items()}
+    assert got == {"latched": sees, "tokens": sees, "status": sees, "other question": False}
+
+
+@pytest.mark.parametrize("who", ["operator", "observer", "removed"])
+def test_messages_reach_who_may_see(place: Site, who: str) -> None:
+    with place.enter(who) as bus:
+        seen = place.seen(bus, [t.IMU, t.GOAL_STATUS, t.HEARTBEAT])
+    assert seen == ({"/imu/data", "/goal/status", "/heartbeat"} if who != "removed" else set())
+
+
+@pytest.mark.parametrize("who", ["operator", "observer"])
+def test_nobody_outside_passes_for_a_process(place: Site, who: str) -> None:
+    with place.enter(who) as bus:
+        assert not place.deceived(bus)
+
+
+@pytest.mark.parametrize("who", ["operator", "observer"])
+def test_stop_works_from_another_computer(
+    place: Site, who: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(CONNECT, place.endpoint)
+    monkeypatch.setenv(NAME, str(place.folders[who]))
+    end = threading.Event()
+
+    def robot() -> None:
+        with Bus(place.local, "robot") as bus:
+            bus.subscribe([t.ROBOT_STOP])
+            heard = 0
+            while not end.is_set():
+                heard += len(bus.take(0.05))
+                bus.publish(t.ROBOT_STATE, t.ROBOT_STATE.kind(estop=heard > 1, estop_cause="operator"), 0)
+
+    thread = threading.Thread(target=robot)
+    thread.start()
+    try:
+        assert stop("go2w", patience=20.0) == 0
+    finally:
+        end.set()
+        thread.join()
+    assert capsys.readouterr().out == "stopped: operator\n"
+
+
+@pytest.mark.parametrize("mode", ["stop", "resume", "stand", "?"])
+def test_whatever_comes_on_the_topic_that_everybody_may_use_stops(mode: str) -> None:
+    world = World(epoch=0)
+    gate = SafetyGate(world.backend.capabilities)
+    stage = RobotStage(world.backend, gate, simulated=False, watched=frozenset())
+    stage.warm_up()
+    world.advance(STEP / NS)
+    stage.tick(world.now)
+    assert not gate.status().latched
+    stage.on(t.ROBOT_STOP, t.ROBOT_STOP.kind(mode=mode, cause="bob"))
+    world.advance(STEP / NS)
+    stage.tick(world.now)
+    assert gate.status().latched
+    assert gate.status().cause.endswith("bob")
+    assert t.ROBOT_STOP in stage.inputs
+
+
+def test_stop_with_a_removed_certificate_says_that_nothing_was_confirmed(
+    place: Site, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(CONNECT, place.endpoint)
+    monkeypatch.setenv(NAME, str(place.folders["removed"]))
+    assert stop("go2w", patience=1.5) == 1
+    assert "does not confirm `stop`; use the hardware stop" in capsys.readouterr().err
+
+
+def test_commands_work_from_another_computer(place: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(CONNECT, place.endpoint)
+    monkeypatch.setenv(NAME, str(place.folders["observer"]))
+
+    def run(*words: str) -> str:
+        done = CliRunner().invoke(app, words, catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return done.output
+
+    assert json.loads(run("status", "--json")) == "well"
+    assert "estop" in run("topic", "echo", "/robot/state", "-n", "1")
+    monkeypatch.setenv(NAME, "nobody-of-this-name")
+    with pytest.raises(BusError, match="RBTRG_CERT"):
+        run("status")
+
+
+def test_up_refuses_to_listen_without_keys(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
+    from rbtrg_robot.cli.stack import _check
+    from rbtrg_robot.config import load
+
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    with pytest.raises(KeysError, match="keys init"):
+        _check(load(network={"listen": ["tls/0.0.0.0:7448"]}))

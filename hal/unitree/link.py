@@ -20,6 +20,11 @@ L1_IMU = "rt/utlidar/imu"
 L1_CLOUD = "rt/utlidar/cloud"
 DRY_RUN = "dry run, nothing is sent"
 """The cause of every phase then begins with it."""
+RECEIVE_BUFFER = 4 * 1024 * 1024
+"""[bytes] asked for each DDS socket: an XT16 sweep is 0.8 MB in one burst, best effort.
+
+The kernel grants `net.core.rmem_max` at most (usually 0.2 MB), which `rbtrg-robot doctor` checks.
+"""
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +84,9 @@ def domain_config(interface: str) -> str:
     return (
         '<CycloneDDS><Domain Id="any"><General><Interfaces>'
         f'<NetworkInterface name="{interface}"/></Interfaces>'
-        f"<AllowMulticast>{multicast}</AllowMulticast></General>{discovery}</Domain></CycloneDDS>"
+        f"<AllowMulticast>{multicast}</AllowMulticast></General>{discovery}"
+        # `max` alone takes what the kernel grants; with `min` DDS would not start on a machine that grants less.
+        f'<Internal><SocketReceiveBufferSize max="{RECEIVE_BUFFER}B"/></Internal></Domain></CycloneDDS>'
     )
 
 

@@ -17,11 +17,14 @@ from pathlib import Path
 
 from hal.errors import one_line
 from hal.optional import INSTALL_DDS, INSTALL_SIMULATOR, open3d_hint
+from hal.unitree.link import RECEIVE_BUFFER
 
 REQUIRED = ("zenoh", "numpy", "numba", "kiss_icp", "mcap", "pydantic", "typer", "rosbags")
 SHM_BYTES = 256 * 1024 * 1024
 DISK_BYTES = 2 * 1024**3
 OPEN_FILES = 1024
+RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
+"""Most bytes that the kernel gives to a socket which asks for a receive buffer."""
 
 
 class Level(Enum):
@@ -49,6 +52,7 @@ def examine(port: int) -> Iterator[Finding]:
     yield _simulator()
     yield _open3d()
     yield _unitree()
+    yield _receive_buffer()
     yield _port(port)
     yield _shared_memory()
     yield _disk()
@@ -102,6 +106,18 @@ def _unitree() -> Finding:
     except Exception as error:  # noqa: BLE001 - whatever stops an import is the finding
         return Finding("unitree", Level.NOTE, f"no DDS ({one_line(error)}); for a real robot: {INSTALL_DDS}")
     return Finding("unitree", Level.OK, "DDS imports")
+
+
+def _receive_buffer() -> Finding:
+    what = "receive buffer"
+    try:
+        most = int(RMEM_MAX.read_text())
+    except OSError:
+        return Finding(what, Level.NOTE, f"{RMEM_MAX} cannot be read; a LiDAR's sweeps over DDS may be lost")
+    if most < RECEIVE_BUFFER:
+        words = f"net.core.rmem_max is {most}: a real robot's LiDAR sweeps (0.8 MB) may be lost on the way"
+        return Finding(what, Level.NOTE, f"{words}; sysctl -w net.core.rmem_max={RECEIVE_BUFFER}")
+    return Finding(what, Level.OK, f"net.core.rmem_max is {most}")
 
 
 def _port(port: int) -> Finding:

@@ -6,7 +6,6 @@ import base64
 import json
 import logging
 import os
-import shutil
 import signal
 import subprocess
 import threading
@@ -27,6 +26,7 @@ from rbtrg_robot.access.serve import security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
+from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.runfiles import LatchFile, RunLock, take_interface
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
@@ -42,9 +42,6 @@ SETTLED = 30.0
 """A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
-SHARED_MEMORY = Path("/dev/shm")
-TAIL = 4096
-"""Bytes of a process log in which its last words are looked for."""
 PROCESS_LOG = 5_000_000
 """Bytes after which a process log is rotated: twice that stays on the disk."""
 LAST_WISH = 0.9
@@ -290,6 +287,7 @@ class Supervisor:
         if now < self._usage_due:
             return
         self._usage_due = now + 1.0
+        self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
         for child in self._children.values():
             if child.forked is not None:
                 rotate(child.log_path, PROCESS_LOG)
@@ -378,36 +376,3 @@ def end(limits: dict[Forked, float]) -> None:
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-
-
-def rotate(path: Path, limit: int) -> None:
-    """Move what a process wrote to FILE.1 when it is more than `limit` bytes.
-
-    The process keeps its descriptor, which appends: the file is copied and cut, not renamed.
-    """
-    try:
-        if path.stat().st_size > limit:
-            shutil.copyfile(path, path.with_name(f"{path.name}.1"))
-            os.truncate(path, 0)
-    except OSError as error:
-        log.warning("cannot rotate %s: %s", path, error.strerror)
-
-
-def shared_segments(process: psutil.Process) -> set[Path]:
-    """Zenoh's shared memory that a process has mapped: its own and that of those it talks to."""
-    try:
-        mapped = [Path(m.path) for m in process.memory_maps()]
-    except psutil.Error:
-        return set()
-    return {path for path in mapped if path.parent == SHARED_MEMORY and path.suffix == ".zenoh"}
-
-
-def last_words(path: Path) -> str:
-    """The last line a process wrote."""
-    try:
-        with path.open("rb") as file:
-            file.seek(max(0, path.stat().st_size - TAIL))
-            lines = file.read().decode(errors="replace").strip().splitlines()
-    except OSError:
-        return ""
-    return lines[-1].removeprefix("error: ") if lines else ""

@@ -141,6 +141,19 @@ class Zygote:
         except OSError:  # closed at the other end, or TimeoutError
             return b""
 
+    def reap(self, known: set[int]) -> None:
+        """Collect ended processes that nobody waits for: what a killed process leaves becomes a child of this subreaper.
+
+        On hardware that is the guardian of a killed robot process. `known`: processes that somebody polls.
+        """
+        self._popen.poll()
+        with contextlib.suppress(ChildProcessError):  # there is no child at all
+            # An ended process among `known` hides those behind it until it has been polled.
+            while (
+                ended := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+            ) is not None and ended.si_pid not in known:
+                os.waitpid(ended.si_pid, 0)
+
     def __enter__(self) -> Zygote:
         return self
 

@@ -17,8 +17,8 @@ from rbtrg_robot.log import recorder as module
 from rbtrg_robot.log.file import is_intact, read_log
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
 from rbtrg_robot.log.recorder import Recorder
+from rbtrg_robot.process.leftovers import last_words, rotate
 from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
-from rbtrg_robot.process.supervisor import last_words, rotate
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import encode, header

@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import is_intact, read_run
-from rbtrg_robot.process.supervisor import shared_segments
+from rbtrg_robot.process.leftovers import shared_segments
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of

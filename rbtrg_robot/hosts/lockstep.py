@@ -7,7 +7,7 @@ message happens before the next step.
 from __future__ import annotations
 
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from importlib import import_module
 from types import TracebackType
 from typing import Any, Self
@@ -54,6 +54,30 @@ def log_sink(writer: LogWriter) -> Sink:
     return write
 
 
+class Newest(Mapping[Topic, Any]):
+    """Newest message of each topic, decoded when somebody asks for it."""
+
+    def __init__(self) -> None:
+        self._payloads: dict[Topic, bytes] = {}
+        self._messages: dict[Topic, Any] = {}
+
+    def put(self, topic: Topic, payload: bytes) -> None:
+        """A newer message came."""
+        self._payloads[topic] = payload
+        self._messages.pop(topic, None)
+
+    def __getitem__(self, topic: Topic) -> Any:
+        if topic not in self._messages:
+            self._messages[topic] = decode(self._payloads[topic], topic.kind)
+        return self._messages[topic]
+
+    def __iter__(self) -> Iterator[Topic]:
+        return iter(self._payloads)
+
+    def __len__(self) -> int:
+        return len(self._payloads)
+
+
 class Lockstep:
     """The whole stack on the simulated robot."""
 
@@ -64,11 +88,11 @@ class Lockstep:
         stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}
         stages |= build_stages(config, names)
         self._log = log
-        self._config = config
+        self.config = config
         self._kept: dict[Topic, bytes] = {}
         """Newest messages that a restarted process is handed."""
         self.host = SyncHost(stages, log_sink(log) if log else None)
-        self.newest: dict[Topic, Any] = {}
+        self.newest = Newest()
         self.statuses: list[Any] = []
         self.host.listen(self._note)
         for stage, _ in stages.values():
@@ -83,7 +107,7 @@ class Lockstep:
 
     def restart(self, name: str) -> None:
         """A killed process comes back, with what the supervisor and the latched topics hand to it."""
-        stage, _ = build_stages(self._config, [name])[name]
+        stage, _ = build_stages(self.config, [name])[name]
         latched = [topic for topic in stage.inputs if topic.qos is Qos.LATCHED]
         handed = dict.fromkeys([*BY_NAME[name].restores, *latched])
         kept = {topic: self._kept[topic] for topic in handed if topic in self._kept}
@@ -100,10 +124,9 @@ class Lockstep:
         if topic in _RESTORED or topic.qos is Qos.LATCHED:
             self._kept[topic] = payload
         if topic in _NOTED:
-            message = decode(payload, topic.kind)
-            self.newest[topic] = message
+            self.newest.put(topic, payload)
             if topic is t.GOAL_STATUS:
-                self.statuses.append(message)
+                self.statuses.append(self.newest[topic])
 
     @property
     def now(self) -> int:

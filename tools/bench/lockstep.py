@@ -1,4 +1,4 @@
-"""The closed loop in lockstep: how fast it runs, and how well five goals on the yard are reached, by the truth."""
+"""The closed loop in lockstep: how fast it runs and where the time goes, and how well five goals on the yard are reached, by the truth."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.report import Report
+from tools.bench.spent import Spent
 
 
 def run(args: list[str]) -> Report:
@@ -26,6 +27,7 @@ def run(args: list[str]) -> Report:
     report = Report("lockstep")
     with Lockstep(config) as stack:
         stack.wait_ready()
+        spent_in = Spent(stack)
         cpu, simulated = time.process_time(), stack.seconds
         for name in options.goals.split(","):
             x, y, yaw = scene.goals[name]
@@ -43,6 +45,10 @@ def run(args: list[str]) -> Report:
                 report.add(f"error_deg.{name}", turn if reached else math.nan, "deg", 10.0)
             report.add(f"goal_s.{name}", stack.seconds - begun, "s")
             report.add(f"replans.{name}", status.replans, "-")
-        spent = time.process_time() - cpu
-        report.add("speed", (stack.seconds - simulated) / spent, "simulated s per CPU s")
+        spent, seconds = time.process_time() - cpu, stack.seconds - simulated
+        report.add("speed", seconds / spent, "simulated s per CPU s")
+        for name, share in sorted(spent_in.seconds.items(), key=lambda item: -item[1]):
+            report.add(f"cpu.{name}", 1e3 * share / seconds, "ms per simulated s")
+        stages = sum(share for name, share in spent_in.seconds.items() if "." not in name)
+        report.add("cpu.wire", 1e3 * (spent - stages) / seconds, "ms per simulated s")
     return report

@@ -1,5 +1,6 @@
 """The lanes' bench: its table, its bounds, and one drive whose record is true."""
 
+import json
 from math import comb, isnan
 
 import pytest
@@ -77,6 +78,20 @@ def test_a_robot_pushed_onto_a_wall_has_touched_it_and_one_on_a_bar_has_not() ->
         watch.look(0.005 * k, None, None)
     assert watch.record()["wall_wheels"] + watch.record()["wall_body"] >= 1
     assert watch.record()["driven"] > 0.1
+
+
+def test_a_record_can_be_written_and_says_whether_the_element_was_tried() -> None:
+    one = lane(4, level=5)
+    assert one.beyond is not None
+    sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin)
+    sim.reset(*one.scene.start, settle=0.0)
+    watch = Watch(one, sim)
+    watch.look(0.0, None, None)
+    assert json.loads(json.dumps(watch.record()))["tried"] is False
+    x0, _, y0, y1 = one.beyond
+    sim.reset(x0 - 0.10, 0.5 * (y0 + y1), settle=0.0)
+    watch.look(0.1, None, None)
+    assert json.loads(json.dumps(watch.record()))["tried"] is True
 
 
 def test_contacts_are_named_and_point_to_the_robot() -> None:

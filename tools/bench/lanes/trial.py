@@ -103,6 +103,7 @@ def _run(stack: Lockstep, watch: Watch, goal: tuple[float, float], timeout: floa
             stack.step()
         status = stack.newest.get(t.GOAL_STATUS)
         watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
+        watch.compare(stack.newest.get(t.ODOM))
         if status is not None and GoalState(status.state).terminal:
             break
     took = stack.seconds - start
@@ -134,6 +135,7 @@ class Watch:
         self.fell = self.tried = False
         self._tilt = 0.0
         self._driven = 0.0
+        self._drift = 0.0
         self._touched = {"body": -math.inf, "wheels": -math.inf}
         self._touches = {"body": 0, "wheels": 0}
         self._track: list[tuple[float, ...]] = []
@@ -148,7 +150,7 @@ class Watch:
         self.fell |= tilt > FALLEN or (robot is not None and robot.phase == "fault")
         if self._lane.beyond is not None:
             x0, x1, y0, y1 = self._lane.beyond
-            self.tried |= x0 - ENTERED < x < x1 + ENTERED and y0 < y < y1
+            self.tried |= bool(x0 - ENTERED < x < x1 + ENTERED and y0 < y < y1)
         step = math.dist(self.place, (x, y))
         if step > 0.02:  # a robot that stands and sways does not drive
             self._driven += step
@@ -167,6 +169,13 @@ class Watch:
                 self._states.append(
                     {"t": round(now, 2), "x": round(float(x), 2), "y": round(float(y), 2), **told}
                 )
+
+    def compare(self, odom: Any) -> None:
+        """Odometry with the truth; `odom` begins at the scene's start."""
+        if odom is None:
+            return
+        place, (x, y, _) = odom.pose.pose.position, self._lane.scene.start
+        self._drift = max(self._drift, math.dist((x + place.x, y + place.y), self._sim.position[:2]))
 
     def _contacts(self, now: float) -> None:
         """A wall is touched above the floor at its foot."""
@@ -191,6 +200,7 @@ class Watch:
         return {
             "driven": self._driven,
             "tilt": math.degrees(self._tilt),
+            "drift": self._drift,
             "tried": self.tried,
             "wall_body": self._touches["body"],
             "wall_wheels": self._touches["wheels"],

@@ -22,10 +22,11 @@ class Spent:
         backend: Any = stack.robot.backend
         self._count(backend.simulation, ("step",), "robot.physics")
         self._count(backend.controller, ("step",), "robot.controller")
-        self._count(backend._lidar, ("advance",), "robot.lidar")
+        for lidar in backend._lidars:
+            self._count(lidar, ("advance",), "robot.lidar")
 
     def _count(self, owner: Any, methods: tuple[str, ...], name: str) -> None:
-        self.seconds[name] = 0.0
+        self.seconds.setdefault(name, 0.0)
 
         def counted(method: Callable[..., Any]) -> Callable[..., Any]:
             def call(*args: Any, **fields: Any) -> Any:

@@ -459,3 +459,27 @@ def test_tilt_is_not_fooled_by_braking_or_shocks_or_nan():
     tilt.update(ImuSample(162 * 5 * MS, np.full(3, math.nan), np.zeros(3)))
     assert tilt.tilt < 0.12
     assert TiltFilter().tilt is None
+
+
+def test_the_tilt_filter_is_the_one_written_with_vectors() -> None:
+    random = np.random.default_rng(4)
+    tilt, up, last = TiltFilter(), None, 0
+    for k in range(400):
+        gyro, accel = random.normal(0.0, 1.0, 3), np.array([0.0, 0.0, 9.81]) + random.normal(0.0, 3.0, 3)
+        if k % 17 == 0:
+            accel[1] = np.nan
+        found = tilt.update(ImuSample(k * NS // 200, gyro, accel))
+        norm = np.linalg.norm(accel)
+        if np.isfinite(norm):
+            if up is None:
+                up = accel / norm
+            else:
+                dt = (k * NS // 200 - last) / NS
+                up = up - dt * np.cross(gyro, up)
+                if 0.5 * 9.81 < norm < 1.5 * 9.81:
+                    up = up + dt / 2.0 * (accel / norm - up)
+                up = up / np.linalg.norm(up)
+            last = k * NS // 200
+        assert found == (
+            None if up is None else pytest.approx(float(np.arccos(np.clip(up[2], -1, 1))), abs=1e-9)
+        )

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, inspect, keys, logs, stack, topic
+from rbtrg_robot.cli import drive, inspect, keys, logs, service, stack, topic
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -41,6 +41,7 @@ drive.register(app)
 logs.register(app)
 topic.register(app)
 inspect.register(app)
+service.register(app)
 keys.register(app)
 
 

@@ -60,7 +60,7 @@ def up(
         tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
     ] = None,
 ) -> None:
-    """Bring the whole stack up on this machine."""
+    """Bring the whole stack up on this machine. Exit status 78 when a process was given up on the way."""
     if detach:
         _detach()
         return
@@ -181,6 +181,7 @@ def _run_folder(base: Path, label: str) -> Path:
 
 def _supervise(config: StackConfig, zygote: Zygote) -> int:
     from rbtrg_robot.cli.table import Screen
+    from rbtrg_robot.process.child import FATAL
     from rbtrg_robot.process.supervisor import Supervisor
 
     stopped: list[int] = []
@@ -188,10 +189,11 @@ def _supervise(config: StackConfig, zygote: Zygote) -> int:
         signal.signal(sign, lambda number, _frame: stopped.append(number))
     screen = Screen()
     screen.say(f"robot {config.robot!r}, backend {config.backend}, log in {config.log_dir}")
+    supervisor = Supervisor(config, zygote, screen.say)
     with screen:
-        Supervisor(config, zygote, screen.say).run(lambda: bool(stopped), screen.show)
+        supervisor.run(lambda: bool(stopped), screen.show)
     print("down")
-    return 0
+    return FATAL if supervisor.given_up else 0
 
 
 def _detach() -> None:

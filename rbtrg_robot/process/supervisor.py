@@ -27,6 +27,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
+from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.runfiles import LatchFile, RunLock, take_interface
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
@@ -101,7 +102,13 @@ class Supervisor:
         self._goal_said = ""
         self._estop_said = self._away_said = False
         self._map_said = ""
+        self._notifier = Notifier()
         self.began = time.monotonic()
+
+    @property
+    def given_up(self) -> list[str]:
+        """Processes that ended with what a restart cannot mend. The stack stays up without them, for looking and for `stop`."""
+        return [name for name, child in self._children.items() if child.fatal]
 
     # --- life -------------------------------------------------------------------------------------------------
 
@@ -144,6 +151,7 @@ class Supervisor:
                         self._turn(lock)
                         on_turn(self.status())
                 finally:
+                    self._notifier.stopping()
                     self._stop_all()
         finally:
             lock.release()
@@ -161,6 +169,7 @@ class Supervisor:
                 self._narrate(received.topic, message)
         self._mend()
         self._measure()
+        self._notifier.alive()
         with self._lock:
             self._snapshot = json.dumps(self.status()).encode()
         if not self._ready and self._well():
@@ -170,6 +179,8 @@ class Supervisor:
             if state is not None and state.phase in LYING:
                 self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")
             self._write_state(lock)  # after the word: who waits for the state prints what was said
+            self._notifier.ready()
+        self._notifier.status(self._summary())
 
     def _write_state(self, lock: RunLock) -> None:
         lock.write_state(
@@ -318,6 +329,16 @@ class Supervisor:
         elif topic is t.MAP_STATUS and message.warning != self._map_said:
             self._map_said = message.warning
             self._say(f"map: {message.warning or 'well again'}")
+
+    def _summary(self) -> str:
+        """One line for the service manager."""
+        missing = [name for name, child in self._children.items() if not child.alive and not child.fatal]
+        state = self._health.newest.get(t.ROBOT_STATE)
+        words = ["ready" if self._ready else "starting"]
+        words += [f"gave up: {', '.join(self.given_up)}"] if self.given_up else []
+        words += [f"restarting: {', '.join(missing)}"] if missing and self._ready else []
+        words += [f"robot {state.phase}"] if state is not None else []
+        return "; ".join(words)
 
     def _answer(self) -> bytes:
         with self._lock:

@@ -2,7 +2,7 @@
 
 By hand, with the simulated robot behind it, and the stack in a second terminal:
 
-    python -m tests.unitree_peer --body mujoco --scene yard
+    python -m tests.hal.unitree.peer --body mujoco --scene yard
     rbtrg-robot up --backend unitree --interface lo
 
 Faults are given as `--fault deaf=6 --fault busy=8` and changed while it runs by lines on standard input:

@@ -68,6 +68,10 @@ class RecorderConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    profile: Literal["full", "standard", "lean"] = Field(
+        "full",
+        description="full: everything; standard: what odometry and map can be made from again; lean: no clouds, no re-run",
+    )
     flush_period: float = Field(1.0, gt=0, description="most that a killed recorder loses [s]")
     rotate_seconds: float = Field(300.0, gt=0, description="begin a new file after [s]")
     rotate_megabytes: int = Field(1000, gt=0, description="or after [MB]")

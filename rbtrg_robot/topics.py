@@ -55,7 +55,8 @@ class Topic(Generic[M]):
     owner: str
     """The process that publishes it; empty where operators or several processes do."""
     doc: str
-    recorded: bool = True
+    recorded: str = "full standard lean"
+    """Profiles of the recorder (`recorder.profile`) that write it; empty: none does."""
     safe_to_replay: bool = True
     """False for what makes a robot move: replay never publishes it."""
     publish_by: Role | None = None
@@ -79,25 +80,25 @@ class Topic(Generic[M]):
 CLOCK          = Topic("/clock",                 msg.Clock,          100, Qos.SENSOR,    1, "robot",     "simulated time; absent on hardware")
 IMU            = Topic("/imu/data",              msg.Imu,            200, Qos.SENSOR,  400, "robot",     "gyro [rad/s] and specific force, base_link axes")
 JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
-POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time")
-HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one")
+POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time", recorded="full standard")
+HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one", recorded="full standard")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
 ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
-POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control")
+POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control", recorded="full")
 WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone")
 ODOM_HEALTH    = Topic("/odom/health",           msg.OdometryHealth,  10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
-CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to the stamp of /odom, base_link")
-HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came")
+CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to the stamp of /odom, base_link", recorded="full")
+HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came", recorded="full")
 TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
 TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar_main, lidar_head, imu")
-MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map")
-MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan")
-MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded=False)
-MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded=False)
+MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
+MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
+MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded="")
+MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded="")
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full: send the whole map", publish_by=Role.OPERATOR)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")
 GOAL_REQUEST   = Topic("/goal/request",          msg.GoalRequest,      0, Qos.STATE,     8, "",          "a goal or its cancellation", safe_to_replay=False, publish_by=Role.OPERATOR)

@@ -41,12 +41,12 @@ def build_stages(config: StackConfig, names: list[str]) -> dict[str, tuple[Stage
     return stages
 
 
-def log_sink(writer: LogWriter) -> Sink:
-    """Writes every message of a host to a log, on the host's clock."""
+def log_sink(writer: LogWriter, profile: str = "full") -> Sink:
+    """Writes every message of a recording profile to a log, on the host's clock."""
     sequence: dict[Topic, int] = {}
 
     def write(topic: Topic, payload: bytes, now: int) -> None:
-        if topic.recorded:
+        if profile in topic.recorded.split():
             sequence[topic] = sequence.get(topic, 0) + 1
             stamp = stamp_in(payload, topic.type) or now
             writer.write(topic, payload, now, stamp, sequence[topic])
@@ -91,7 +91,7 @@ class Lockstep:
         self.config = config
         self._kept: dict[Topic, bytes] = {}
         """Newest messages that a restarted process is handed."""
-        self.host = SyncHost(stages, log_sink(log) if log else None)
+        self.host = SyncHost(stages, log_sink(log, config.recorder.profile) if log else None)
         self.newest = Newest()
         self.statuses: list[Any] = []
         self.host.listen(self._note)

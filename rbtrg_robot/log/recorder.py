@@ -27,7 +27,7 @@ INBOX_DEPTH = 2000
 
 RETRY = 5.0
 """[s] until a recorder that had to stop tries again."""
-BULKY = frozenset({t.POINTS, t.CLOUD})
+BULKY = frozenset({*t.SWEEPS.values(), *t.CLOUDS.values()})
 """Topics that go first when space is short."""
 NOTHING = 0.1
 """Share of the spare space below which nothing is recorded."""
@@ -172,7 +172,11 @@ def main(
     attachments = {CONFIG: config.to_yaml().encode()}
     recorder = Recorder(Path(config.log_dir), config.recorder, config.metadata(), attachments, bus.clock)
     try:
-        deep = {replace(topic, depth=INBOX_DEPTH): topic for topic in t.TOPICS if topic.recorded}
+        deep = {
+            replace(topic, depth=INBOX_DEPTH): topic
+            for topic in t.TOPICS
+            if config.recorder.profile in topic.recorded.split()
+        }
         bus.subscribe(deep)
         heart = Heart(bus, "recorder")
         while not stopping():

@@ -105,29 +105,6 @@ def state_of(pid: int) -> dict[str, Any]:
     raise NotRunning(f"no stack of process {pid} is running")
 
 
-class LatchFile:
-    """The newest latched state of a robot: an emergency stop outlives the stack that was told of it."""
-
-    def __init__(self, robot: str) -> None:
-        self._path = run_dir() / f"{robot}.estop"
-
-    def read(self) -> bytes:
-        """What `write` was given last; empty when nothing is latched."""
-        try:
-            return self._path.read_bytes()
-        except FileNotFoundError:
-            return b""
-
-    def write(self, payload: bytes) -> None:
-        """Latched, or released with empty bytes."""
-        if payload:
-            fresh = self._path.with_suffix(".new")
-            fresh.write_bytes(payload)
-            fresh.replace(self._path)
-        else:
-            self._path.unlink(missing_ok=True)
-
-
 def take_interface(interface: str, domain: int | None) -> socket.socket:
     """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
 

@@ -26,9 +26,10 @@ from rbtrg_robot.access.serve import security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.health import Health, expected_topics
+from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.notify import Notifier
-from rbtrg_robot.process.runfiles import LatchFile, RunLock, take_interface
+from rbtrg_robot.process.runfiles import RunLock, take_interface
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.topics import Topic

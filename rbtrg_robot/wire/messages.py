@@ -86,11 +86,6 @@ def definition(typename: str) -> str:
     return STORE.generate_msgdef(typename, ros_version=2)[0]
 
 
-def make(typename: str, **fields: Any) -> Any:
-    """A message of `typename`."""
-    return STORE.types[typename](**fields)
-
-
 def array(values: Any, dtype: str) -> np.ndarray:
     """A numeric message field."""
     return np.ascontiguousarray(values, dtype=dtype)

@@ -83,7 +83,6 @@ BAD = [
     (("up", "--log-dir", "/proc/nowhere"), "--log-dir"),
     (("status",), "rbtrg-robot up"),
     (("goal", "1", "2"), "rbtrg-robot up"),
-    (("stop",), "rbtrg-robot up"),
     (("down",), "rbtrg-robot up"),
     (("replay", "/nowhere.mcap"), "/nowhere.mcap"),
     (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),

@@ -16,7 +16,9 @@ from typing import Any
 import psutil
 import pytest
 
-from rbtrg_robot.process.runfiles import LatchFile, RunLock
+from rbtrg_robot import msg
+from rbtrg_robot.process.latch import LatchFile
+from rbtrg_robot.wire.messages import decode, encode
 
 OTHERS = ("odometry", "elevation", "planner", "navigator", "tracker")
 pytestmark = pytest.mark.timeout(300)
@@ -92,14 +94,19 @@ def test_a_stop_is_still_latched_after_the_supervisor_was_killed(robot: Robot) -
     robot.until(estop=False)
 
 
-def test_a_latch_is_written_whole_and_taken_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_latch_is_written_and_taken_back_and_a_broken_one_counts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    RunLock("a").release()
     latch = LatchFile("a")
     assert latch.read() == b""
-    latch.write(b"state")
-    assert LatchFile("a").read() == b"state"
+    latched = encode(msg.RobotState(estop=True, estop_cause="operator"))
+    latch.write(latched)
+    assert LatchFile("a").read() == latched
     assert LatchFile("b").read() == b""
+    for payload in (b"\0\1\0\0", latched[:9], encode(msg.RobotState(estop=False))):
+        latch.write(payload)
+        assert decode(latch.read(), msg.RobotState).estop
     latch.write(b"")
     latch.write(b"")
     assert latch.read() == b""

@@ -26,6 +26,7 @@ from rbtrg_robot.process.leftovers import shared_segments
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
+from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 
 pytestmark = pytest.mark.timeout(420)
 START_LIMIT = 240.0
@@ -121,7 +122,7 @@ def stack(tmp_path: Path) -> Iterator[Stack]:
     made.run("down")
 
 
-def test_up_goal_kill_stop_down(stack: Stack) -> None:
+def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
     up = stack.up()
     assert up.returncode == 0, up.stderr
     assert "ready" in up.stdout
@@ -148,6 +149,30 @@ def test_up_goal_kill_stop_down(stack: Stack) -> None:
         watch.until(lambda: watch.goal in ("reached", "aborted"), 120.0)
         assert watch.goal == "reached"
         assert math.dist(watch.place, (x + 4.0, y)) < 0.25
+
+        # A ROS 2 client that is not ours reads the robot's topics and drives it.
+        definitions = write_definitions(tmp_path / "msg")
+        client = subprocess.run(
+            client_command(stack.port, definitions, x + 2.5, y),
+            env={**os.environ, "HOME": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=90,
+            check=True,
+        )
+        found = json.loads(client.stdout.splitlines()[-1])
+        assert set(found["topics"]) >= {
+            "/odom",
+            "/imu/data",
+            "/lidar/main/points",
+            "/tf_static",
+            "/plan/path",
+        }
+        assert found["got"]["/imu/data"] == pytest.approx(9.81, abs=3.0)
+        assert found["got"]["/lidar/main/points"][0] > 1000
+        assert "lidar_main" in found["got"]["/tf_static"]
+        assert found["got"]["/plan/path"] > 1
+        watch.until(lambda: math.dist(watch.place, (x + 2.5, y)) < 0.25, 120.0)
     assert stack.processes()["tracker"]["restarts"] == 1
 
     rate = stack.run("topic", "hz", "/odom", "--seconds", "2")

@@ -1,4 +1,4 @@
-"""An independent ROS 2 client (zenoh-ros2-sdk) as a program of its own: `python ros2_client.py PORT FOLDER`.
+"""An independent ROS 2 client (zenoh-ros2-sdk) as a program of its own: `python ros2_client.py PORT FOLDER X Y`.
 
 It joins late, discovers the topics, waits for one message of each it reads, sends a goal, and prints what it found as JSON. FOLDER holds
 the .msg files; the client must not fetch any.
@@ -28,7 +28,7 @@ LATCHED = QosProfile.decode("1:1:1,1:,:,:,,")
 READS = {
     "/odom": ("nav_msgs/msg/Odometry", None),
     "/imu/data": ("sensor_msgs/msg/Imu", None),
-    "/lidar/points": ("sensor_msgs/msg/PointCloud2", None),
+    "/lidar/main/points": ("sensor_msgs/msg/PointCloud2", None),
     "/tf_static": ("tf2_msgs/msg/TFMessage", LATCHED),
     "/plan/path": ("nav_msgs/msg/Path", None),
 }
@@ -40,14 +40,14 @@ def tell(topic: str, message: Any) -> Any:
         return message.pose.pose.position.x
     if topic == "/imu/data":
         return message.linear_acceleration.z
-    if topic == "/lidar/points":
+    if topic == "/lidar/main/points":
         return [message.width, len(message.data)]
     if topic == "/tf_static":
         return [x.child_frame_id for x in message.transforms]
     return len(message.poses)
 
 
-def main(port: int, folder: Path) -> None:
+def main(port: int, folder: Path, x: float, y: float) -> None:
     def local(_self: object, name: str) -> Path | None:
         path = folder / f"{name}.msg"
         return path if path.exists() else None
@@ -76,7 +76,7 @@ def main(port: int, folder: Path) -> None:
         stamp=types["builtin_interfaces/msg/Time"](sec=1, nanosec=2), frame_id="map"
     )
     pose = types["geometry_msgs/msg/Pose"](
-        position=types["geometry_msgs/msg/Point"](x=1.5, y=-0.5, z=0.0),
+        position=types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0),
         orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
     )
     goal.publish(header=header, pose=pose)
@@ -88,4 +88,4 @@ def main(port: int, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), Path(sys.argv[2]))
+    main(int(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3]), float(sys.argv[4]))

@@ -49,7 +49,14 @@ def test_topic_names_are_unique_and_owned_by_processes() -> None:
 
 def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
     unsafe = {t.name for t in topics.TOPICS if not t.safe_to_replay}
-    assert unsafe == {"/robot/command", "/cmd_vel", "/goal/request", "/goal_pose", "/track/path"}
+    assert unsafe == {
+        "/robot/command",
+        "/robot/stop",
+        "/cmd_vel",
+        "/goal/request",
+        "/goal_pose",
+        "/track/path",
+    }
 
 
 def test_imu_round_trip() -> None:
@@ -139,7 +146,7 @@ def test_keys_are_those_of_rmw_zenoh() -> None:
     )
     token = wire.endpoint_token(0, "abc", "robot", topics.POINTS, 4, "MP")
     assert token.startswith(
-        "@ros2_lv/0/abc/0/4/MP/%/%/robot/%lidar%points/sensor_msgs::msg::dds_::PointCloud2_/"
+        "@ros2_lv/0/abc/0/4/MP/%/%/robot/%lidar%main%points/sensor_msgs::msg::dds_::PointCloud2_/"
     )
     assert all(token.split("/"))
 

@@ -6,7 +6,6 @@ import json
 import os
 import socket
 import subprocess
-import sys
 import threading
 from pathlib import Path
 
@@ -22,8 +21,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.wire.bus import Bus, session_config
 from rbtrg_robot.wire.convert import BASE, IMU, LIDAR, imu_msg, odometry_msg, scan_msg, transform_msg
 from rbtrg_robot.wire.keys import key
-from rbtrg_robot.wire.messages import definition
-from tests.places import ROOT
+from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 
 pytest.importorskip("zenoh_ros2_sdk")
 STILL = (0.0, 0.0, 0.0)
@@ -40,13 +38,8 @@ def endpoint() -> str:
 
 @pytest.fixture
 def definitions(tmp_path: Path) -> Path:
-    """Our topics' types and what they are made of as .msg files."""
-    for kind in vars(msg).values():
-        if isinstance(kind, type) and issubclass(kind, msg.Message) and kind is not msg.Message:
-            path = tmp_path / f"{kind.__msgtype__}.msg"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(definition(kind.__msgtype__).split("=" * 80)[0])
-    return tmp_path
+    """Our topics' types as .msg files."""
+    return write_definitions(tmp_path)
 
 
 def test_an_independent_client_discovers_reads_joins_late_and_sends_a_goal(
@@ -58,7 +51,7 @@ def test_an_independent_client_discovers_reads_joins_late_and_sends_a_goal(
         mounts = [transform_msg(0, BASE, child, STILL, LEVEL) for child in (LIDAR, IMU)]
         robot.publish(t.TF_STATIC, msg.TFMessage(transforms=mounts), 0)
         client = subprocess.Popen(
-            [sys.executable, str(ROOT / "tests/rbtrg_robot/wire/ros2_client.py"), port, str(definitions)],
+            client_command(port, definitions, 1.5, -0.5),
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -87,7 +80,7 @@ def test_an_independent_client_discovers_reads_joins_late_and_sends_a_goal(
     assert found["got"] == {
         "/odom": 2.5,
         "/imu/data": 9.81,
-        "/lidar/points": [5, 5 * POINT_DTYPE.itemsize],
+        "/lidar/main/points": [5, 5 * POINT_DTYPE.itemsize],
         "/tf_static": [LIDAR, IMU],
         "/plan/path": 3,
     }, err

@@ -1,0 +1,40 @@
+"""The newest latched state of a robot on the disk: an emergency stop outlives the stack that was told of it."""
+
+from __future__ import annotations
+
+import logging
+
+from rbtrg_robot.msg import RobotState
+from rbtrg_robot.process.runfiles import run_dir
+from rbtrg_robot.wire.messages import MessageError, decode, encode
+
+log = logging.getLogger(__name__)
+
+
+class LatchFile:
+    """One file per robot name in the run folder."""
+
+    def __init__(self, robot: str) -> None:
+        self._path = run_dir() / f"{robot}.estop"
+
+    def read(self) -> bytes:
+        """A RobotState with a latched stop, on the wire; empty when nothing is latched. A broken file counts as latched."""
+        try:
+            payload = self._path.read_bytes()
+        except FileNotFoundError:
+            return b""
+        try:
+            if decode(payload, RobotState).estop:
+                return payload
+        except MessageError:
+            log.warning("%s is broken; the emergency stop is taken as latched", self._path)
+        return encode(RobotState(estop=True, estop_cause="latched before this start"))
+
+    def write(self, payload: bytes) -> None:
+        """Latched, or released with empty bytes."""
+        if payload:
+            fresh = self._path.with_suffix(".new")
+            fresh.write_bytes(payload)
+            fresh.replace(self._path)
+        else:
+            self._path.unlink(missing_ok=True)

@@ -17,6 +17,8 @@ class NoRouteReason(StrEnum):
     OUTSIDE_MAP = "outside_map"
     START_NOT_ON_GRAPH = "start_not_on_graph"
     """No valid node within the snap distance of the start."""
+    NOT_CONNECTED = "not_connected"
+    """The ground there can be driven on, but no way leads to it."""
     GOAL_IN_OBSTACLE = "goal_in_obstacle"
     """No valid node within the snap distance of a goal in known terrain."""
     GOAL_UNKNOWN = "goal_unknown"

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.cells import Cells
 from planning.graph.describe import ALL_HEADINGS
 from planning.graph.file import read_graph, write_graph
 from planning.graph.lattice import Lattice
@@ -75,6 +76,9 @@ class TraversalGraph:
         self.first_xy = start_xy if first_xy is None else first_xy
         self.version = 0
         self._lattice: Lattice | None = None
+        self.cells: Cells | None = None
+        """What the graph knows of the map it was built on; None for native graphs and those not built here."""
+        self._discs = np.empty((0, 3))
         self._next_id = 0
 
     # -- making one ---------------------------------------------------------------------------------------------
@@ -175,6 +179,7 @@ class TraversalGraph:
         before = self.node_ids if self.version else np.empty(0, dtype=np.int64)
         if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
             return False
+        self.cells = self._lattice.cells
         built = self._lattice.reachable(grid, self.start_xy, SNAP_DISTANCE, before)
         self._publish(*built)
         return len(self.nodes) > 0
@@ -234,17 +239,27 @@ class TraversalGraph:
         best = int(np.argmin(d2))
         return best if d2[best] <= max_distance**2 else None
 
+    def knows(self, grid: ElevationGrid) -> bool:
+        """Whether the graph was last built on this map (its extent) and can test moves on it."""
+        c = self.cells
+        return c is not None and (c.shape, c.origin, c.res) == (grid.shape, grid.origin, grid.resolution)
+
+    def isolated(self, xy: tuple[float, float]) -> bool:
+        """Whether the robot could stand near x, y [m], but nothing connects that place to the graph."""
+        if self.cells is None:
+            return False
+        where = self.cells.where[self.cells.chosen >= 0]
+        return bool((np.hypot(where[:, 0] - xy[0], where[:, 1] - xy[1]) <= SNAP_DISTANCE).any())
+
     def avoiding(self, discs: NDArray[np.floating]) -> TraversalGraph:
         """This graph, for a query, without the edges that touch any of the discs (k, 3): x, y, radius [m]."""
         source = np.repeat(np.arange(len(self.nodes)), np.diff(self.indptr))
         a, b = self.nodes[source, :2], self.nodes[self.indices, :2]
         keep = np.ones(len(source), dtype=np.bool_)
-        for x, y, radius in discs:
-            ab, ac = b - a, np.array([x, y]) - a
-            along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
-            keep &= np.hypot(*(ac - along[:, None] * ab).T) > radius
+        for disc in discs:
+            keep &= _clear(a, b, disc)
         out = copy.copy(self)
-        out._lattice = None
+        out._lattice, out._discs = None, np.asarray(discs, np.float64)
         out.indptr = np.concatenate([[0], np.cumsum(np.bincount(source[keep], minlength=len(self.nodes)))])
         out.indices, out.risk, out.edge_revision = (
             self.indices[keep],
@@ -252,6 +267,10 @@ class TraversalGraph:
             self.edge_revision[keep],
         )
         return out
+
+    def allows(self, a: tuple[float, float], b: tuple[float, float]) -> bool:
+        """Whether the straight move a -> b touches no disc that is to be avoided."""
+        return all(_clear(np.array([a]), np.array([b]), disc)[0] for disc in self._discs)
 
     # -- keeping it up to date ----------------------------------------------------------------------------------
 
@@ -301,3 +320,11 @@ class TraversalGraph:
         graph.version = int(header["version"])
         graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
         return graph
+
+
+def _clear(a: NDArray[np.float64], b: NDArray[np.float64], disc: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """(n,) whether the straight lines a -> b (n, 2) stay out of a disc x, y, radius [m]."""
+    ab, ac = b - a, np.asarray(disc[:2]) - a
+    along = np.clip((ac * ab).sum(1) / np.maximum((ab * ab).sum(1), 1e-12), 0.0, 1.0)
+    away: NDArray[np.bool_] = np.hypot(*(ac - along[:, None] * ab).T) > disc[2]
+    return away

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.graph import SNAP_DISTANCE
 from planning.path.spline import curve, distance_to_polyline, reach_limits
 from planning.path.types import Path, PathLimits
 from planning.path.watch import terrain_around
@@ -30,15 +27,14 @@ Array = NDArray[np.float64]
 def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimits | None = None) -> Path:
     """Smooth `plan` into a path from the requested start to the requested goal.
 
-    A requested position that is not a node is the path's first (last) point, a goal only where the ground between it
-    and its node can be driven over; a node that only leads there is left out when the direct way is no worse. Each corner is rounded as far as the corridor allows, less where the body's risk
+    Each corner is rounded as far as the corridor allows, less where the body's risk
     on the curve would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
     wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
     ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
     terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
-    vertices = _vertices(plan, terrain, body, limits)
+    vertices = _vertices(plan)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
         xy, raw = vertices, 0
@@ -68,65 +64,20 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     )
 
 
-def _vertices(plan: Plan, terrain: Terrain, body: BodyModel, limits: PathLimits) -> Array:
-    """(n, 2) corners of the route with the requested end points on it."""
-    xy = [plan.points[k, :2] for k in range(len(plan.points))]
-    start, goal = plan.request.start, plan.request.goal
-    if not isinstance(start, (int, np.integer)):
-        xy = _join(np.array(start, dtype=np.float64), xy, plan.request.start_yaw, terrain, body, limits)
-    if not isinstance(goal, (int, np.integer)) and plan.reaches_goal:
-        end = np.array(goal, dtype=np.float64)
-        # The goal may lie in what its node keeps clear of: then the path ends at the node.
-        if _passable(_leg(xy[-1], end, body), terrain, body, limits):
-            xy = _join(end, xy[::-1], None, terrain, body, limits)[::-1]
+def _vertices(plan: Plan) -> Array:
+    """(n, 2) corners of the route. A plan on a graph that does not know its map is led to the requested ends unchecked."""
+    xy = [*plan.points[:, :2]]
+    ends = (plan.request.start, plan.request.goal)
+    start, goal = (None if isinstance(end, (int, np.integer)) else np.array(end, np.float64) for end in ends)
+    if start is not None and not plan.exact:
+        xy.insert(0, start)
+    if goal is not None and not plan.exact and plan.reaches_goal:
+        xy.append(goal)
     keep = [xy[0]]
     for p in xy[1:]:
         if np.hypot(*(p - keep[-1])) > 1e-3:
             keep.append(p)
     return np.array(keep)
-
-
-def _join(
-    end: Array, xy: list[Array], yaw: float | None, terrain: Terrain, body: BodyModel, limits: PathLimits
-) -> list[Array]:
-    """`xy` with `end` before it, in place of those first nodes where going there only makes a detour."""
-    body = _dense(body, limits)
-    for k in range(1, len(xy)):
-        if np.hypot(*(xy[k - 1] - end)) > SNAP_DISTANCE:
-            break
-        around = _way([end, *xy[: k + 1]], yaw, body)
-        direct = _way([end, xy[k]], yaw, body)
-        if _excess(direct, around, terrain, body, limits) <= _SLACK:
-            return [end, *xy[k:]]
-    return [end, *xy]
-
-
-def _passable(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> bool:
-    """Whether ground off the graph is seen, within the step limit and no steeper than the slope limit."""
-    if not len(poses):
-        return True
-    features = terrain_features(terrain, poses, body)
-    # The corner bands' centres are three quarters of a side apart; the tilt's formula takes the whole width.
-    pitch = np.arctan(features[:, 0] / (0.75 * body.length)).max()
-    roll = np.arctan(np.tan(np.radians(features[:, 1])) / 0.75).max()
-    step = steps_under(terrain, poses, body.length, body.width).max()
-    return bool(
-        step <= limits.max_step and max(pitch, roll) <= limits.max_slope and features[:, 3].max() <= 0.5
-    )
-
-
-def _way(stops: list[Array], yaw: float | None, body: BodyModel) -> Array:
-    """(n, 3) poses of driving straight from stop to stop, with the turns between, from heading `yaw` (None: any)."""
-    out = [np.empty((0, 3))]
-    for a, b in pairwise(stops):
-        leg = _leg(a, b, body)
-        if not len(leg):
-            continue
-        if yaw is not None:
-            out.append(sweep_poses(a[0], a[1], yaw, leg[0, 2], body))
-        out.append(leg)
-        yaw = float(leg[0, 2])
-    return np.concatenate(out)
 
 
 def _leg(a: Array, b: Array, body: BodyModel) -> Array:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
@@ -37,6 +40,24 @@ class RiskTable:
         self._tables: dict[tuple[float, float], Tables] = {}
         if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
             self._carry(previous)
+
+    def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
+        """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
+
+        Edge evaluations go both ways: `take_back` brings home what the query added.
+        """
+        out = copy.copy(self)
+        out.graph, out.arcs, out._tables, out._ids = graph, arcs_of(graph), {}, graph.node_ids
+        for key, tables in self._tables.items():
+            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+            out.tables(body).edge[kept] = tables.edge
+        return out
+
+    def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
+        """Edge evaluations of a table that `for_query` made."""
+        for key, tables in query._tables.items():
+            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+            self.tables(body).edge[:] = tables.edge[kept]
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
         """True while the table belongs to these inputs."""

@@ -1,6 +1,9 @@
-"""Checking a request and putting its start and goal on the graph."""
+"""Checking a request and putting its start and goal on the graph: as nodes of their own, or on the nearest node."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,13 +11,96 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
-
-Place = tuple[float, float] | int
+from planning.risk.table import RiskTable
+from planning.search.attach import SAME, Ground, Spot, attached
+from planning.search.request import Place, PlanRequest
 
 _DISC = 0.30
 """Radius [m] of the ground around a goal that tells whether the goal is an obstacle or was never seen."""
+OBSTACLE = 0.25
+"""A face this high under the middle of the body [m] is an obstacle whatever the controller, also seen from afar."""
 _SEEN = 0.70
 """Share of trusted cells in that disc from which the ground counts as seen."""
+
+
+@dataclass(slots=True)
+class Endpoints:
+    """Where a query begins and ends, as nodes of `table.graph`."""
+
+    table: RiskTable
+    start: int
+    goal: int | None
+    """None: a frontier has to do."""
+    short: float = 0.0
+    """[m] from the goal node to the goal asked for."""
+    seen: bool = False
+    """The goal without a node lies on seen ground and in no obstacle."""
+    exact: bool = False
+    """The start is the pose itself, not the node next to it."""
+    _origin: tuple[RiskTable, NDArray[np.int64]] | None = None
+
+    def close(self) -> None:
+        """Keep what the query evaluated."""
+        if self._origin is not None:
+            self._origin[0].take_back(self.table, self._origin[1])
+
+
+def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
+    """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
+
+    Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
+    """
+    graph, grid = table.graph, table.grid
+    places = request.start, request.goal
+    if not graph.knows(grid) or all(is_node(p) for p in places):
+        start = start_node(graph, grid, request.start)
+        return Endpoints(table, start, goal_node(graph, grid, request.goal, request.allow_frontier))
+    start_xy, goal_xy = position(graph, request.start, "start"), position(graph, request.goal, "goal")
+    yaw = math.nan if request.start_yaw is None else request.start_yaw
+    ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw))
+    new: list[Spot] = []
+    start, goal, short, seen = len(graph.nodes), None, 0.0, False
+    if is_node(request.start):
+        start = int(request.start)  # type: ignore[arg-type]
+    else:
+        _require_on_map(grid, start_xy, "start")
+        new.append(ground.spot(start_xy))
+    between = None
+    if is_node(request.goal):
+        goal = int(request.goal)  # type: ignore[arg-type]
+    elif math.dist(start_xy, goal_xy) <= SAME:
+        goal = start
+    else:
+        if not request.allow_frontier:
+            _require_on_map(grid, goal_xy, "goal")
+        end = ground.end_near(goal_xy, SNAP_DISTANCE) if on_map(grid, goal_xy) else None
+        if end is None and new and ground.joined(start_xy, goal_xy):
+            end = goal_xy
+        if end is None:
+            seen = _judge(graph, grid, goal_xy, request.allow_frontier)
+        else:
+            short = math.dist(end, goal_xy)
+            goal = len(graph.nodes) + len(new)
+            if new and ground.joined(start_xy, end):
+                between = ground.risk(start_xy, end)
+            new.append(ground.spot(end))
+    if not is_node(request.start) and not len(new[0].nodes) and between is None and goal != start:
+        raise NoRoute(
+            NoRouteReason.START_NOT_ON_GRAPH,
+            f"no straight move leads from where the robot stands ({start_xy[0]:.2f}, {start_xy[1]:.2f}) to drivable "
+            "ground: drive it to open, seen ground",
+        )
+    query, kept = attached(graph, grid, new, between)
+    return Endpoints(
+        table.for_query(query, kept), start, goal, short, seen, not is_node(request.start), (table, kept)
+    )
+
+
+def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:
+    """The nodes nearest to start and goal, as the paper has it. Raises NoRoute where there is none within 0.5 m."""
+    ends = start_node(graph, grid, start), goal_node(graph, grid, goal, allow_frontier=False)
+    assert ends[1] is not None, "without frontiers goal_node raises"
+    return ends[0], ends[1]
 
 
 def is_node(place: object) -> bool:
@@ -74,11 +160,11 @@ def step_on_line(grid: ElevationGrid, a: tuple[float, float], b: tuple[float, fl
     return float(np.abs(np.diff(z)).max(initial=0.0))
 
 
-def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float) -> str:
-    """`unseen`, `blocked` (a face above `max_step` within the disc) or `free`: the ground around x, y."""
+def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float, radius: float) -> str:
+    """`unseen`, `blocked` (a face above `max_step` within `radius`) or `free`: the ground around x, y. Lengths in m."""
     if not on_map(grid, xy):
         return "unseen"
-    reach = int(np.ceil(_DISC / grid.resolution))
+    reach = int(np.ceil(radius / grid.resolution))
     (c,), (r,) = _cells(grid, np.array([xy[0]]), np.array([xy[1]]))
     rows = slice(max(r - reach, 0), r + reach + 1)
     cols = slice(max(c - reach, 0), c + reach + 1)
@@ -86,7 +172,7 @@ def ground_at(grid: ElevationGrid, xy: tuple[float, float], max_step: float) -> 
     dr, dc = np.mgrid[
         rows.start - r : rows.start - r + z.shape[0], cols.start - c : cols.start - c + z.shape[1]
     ]
-    disc = dr**2 + dc**2 <= (_DISC / grid.resolution) ** 2
+    disc = dr**2 + dc**2 <= (radius / grid.resolution) ** 2
     if ok[disc].mean() < _SEEN:
         return "unseen"
     for axis in (0, 1):
@@ -111,6 +197,12 @@ def start_node(graph: TraversalGraph, grid: ElevationGrid, start: Place) -> int:
         return int(start)  # type: ignore[arg-type]
     _require_on_map(grid, xy, "start")
     node = snap(graph, grid, xy)
+    if node is None and graph.isolated(xy):
+        raise NoRoute(
+            NoRouteReason.NOT_CONNECTED,
+            f"the ground at the start ({xy[0]:.2f}, {xy[1]:.2f}) can be driven on, but no way leads from it to the rest "
+            "of the graph: begin elsewhere",
+        )
     if node is None:
         raise NoRoute(
             NoRouteReason.START_NOT_ON_GRAPH,
@@ -128,23 +220,30 @@ def goal_node(graph: TraversalGraph, grid: ElevationGrid, goal: Place, allow_fro
     if not allow_frontier:
         _require_on_map(grid, xy, "goal")
     node = snap(graph, grid, xy)
-    if node is not None:
-        return node
+    if node is None:
+        _judge(graph, grid, xy, allow_frontier)
+    return node
+
+
+def _judge(graph: TraversalGraph, grid: ElevationGrid, xy: tuple[float, float], allow_frontier: bool) -> bool:
+    """What a goal is that no node is near to. -> True: seen and no obstacle; False: not seen. Raises NoRoute for the rest."""
     where = f"the goal ({xy[0]:.2f}, {xy[1]:.2f})"
-    ground = ground_at(grid, xy, graph.params.max_step)
-    if ground == "blocked":
+    ground = ground_at(grid, xy, graph.params.max_step, _DISC)
+    exact = graph.cells is not None
+    inside = ground_at(grid, xy, max(OBSTACLE, graph.params.max_step), 0.5 * graph.params.width)
+    if ground == "blocked" and (not exact or inside == "blocked"):
         raise NoRoute(
             NoRouteReason.GOAL_IN_OBSTACLE,
             f"{where} is in a known obstacle, no drivable node within {SNAP_DISTANCE:.2f} m: move it to free ground",
         )
     if allow_frontier:
-        return None
+        return ground != "unseen"
     if ground == "unseen":
         raise NoRoute(
             NoRouteReason.GOAL_UNKNOWN, f"the ground at {where} was not seen yet: allow a frontier or move it"
         )
     raise NoRoute(
-        NoRouteReason.GOAL_IN_OBSTACLE,
+        NoRouteReason.NOT_CONNECTED if exact else NoRouteReason.GOAL_IN_OBSTACLE,
         f"no drivable node within {SNAP_DISTANCE:.2f} m of {where}: move it to ground the robot can reach",
     )
 

@@ -20,7 +20,7 @@ from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import edge_turn_cost, may_turn_off, may_turn_to
+from planning.risk.turns import edge_turn_cost, may_turn_to
 from planning.search.heap import grown, pop, push
 
 
@@ -101,11 +101,12 @@ def search_pairs(
     start_yaw: float,
     goal_yaw: float,
     sweeps: bool,
+    once: bool,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
     That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
-    requested. With `sweeps`, turns count, cost more over edges, and are only made where there is room. Returns the cost of the route (inf:
+    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost more over edges, and are only made where there is room. Returns the cost of the route (inf:
     none), the slots of its edges, the number of expanded states, and `tables.turns`, which may have grown.
     """
     none = np.empty(0, np.int64)
@@ -131,6 +132,9 @@ def search_pairs(
     expanded = 0
     slot = -1
     at = start
+    if once:
+        for out in range(indptr[start], indptr[start + 1]):
+            closed[reverse[out]] = True
     while True:
         g = 0.0 if slot < 0 else best[slot]
         expanded += 1
@@ -195,7 +199,7 @@ def search_pairs(
                 elif not np.isnan(start_yaw):
                     d = turn_angle(start_yaw, heading[out])
                     b2, u2 = np.inf, 0.0
-                    if may_turn_off(room[at], start_yaw, d):
+                    if turn_is_free(room[at], start_yaw, d):
                         b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, d)
                     edges = edge_turn_cost(turn_rate[at], d)
                 b, u = max(b, b2), max(u, u2)

@@ -13,7 +13,8 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
-from planning.search.endpoints import Place, goal_node, position, start_node
+from planning.search.attach import NEAREST
+from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
 from planning.search.nodes import search_nodes
@@ -33,6 +34,9 @@ __all__ = [
     "plan_many",
 ]
 
+NEARER = 0.1
+"""A place towards a goal that nothing leads to must be this much nearer to it [m] than where the robot stands."""
+
 
 def plan(
     graph: TraversalGraph,
@@ -49,16 +53,19 @@ def plan(
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
-    start = start_node(graph, grid, request.start)
-    goal = goal_node(graph, grid, request.goal, request.allow_frontier)
-    found = None if goal is None else _to_goal(table, request, start, goal, start_yaw, goal_yaw)
+    ends = endpoints(table, request)
+    found = None if ends.goal is None else _to_goal(ends, request, start_yaw, goal_yaw)
     if found is None and request.allow_frontier:
-        found = _to_frontier(table, request, start, start_yaw)
+        found = _to_frontier(ends, request, start_yaw)
+        if found is None and ends.seen:
+            found = _to_nearest(ends, request, start_yaw)
+    ends.close()
     if found is None:
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
-            "start and goal are on the graph but not connected, or only by turns for which there is no room: "
-            "choose another goal, or clear the way",
+            "no way over known ground leads to the goal, or only by turns for which there is no room"
+            + (", and no frontier is left to look from" if request.allow_frontier else "")
+            + ": choose another goal, or clear the way",
         )
     return found
 
@@ -115,38 +122,31 @@ def _check(grid: ElevationGrid, request: PlanRequest) -> tuple[float, float]:
     return yaws[0], yaws[1]
 
 
-def _to_goal(
-    table: RiskTable, request: PlanRequest, start: int, goal: int, start_yaw: float, goal_yaw: float
-) -> Plan | None:
+def _to_goal(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan | None:
     """The plan to a node, None when it is not connected to the start."""
-    ends = np.zeros(len(table.graph.nodes), np.bool_)
-    ends[goal] = True
-    xy = (float(table.arcs.x[goal]), float(table.arcs.y[goal]))
-    return _search(table, request, start, ends, np.zeros(len(ends)), xy, start_yaw, goal_yaw)
+    arcs = at.table.arcs
+    ends = np.zeros(len(arcs.x), np.bool_)
+    ends[at.goal] = True
+    xy = (float(arcs.x[at.goal]), float(arcs.y[at.goal]))
+    found = _search(at, request, ends, np.zeros(len(ends)), xy, start_yaw, goal_yaw)
+    return None if found is None else replace(found, short=at.short)
 
 
-def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: float) -> Plan:
-    """The plan to the frontier with the least cost so far plus way to go (see `planning.search.plan.frontier`)."""
-    nodes = table.graph.nodes[:, :2]
-    goal = position(table.graph, request.goal, "goal")
-    ends = open_frontiers(table.graph, start, request.seen_frontiers)
+def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
+    """The plan to the frontier with the least cost so far plus way to go (see `planning.search.frontier`)."""
+    graph, grid = at.table.graph, at.table.grid
+    nodes = graph.nodes[:, :2]
+    goal = position(graph, request.goal, "goal")
+    ends = open_frontiers(graph, at.start, request.seen_frontiers)
     if not ends.any():
-        raise NoRoute(
-            NoRouteReason.NO_ROUTE,
-            "the goal cannot be reached over known ground and no frontier is left to look from: "
-            "choose another goal, or clear the way",
-        )
-    to_go = way_to_go(table.grid, nodes, goal)
-    best = _search(table, request, start, ends, to_go, goal, start_yaw, np.nan)
+        return None
+    to_go = way_to_go(grid, nodes, goal)
+    best = _search(at, request, ends, to_go, goal, start_yaw, np.nan)
     if best is None:
-        raise NoRoute(
-            NoRouteReason.NO_ROUTE,
-            "neither the goal nor a frontier can be reached over known ground: "
-            "drive the robot to where it has room to turn, or choose another goal",
-        )
+        return None
     if request.previous_frontier is not None:
         near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
-        kept = _search(table, request, start, ends & near, to_go, goal, start_yaw, np.nan)
+        kept = _search(at, request, ends & near, to_go, goal, start_yaw, np.nan)
         if kept is not None and worth_keeping(
             kept.cost + to_go[kept.nodes[-1]], best.cost + to_go[best.nodes[-1]]
         ):
@@ -155,10 +155,30 @@ def _to_frontier(table: RiskTable, request: PlanRequest, start: int, start_yaw: 
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)))
 
 
+def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
+    """The plan towards a seen goal that nothing leads to: what blocks it from afar may be the map's error.
+
+    From near it is judged: there the plan ends for good, as near to the goal as a route comes.
+    """
+    nodes = at.table.graph.nodes[:, :2]
+    goal = position(at.table.graph, request.goal, "goal")
+    away = np.hypot(*(nodes - goal).T)
+    nearest = np.argsort(away, kind="stable")[:NEAREST].tolist()
+    for node in [*(k for k in nearest if away[k] < away[at.start] - NEARER), at.start]:
+        ends = np.arange(len(nodes)) == node
+        x, y = nodes[node].tolist()
+        found = _search(at, request, ends, np.zeros(len(nodes)), (x, y), start_yaw, np.nan)
+        if found is None:
+            continue
+        if node == at.start:
+            return replace(found, short=float(away[node]))
+        return replace(found, reaches_goal=False, frontier=(x, y))
+    return None
+
+
 def _search(
-    table: RiskTable,
+    at: Endpoints,
     request: PlanRequest,
-    start: int,
     ends: NDArray[np.bool_],
     exit_cost: NDArray[np.float64],
     xy: tuple[float, float],
@@ -166,6 +186,7 @@ def _search(
     goal_yaw: float,
 ) -> Plan | None:
     """Run the variant's search from a node to the best of the end nodes."""
+    table, start = at.table, at.start
     body = table.body
     if request.variant == "mean-only":
         body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
@@ -178,7 +199,17 @@ def _search(
         sweeps = request.variant != "edge-only"
         tables = table.tables(body)
         cost, route, expanded, turns = search_pairs(
-            table.sampler, w, table.arcs, tables, start, ends, exit_cost, start_yaw, goal_yaw, sweeps
+            table.sampler,
+            w,
+            table.arcs,
+            tables,
+            start,
+            ends,
+            exit_cost,
+            start_yaw,
+            goal_yaw,
+            sweeps,
+            at.exact,
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
@@ -186,4 +217,4 @@ def _search(
     found = Route.along(table, start, route, start_yaw, goal_yaw)
     if request.variant == "refined":
         found = refine(table, found)
-    return describe(table, request, body, found, expanded)
+    return replace(describe(table, request, body, found, expanded), exact=at.exact)

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planning.search.endpoints import Place
+Place = tuple[float, float] | int
+"""x, y in metres, or the index of a node."""
 
 Variant = Literal["native", "edge-only", "mean-only", "full", "refined"]
 VARIANTS: tuple[Variant, ...] = ("native", "edge-only", "mean-only", "full", "refined")
@@ -68,7 +69,7 @@ class Plan:
     """A route over the graph and its explanation."""
 
     nodes: tuple[int, ...]
-    """Node indices, start to goal."""
+    """Node indices, start to goal. A start or goal that is no node of the graph comes after its last node."""
     cost: float
     """[m], under the searched variant."""
     native_cost: float
@@ -83,6 +84,10 @@ class Plan:
     """False when the plan ends at a frontier, from where the robot has to look again."""
     frontier: tuple[float, float] | None = None
     """x, y [m] of that frontier."""
+    exact: bool = False
+    """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
+    short: float = 0.0
+    """[m] from the plan's end to the goal asked for, where that is too near to something to stand there."""
     expanded: int = 0
     """States the search expanded."""
 

@@ -31,6 +31,7 @@ REASONS = {
     NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
     NoRouteReason.OUTSIDE_MAP: Reason.NO_ROUTE,
     NoRouteReason.START_NOT_ON_GRAPH: Reason.START_OFF_GRAPH,
+    NoRouteReason.NOT_CONNECTED: Reason.NO_ROUTE,
     NoRouteReason.GOAL_IN_OBSTACLE: Reason.IN_OBSTACLE,
     NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
     NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,

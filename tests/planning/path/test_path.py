@@ -83,14 +83,6 @@ def test_the_requested_positions_are_on_the_path_and_the_first_turn_is_told():
     assert path.goal_yaw == 1.0
 
 
-def test_a_node_behind_the_robot_is_not_visited_first():
-    grid, graph = zigzag()
-    path = make_path(plan(graph, grid, PlanRequest((0.95, 2.0), 6, start_yaw=0.0)), grid, BODY)
-    assert plan(graph, grid, PlanRequest((0.95, 2.0), 6)).nodes[0] == 0
-    assert path.points[:, 0].min() == pytest.approx(0.95)
-    assert path.initial_turn == pytest.approx(0.0, abs=1e-6)
-
-
 def test_start_at_the_goal_is_a_single_point():
     grid, graph = zigzag()
     path = make_path(plan(graph, grid, PlanRequest(2, 2, 0.3, 1.2)), grid, BODY)
@@ -155,12 +147,3 @@ def test_a_path_stops_being_safe_when_a_wall_or_a_hole_in_the_graph_appears():
     ok, why = still_safe(path, shorter, grid, BODY)
     assert not ok
     assert "no drivable ground" in why
-
-
-def test_a_goal_behind_a_ledge_ends_at_its_node():
-    grid, graph = zigzag()
-    height = grid.height.copy()
-    height[:, 94:] = 0.6
-    ledge = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
-    path = make_path(plan(graph, ledge, PlanRequest(0, (4.85, 2.3))), ledge, BODY)
-    np.testing.assert_allclose(path.points[-1, :2], graph.nodes[6, :2])

@@ -15,6 +15,7 @@ from planning.errors import NoRoute
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
+from planning.search.endpoints import snapped
 from planning.search.plan import VARIANTS, Plan, PlanRequest, plan
 from tools.bench.static.floor import edge_peaks, least_maxima
 
@@ -83,9 +84,9 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
                 edges, peaks = graph.edges, edge_peaks(table, body)
                 for k, (start, goal) in enumerate(scene.pairs[:pairs]):
                     try:
+                        ends = snapped(graph, grid, start, goal)
                         found = {
-                            v: plan(graph, grid, PlanRequest(start, goal, variant=v), body, table)
-                            for v in VARIANTS
+                            v: plan(graph, grid, PlanRequest(*ends, variant=v), body, table) for v in VARIANTS
                         }
                     except NoRoute as none:
                         missing.append(f"{name}, {mode}, seed {seed}, pair {k}: {none}")
@@ -93,7 +94,6 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
                     if len(found["native"].nodes) < 2:
                         missing.append(f"{name}, {mode}, seed {seed}, pair {k}: start and goal share a node")
                         continue
-                    ends = found["native"].nodes[0], found["native"].nodes[-1]
                     d_fb, a_lr, p_int = least_maxima(edges, peaks, len(graph.nodes), *ends).tolist()
                     drawn.setdefault(f"{name}.{mode}", found)
                     instances += [

@@ -1,0 +1,198 @@
+"""Start and goal as nodes: real poses, joined to the graph by the test that its own edges passed.
+
+A plan then begins where the robot stands and ends where it was sent, and its first leg, first turn, last leg and last turn
+are checked and priced like all others. Only a graph that was built on its map (`TraversalGraph.cells`) can do that; on
+others (native, made from edges, loaded and not updated yet) endpoints snap to the nearest node, as in the paper.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from planning.graph.cells import Cells
+from planning.graph.describe import free_headings, in_sight, turn_edge
+from planning.graph.edges import MARGIN, SECTION, corridor_free
+from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
+from planning.graph.graph import TraversalGraph
+from planning.graph.lattice import REACH
+from planning.graph.risk import F32, edge_risk, height_near
+
+XY = tuple[float, float]
+STAND = 0.05
+"""Beside the robot's own footprint [m] that counts as free: it stands there, whatever the noise of the map says."""
+SAME = 0.05
+"""A node this near to a place [m] is that place: a move this short has no direction worth turning to."""
+NEAREST = 8
+"""Nodes around a goal that cannot be reached from which the way nearest to it is looked for."""
+
+
+@dataclass(slots=True)
+class Spot:
+    """A pose that becomes a node of one query."""
+
+    xy: XY
+    nodes: NDArray[np.int64]
+    """(k,) the graph's nodes a straight move leads to."""
+    risk: NDArray[np.float32]
+    """(k,) native risk of these moves."""
+    turn_edge: float
+    """As of a node."""
+    headings: np.uint64
+    """`TraversalGraph.free_headings` at the place."""
+
+
+class Ground:
+    """The graph's flags around one pose, with the ground that the robot stands on counted as free."""
+
+    def __init__(
+        self, graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float, float, float] | None = None
+    ) -> None:
+        assert graph.cells is not None
+        self._graph, self._grid = graph, grid
+        self._cells: Cells = graph.cells
+        self._flags = self._cells.flags
+        self.reach = REACH * self._cells.side + SAME
+        rows, cols = grid.shape
+        self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
+        self._ys = (grid.origin[1] + np.arange(rows) * grid.resolution).astype(np.float32)
+        rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
+        self._sums = np.empty((rank, 8))
+        if stand is not None:
+            self._flags = self._flags.copy()
+            self._free(*stand)
+
+    def _free(self, x: float, y: float, yaw: float) -> None:
+        """Clear what lies under the robot at this pose; at any heading (NaN) under its inner circle."""
+        p, res = self._graph.params, self._cells.res
+        length, width = (p.width, p.width) if math.isnan(yaw) else (p.length, p.width)
+        reach = 0.5 * math.hypot(length, width) + 2.0 * STAND
+        (x0, y0), (rows, cols) = self._cells.origin, self._cells.shape
+        r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
+        c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
+        dy, dx = np.mgrid[r0:r1, c0:c1] * res
+        dx, dy = dx + x0 - x, dy + y0 - y
+        c, s = (math.cos(yaw), math.sin(yaw)) if not math.isnan(yaw) else (1.0, 0.0)
+        under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
+            np.abs(dy * c - dx * s) <= 0.5 * width + STAND
+        )
+        self._flags[r0:r1, c0:c1][under] &= ~np.uint8(FACE | UNSEEN | HOLE | TIP)
+
+    def free(self, a: XY, b: XY) -> bool:
+        """Whether the footprint can be moved straight from a to b, at most `reach` apart."""
+        p, c, grid = self._graph.params, self._cells, self._grid
+        (x0, y0), where = c.origin, (*a, *b)
+        ground = (grid.height, self._flags, x0, y0, c.res)
+        limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage)
+        return bool(corridor_free(*ground, *where, *limits, self._sums))
+
+    def risk(self, a: XY, b: XY) -> np.float32:
+        """Native risk of that move."""
+        c, grid = self._cells, self._grid
+        ends = (F32(a[0]), F32(a[1]), F32(b[0]), F32(b[1]))
+        radius = F32(self._graph.params.robot_size)
+        (x0, y0), xs, ys = c.origin, self._xs, self._ys
+        found: np.float32 = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
+        return found
+
+    def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
+        """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
+        d = np.hypot(self._graph.nodes[:, 0] - xy[0], self._graph.nodes[:, 1] - xy[1])
+        found = np.flatnonzero((d <= reach) & (d > SAME))
+        return found[np.argsort(d[found], kind="stable")]
+
+    def spot(self, xy: XY) -> Spot:
+        """x, y [m] with all moves to nodes around it; none where there is no way."""
+        nodes = [
+            k for k in self.near(xy, self.reach).tolist() if self.joined(xy, self._at(k))
+        ]  # fmt: skip
+        risk = [self.risk(xy, self._at(k)) for k in nodes]
+        known = [(k, r) for k, r in zip(nodes, risk, strict=True) if r >= 0.0]
+        p, c, grid = self._graph.params, self._cells, self._grid
+        return Spot(
+            xy,
+            np.array([k for k, _ in known], np.int64),
+            np.array([r for _, r in known], np.float32),
+            float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy)),
+            np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width)),
+        )
+
+    def joined(self, a: XY, b: XY) -> bool:
+        """Whether one straight move leads from a to b."""
+        return SAME < math.dist(a, b) <= self.reach and self._graph.allows(a, b) and self.free(a, b)
+
+    def end_near(self, xy: XY, reach: float) -> XY | None:
+        """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.
+
+        None where no node is that near, or something stands between it and x, y.
+        """
+        if any(self.joined(xy, self._at(k)) for k in self.near(xy, self.reach).tolist()):
+            return xy
+        best: XY | None = None
+        nodes = self.near(xy, reach)[:NEAREST]
+        c = self._cells
+        seen = in_sight(self._flags, *c.origin, c.res, *xy, self._graph.nodes[nodes, :2], reach)
+        for k in nodes[seen].tolist():
+            a = self._at(k)
+            low, high = 0.0, 1.0
+            for _ in range(5):
+                t = 0.5 * (low + high)
+                low, high = (t, high) if self.free(a, _along(a, xy, t)) else (low, t)
+            here = _along(a, xy, low)
+            if best is None or math.dist(here, xy) < math.dist(best, xy):
+                best = here
+        return best
+
+    def _at(self, node: int) -> XY:
+        x, y = self._graph.nodes[node, :2].tolist()
+        return x, y
+
+
+def _along(a: XY, b: XY, t: float) -> XY:
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
+
+
+def attached(
+    graph: TraversalGraph, grid: ElevationGrid, places: list[Spot], between: np.float32 | None
+) -> tuple[TraversalGraph, NDArray[np.int64]]:
+    """The graph of one query: `places` follow the graph's nodes; `between` is the risk of a move from the first to the second.
+
+    -> the graph and (nnz,) where each slot of `graph` went.
+    """
+    n = len(graph.nodes)
+    pairs = [(n + i, int(k), r) for i, p in enumerate(places) for k, r in zip(p.nodes, p.risk, strict=True)]
+    if between is not None:
+        pairs.append((n, n + 1, between))
+    both = np.array([(a, b, r) for a, b, r in pairs] + [(b, a, r) for a, b, r in pairs], np.float64).reshape(
+        -1, 3
+    )
+    source, target = both[:, 0].astype(np.int64), both[:, 1].astype(np.int64)
+    order = np.lexsort((target, source))
+    source, target, risk = source[order], target[order], both[order, 2].astype(np.float32)
+    indptr = np.concatenate([graph.indptr, np.full(len(places), graph.indptr[-1])])
+    # New targets are larger than all old ones, so they stand at the end of each row.
+    where = indptr[source + 1]
+    out = copy.copy(graph)
+    out.indices = np.insert(graph.indices, where, target.astype(np.int32))
+    out.risk = np.insert(graph.risk, where, risk)
+    out.edge_revision = np.insert(graph.edge_revision, where, graph.version)
+    added = np.bincount(source, minlength=n + len(places))
+    out.indptr = indptr + np.concatenate([[0], np.cumsum(added)])
+    kept = np.repeat(np.concatenate([[0], np.cumsum(added)])[:n], np.diff(graph.indptr)) + np.arange(
+        len(graph.indices)
+    )
+    c = graph.cells
+    assert c is not None
+    rows = [(*p.xy, float(height_near(grid.height, *c.origin, c.res, *p.xy))) for p in places]
+    out.nodes = np.concatenate([graph.nodes, np.array(rows, np.float64).reshape(-1, 3)])
+    out.frontier = np.append(graph.frontier, np.zeros(len(places), np.bool_))
+    out.turn_edge = np.append(graph.turn_edge, np.array([p.turn_edge for p in places], np.float32))
+    out.free_headings = np.append(graph.free_headings, np.array([p.headings for p in places], np.uint64))
+    out.node_ids = np.append(graph.node_ids, -1 - np.arange(len(places)))
+    out.node_revision = np.append(graph.node_revision, np.full(len(places), graph.version))
+    return out, kept

@@ -1,0 +1,161 @@
+"""Start and goal as nodes: what is driven first and last is checked where it is driven, and reasons tell the truth."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path.path import make_path
+from planning.risk.body import BodyModel, edge_poses, sweep_poses
+from planning.risk.table import RiskTable
+from planning.search.plan import Plan, PlanRequest, plan
+from tests.planning.graph.scenes import random_scene
+from tests.planning.risk.test_turns import straddles
+
+BODY = BodyModel()
+
+
+def world(
+    height: np.ndarray, start: tuple[float, float] = (1.5, 1.5), trusted: np.ndarray | None = None
+) -> tuple[ElevationGrid, TraversalGraph]:
+    """Ground (rows, cols) at 0.05 m, all of it seen, and its graph."""
+    seen = np.ones(height.shape, bool) if trusted is None else trusted
+    grid = ElevationGrid(height.astype(np.float32), seen, (0.0, 0.0), 0.05)
+    return grid, TraversalGraph.build(grid, start, GraphParams(blind_radius=0.0), 0)
+
+
+def poses_of(found: Plan) -> list[np.ndarray]:
+    """Pose sets of a plan in the order they are driven: first turn, leg, turn, leg, ... and the last turn."""
+    xy, out, yaw = found.points[:, :2], [], found.request.start_yaw
+    for a, b in pairwise(xy):
+        leg = edge_poses(a, b, BODY)
+        if yaw is not None:
+            out.append(sweep_poses(*a, yaw, leg[0, 2], BODY))
+        out.append(leg)
+        yaw = float(leg[0, 2])
+    if found.request.goal_yaw is not None and yaw is not None:
+        out.append(sweep_poses(*xy[-1], yaw, found.request.goal_yaw, BODY))
+    return out
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_on_random_ground_nothing_that_is_driven_between_two_poses_sweeps_an_obstacle(seed: int) -> None:
+    careless = BodyModel(weight_body=0.0, weight_unknown=0.0)  # whose costs do not keep it from anything
+    scene = random_scene(seed)
+    graph = TraversalGraph.build(scene.grid, scene.start, GraphParams(blind_radius=0.0), seed)
+    table = RiskTable(graph, scene.grid, careless)
+    rng = np.random.default_rng(seed)
+    limit = GraphParams().max_step + 0.02
+    found = 0
+    while found < 12:
+        ends = [np.array([*rng.uniform(0.5, 6.5, 2), rng.uniform(-3.1, 3.1)]) for _ in range(2)]
+        if any(straddles(scene, pose, limit) for pose in ends):
+            continue
+        (x, y, yaw), (u, v, goal_yaw) = (tuple(e.tolist()) for e in ends)
+        try:
+            got = plan(graph, scene.grid, PlanRequest((x, y), (u, v), yaw, goal_yaw), careless, table)
+        except NoRoute:
+            continue
+        found += 1
+        assert got.exact
+        np.testing.assert_allclose(got.points[0, :2], (x, y))
+        assert np.hypot(*(got.points[-1, :2] - (u, v))) == pytest.approx(got.short, abs=1e-9)
+        for k, poses in enumerate(poses_of(got)):
+            # what the robot stands on counts as free: the noise of the map must not hold it
+            inner = poses[1:] if k == 0 else poses
+            assert not any(straddles(scene, pose, limit) for pose in inner), (k, got.nodes)
+
+
+def test_a_plan_costs_its_first_and_last_leg_and_its_table_is_shared() -> None:
+    y, x = np.mgrid[0:80, 0:120] * 0.05
+    grid, graph = world(0.05 * np.sin(2 * x) * np.cos(3 * y))
+    table = RiskTable(graph, grid, BODY)
+    request = PlanRequest((1.03, 1.48), (4.87, 2.11), 0.4, -0.3)
+    first = plan(graph, grid, request, BODY, table)
+    assert first.length == pytest.approx(np.hypot(*np.diff(first.points[:, :2], axis=0).T).sum())
+    assert first.cost == pytest.approx(sum(t.cost for t in first.transitions))
+    assert first.nodes[0] == len(graph.nodes)
+    assert first.nodes[-1] == len(graph.nodes) + 1
+    assert first.short == 0.0
+    evaluated = table.evaluated()[0]
+    assert evaluated > 0, "what one query evaluated serves the next"
+    again = plan(graph, grid, request, BODY, table)
+    assert (again.nodes, again.cost) == (first.nodes, first.cost)
+    alone = plan(graph, grid, request, BODY)
+    assert (alone.nodes, alone.cost) == (first.nodes, first.cost)
+    path = make_path(first, grid, BODY)
+    np.testing.assert_allclose(path.points[[0, -1], :2], [(1.03, 1.48), (4.87, 2.11)])
+
+
+def test_a_robot_that_stands_on_a_face_drives_off_it_straight() -> None:
+    _, x = np.mgrid[0:60, 0:120] * 0.05
+    grid, graph = world(np.where(x > 3.0, 0.16, 0.0))
+    for yaw, goal in ((0.0, (5.0, 1.5)), (np.pi, (1.0, 1.5))):
+        with pytest.raises(NoRoute):
+            plan(graph, grid, PlanRequest((2.0, 1.5), (5.0, 1.5), yaw), BODY)
+        both = TraversalGraph.build(grid, goal, GraphParams(blind_radius=0.0), 0)
+        found = plan(both, grid, PlanRequest((3.0, 1.5), goal, yaw), BODY)
+        xy = found.points[:, :2]
+        assert abs(np.angle(np.exp(1j * (np.arctan2(*(xy[1] - xy[0])[::-1]) - yaw)))) < np.radians(25)
+
+
+def test_a_goal_too_near_to_a_wall_ends_at_the_nearest_place_and_tells_how_far() -> None:
+    _, x = np.mgrid[0:60, 0:120] * 0.05
+    grid, graph = world(np.where(x > 4.0, 1.0, 0.0))
+    found = plan(graph, grid, PlanRequest((1.5, 1.5), (3.8, 1.5)), BODY)
+    assert found.reaches_goal
+    assert found.short == pytest.approx(3.8 - found.points[-1, 0], abs=0.03)
+    assert found.points[-1, 0] + 0.35 <= 4.0
+    assert found.short < 0.25, "the nose reaches the wall, the body stands 0.35 m off"
+    with pytest.raises(NoRoute) as none:
+        plan(graph, grid, PlanRequest((1.5, 1.5), (4.1, 1.5), allow_frontier=True), BODY)
+    assert none.value.reason is NoRouteReason.GOAL_IN_OBSTACLE
+
+
+def test_a_goal_on_a_low_ledge_is_judged_from_near() -> None:
+    y, x = np.mgrid[0:60, 0:120] * 0.05
+    ledge = (np.abs(x - 4.5) < 0.25) & (np.abs(y - 1.5) < 0.25)
+    grid, graph = world(np.where(ledge, 0.16, 0.0))
+    graph.frontier[:] = False  # nothing is left to explore
+    ask = PlanRequest((1.0, 1.5), (4.5, 1.5), 0.0, allow_frontier=True)
+    far = plan(graph, grid, ask, BODY)
+    assert not far.reaches_goal
+    assert far.length > 2.0
+    asked = 1
+    while not far.reaches_goal and asked < 9:
+        x0, y0 = far.points[-1, :2].tolist()
+        far = plan(graph, grid, PlanRequest((x0, y0), (4.5, 1.5), allow_frontier=True), BODY)
+        asked += 1
+    assert asked <= 3
+    assert 0.3 < far.short < 0.9
+    with pytest.raises(NoRoute) as none:
+        plan(graph, grid, PlanRequest((1.0, 1.5), (4.5, 1.5), 0.0), BODY)
+    assert none.value.reason is NoRouteReason.NOT_CONNECTED
+
+
+def test_ground_that_nothing_leads_to_is_told_from_ground_that_cannot_be_driven_on() -> None:
+    _, x = np.mgrid[0:60, 0:120] * 0.05
+    grid, graph = world(np.where(np.abs(x - 3.0) < 0.1, 1.0, 0.0))
+    with pytest.raises(NoRoute) as none:
+        plan(graph, grid, PlanRequest((1.5, 1.5), (4.5, 1.5)), BODY)
+    assert none.value.reason is NoRouteReason.NOT_CONNECTED
+    with pytest.raises(NoRoute) as none:
+        plan(graph, grid, PlanRequest((3.0, 1.5), (1.5, 1.5)), BODY)
+    assert none.value.reason is NoRouteReason.START_NOT_ON_GRAPH
+
+
+def test_a_place_to_avoid_counts_for_the_first_leg_too() -> None:
+    grid, graph = world(np.zeros((60, 120)))
+    free = plan(graph, grid, PlanRequest((1.5, 1.5), (4.0, 1.5), 0.0), BODY)
+    around = plan(
+        graph.avoiding(np.array([[2.0, 1.5, 0.3]])), grid, PlanRequest((1.5, 1.5), (4.0, 1.5), 0.0), BODY
+    )
+    assert np.abs(free.points[:, 1] - 1.5).max() < np.abs(around.points[:, 1] - 1.5).max()
+    for a, b in pairwise(around.points[:, :2]):
+        t = np.linspace(0, 1, 50)[:, None]
+        assert np.hypot(*(a + t * (b - a) - (2.0, 1.5)).T).min() > 0.299

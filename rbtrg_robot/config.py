@@ -32,6 +32,7 @@ from rbtrg_robot import __version__
 from rbtrg_robot.stage_config import (
     ElevationStageConfig,
     FreshnessConfig,
+    GraphConfig,
     NavigatorConfig,
     PlannerConfig,
     RecorderConfig,
@@ -93,7 +94,7 @@ class StackConfig(BaseModel):
     odometry: OdometryConfig = OdometryConfig()
     elevation: ElevationConfig = ElevationConfig()
     elevation_stage: ElevationStageConfig = ElevationStageConfig()
-    graph: GraphParams = GraphParams()
+    graph: GraphConfig = GraphConfig()
     body: BodyModel = BodyModel()
     planner: PlannerConfig = PlannerConfig()
     navigator: NavigatorConfig = NavigatorConfig()
@@ -152,14 +153,8 @@ class StackConfig(BaseModel):
         return CAPABILITIES[self.controller] if self.simulated else self.unitree_options().capabilities()
 
     def graph_params(self) -> GraphParams:
-        """Settings of the graph, with no limit looser than the robot's own."""
-        robot = self.capabilities()
-        limits = {
-            "max_step": min(self.graph.max_step, robot.max_step),
-            "max_slope": min(self.graph.max_slope, robot.max_slope),
-            "max_gap": min(self.graph.max_gap, robot.max_gap),
-        }
-        return self.graph.model_copy(update=limits)
+        """Settings of the graph; its limits are the robot's own, or tighter."""
+        return self.graph.params(self.capabilities())
 
     def imu_mount(self) -> Extrinsics:
         """Pose of the IMU in base_link."""

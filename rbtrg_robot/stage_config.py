@@ -6,6 +6,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.types import Capabilities
+from planning.graph.params import GraphParams, GraphSettings
+
 
 class NavigatorConfig(BaseModel):
     """Patience of the navigator."""
@@ -40,6 +43,34 @@ class FreshnessConfig(BaseModel):
     scan: float = Field(0.8, gt=0, description="scan odometry behind the pose [s]")
     map: float = Field(1.2, gt=0, description="map status [s]")
     goal: float = Field(1.2, gt=0, description="goal status of the navigator [s]")
+
+
+class GraphConfig(GraphSettings):
+    """Settings of the graph in the stack: its limits are the robot's own, a number here only makes them tighter."""
+
+    max_step: float | None = Field(
+        None,
+        gt=0.0,
+        description="highest vertical face driven over [m]; None = what robot and controller can",
+    )
+    max_slope: float | None = Field(
+        None, gt=0.0, lt=1.5, description="steepest ground at body scale [rad]; None = what the robot can"
+    )
+    max_gap: float | None = Field(
+        None, ge=0.0, description="widest gap or unseen slit driven over [m]; None = what the robot can"
+    )
+
+    def params(self, robot: Capabilities) -> GraphParams:
+        """For a robot that can so much."""
+        limits = {
+            name: own if (wanted := getattr(self, name)) is None else min(wanted, own)
+            for name, own in (
+                ("max_step", robot.max_step),
+                ("max_slope", robot.max_slope),
+                ("max_gap", robot.max_gap),
+            )
+        }
+        return GraphParams(**(self.model_dump() | limits))
 
 
 class ElevationStageConfig(BaseModel):

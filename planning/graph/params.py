@@ -17,8 +17,8 @@ Window = tuple[int, int, int, int]
 Changed = NDArray[np.bool_] | Sequence[Window]
 
 
-class GraphParams(BaseModel):
-    """Settings of the graph. The defaults are the dense setting of the published scenes plus the robot's limits."""
+class GraphSettings(BaseModel):
+    """Settings of the graph but for the limits of the robot. The defaults are the dense setting of the published scenes."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -35,17 +35,6 @@ class GraphParams(BaseModel):
     )
     collision_threshold: float = Field(
         default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
-    )
-    max_step: float = Field(
-        default=0.10,
-        gt=0.0,
-        description="corrected: highest vertical face driven over [m]; in the stack never above the robot's own limit",
-    )
-    max_slope: float = Field(
-        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
-    )
-    max_gap: float = Field(
-        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
     )
     max_turn_step: float = Field(
         default=0.03,
@@ -65,6 +54,22 @@ class GraphParams(BaseModel):
     )
     length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
     width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
+
+
+class GraphParams(GraphSettings):
+    """Settings of the graph and the limits of the robot that drives on it; the defaults suit every controller of the Go2-W."""
+
+    max_step: float = Field(
+        default=0.10,
+        gt=0.0,
+        description="corrected: highest vertical face driven over [m]",
+    )
+    max_slope: float = Field(
+        default=0.436, gt=0.0, lt=1.5, description="corrected: steepest ground at body scale [rad]"
+    )
+    max_gap: float = Field(
+        default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
+    )
 
 
 def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:

@@ -183,15 +183,16 @@ def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
 
 def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
     loose = ["graph.max_step=0.3", "graph.max_slope=0.9", "graph.max_gap=0.5"]
+    assert load(None, scene="flat").graph.max_step is None
     for flags, step, gap in (
         ({"scene": "flat"}, 0.10, 0.10),
         ({"scene": "flat", "controller": "policy"}, 0.25, 0.12),
         ({"backend": "unitree"}, 0.15, 0.10),
     ):
-        config = load(None, loose, **flags)
-        params = config.graph_params()
-        assert (params.max_step, params.max_gap) == (step, gap)
-        assert params.max_slope == config.capabilities().max_slope < 0.6
+        for config in (load(None, loose, **flags), load(None, **flags)):
+            params = config.graph_params()
+            assert (params.max_step, params.max_gap) == (step, gap)
+            assert params.max_slope == config.capabilities().max_slope < 0.6
     assert load(None, ["graph.max_step=0.05"], scene="flat").graph_params().max_step == 0.05
     ground = np.zeros((75, 150))
     ground[:, 75:] = 0.15  # a kerb the graph was told to drive over, and this robot cannot

@@ -7,6 +7,7 @@ trunk centre, x forward, y left, z up. Arrays are float64 unless said otherwise 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -197,6 +198,8 @@ class Capabilities:
     """[rad]."""
     max_gap: float = 0.10
     """Widest gap crossed [m]."""
+    max_oblique: float = math.radians(30.0)
+    """Angle between travel and the normal of a face of `max_step` from which crossing it is a risk [rad]; not measured yet."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

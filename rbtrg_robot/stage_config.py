@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -60,6 +61,13 @@ class GraphConfig(GraphSettings):
         None, ge=0.0, description="widest gap or unseen slit driven over [m]; None = what the robot can"
     )
 
+    max_oblique: float | None = Field(
+        None,
+        gt=0.0,
+        le=0.5 * math.pi,
+        description="angle to the normal from which crossing a face of max_step costs more [rad]; None = the robot's",
+    )
+
     def params(self, robot: Capabilities) -> GraphParams:
         """For a robot that can so much."""
         limits = {
@@ -68,6 +76,7 @@ class GraphConfig(GraphSettings):
                 ("max_step", robot.max_step),
                 ("max_slope", robot.max_slope),
                 ("max_gap", robot.max_gap),
+                ("max_oblique", robot.max_oblique),
             )
         }
         return GraphParams(**(self.model_dump() | limits))

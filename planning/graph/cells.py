@@ -20,6 +20,7 @@ class Cells:
 
     Attributes:
         flags: (rows, cols) uint8 of the map's cells, see `planning.graph.flags`.
+        faces: (rows, cols, 2) int16 rise along x and y [mm], see `planning.graph.faces`.
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
         frontier, headings, turn_edge: (ny, nx) as in `TraversalGraph`.
@@ -50,6 +51,7 @@ class Cells:
     def _allocate(self, shape: tuple[int, int], cells: tuple[int, int]) -> None:
         ny, nx = cells
         self.flags = np.zeros(shape, dtype=np.uint8)
+        self.faces = np.zeros((*shape, 2), dtype=np.int16)
         self.chosen = np.full((ny, nx), -1, dtype=np.int8)
         self.where = np.zeros((ny, nx, 2))
         self.turn_edge = np.zeros((ny, nx), dtype=np.float32)
@@ -86,7 +88,8 @@ class Cells:
         rb, cb = min(rows, dr + old["shape"][0]), min(cols, dc + old["shape"][1])
         if ra >= rb or ca >= cb:
             return [(0, 0, rows, cols)]
-        self.flags[ra:rb, ca:cb] = old["flags"][ra - dr : rb - dr, ca - dc : cb - dc]
+        for name in ("flags", "faces"):
+            getattr(self, name)[ra:rb, ca:cb] = old[name][ra - dr : rb - dr, ca - dc : cb - dc]
         di, dj = old["corner"][0] - corner[0], old["corner"][1] - corner[1]
         ja, ia = max(0, dj), max(0, di)
         jb, ib = min(cells[0], dj + old["chosen"].shape[0]), min(cells[1], di + old["chosen"].shape[1])

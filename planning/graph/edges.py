@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
+from planning.graph.faces import BASE, OBLIQUE_RISK, is_oblique
 from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
 from planning.graph.risk import F32, edge_risk
 
@@ -46,7 +47,7 @@ def row_span(y, xa, ya, ux, uy, lo, hi, half):
 
 
 @njit(cache=True)
-def corridor_free(
+def corridor(
     height,
     flags,
     x0,
@@ -61,9 +62,13 @@ def corridor_free(
     max_tan,
     max_gap,
     min_coverage,
+    faces,
+    max_step,
+    max_oblique,
     sums,
 ):
-    """True if the footprint (length x width) can be moved straight from a to b.
+    """-1 if the footprint (length x width) cannot be moved straight from a to b, else how much of its width [0..1]
+    meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`).
 
     Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
@@ -91,10 +96,11 @@ def corridor_free(
         or min(xa, xb) - reach_x < x0 - res
         or max(xa, xb) + reach_x > x0 + cols * res
     ):
-        return False
+        return -1.0
     strip = half / 3.0
     sides = 0
     holes = False
+    oblique = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -104,10 +110,14 @@ def corridor_free(
             flag = flags[r, c]
             sides |= flag & FACE
             if sides == FACE:
-                return False
+                return -1.0
             if flag & TIP:
-                return False
+                return -1.0
             holes |= flag & HOLE > 0
+            face_x = faces[r, c, 0]
+            face_y = faces[r, c, 1]
+            if (face_x != 0 or face_y != 0) and is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
+                oblique += 1
             ex = x0 + c * res - xa
             ey = y - ya
             i = int((ex * ux + ey * uy + front) / SECTION)
@@ -130,10 +140,12 @@ def corridor_free(
                 sums[i, 7] += 1.0
     for i in range(n):
         if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
-            return False
+            return -1.0
     if holes and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
-        return False
-    return _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip)
+        return -1.0
+    if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip):
+        return -1.0
+    return min(1.0, oblique * res * res / (BASE * width))
 
 
 @njit(cache=True)
@@ -203,7 +215,7 @@ def _not_steep(sums, n, limit, track):
 @njit(cache=True)
 def connect(
     height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, max_gap, min_coverage, radius, risk, revision, version,
+    length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, radius, risk, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -243,10 +255,13 @@ def connect(
                 revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
-                if corridor_free(
+                share = corridor(
                     height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
-                    min_coverage, sums,
-                ):  # fmt: skip
-                    risk[j, i, o] = edge_risk(
+                    min_coverage, faces, max_step, max_oblique, sums,
+                )  # fmt: skip
+                if share >= 0.0:
+                    found = edge_risk(
                         height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
                     )
+                    if found >= 0.0:
+                        risk[j, i, o] = found + F32(OBLIQUE_RISK * share)

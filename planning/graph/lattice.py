@@ -17,6 +17,7 @@ from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
 from planning.graph.edges import MARGIN, SECTION, connect
+from planning.graph.faces import update_faces
 from planning.graph.flags import halo, update_flags
 from planning.graph.nodes import CLEAR_LEVELS, place_nodes
 from planning.graph.params import GraphParams, Window, merge_windows
@@ -66,6 +67,7 @@ class Lattice:
             update_flags(
                 cells.flags, grid.height, grid.trusted, cells.res, grown, p.max_step, p.max_slope, p.max_gap
             )
+            update_faces(cells.faces, grid.height, grid.trusted, cells.res, *grown)
             touched.append(grown)
         assumed = assume_blind(cells.flags, *cells.origin, cells.res, *self.first, p.blind_radius)
         if assumed[0] < assumed[2]:
@@ -108,7 +110,7 @@ class Lattice:
         connect(
             grid.height, cells.flags, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
             REACH * self.side, moved, boxes, self._around, rank, p.length, p.width, math.tan(p.max_slope),
-            p.max_gap, p.min_coverage, F32(p.robot_size), cells.risk, cells.edge_revision, version,
+            p.max_gap, p.min_coverage, cells.faces, p.max_step, p.max_oblique, F32(p.robot_size), cells.risk, cells.edge_revision, version,
         )  # fmt: skip
 
     def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:

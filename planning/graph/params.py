@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -69,6 +70,12 @@ class GraphParams(GraphSettings):
     )
     max_gap: float = Field(
         default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
+    )
+    max_oblique: float = Field(
+        default=0.5 * math.pi,
+        gt=0.0,
+        le=0.5 * math.pi,
+        description="corrected: angle to the normal from which crossing a face of max_step costs more [rad]; pi/2 = never",
     )
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_edge
-from planning.graph.edges import MARGIN, SECTION, corridor_free
+from planning.graph.edges import MARGIN, SECTION, corridor
+from planning.graph.faces import OBLIQUE_RISK
 from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
@@ -56,7 +57,7 @@ class Ground:
         assert graph.cells is not None
         self._graph, self._grid = graph, grid
         self._cells: Cells = graph.cells
-        self._flags = self._cells.flags
+        self._flags, self._faces = self._cells.flags, self._cells.faces
         self.reach = REACH * self._cells.side + SAME
         rows, cols = grid.shape
         self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
@@ -64,7 +65,7 @@ class Ground:
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, 8))
         if stand is not None:
-            self._flags = self._flags.copy()
+            self._flags, self._faces = self._flags.copy(), self._faces.copy()
             self._free(*stand)
 
     def _free(self, x: float, y: float, yaw: float) -> None:
@@ -82,23 +83,27 @@ class Ground:
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
         self._flags[r0:r1, c0:c1][under] &= ~np.uint8(FACE | UNSEEN | HOLE | TIP)
+        self._faces[r0:r1, c0:c1][under] = 0
 
-    def free(self, a: XY, b: XY) -> bool:
-        """Whether the footprint can be moved straight from a to b, at most `reach` apart."""
+    def share(self, a: XY, b: XY) -> float:
+        """`corridor` of a straight move from a to b, at most `reach` apart: negative where it cannot be driven."""
         p, c, grid = self._graph.params, self._cells, self._grid
         (x0, y0), where = c.origin, (*a, *b)
         ground = (grid.height, self._flags, x0, y0, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage)
-        return bool(corridor_free(*ground, *where, *limits, self._sums))
+        return float(corridor(*ground, *where, *limits, self._faces, p.max_step, p.max_oblique, self._sums))
 
     def risk(self, a: XY, b: XY) -> np.float32:
-        """Native risk of that move."""
+        """Native risk of that move, as of an edge; negative where it cannot be driven."""
+        share = self.share(a, b)
+        if share < 0.0:
+            return np.float32(-1.0)
         c, grid = self._cells, self._grid
         ends = (F32(a[0]), F32(a[1]), F32(b[0]), F32(b[1]))
         radius = F32(self._graph.params.robot_size)
         (x0, y0), xs, ys = c.origin, self._xs, self._ys
-        found: np.float32 = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
-        return found
+        found = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
+        return np.float32(-1.0) if found < 0.0 else np.float32(found + F32(OBLIQUE_RISK * share))
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
@@ -124,7 +129,7 @@ class Ground:
 
     def joined(self, a: XY, b: XY) -> bool:
         """Whether one straight move leads from a to b."""
-        return SAME < math.dist(a, b) <= self.reach and self._graph.allows(a, b) and self.free(a, b)
+        return SAME < math.dist(a, b) <= self.reach and self._graph.allows(a, b) and self.share(a, b) >= 0.0
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.
@@ -142,7 +147,7 @@ class Ground:
             low, high = 0.0, 1.0
             for _ in range(5):
                 t = 0.5 * (low + high)
-                low, high = (t, high) if self.free(a, _along(a, xy, t)) else (low, t)
+                low, high = (t, high) if self.share(a, _along(a, xy, t)) >= 0.0 else (low, t)
             here = _along(a, xy, low)
             if best is None or math.dist(here, xy) < math.dist(best, xy):
                 best = here

@@ -1,0 +1,70 @@
+"""Faces: how high and which way the ground rises within a hand's breadth, per cell. They are better crossed head-on.
+
+A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides. Its direction
+is the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height in
+both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+BASE = 0.12
+"""Distance over which the rise is taken [m], as for the flags."""
+LEAST = 0.4
+"""Faces below this share of the step limit are crossed at any angle alike."""
+OBLIQUE_RISK = 1.0
+"""Added to the native risk of an edge that meets a face too obliquely over the whole width of the body. About three edges meet
+one face, 0.4 m long each: with sigma = 3 about 4 m, as for turning by a radian on such a face (`planning.risk.turns`)."""
+
+
+@njit(cache=True)
+def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
+    """Compute `faces` (rows, cols, 2) int16 [mm] again in the window; x and y part of each cell's face."""
+    rows, cols = height.shape
+    n = max(1, round(0.5 * BASE / res))
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            for axis in range(2):
+                dr, dc = (0, n) if axis == 0 else (n, 0)
+                faces[r, c, axis] = 0
+                if not (dr <= r < rows - dr and dc <= c < cols - dc):
+                    continue
+                if not (trusted[r + dr, c + dc] and trusted[r - dr, c - dc]):
+                    continue
+                rise = height[r + dr, c + dc] - height[r - dr, c - dc]
+                if not abs(rise) > 0.01:
+                    continue
+                common = np.float32(0.0)
+                if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
+                    before = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
+                    after = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
+                    if before * rise > 0.0 and after * rise > 0.0:
+                        common = min(abs(before), abs(after), abs(rise))
+                most = np.float32(30.0)
+                value = min(abs(rise) - common, most)
+                faces[r, c, axis] = round(1000.0 * value) * (1 if rise > 0.0 else -1)
+
+
+@njit(cache=True)
+def max_angle(height, max_step, max_oblique):
+    """Largest angle [rad] between travel and normal at which crossing a face of `height` [m] costs nothing more.
+
+    `max_oblique` [rad] at `max_step` [m] and above, a right angle at `LEAST` of it and below, between them in proportion.
+    """
+    share = (height - LEAST * max_step) / ((1.0 - LEAST) * max_step)
+    return 0.5 * math.pi + min(max(share, 0.0), 1.0) * (max_oblique - 0.5 * math.pi)
+
+
+@njit(cache=True)
+def is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
+    """Whether a face [mm] is met too obliquely by a move along the unit vector ux, uy."""
+    height = 0.001 * max(abs(face_x), abs(face_y))
+    if height <= LEAST * max_step:
+        return False
+    size = math.hypot(float(face_x), float(face_y))
+    # the last term: at a right angle everything is allowed, whatever rounding says
+    return abs(face_x * ux + face_y * uy) < size * math.cos(max_angle(height, max_step, max_oblique)) - 1e-6

@@ -1,0 +1,98 @@
+"""Faces: height and direction of what rises within a hand's breadth, and routes that cross it head-on."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.graph.faces import is_oblique, max_angle, update_faces
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel
+from planning.search.plan import PlanRequest, plan
+
+RES = 0.04
+
+
+def faces_of(height: np.ndarray, trusted: np.ndarray | None = None) -> np.ndarray:
+    z = height.astype(np.float32)
+    out = np.zeros((*z.shape, 2), np.int16)
+    seen = np.ones(z.shape, bool) if trusted is None else trusted
+    update_faces(out, z, seen, RES, 0, 0, *z.shape)
+    return out
+
+
+@pytest.mark.parametrize("degrees", [0, 20, 45, 70, 90])
+@pytest.mark.parametrize("height", [0.05, 0.09, 0.2])
+def test_a_kerb_has_its_height_and_its_normal(degrees: int, height: float) -> None:
+    y, x = np.mgrid[0:60, 0:60] * RES
+    a = np.radians(degrees)
+    noise = 0.003 * np.random.default_rng(degrees).standard_normal(x.shape)
+    faces = faces_of(np.where((x - 1.2) * np.cos(a) + (y - 1.2) * np.sin(a) > 0, height, 0.0) + noise) * 1e-3
+    size = np.abs(faces).max(axis=2)
+    on = size > 0.7 * height
+    along = np.abs((x - 1.2) * np.cos(a) + (y - 1.2) * np.sin(a))
+    assert along[on].max() < 0.12
+    assert np.median(size[on]) == pytest.approx(height, abs=0.01)
+    mean = faces[on].mean(axis=0)
+    assert np.degrees(np.arctan2(mean[1], mean[0])) == pytest.approx(degrees, abs=5.0)
+
+
+def test_ramps_and_what_was_not_seen_have_no_faces() -> None:
+    y, x = np.mgrid[0:60, 0:60] * RES
+    inner = np.s_[8:-8, 8:-8]
+    assert np.abs(faces_of(0.36 * x + 0.1 * y)[inner]).max() <= 10
+    kerb = np.where(x > 1.2, 0.09, 0.0)
+    assert np.abs(faces_of(kerb)).max() == pytest.approx(90, abs=1)
+    assert np.abs(faces_of(kerb, np.abs(x - 1.2) > 0.2)[inner]).max() == 0
+
+
+def test_the_angle_allowed_falls_with_the_height() -> None:
+    deg = np.degrees([max_angle(h, 0.10, np.radians(30)) for h in (0.0, 0.04, 0.07, 0.10, 0.20)])
+    np.testing.assert_allclose(deg, [90, 90, 60, 30, 30])
+    for travel, oblique in (
+        (0, False),
+        (28, False),
+        (32, True),
+        (90, True),
+        (149, True),
+        (155, False),
+        (180, False),
+    ):
+        u = np.cos(np.radians(travel)), np.sin(np.radians(travel))
+        assert is_oblique(100, 0, *u, 0.10, np.radians(30)) is oblique
+        assert not is_oblique(39, 0, *u, 0.10, np.radians(30))
+        assert not is_oblique(100, 0, *u, 0.10, np.radians(90))
+
+
+def worst_angle(points: np.ndarray, normal: np.ndarray, kerb: float) -> float:
+    """Largest angle [deg] between the kerb's normal and the legs that carry the body over it."""
+    out = 0.0
+    for a, b in pairwise(points[:, :2]):
+        u = (b - a) / np.hypot(*(b - a))
+        reach = 0.35 * abs(u @ normal) + 0.2 * abs(u[0] * normal[1] - u[1] * normal[0])
+        ends = sorted((float(a @ normal), float(b @ normal)))
+        if ends[0] - reach < kerb < ends[1] + reach:
+            out = max(out, float(np.degrees(np.arccos(min(1.0, abs(u @ normal))))))
+    return out
+
+
+def test_a_kerb_across_a_wide_lane_is_crossed_head_on_and_no_route_is_lost() -> None:
+    y, x = np.mgrid[0:100, 0:160] * RES
+    normal = np.array([np.cos(np.radians(50)), np.sin(np.radians(50))])
+    kerb = float(np.array([3.2, 2.0]) @ normal)
+    z = np.where((x * normal[0] + y * normal[1]) > kerb, 0.09, 0.0)
+    z += 0.004 * np.random.default_rng(1).standard_normal(z.shape)
+    grid = ElevationGrid(z.astype(np.float32), np.ones(z.shape, bool), (0.0, 0.0), RES)
+    angles, lengths = [], []
+    for oblique in (90.0, 30.0):
+        params = GraphParams(max_oblique=np.radians(oblique), blind_radius=0.0)
+        graph = TraversalGraph.build(grid, (1.0, 2.0), params, 0)
+        found = plan(graph, grid, PlanRequest((1.0, 2.0), (5.4, 2.0), 0.0), BodyModel())
+        angles.append(worst_angle(found.points, normal, kerb))
+        lengths.append(found.length)
+    assert angles[0] > 45.0
+    assert angles[1] < 35.0
+    assert lengths[1] < 1.2 * lengths[0]

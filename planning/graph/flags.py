@@ -29,6 +29,8 @@ HOLE = 32
 """Below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`)."""
 TIP = 64
 """Bridged, but the tip of a wide pit's corner: nothing of the robot goes over it."""
+JUDGED = 128
+"""The cell was trusted when it was looked at last: what it was found to be counts (`keep_step`)."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
@@ -67,8 +69,13 @@ def update_flags(
     max_step: float,
     max_slope: float,
     max_gap: float,
+    keep_step: float,
 ) -> None:
-    """Recompute `flags` (rows, cols) inside `window` (row0, col0, row1, col1), block by block to stay in cache."""
+    """Recompute `flags` (rows, cols) inside `window` (row0, col0, row1, col1), block by block to stay in cache.
+
+    Ground that was found drivable stays so up to a step of `max_step + keep_step`; what was found too high must come down
+    to `max_step`. So the noise of the map does not open and close a way over a face near the limit.
+    """
     rows, cols = height.shape
     pad = halo(res, max_gap)
     for r0 in range(window[0], window[2], BLOCK):
@@ -76,25 +83,26 @@ def update_flags(
             r1, c1 = min(r0 + BLOCK, window[2]), min(c0 + BLOCK, window[3])
             ra, ca = max(0, r0 - pad), max(0, c0 - pad)
             rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
-            block = cell_flags(
-                height[ra:rb, ca:cb],
-                trusted[ra:rb, ca:cb],
-                res,
-                max_step,
-                math.tan(max_slope),
-                _gap_cells(res, max_gap),
-                round(WIDE * max_gap / res),
-            )
-            _put(flags[r0:r1, c0:c1], block[r0 - ra : r1 - ra, c0 - ca : c1 - ca])
+            ground = height[ra:rb, ca:cb], trusted[ra:rb, ca:cb], res
+            rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
+            inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
+            enter = cell_flags(*ground, max_step, *rest)[inner]
+            stay = enter
+            if keep_step > 0.0 and (enter & (FACE | HOLE | TIP)).any():
+                stay = cell_flags(*ground, max_step + keep_step, *rest)[inner]
+            _put(flags[r0:r1, c0:c1], enter, stay, ground[1][inner])
 
 
 @njit(cache=True)
-def _put(flags, block):
-    """Write freshly computed flags; ground that was assumed stays so."""
+def _put(flags, enter, stay, trusted):
+    """Write freshly computed flags: `stay` where the ground was found drivable, `enter` elsewhere; what was assumed stays so."""
     rows, cols = flags.shape
     for r in range(rows):
         for c in range(cols):
-            flag = block[r, c]
+            was = flags[r, c]
+            flag = stay[r, c] if was & JUDGED and not was & (FACE | HOLE | TIP) else enter[r, c]
+            if trusted[r, c]:
+                flag |= JUDGED
             if flag & UNSEEN:
                 flag |= UNSEEN_RAW
             if flags[r, c] & ASSUMED:

@@ -65,7 +65,15 @@ class Lattice:
         for r0, c0, r1, c1 in merge_windows(windows, pad + 8):
             grown = (max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad))
             update_flags(
-                cells.flags, grid.height, grid.trusted, cells.res, grown, p.max_step, p.max_slope, p.max_gap
+                cells.flags,
+                grid.height,
+                grid.trusted,
+                cells.res,
+                grown,
+                p.max_step,
+                p.max_slope,
+                p.max_gap,
+                p.keep_step,
             )
             update_faces(cells.faces, grid.height, grid.trusted, cells.res, *grown)
             touched.append(grown)

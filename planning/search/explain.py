@@ -70,8 +70,8 @@ class Route:
 
     def turn_cost(self) -> NDArray[np.float64]:
         """(n - 1,) [m] for edges under the wheels in each transition's turns."""
-        if len(self.xy) < 2 or not self.turn_rate.any():
-            return np.zeros(len(self.xy) - 1)
+        if len(self.xy) < 2:
+            return np.zeros(0)
         heading = np.arctan2(*np.diff(self.xy, axis=0).T[::-1])
         yaw = np.concatenate([[self.start_yaw], heading, [self.goal_yaw]])
         cost = np.array(

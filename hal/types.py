@@ -192,6 +192,10 @@ class Capabilities:
     """[m/s^2] slew of the commanded linear velocity."""
     max_alpha: float = 3.0
     """[rad/s^2] slew of the commanded yaw rate."""
+    min_vx: float = 0.2
+    """[m/s] slowest speed of which at least half is driven, forward and backward. The default is a guess on the safe side."""
+    min_wz: float = 0.3
+    """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess, too."""
     max_step: float = 0.10
     """Highest vertical face driven over [m]."""
     max_slope: float = 0.436

@@ -156,6 +156,15 @@ class StackConfig(BaseModel):
         """Settings of the graph; its limits are the robot's own, or tighter."""
         return self.graph.params(self.capabilities())
 
+    def tracker_config(self) -> TrackerConfig:
+        """Settings of the tracker, which asks for no motion so slow that the robot does not follow."""
+        robot = self.capabilities()
+        limits = {
+            "min_speed": max(self.tracker.min_speed, robot.min_vx),
+            "min_yaw_rate": max(self.tracker.min_yaw_rate, robot.min_wz),
+        }
+        return self.tracker.model_copy(update=limits)
+
     def imu_mount(self) -> Extrinsics:
         """Pose of the IMU in base_link."""
         return Extrinsics(IMU_POSITION)

@@ -11,20 +11,29 @@ from hal.types import Capabilities
 
 CAPABILITIES = {
     "vmc": Capabilities(
-        "go2w-mujoco-vmc", max_vx=1.0, max_wz=1.0, max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10
+        "go2w-mujoco-vmc",
+        max_vx=1.0,
+        max_wz=1.0,
+        min_vx=0.06,
+        min_wz=0.05,
+        max_step=0.10,
+        max_slope=math.radians(25.0),
+        max_gap=0.10,
     ),
     "policy": Capabilities(
         "go2w-mujoco-policy",
         max_vx=1.0,
         max_vy=0.5,
         max_wz=1.0,
+        min_vx=0.2,
+        min_wz=0.3,
         max_step=0.25,
         max_slope=math.radians(30.0),
         max_gap=0.12,
         strafe=True,
     ),
 }
-"""What the simulated robot can do, per controller."""
+"""What the simulated robot can do, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

@@ -28,6 +28,14 @@ _START_WINDOW = 1.5
 """The same for a new path: the robot drove on while it was planned."""
 _SETTLE_TIME = 1.5
 """Longest wait for standstill at the goal [s]."""
+_TURN_TIME = 15.0
+"""Longest time spent on the heading at the goal, corrections of the place included [s]."""
+_TURN_STALLED = 2.0
+"""A turn on the spot that brings less than _TURN_LEAST in this time [s] goes on driving back and forth."""
+_TURN_LEAST = 0.05
+"""[rad]"""
+_ROCK = 0.08
+"""How far from the goal it drives back and forth while it turns [m]."""
 _MAX_DRIFT = 0.35
 """Bound of the learnt sideways drift [rad]."""
 
@@ -56,6 +64,10 @@ class PathTracker:
         self._missed = False
         self._settle_since: int | None = None
         self._correcting: TrackPath | None = None
+        self._turn_began: int | None = None
+        self._turn_gained = 0
+        self._turn_left = math.inf
+        self._rock = 0.0
 
     @property
     def has_path(self) -> bool:
@@ -216,26 +228,43 @@ class PathTracker:
             "goal_distance": distance,
             "path_id": self._path_id,
         }
-        if not (resting or waited):
+        turning = self._settle_since is None
+        if not (resting or waited or turning):
             self._slew(0.0, 0.0, dt)
             return TrackOutput(self._vx, self._wz, self._phase, **report)
         # Hysteresis: the first stop must be inside the tolerance, turning on the spot may then wander a little.
-        turning = self._settle_since is None
         if distance > p.goal_tolerance * (1.5 if turning else 0.9) and self._tries > 0:
             self._tries -= 1
             self._correct(x, y, yaw, goal_x, goal_y)
             self._slew(0.0, 0.0, dt)
             return TrackOutput(0.0, self._wz, self._phase, **report)
         self._settle_since = None
-        if abs(turn) <= p.yaw_tolerance and abs(predicted) <= 0.6 * p.yaw_tolerance:
+        if self._turn_began is None:
+            self._turn_began = now
+        given_up = now - self._turn_began > _TURN_TIME * 1e9
+        if given_up or (abs(turn) <= p.yaw_tolerance and abs(predicted) <= 0.6 * p.yaw_tolerance):
             self._slew(0.0, 0.0, dt)
-            if abs(wz) < 0.1 and self._wz == 0.0:
+            if self._vx == self._wz == 0.0 and (abs(wz) < 0.1 or given_up):
                 self._phase = TrackPhase.DONE
                 self._missed = distance > 1.5 * p.goal_tolerance
                 return self._finish(x, y, yaw, dt)
         else:
-            self._slew(0.0, self._turn_rate(predicted), dt)
-        return TrackOutput(0.0, self._wz, self._phase, **report)
+            ahead = math.cos(yaw) * (x - goal_x) + math.sin(yaw) * (y - goal_y)
+            self._slew(self._rocking(now, abs(turn), ahead), self._turn_rate(predicted), dt)
+        return TrackOutput(self._vx, self._wz, self._phase, **report)
+
+    def _rocking(self, now: int, left: float, ahead: float) -> float:
+        """Speed [m/s] while `left` [rad] remain to turn, `ahead` [m] of the goal: 0 as long as the turn on the spot goes on.
+
+        A wheel that an edge or a slope holds comes free when it rolls: first backward, where the robot came from.
+        """
+        if left < self._turn_left - _TURN_LEAST or self._turn_left == math.inf:
+            self._turn_left, self._turn_gained = left, now
+        if self._rock == 0.0 and now - self._turn_gained > _TURN_STALLED * 1e9:
+            self._rock = -self.params.min_speed
+        if self._rock * ahead > _ROCK * abs(self._rock):
+            self._rock = -self._rock
+        return self._rock
 
     def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:
         """Drive straight to the goal, whichever end of the robot is nearer to pointing at it."""
@@ -281,7 +310,7 @@ class PathTracker:
         """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
         p = self.params
         rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
-        return math.copysign(max(rate, 0.15), error)
+        return math.copysign(max(rate, p.min_yaw_rate), error)
 
     def _slope_factor(self, slope: float) -> float:
         p = self.params

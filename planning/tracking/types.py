@@ -16,6 +16,9 @@ class TrackerConfig(BaseModel):
     max_speed: float = Field(default=0.8, gt=0, description="[m/s] whatever the path allows")
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
     max_yaw_rate: float = Field(default=0.8, gt=0, description="[rad/s]")
+    min_yaw_rate: float = Field(
+        default=0.15, gt=0, description="[rad/s] slowest turn on the spot the drive follows reliably"
+    )
     max_accel: float = Field(default=0.8, gt=0, description="[m/s^2] slew of the forward speed")
     max_decel: float = Field(
         default=0.6, gt=0, description="[m/s^2] planned braking for goal, bends and slow stretches"

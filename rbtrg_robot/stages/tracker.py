@@ -145,4 +145,4 @@ class TrackerStage:
 
 def build(config: StackConfig) -> TrackerStage:
     """From the stack's configuration."""
-    return TrackerStage(config.tracker, config.freshness)
+    return TrackerStage(config.tracker_config(), config.freshness)

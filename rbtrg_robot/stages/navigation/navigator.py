@@ -13,7 +13,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState
-from rbtrg_robot.stages.navigation.path_order import PathOrder
+from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance
@@ -239,7 +239,9 @@ class NavigatorStage:
             self._stand(goal, PLANNER_SILENT)
             self._replan(goal)
             return
-        if self._pose is not None and on_path and self._progress.stuck(now, self._pose):
+        if on_path and self._tracker is not None and self._tracker.phase == "final_turn":
+            self._progress.reset()  # the tracker ends that in time by itself
+        elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             self._recover(goal)
             return
         look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > p.replan_period
@@ -253,8 +255,10 @@ class NavigatorStage:
             self._replan(goal)
             return
         short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
+        askew = heading_off(goal.yaw, self._tracker)
         if short <= self._params.goal_tolerance:
-            self._end(GoalState.REACHED, Reason.NONE)
+            ended = (GoalState.ABORTED, Reason.STUCK) if askew else (GoalState.REACHED, Reason.NONE)
+            self._end(*ended, askew)
         elif self._short < self._params.short_retries:
             self._short += 1  # seen from here the last stretch may be drivable
             self._replan(goal)

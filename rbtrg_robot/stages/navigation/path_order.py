@@ -16,6 +16,16 @@ REPEAT = NS // 2
 """A tracker that works on something else than it was told is told again after this long [ns]."""
 OUT_SPEED = 0.3
 """[m/s]"""
+HEADING = math.radians(10.0)
+"""A goal whose heading is farther off is not reached."""
+
+
+def heading_off(wanted: float | None, tracker: msg.TrackerState | None) -> str:
+    """In words how far a robot at its goal is off the heading `wanted` [rad]; empty within `HEADING`, or without one."""
+    off = abs(tracker.heading_error) if tracker is not None and wanted is not None else 0.0
+    if off <= HEADING:
+        return ""
+    return f"at the goal, but {math.degrees(off):.0f} deg off its heading: the robot could not turn there"
 
 
 class PathOrder:

@@ -462,3 +462,62 @@ def test_any_path_and_any_pose_keep_the_limits(points, seed):
             assert abs(out.vx) <= abs(last[0]) + p.max_accel * DT + 1e-9
         assert out.progress >= progress - 1e-9
         progress, last = out.progress, (out.vx, out.wz)
+
+
+def at_goal(base: Base, goal_yaw: float, config: TrackerConfig, seconds: float = 25.0) -> Run:
+    """Drive half a metre to the origin, then turn to `goal_yaw`."""
+    base.x = -0.5
+    tracker = PathTracker(config)
+    tracker.set_path(line(0.5) - (0.5, 0.0, 0.0), None, 0.5, goal_yaw=goal_yaw)
+    return drive(tracker, base, seconds)
+
+
+class Deaf(Base):
+    """Does not answer yaw rates below 0.25 rad/s, and rolls forward while it turns on the spot."""
+
+    def advance(self, vx: float, wz: float) -> None:
+        turns = abs(wz) >= 0.25
+        super().advance(0.06 if turns and vx == 0.0 else vx, wz if turns or vx != 0.0 else 0.0)
+
+
+@pytest.mark.parametrize("degrees", [15.0, 40.0, -90.0, 170.0])
+def test_the_last_turn_asks_for_no_rate_that_the_base_does_not_answer(degrees: float) -> None:
+    base, goal_yaw = Deaf(yaw_gain=0.85), math.radians(degrees)
+    run = at_goal(base, goal_yaw, TrackerConfig(min_speed=0.2, min_yaw_rate=0.3))
+    assert run.last.phase is TrackPhase.DONE
+    assert abs(wrap(goal_yaw - base.yaw)) < math.radians(10.0)
+    assert not run.last.missed
+    turning = [o for o in run.outputs if o.phase is TrackPhase.FINAL_TURN and o.vx == 0.0]
+    assert len(turning) * DT < 8.0
+
+
+class Held(Base):
+    """An edge holds its wheels: it turns only while it rolls."""
+
+    def advance(self, vx: float, wz: float) -> None:
+        super().advance(vx, wz if abs(self.v) > 0.05 else 0.0)
+
+
+@pytest.mark.parametrize("degrees", [40.0, -60.0])
+def test_what_does_not_turn_on_the_spot_is_turned_back_and_forth(degrees: float) -> None:
+    base, goal_yaw = Held(), math.radians(degrees)
+    run = at_goal(base, goal_yaw, TrackerConfig())
+    assert run.last.phase is TrackPhase.DONE
+    assert abs(wrap(goal_yaw - base.yaw)) < math.radians(10.0)
+    assert math.hypot(base.x, base.y) <= 0.15
+    final = [o.vx for o in run.outputs if o.phase is TrackPhase.FINAL_TURN]
+    assert min(final) < -0.1
+    assert len(final) * DT < 12.0
+
+
+def test_a_heading_that_cannot_be_had_is_given_up_and_told() -> None:
+    class Stiff(Base):
+        def advance(self, vx: float, wz: float) -> None:
+            super().advance(vx, 0.0)
+
+    base = Stiff()
+    run = at_goal(base, 1.0, TrackerConfig())
+    assert run.last.phase is TrackPhase.DONE
+    assert run.last.heading_error == pytest.approx(1.0, abs=0.05)
+    assert (run.last.vx, run.last.wz) == (0.0, 0.0)
+    assert abs(base.x) < 0.2

@@ -18,8 +18,10 @@ import numpy as np
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import Locomotion
+from hal.mujoco.config import CAPABILITIES
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
+from tools.bench.envelope.response import along, turning, turning_while_driving
 from tools.bench.envelope.trial import RUNS, Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
@@ -163,6 +165,7 @@ def run(args: list[str]) -> Report:
     bench.courses()
     bench.conditions()
     bench.edges_and_turns()
+    bench.responses()
     bench.driving()
     if not bench.report.rows:
         parser.error(f"no row begins with {options.only!r}")
@@ -270,6 +273,17 @@ class _Bench:
             if self._wanted(f"turn_ramp_{degrees}"):
                 share = min(turn_on_ramp(controller, degrees, way) for way in (1, -1))
                 add(f"turn_ramp_{degrees}.{name}", share, "share of the angle")
+
+    def responses(self) -> None:
+        """What slow commands do; the limits are the capabilities that the tracker goes by."""
+        name, add, robot = self.name, self.report.add, CAPABILITIES[self.name]
+        for kind, least in (("vx", robot.min_vx), ("wz", robot.min_wz), ("wz_driving", None)):
+            if self._wanted(f"deadband_{kind}") or self._wanted(f"gain_{kind}"):
+                measure = {"vx": along, "wz": turning, "wz_driving": turning_while_driving}[kind]
+                response = measure(self.controller)
+                unit = "m/s" if kind == "vx" else "rad/s"
+                add(f"deadband_{kind}.{name}", response.deadband, unit, least)
+                add(f"gain_{kind}.{name}", response.gain, "share of the command")
 
     def driving(self) -> None:
         """Following a path, standing, stopping, cost."""

@@ -37,6 +37,7 @@ class World:
         self.health = "good"
         self.silent: set[Topic] = set()
         self.tracker_phase = "following"
+        self.heading_error = 0.0
         self.tracker_obeys = True
         self.estop = False
         self.phase = "ready"
@@ -78,7 +79,13 @@ class World:
             path = self.last(t.PATH_COMMAND)
             path_id = path.id if path is not None and self.tracker_obeys else ""
             phase = self.tracker_phase if path_id else "idle"
-            self.send(t.TRACKER_STATE, path_id=path_id, phase=phase, distance_left=2.0)
+            self.send(
+                t.TRACKER_STATE,
+                path_id=path_id,
+                phase=phase,
+                distance_left=2.0,
+                heading_error=self.heading_error,
+            )
             if t.ROUTE_STATUS not in self.silent and self.last(t.PLAN_REQUEST) is not None:
                 request = self.last(t.PLAN_REQUEST)
                 self.send(
@@ -147,6 +154,23 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     world.run(0.2)
     assert world.status.state == "reached"
     assert world.last(t.PATH_COMMAND).id == ""
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_goal_whose_heading_could_not_be_had_is_not_called_reached(world: World, asked: bool) -> None:
+    world.goal(1.0, 0.0, yaw=1.5, has_yaw=asked)
+    world.answer()
+    world.pose = (1.0, 0.0, 1.0)
+    world.tracker_phase, world.heading_error = "final_turn", 0.5
+    world.run(14.0)
+    assert world.status.state == "moving", "the tracker turns, which is no standstill"
+    world.tracker_phase = "done"
+    world.run(0.2)
+    if asked:
+        assert (world.status.state, world.status.reason) == ("aborted", "stuck")
+        assert "29 deg off its heading" in world.status.detail
+    else:
+        assert world.status.state == "reached"
 
 
 def test_a_path_that_ends_short_of_the_goal_is_no_success(world: World) -> None:

@@ -1,0 +1,88 @@
+"""What a controller makes of slow commands: deadband and gain, along the body and in turns on the spot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hal.lowlevel import Locomotion
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope.trial import DT
+
+SPEEDS = (0.03, 0.06, 0.09, 0.12, 0.16, 0.2, 0.3, 0.5)
+"""[m/s]"""
+RATES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.8)
+"""[rad/s]"""
+FRICTIONS = (0.5, 0.8)
+DRIVING = 0.3
+"""[m/s] while turns are asked for on the way."""
+SETTLE, MEASURE = 1.0, 2.5
+"""[s] after the command that are not looked at, and that are."""
+EFFECT = 0.5
+"""Least share of a command that counts as an effect."""
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """Of one kind of command, worst of both directions and frictions."""
+
+    deadband: float
+    """Smallest command from which on every one has an effect; infinite when the largest has none."""
+    gain: float
+    """Share of the largest command that is followed."""
+
+
+def followed(controller: Locomotion, vx: float, wz: float, friction: float) -> tuple[float, float]:
+    """Mean speed [m/s] and yaw rate [rad/s] on level ground under a steady command."""
+    sim = Simulation(np.zeros((120, 120), np.float32), 0.1, (-6.0, -6.0), friction=friction, timestep=DT)
+    sim.reset()
+    controller.reset()
+    every = round(controller.period / DT)
+    along = turned = 0.0
+    for tick in range(round((0.5 + SETTLE + MEASURE) / DT)):
+        if tick % every == 0:
+            command = VelocityCommand(0, vx, 0.0, wz) if sim.time >= 0.5 else VelocityCommand(0)
+            sim.apply(controller.step(sim.low_state(), command, PostureCommand(0)))
+        before = sim.yaw
+        sim.step()
+        if sim.time > 0.5 + SETTLE:
+            along += float(sim.linear_velocity[0]) * DT
+            turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+    return along / MEASURE, turned / MEASURE
+
+
+def _response(share: dict[float, float]) -> Response:
+    """From the least followed share of each command."""
+    deadband = float("inf")
+    for command in sorted(share, reverse=True):
+        if share[command] < EFFECT:
+            break
+        deadband = command
+    return Response(deadband, share[max(share)])
+
+
+def along(controller: Locomotion) -> Response:
+    """Forward and backward."""
+    return _response(
+        {
+            v: min(followed(controller, s * v, 0.0, f)[0] / (s * v) for s in (1, -1) for f in FRICTIONS)
+            for v in SPEEDS
+        }
+    )
+
+
+def turning(controller: Locomotion, speed: float = 0.0) -> Response:
+    """To both sides, on the spot or while driving at `speed` [m/s]."""
+    return _response(
+        {
+            w: min(followed(controller, speed, s * w, f)[1] / (s * w) for s in (1, -1) for f in FRICTIONS)
+            for w in RATES
+        }
+    )
+
+
+def turning_while_driving(controller: Locomotion) -> Response:
+    """To both sides on the way, at `DRIVING`."""
+    return turning(controller, DRIVING)

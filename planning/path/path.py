@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.path.spline import curve, distance_to_polyline, reach_limits
+from planning.path.spline import curve, distance_along, reach_limits
 from planning.path.types import Path, PathLimits
 from planning.path.watch import terrain_around
 from planning.risk.body import (
@@ -117,13 +117,17 @@ def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimi
     while True:
         xy, owner = curve(vertices, reach, limits.spacing)
         poses = np.column_stack([xy, _headings(xy)])
-        away = distance_to_polyline(xy, vertices)
+        away = distance_along(xy, owner, vertices, limits.corridor)
+        first = np.searchsorted(
+            owner, np.arange(len(vertices) + 1)
+        )  # samples come in the order of their corners
         shrink = []
         for i in np.flatnonzero(reach > 0.0).tolist():
-            mine = poses[owner == i]
+            part = slice(first[i], first[i + 1])
+            mine = poses[part]
             over = _peak(mine, terrain, body) - peak > _SLACK_PEAK * body.scales[:3]
             risky = over.any() or _excess(mine, raw[i], terrain, body, limits) > _SLACK
-            if risky or away[owner == i].max() > limits.corridor:
+            if risky or away[part].max() > limits.corridor:
                 shrink.append(i)
         if not shrink:
             return xy, int((reach[1:-1] == 0.0).sum())

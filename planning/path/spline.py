@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -80,10 +81,29 @@ def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np
     return out, own[np.minimum(np.searchsorted(arc, at - 1e-12), len(own) - 1)]
 
 
-def distance_to_polyline(points: Array, vertices: Array) -> Array:
-    """(n,) distance of each point from the polyline [m]."""
-    a, b = vertices[:-1], vertices[1:]
-    ab = b - a
-    rel = points[:, None] - a[None]
-    t = np.clip((rel * ab).sum(-1) / np.maximum((ab * ab).sum(-1), 1e-18), 0.0, 1.0)
-    return np.hypot(*(rel - t[..., None] * ab).transpose(2, 0, 1)).min(1)
+@njit(cache=True)
+def distance_along(points: Array, owner: NDArray[np.int64], vertices: Array, window: float) -> Array:
+    """(n,) distance [m] of each point of a rounded route from the route, looked for where the point belongs.
+
+    points (n, 2); owner (n,) vertex that each belongs to; vertices (m, 2); only legs that begin within `window` [m] of
+    that vertex along the route are looked at: the cost grows with the length, not with its square, and a
+    route that comes back to a place is near itself there without having been left.
+    """
+    last = vertices.shape[0] - 1
+    out = np.empty(points.shape[0])
+    for i in range(points.shape[0]):
+        best = np.inf
+        for way in (1, -1):
+            gone = 0.0
+            leg = owner[i] if way == 1 else owner[i] - 1
+            while 0 <= leg < last and gone <= window:
+                ax, ay = vertices[leg, 0], vertices[leg, 1]
+                dx, dy = vertices[leg + 1, 0] - ax, vertices[leg + 1, 1] - ay
+                squared = dx * dx + dy * dy
+                px, py = points[i, 0] - ax, points[i, 1] - ay
+                t = min(max((px * dx + py * dy) / max(squared, 1e-18), 0.0), 1.0)
+                best = min(best, np.hypot(px - t * dx, py - t * dy))
+                gone += np.sqrt(squared)
+                leg += way
+        out[i] = best
+    return out

@@ -10,13 +10,22 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.path import PathLimits, make_path, still_safe
-from planning.path.spline import curve, distance_to_polyline, reach_limits
+from planning.path.spline import curve, distance_along, reach_limits
 from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import flat, lattice, rough
 
 BODY = BodyModel()
 LIMITS = PathLimits()
+
+
+def distance_to_polyline(points, vertices):
+    """(n,) distance of each point from all of the polyline [m]."""
+    a, b = vertices[:-1], vertices[1:]
+    ab = b - a
+    rel = points[:, None] - a[None]
+    t = np.clip((rel * ab).sum(-1) / np.maximum((ab * ab).sum(-1), 1e-18), 0.0, 1.0)
+    return np.hypot(*(rel - t[..., None] * ab).transpose(2, 0, 1)).min(1)
 
 
 def zigzag():
@@ -147,3 +156,23 @@ def test_a_path_stops_being_safe_when_a_wall_or_a_hole_in_the_graph_appears():
     ok, why = still_safe(path, shorter, grid, BODY)
     assert not ok
     assert "no drivable ground" in why
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_distance_from_the_route_equals_that_from_all_of_it(seed):
+    rng = np.random.default_rng(seed)
+    heading = np.cumsum(rng.uniform(-1.0, 1.0, 40)) * 0.6
+    steps = rng.uniform(0.15, 0.6, 40)[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    vertices = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    xy, owner = curve(vertices, reach_limits(vertices, 0.08), 0.02)
+    assert (np.diff(owner) >= 0).all()
+    got = distance_along(xy, owner, vertices, 0.08)
+    assert got.max() > 0.01
+    np.testing.assert_allclose(got, distance_to_polyline(xy, vertices), atol=1e-9)
+
+
+def test_a_route_that_crosses_itself_is_left_where_it_is_left():
+    vertices = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+    point, owner = np.array([[1.0, 0.5]]), np.array([1])
+    assert distance_to_polyline(point, vertices)[0] == 0.0
+    assert distance_along(point, owner, vertices, 0.08)[0] == pytest.approx(0.5)

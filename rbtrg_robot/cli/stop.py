@@ -54,23 +54,31 @@ def command(words: list[str]) -> int:
 def stop(robot: str, patience: float = PATIENCE) -> int:
     """Send the stop until the robot confirms it; 0 then, 1 after `patience` [s]. Prints what happened."""
     deadline = time.monotonic() + patience
-    told = False
-    while time.monotonic() < deadline:
-        for endpoint, domain in places(robot):
-            session = _open(endpoint)
-            if session is not None:
-                with session:
-                    return _send(session, domain, deadline)
-        if not told:
-            told = True
-            where = ", ".join(endpoint for endpoint, _ in places(robot))
+    told = threading.Event()
+
+    def tell() -> None:
+        if not told.is_set():
+            told.set()
             far = remote()
-            why = problem(far.folder) if far is not None else ""
-            print(
-                f"rbtrg-robot: {why or f'nothing answers on {where}'}; still trying, {USE_HARDWARE}",
-                file=sys.stderr,
-            )
-        time.sleep(REPEAT)
+            wrong = problem(far.folder) if far is not None else ""
+            why = wrong or f"nothing answers on {', '.join(endpoint for endpoint, _ in places(robot))}"
+            print(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}", file=sys.stderr)
+
+    worry = threading.Timer(WORRY, tell)  # a computer that takes the connection and is silent costs 10 s
+    worry.daemon = True
+    worry.start()
+    try:
+        while time.monotonic() < deadline:
+            for endpoint, domain in places(robot):
+                session = _open(endpoint)
+                if session is not None:
+                    told.set()
+                    with session:
+                        return _send(session, domain, deadline)
+            tell()
+            time.sleep(REPEAT)
+    finally:
+        worry.cancel()
     return 1
 
 

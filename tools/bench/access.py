@@ -99,7 +99,7 @@ class Site:
             tls = {key: tls[key] for key in ("root_ca_certificate", "verify_name_on_connect")}
         return Bus(self.endpoint, "cli", security=Security(tls))
 
-    def arrived(self, bus: Bus, names: list[str], mark: bytes) -> set[str]:
+    def arrived(self, session: zenoh.Session, names: list[str], mark: bytes) -> set[str]:
         """Which of these keys a put of the payload `mark` from outside reaches, at a process of the stack.
 
         They are sent again until a stop that is sent after them arrives, where that may; all in one order, at one priority.
@@ -108,8 +108,8 @@ class Site:
         until = time.monotonic() + QUIET
         while True:
             for name in names:
-                bus.session.put(name, mark)
-            bus.session.put(*last)
+                session.put(name, mark)
+            session.put(*last)
             with self._turn:
                 if self._turn.wait_for(lambda: last in self._heard, 0.2) or time.monotonic() > until:
                     return {name for name, payload in self._heard if payload == mark}
@@ -186,7 +186,7 @@ def publish(place: Site, who: str) -> Cells:
         name: name for name in ("0/**", "**", "0/cmd_vel/**", "0/new/topic", "0/rbtrg/status", "1/cmd_vel")
     }
     got: set[str] = _inside(
-        place, who, lambda bus: place.arrived(bus, list(names), f"put by {who}".encode()), set()
+        place, who, lambda bus: place.arrived(bus.session, list(names), f"put by {who}".encode()), set()
     )
     return {name: (key in got, name in MAY_PUBLISH[who]) for key, name in names.items()}
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import socket
 import threading
 from collections.abc import Iterator
 
 import pytest
+import zenoh
 from typer.testing import CliRunner
 
 from hal.safety.gate import SafetyGate
@@ -15,10 +17,12 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access import rules
 from rbtrg_robot.access.certificates import KeysError
 from rbtrg_robot.access.identity import CONNECT, NAME, client_tls, server_tls
+from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.stop import stop
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Role
+from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.bus import Bus, BusError, Security
 from tests.hal.unitree.world import World
 from tools.bench import access
@@ -147,6 +151,44 @@ def test_stop_with_a_removed_certificate_says_that_nothing_was_confirmed(
     monkeypatch.setenv(NAME, str(place.folders["removed"]))
     assert stop("go2w", patience=1.5) == 1
     assert "does not confirm `stop`; use the hardware stop" in capsys.readouterr().err
+
+
+def test_stop_says_at_once_that_a_computer_is_silent(
+    place: Site, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It takes the connection and says nothing: Zenoh waits 10 s for it, the operator must not."""
+    told: list[str] = []
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        monkeypatch.setenv(CONNECT, f"tls/127.0.0.1:{silent.getsockname()[1]}")
+        monkeypatch.setenv(NAME, str(place.folders["operator"]))
+        opened = module._open
+
+        def opening(endpoint: str) -> object:
+            found = opened(endpoint)
+            told.append(capsys.readouterr().err)  # what was said while it waited
+            return found
+
+        monkeypatch.setattr(module, "_open", opening)
+        assert stop("go2w", patience=0.5) == 1
+    assert "nothing answers on tls/127.0.0.1" in told[0]
+    assert "use the hardware stop" in told[0]
+
+
+@pytest.mark.parametrize("mode", ["peer", "router"])
+def test_what_an_observer_may_does_not_hang_on_how_the_session_calls_itself(place: Site, mode: str) -> None:
+    settings = {
+        "mode": mode,
+        "connect": {"endpoints": [place.endpoint], "timeout_ms": 3000, "exit_on_failure": True},
+        "listen": {"endpoints": []},
+        "scouting": {"multicast": {"enabled": False}},
+        "transport": {"link": {"tls": client_tls(place.folders["observer"])}},
+    }
+    names = [wire.key(topic, 0) for topic in t.TOPICS]
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as session:
+        got = place.arrived(session, names, f"from a {mode}".encode())
+    assert got <= {wire.key(t.ROBOT_STOP, 0)}
 
 
 def test_commands_work_from_another_computer(place: Site, monkeypatch: pytest.MonkeyPatch) -> None:

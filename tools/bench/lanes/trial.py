@@ -28,6 +28,8 @@ ENTERED = 0.15
 """The middle of the body this close [m] to an element means that the robot tries it."""
 NEAR_WALL = 0.04
 """[m] of a contact from a wall's surface."""
+AFTER = 1.5
+"""Time [s] for which the robot is watched when its goal has ended."""
 PAUSE = 0.3
 """Contacts farther apart in time [s] are two touches."""
 SAMPLE = 2
@@ -107,6 +109,9 @@ def _run(stack: Lockstep, watch: Watch, goal: tuple[float, float], timeout: floa
         if status is not None and GoalState(status.state).terminal:
             break
     took = stack.seconds - start
+    for _ in range(round(AFTER / 0.005)):  # a goal ends at the first sign of a fall
+        stack.step()
+        watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
     away = math.dist(watch.place, goal)
     outcome = status.state if status is not None else "not_ready"
     if watch.fell:

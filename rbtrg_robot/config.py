@@ -153,8 +153,12 @@ class StackConfig(BaseModel):
         return CAPABILITIES[self.controller] if self.simulated else self.unitree_options().capabilities()
 
     def graph_params(self) -> GraphParams:
-        """Settings of the graph; its limits are the robot's own, or tighter."""
-        return self.graph.params(self.capabilities())
+        """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground at the feet,
+        none around the start is taken for granted.
+        """
+        params = self.graph.params(self.capabilities())
+        head = any(lidar.name == "head" for lidar in self.lidars)
+        return params.model_copy(update={"blind_radius": 0.0}) if head else params
 
     def tracker_config(self) -> TrackerConfig:
         """Settings of the tracker, which asks for no motion so slow that the robot does not follow."""

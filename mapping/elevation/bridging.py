@@ -90,9 +90,10 @@ def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes
 
 
 @njit(cache=True)
-def trust(height, variance, count, source, v_max, settled, agree):  # pragma: no cover
+def trust(height, variance, upper, count, source, v_max, settled, agree, hole):  # pragma: no cover
     """Which cells to believe (rows, cols) bool: wheel cells, and LiDAR cells certain enough (`v_max` [m^2]).
 
+    A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
     A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
     once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`.
     """
@@ -101,7 +102,10 @@ def trust(height, variance, count, source, v_max, settled, agree):  # pragma: no
     for r in range(rows):
         for c in range(cols):
             if source[r, c] == 1:
-                out[r, c] = True
+                if upper[r, c] < height[r, c] - hole:
+                    source[r, c] = 3
+                else:
+                    out[r, c] = True
             elif source[r, c] == 2:
                 n = 2
                 if count[r, c] < settled:

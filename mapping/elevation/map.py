@@ -26,7 +26,7 @@ from mapping.elevation.read import MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, support_patch
+from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, behind, support_patch
 from mapping.grid import ElevationGrid
 
 _HITS = 100_000
@@ -238,9 +238,12 @@ class ElevationMap:
         cell = s.locate(patch.i, patch.j)
         old = s.cells[cell]
         seen = old["source"] == LIDAR
-        if np.count_nonzero(np.abs(patch.height - old["height"])[seen] > ROUGH) > CONTRADICTED * seen.sum():
+        off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
+        if np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under):
             return 0
         take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
+        if start:
+            take &= ~behind(patch, off, place[:2], p.resolution)
         cell, new = cell[take], old[take]
         new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
         s.cells[cell] = new

@@ -54,7 +54,9 @@ class MapReader:
         small = self._bytes.take(5, *wide)
         count, source, marks = small[0], small[1], small[2:]
         self.store.read(i0 - pad, j0 - pad, Layers(height, variance, upper, count, source))
-        trusted = trust(height, variance, count, source, p.trust_sigma**2, p.trust_count, p.gate_min)
+        trusted = trust(
+            height, variance, upper, count, source, p.trust_sigma**2, p.trust_count, p.gate_min, p.hole
+        )
         bridge(height, source, trusted, upper, self._rule, out, gap, marks)
         layers = self._result.take(5, rows, cols)
         _compose(height, variance, upper, source, trusted, pad, p.trust_sigma**2, layers)

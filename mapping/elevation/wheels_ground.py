@@ -23,6 +23,8 @@ class SupportPatch:
     j: NDArray[np.int64]
     height: NDArray[np.float32]
     variance: NDArray[np.float32]
+    under: NDArray[np.bool_]
+    """Within the body rectangle."""
 
 
 def support_patch(
@@ -53,11 +55,9 @@ def support_patch(
     hi = np.ceil((centre + reach) / resolution).astype(int)
     j, i = np.meshgrid(np.arange(lo[0], hi[0] + 1), np.arange(lo[1], hi[1] + 1))
     x, y = j * resolution - centre[0], i * resolution - centre[1]
-    if radius is None:
-        c, s = np.cos(yaw), np.sin(yaw)
-        inside = (np.abs(c * x + s * y) <= half[0]) & (np.abs(-s * x + c * y) <= half[1])
-    else:
-        inside = x * x + y * y <= radius * radius
+    c, s = np.cos(yaw), np.sin(yaw)
+    under = (np.abs(c * x + s * y) <= half[0]) & (np.abs(-s * x + c * y) <= half[1])
+    inside = under.copy() if radius is None else x * x + y * y <= radius * radius
     px, py = j * resolution, i * resolution
     away = np.hypot(px[..., None] - contacts[:, 0], py[..., None] - contacts[:, 1])
     nearest = away.min(axis=-1)
@@ -72,4 +72,21 @@ def support_patch(
         j[inside].astype(np.int64),
         z[inside].astype(np.float32),
         (spread[inside] ** 2).astype(np.float32),
+        under[inside],
     )
+
+
+def behind(
+    patch: SupportPatch, off: NDArray[np.bool_], centre: NDArray[np.float64], resolution: float
+) -> NDArray[np.bool_]:
+    """Which cells of a patch (n,) lie behind one that is known at another height, `off` (n,), as seen from `centre` (2,) [m].
+
+    The robot stands on this side of a wall or an edge: its support plane says nothing of the other one.
+    """
+    i0, j0 = patch.i.min(), patch.j.min()
+    blocks = np.zeros((patch.i.max() - i0 + 1, patch.j.max() - j0 + 1), np.bool_)
+    blocks[patch.i - i0, patch.j - j0] = off
+    ci, cj = centre[1] / resolution - i0, centre[0] / resolution - j0
+    di, dj = patch.i - i0 - ci, patch.j - j0 - cj
+    steps = np.linspace(0.0, 1.0, 2 * max(blocks.shape) + 1)[:, None]
+    return blocks[np.rint(ci + steps * di).astype(int), np.rint(cj + steps * dj).astype(int)].any(axis=0)

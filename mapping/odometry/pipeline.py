@@ -138,7 +138,7 @@ class LidarInertialOdometry:
             self._notes.append(f"the main LiDAR is silent, the {sweep.name} LiDAR takes its place")
         others = self._others(sweep, stamps, track)
         if sweep.problem:
-            return self._dead_reckoned(sweep.problem, others)
+            return self._dead_reckoned(sweep.problem)
         cloud = self._deskewed(sweep, stamps, track)
 
         predicted = self._filter.pose()
@@ -165,7 +165,9 @@ class LidarInertialOdometry:
             self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
         self._notes.clear()
         self._rejoin()
-        clouds = {sweep.name: cloud, **others}
+        clouds = (
+            {sweep.name: cloud, **others} if verdict.use else {}
+        )  # nothing is mapped from a pose that is not sure
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
 
     def _deskewed(self, sweep: Sweep, stamps: NDArray[np.int64], track: Array) -> NDArray[np.float32]:
@@ -263,15 +265,13 @@ class LidarInertialOdometry:
         self._advance(until)
         return self._dead_reckoned("no scan")
 
-    def _dead_reckoned(
-        self, reason: str, clouds: Mapping[LidarName, NDArray[np.float32]] = MappingProxyType({})
-    ) -> ScanOdometry:
+    def _dead_reckoned(self, reason: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
         self._rejoin()
         nothing = Match(self._filter.pose(), 0, 0.0, 0, 0.0, 0.0, np.zeros((6, 6)))
-        return self._result(clouds, nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0)
+        return self._result({}, nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0)
 
     def _result(
         self,

@@ -76,7 +76,7 @@ class ScanOdometry:
     correction: float
     """How far registration moved the prediction [m]."""
     clouds: Mapping[LidarName, NDArray[np.float32]]
-    """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link."""
+    """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link; none where the registration was refused."""
 
     @property
     def cloud(self) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
@@ -161,12 +162,13 @@ class ElevationStage:
         position, orientation = self._frame.pose3(
             xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
         )
+        sigmas = self._sigmas(odom)
         self._scans += 1
         for name, sensor in self._sensors.items():
             points = clouds.get(name, NOTHING)
             self._silent[name] = 0 if len(points) else self._silent[name] + 1
             if len(points):
-                self.map.fuse(points, position, orientation, stamp, sensor)
+                self.map.fuse(points, position, orientation, stamp, sensor, *sigmas)
                 if self._scans % self._params.clean_every == 0:
                     self.map.clean()
         if joints is not None:
@@ -177,11 +179,26 @@ class ElevationStage:
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
 
+    def _sigmas(self, odom: msg.Odometry) -> tuple[float, float]:
+        """Standard deviations of roll or pitch [rad] and of the height [m] of a pose: the odometry's own, or the configured where
+        those are larger.
+        """
+        variance = np.diag(np.reshape(odom.pose.covariance, (6, 6)))
+        p = self.map.params
+        return (
+            max(p.attitude_sigma, math.sqrt(max(0.0, *variance[3:5]))),
+            max(p.height_sigma, math.sqrt(max(0.0, variance[2]))),
+        )
+
     def _blind(self) -> str:
         """What an operator should know of the LiDARs, in plain words."""
         silent = [name for name, scans in self._silent.items() if scans >= SILENT_SCANS]
-        unseen = "; the ground in front of the feet is not seen" if "head" in silent else ""
-        return f"nothing from the {' and the '.join(silent)} LiDAR{unseen}" if silent else ""
+        words = [f"nothing from the {' and the '.join(silent)} LiDAR"] if silent else []
+        if "head" not in self._sensors:
+            words.append("no LiDAR sees the ground at the feet: around the start it is taken for granted")
+        elif "head" in silent:
+            words.append("the ground at the feet is not seen: the robot drives on what it saw before alone")
+        return "; ".join(words)
 
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":

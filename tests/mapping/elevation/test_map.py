@@ -286,3 +286,44 @@ def test_the_head_lidar_maps_the_ground_ahead_alone_and_tells_no_drift() -> None
         for k in range(4):
             elevation.fuse(grid.astype(np.float32), (0, 0, 0.01 * (k == 3)), (0, 0, 0, 1), k * 10**8, sensor)
         assert (elevation.z_correction != 0.0) == drifts
+
+
+def test_a_robot_that_starts_in_a_lane_or_before_an_edge_stands_on_ground_on_its_side_alone() -> None:
+    wheels = np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4], [-0.2, -0.2, -0.4]])
+    side = np.stack(np.meshgrid(np.linspace(-2, 2, 101), [0.6, 0.64], [0.1]), -1).reshape(-1, 3)
+    lane = np.concatenate([side, side * (1, -1, 1)]).astype(np.float32)
+    floor = np.stack(np.meshgrid(np.linspace(0.55, 2, 37), np.linspace(-1, 1, 51), [-0.7]), -1).reshape(-1, 3)
+    for seen, across in ((lane, 1), (floor.astype(np.float32), 0)):
+        elevation = ElevationMap()
+        for k in range(4):
+            elevation.fuse(seen, (0, 0, 0.4), LEVEL, 1 + k * 10**8)
+            elevation.fuse_ground(wheels, (0, 0, 0.4), LEVEL, 1 + k * 10**8)
+        patch = elevation.full()
+        r, c = np.nonzero(patch.layers["source"] == CONTACT)
+        far = ((patch.origin[0] + 0.04 * c), np.abs(patch.origin[1] + 0.04 * r))[across]
+        assert len(far) > 400
+        assert far.max() < (0.58 if across else 0.54)
+
+
+def test_wheel_ground_that_a_ray_passes_under_is_none() -> None:
+    wheels = np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4], [-0.2, -0.2, -0.4]])
+    elevation = ElevationMap()
+    elevation.fuse_ground(wheels, (0, 0, 0.4), LEVEL, 1)
+
+    def stood_on(x0: float, x1: float) -> int:
+        """Trusted wheel cells there."""
+        patch = elevation.full()
+        r, c = np.nonzero((patch.layers["trusted"] > 0) & (patch.layers["source"] == CONTACT))
+        x, y = patch.origin[0] + 0.04 * c, patch.origin[1] + 0.04 * r
+        return np.count_nonzero((x > x0) & (x < x1) & (np.abs(y) < 0.1))
+
+    assert stood_on(0.7, 0.85) >= 10
+    beside = stood_on(-0.8, 0.3)
+    below = np.stack(np.meshgrid(np.linspace(1.5, 3, 60), np.linspace(-0.3, 0.3, 60), [-1.4]), -1).reshape(
+        -1, 3
+    )
+    head = Sensor.of(MountedLidar("head", "l1", L1_MOUNT))  # the rays pass an edge 0.5 m ahead
+    elevation.fuse(below.astype(np.float32), (0, 0, 0.4), LEVEL, 2, head)
+    elevation.clean()
+    assert stood_on(0.7, 0.85) == 0
+    assert stood_on(-0.8, 0.3) == beside

@@ -17,6 +17,9 @@ def test_trust_equals_numpy() -> None:
     height = np.where(source > 0, rng.normal(0, 0.03, shape), np.nan).astype(np.float32)
     variance = rng.uniform(0, 2e-3, shape).astype(np.float32)
     count = np.where(source == LIDAR, rng.integers(1, 6, shape), 0).astype(np.uint8)
+    upper = np.where(rng.random(shape) < 0.3, height - rng.uniform(0.0, 0.1, shape), np.inf).astype(
+        np.float32
+    )
     support = np.zeros(shape, int)
     padded_h, padded_n = np.pad(height, 1, constant_values=np.nan), np.pad(count, 1)
     for a in range(3):
@@ -24,12 +27,14 @@ def test_trust_equals_numpy() -> None:
             h, n = padded_h[a : a + 40, b : b + 30], padded_n[a : a + 40, b : b + 30]
             support += (n >= 3) & (np.abs(h - height) <= 0.05)
     stray = (source == LIDAR) & (count < 3) & (support < 2)
-    want = (source == CONTACT) | ((source == LIDAR) & ~stray & (variance < 1e-3))
-    got = trust(height, variance, count, source, 1e-3, 3, 0.05)
+    under = (source == CONTACT) & (upper < height - np.float32(0.04))
+    want = ((source == CONTACT) & ~under) | ((source == LIDAR) & ~stray & (variance < 1e-3))
+    got = trust(height, variance, upper, count, source, 1e-3, 3, 0.05, 0.04)
     assert np.array_equal(got, want)
-    assert np.isnan(height[stray]).all()
-    assert (source[stray] == UNKNOWN).all()
-    assert stray.sum() > 20
+    for gone in (stray, under):
+        assert np.isnan(height[gone]).all()
+        assert (source[gone] == UNKNOWN).all()
+        assert gone.sum() > 10
 
 
 def bridged(height, upper, *, source=None):

@@ -1,9 +1,9 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
-`--soak 0` leaves it out. `--no-joints` hides the joints from the odometry.
+`--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--no-joints` hides the joints from the odometry.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 
 from mapping.odometry.types import OdometryConfig
+from tools.bench.perception import lanes as _perception_lanes
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
 from tools.bench.perception import soak as _perception_soak
@@ -28,6 +29,8 @@ RPE_LIMIT = {
 """RMS over 1 s [mm], [deg]."""
 DRIFT_LIMIT = {("xt16", "kiss_icp"): 1.0, ("mid360", "kiss_icp"): 1.0}
 """[% of the path]"""
+LANE_SECONDS = 90.0
+"""A lane that is not driven by then [s, simulated] ends there."""
 CPU_LIMIT = {("xt16", "kiss_icp"): 20.0, ("xt16", "small_gicp"): 20.0}
 """Median per scan of 23k points [ms]."""
 
@@ -39,6 +42,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lidar", default="xt16,mid360,l1")
     parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
+    parser.add_argument("--lanes", type=int, default=4, metavar="N")
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
@@ -48,6 +52,8 @@ def run(args: list[str]) -> Report:
     _perception_lidar.rows(report, options.lidar.split(","))
     if options.soak > 0.0:
         _perception_soak.rows(report, options.soak)
+    if options.lanes > 0:
+        _perception_lanes.rows(report, options.lanes, LANE_SECONDS)
     return report
 
 

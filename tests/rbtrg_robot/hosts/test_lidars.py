@@ -1,0 +1,106 @@
+"""Two LiDARs in a closed loop: a lane as wide as a rescue lane, and what a silent LiDAR does to the robot."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
+from hal.scenes import Scene
+from hal.types import LidarScan, Sample
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig, load
+from rbtrg_robot.hosts.lockstep import Lockstep
+
+RESOLUTION = 0.02
+WIDTH = 1.12
+
+
+def lane() -> Scene:
+    """Ramps of 15 deg in a lane 1.12 m wide, with a fence around so that the odometry sees how far it came."""
+    x = np.arange(-1.5, 5.5, RESOLUTION)
+    y = np.arange(-1.5, 1.5, RESOLUTION)
+    rise = np.abs((np.maximum(x, 1.2) - 1.2 + 0.6) % 1.2 - 0.6) * math.tan(math.radians(15.0)) * (x < 3.6)
+    height = np.tile(rise.astype(np.float32), (len(y), 1))
+    wall = (np.abs(np.abs(y) - WIDTH / 2 - 0.03) < 0.03)[:, None] & (np.abs(x - 2.0) < 2.8)[None, :]
+    height[wall] = 0.6
+    height[:4], height[-4:], height[:, :4], height[:, -4:] = 1.2, 1.2, 1.2, 1.2
+    return Scene("lane", height, RESOLUTION, (-1.5, -1.5), (0.0, 0.0, 0.0), {})
+
+
+@pytest.fixture
+def in_lane(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = lane()
+    monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
+
+
+def stack(lidars: tuple[LidarConfig, ...]) -> Lockstep:
+    return Lockstep(load(None, ["record=false"], lidars=lidars))
+
+
+def mute(stack: Lockstep, name: str) -> None:
+    """One LiDAR falls silent."""
+    read = stack.robot.backend.read
+
+    def without(now: int) -> list[Sample]:
+        return [s for s in read(now) if not (isinstance(s, LidarScan) and s.name == name)]
+
+    stack.robot.backend.read = without  # type: ignore[method-assign]
+
+
+def moved(stack: Lockstep) -> float:
+    return float(stack.newest[t.TRUTH].pose.pose.position.x)
+
+
+def run(stack: Lockstep, seconds: float) -> None:
+    end = stack.seconds + seconds
+    while stack.seconds < end:
+        stack.step()
+
+
+@pytest.mark.usefixtures("in_lane")
+@pytest.mark.parametrize("lidars", [DEFAULT_LIDARS, only("xt16")], ids=["both", "xt16"])
+def test_a_robot_in_a_narrow_lane_starts_and_moves(lidars: tuple[LidarConfig, ...]) -> None:
+    with stack(lidars) as made:
+        made.wait_ready()
+        run(made, 0.5)
+        warning = made.newest[t.MAP_STATUS].warning
+        assert ("taken for granted" in warning) == (len(lidars) == 1)
+        made.send_goal(4.0, 0.0)
+        made.run_until(lambda: moved(made) > 0.8, 20.0, "a start")
+
+
+@pytest.mark.usefixtures("in_lane")
+def test_ground_ahead_is_seen_to_the_first_crest_and_a_silent_head_lidar_is_told() -> None:
+    with stack(DEFAULT_LIDARS) as made:
+        made.wait_ready()
+        run(made, 1.5)
+        patch = made.host.stage("elevation").map.window(0.9, 0.0, 0.5)
+        x = patch.origin[0] + 0.04 * np.arange(patch.layers["trusted"].shape[1])
+        y = patch.origin[1] + 0.04 * np.arange(patch.layers["trusted"].shape[0])
+        strip = patch.layers["trusted"][np.ix_(np.abs(y) < 0.3, (x > 0.4) & (x < 1.4))]
+        assert strip.mean() >= 0.95
+        mute(made, "head")
+        run(made, 1.5)
+        assert "nothing from the head LiDAR" in made.newest[t.MAP_STATUS].warning
+        assert made.newest[t.ROBOT_STATE].phase == "ready"
+
+
+@pytest.mark.usefixtures("in_lane")
+def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> None:
+    with stack(DEFAULT_LIDARS) as made:
+        made.wait_ready()
+        made.send_goal(4.0, 0.0)
+        made.run_until(lambda: moved(made) > 0.4, 20.0, "a start")
+        mute(made, "main")
+        run(made, 2.0)
+        health: Any = made.newest[t.ODOM_HEALTH]
+        assert (health.health, "the main LiDAR is silent" in health.reason) == ("degraded", True)
+        assert "nothing from the main LiDAR" in made.newest[t.MAP_STATUS].warning
+        run(made, 3.0)
+        held = made.newest[t.ODOM].pose.pose.position
+        assert abs(held.x - moved(made)) < 0.15
+        assert made.newest[t.ROBOT_STATE].hold == ""

@@ -84,6 +84,9 @@ class Backend(Protocol):
     def state(self) -> RobotState:
         """Newest summary state."""
 
+    def diagnostics(self) -> dict[str, float]:
+        """Figures for operators by name: measured values as float (offsets of clocks in s), counters as int. Empty where there are none."""
+
     def close(self) -> None:
         """Leave the robot safe (stopped, then seated or damped) and release everything. Idempotent."""
 

@@ -46,6 +46,40 @@ class Header(Message):
 
 
 @dataclass(slots=True, eq=False)
+class KeyValue(Message):
+    """diagnostic_msgs/msg/KeyValue."""
+
+    __msgtype__ = "diagnostic_msgs/msg/KeyValue"
+    key: str = ""
+    value: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class DiagnosticStatus(Message):
+    """diagnostic_msgs/msg/DiagnosticStatus."""
+
+    __msgtype__ = "diagnostic_msgs/msg/DiagnosticStatus"
+    OK: ClassVar[int] = 0
+    WARN: ClassVar[int] = 1
+    ERROR: ClassVar[int] = 2
+    STALE: ClassVar[int] = 3
+    level: int = 0
+    name: str = ""
+    message: str = ""
+    hardware_id: str = ""
+    values: list[KeyValue] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class DiagnosticArray(Message):
+    """diagnostic_msgs/msg/DiagnosticArray."""
+
+    __msgtype__ = "diagnostic_msgs/msg/DiagnosticArray"
+    header: Header = field(default_factory=Header)
+    status: list[DiagnosticStatus] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
 class Point(Message):
     """geometry_msgs/msg/Point."""
 

@@ -111,6 +111,7 @@ ROUTE_STATUS   = Topic("/plan/status",           msg.RouteStatus,      2, Qos.ST
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
+DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, "",          "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures")
 # fmt: on
 
 TOPICS: tuple[Topic, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Topic))
@@ -118,6 +119,8 @@ BY_NAME: dict[str, Topic] = {t.name: t for t in TOPICS}
 SWEEPS: dict[LidarName, Topic[msg.PointCloud2]] = {"main": POINTS, "head": HEAD_POINTS}
 CLOUDS: dict[LidarName, Topic[msg.PointCloud2]] = {"main": CLOUD, "head": HEAD_CLOUD}
 """Of each LiDAR: as measured, and deskewed."""
+BACKEND_FIGURES = "rbtrg: backend"
+"""Name of the entry in /diagnostics that comes from the robot process."""
 RENAMED = {"/lidar/points": POINTS, "/cloud": CLOUD}
 """Names in logs of robots that carried one LiDAR."""
 

@@ -17,6 +17,7 @@ from rosbags.typesys.base import normalize_fieldname
 from rbtrg_robot.wire.messages import OURS, STORE
 
 STANDARD = (
+    "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/PoseStamped",
     "geometry_msgs/msg/TwistStamped",
     "nav_msgs/msg/Odometry",

@@ -171,6 +171,10 @@ class MujocoBackend:
         """Newest summary state."""
         return self._state
 
+    def diagnostics(self) -> dict[str, float]:
+        """None: no clock and no wire lies between here and the simulated robot."""
+        return {}
+
     def close(self) -> None:
         """Damp the motors and stop the clock."""
         self._connected = False

@@ -199,19 +199,16 @@ class UnitreeBackend:
 
     # -- what operators ask for ------------------------------------------------------------------------------------
 
-    def diagnostics(self) -> dict[str, object]:
-        """Figures for `status`: clock offsets [ns], late answers, unreadable messages, restarts of the robot."""
-        t = self._connected()
-        return {
-            "low_state_clock_offset_ns": t.low_clock.offset,
-            "lidar_clock_offset_ns": {lidar.name: lidar.clock.offset for lidar in t.lidars},
-            "clock_jumps": t.low_clock.jumps + sum(lidar.clock.jumps for lidar in t.lidars),
-            "late_responses": self._rpc.late,
-            "unreadable_messages": dict(t.bad),
-            "robot_restarts": t.reboots,
-            "guardian_pid": None if self._guardian is None else self._guardian.pid,
-            "dry_run": self._dry_run,
-        }
+    def diagnostics(self) -> dict[str, float]:
+        """Offsets of clocks [s], then counters: unreadable and late messages, missed sweeps, restarts of the robot."""
+        if self._telemetry is None:
+            return {}
+        return {**self._telemetry.figures(), "late_responses": self._rpc.late}
+
+    @property
+    def guardian_pid(self) -> int | None:
+        """Of the process that stops the robot when this one dies; None where there is none."""
+        return None if self._guardian is None else self._guardian.pid
 
     # -- inside ----------------------------------------------------------------------------------------------------
 

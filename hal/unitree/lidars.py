@@ -23,6 +23,11 @@ class LidarInput:
         self.mount = Mount(rotation_rpy(*mounted.mount.rpy), np.array(mounted.mount.translation))
         self.heard_at: int | None = None
         """When the last cloud with points came [ns, host clock]."""
+        self.empty = 0
+        """Clouds without a point that can be used."""
+        self.missed = 0
+        """Sweeps that never came, by the gaps between the stamps of those that did."""
+        self._start: int | None = None
         self._offset = round(lidar.time_offset * NS)
         self._last: int | None = None
 
@@ -34,10 +39,12 @@ class LidarInput:
         """The scan in a cloud received by `now` [ns]; none without points. Raises WireError."""
         start, points = sweep(decode_cloud(data), self.mount)
         if not len(points):
+            self.empty += 1
             return []
         self.heard_at = now
         # The end of the sweep is what was just received; its start lies a sweep earlier.
         duration = round(float(points["time"].max()) * NS)
+        self._count_missed(start, duration)
         self.clock.observe(start + duration, now)
         end = min(self.clock.convert(start + duration, now) + self._offset, now)
         stamp = end - duration
@@ -45,3 +52,9 @@ class LidarInput:
             stamp = self._last + 1  # a better clock offset must not turn time back
         self._last = stamp
         return [LidarScan(stamp, points, self.name)]
+
+    def _count_missed(self, start: int, duration: int) -> None:
+        """`start`, `duration` [ns] of a sweep; one follows the other. Beyond a gap of 2 s it was silent or its clock was set."""
+        if self._start is not None and duration > 0 and 0 < (gap := start - self._start) < 2 * NS:
+            self.missed += max(0, round(gap / duration) - 1)
+        self._start = start

@@ -221,6 +221,18 @@ class Telemetry:
         silent = [lidar for lidar in self.lidars if now - (lidar.heard_at or 0) > LIDAR_SILENT]
         return ", ".join(f"the {lidar.name} LiDAR is silent on {lidar.topic}" for lidar in silent)
 
+    def figures(self) -> dict[str, float]:
+        """What an operator may want to know: offsets of clocks as float [s], counters as int."""
+        clocks = {"low_state": self.low_clock, **{f"lidar_{x.name}": x.clock for x in self.lidars}}
+        return {
+            **{f"{name}_clock_offset": c.offset / NS for name, c in clocks.items() if c.offset is not None},
+            "clock_jumps": sum(clock.jumps for clock in clocks.values()),
+            "robot_restarts": self.reboots,
+            **{f"lidar_{lidar.name}_empty": lidar.empty for lidar in self.lidars},
+            **{f"lidar_{lidar.name}_missed": lidar.missed for lidar in self.lidars},
+            **{f"unreadable {topic}": count for topic, count in self.bad.items()},
+        }
+
     # -- values ----------------------------------------------------------------------------------------------------
 
     def low_age(self, now: int) -> float:

@@ -39,6 +39,8 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         if row.get("detail")
     ]
     parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    if backend := status["robot"].get("backend"):
+        parts.append(Text("backend: " + ", ".join(f"{name} {value}" for name, value in backend.items())))
     refused = {row["process"]: row["refused"] for row in status["processes"]}
     refused["supervisor"] = status["refused"]
     if any(refused.values()):

@@ -63,6 +63,7 @@ class Health:
         t.TRACKER_STATE,
         t.MAP_STATUS,
         t.TF_STATIC,
+        t.DIAGNOSTICS,
     )
 
     def __init__(self, simulated: bool, clock: SourceClock | None = None) -> None:
@@ -86,6 +87,10 @@ class Health:
                     self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
         elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
+        elif t.DIAGNOSTICS.carried(message, topic):
+            for entry in message.status:  # those of the supervisor come back here too
+                if entry.name == t.BACKEND_FIGURES:
+                    self.newest[topic] = entry
         else:
             self.newest[topic] = message
 
@@ -181,6 +186,9 @@ class Health:
                 "replans": goal.replans,
                 "recoveries": goal.recoveries,
             }
+        backend = self.newest.get(t.DIAGNOSTICS)
+        if backend is not None:
+            row["backend"] = {pair.key: pair.value for pair in backend.values}
         tracker = self.newest.get(t.TRACKER_STATE)
         if tracker is not None:
             row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold}

@@ -25,6 +25,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access.serve import security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
+from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
@@ -104,6 +105,8 @@ class Supervisor:
         self._estop_said = self._away_said = False
         self._map_said = ""
         self._notifier = Notifier()
+        self._diagnosis = Diagnosis(config.robot)
+        self._diagnosis_due = 0.0
         self.began = time.monotonic()
 
     @property
@@ -171,8 +174,13 @@ class Supervisor:
         self._mend()
         self._measure()
         self._notifier.alive()
+        status = self.status()
         with self._lock:
-            self._snapshot = json.dumps(self.status()).encode()
+            self._snapshot = json.dumps(status).encode()
+        if time.monotonic() >= self._diagnosis_due:
+            self._diagnosis_due = time.monotonic() + 1.0
+            now = self._health.source_now
+            self._bus.publish(t.DIAGNOSTICS, self._diagnosis.message(status, now), now)
         if not self._ready and self._well():
             self._ready = True
             self._say(f"ready after {time.monotonic() - self.began:.1f} s")

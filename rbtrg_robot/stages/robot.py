@@ -35,6 +35,7 @@ STEP = 5_000_000
 """Gate and simulator period [ns]."""
 CLOCK_EVERY = 2
 STATE_PERIOD = NS // 10
+DIAGNOSTICS_PERIOD = NS
 SETTLE = NS
 """A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
 tracker that its goal is over when it appears."""
@@ -66,13 +67,16 @@ class RobotStage:
         self._now = 0
         self._ticks = 0
         self._state_due = 0
+        self._diagnostics_due = 0
+        self._figures: dict[str, float] = {}
+        """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
         self._driven = VelocityCommand(0)
         self._unknown = 0
         """Requests that are no ModeRequest."""
         self.realtime_factor = 1.0
         lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
-        sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE)
+        sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE, t.DIAGNOSTICS)
         self.outputs: tuple[Topic, ...] = (*sensors, t.CLOCK, t.TRUTH) if simulated else sensors
 
     def warm_up(self) -> None:
@@ -170,10 +174,32 @@ class RobotStage:
             self._shown = shown
             self._state_due = now + STATE_PERIOD
             outputs.append((t.ROBOT_STATE, self._state_msg(now, state, status)))
+        if now >= self._diagnostics_due:
+            self._diagnostics_due = now + DIAGNOSTICS_PERIOD
+            outputs += self._diagnostics(now)
         if self._simulated and self._ticks % CLOCK_EVERY == 0:
             clock = msg.Clock(clock=messages.time_msg(now))
             outputs.append((t.CLOCK, clock))
         return outputs
+
+    def _diagnostics(self, now: int) -> Outputs:
+        """The backend's figures; a warning while one of its counters rises."""
+        figures = self.backend.diagnostics()
+        if not figures:
+            return []
+        told, self._figures = self._figures, figures
+        rising = [k for k, v in figures.items() if isinstance(v, int) and told and v > told.get(k, 0)]
+        status = msg.DiagnosticStatus(
+            level=msg.DiagnosticStatus.WARN if rising else msg.DiagnosticStatus.OK,
+            name=t.BACKEND_FIGURES,
+            message=f"rising: {', '.join(rising)}" if rising else "well",
+            hardware_id=self.backend.capabilities.name,
+            values=[
+                msg.KeyValue(key=k, value=f"{v:.6g}" if isinstance(v, float) else str(v))
+                for k, v in figures.items()
+            ],
+        )
+        return [(t.DIAGNOSTICS, msg.DiagnosticArray(header=header(now, ""), status=[status]))]
 
     def _inputs(self, now: int, state: RobotState) -> GateInputs:
         velocity = pose = None

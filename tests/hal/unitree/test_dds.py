@@ -109,7 +109,7 @@ def test_drives_the_peer_and_reads_its_sensors(backend: UnitreeBackend, peer: Pe
 def test_close_leaves_no_process_and_lets_the_domain_be_opened_again(
     backend: UnitreeBackend, peer: PeerProcess, domain: int
 ):
-    guardian = backend.diagnostics()["guardian_pid"]
+    guardian = backend.guardian_pid
     assert isinstance(guardian, int)
     assert psutil.pid_exists(guardian)
     start = time.monotonic()
@@ -187,7 +187,7 @@ def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
 ):
     until(backend, Phase.MOVING, vx=0.5)
     run(backend, 1.0, vx=0.5)
-    guardian = backend.diagnostics()["guardian_pid"]
+    guardian = backend.guardian_pid
     assert isinstance(guardian, int)
     os.kill(guardian, signal.SIGKILL)
     until(backend, Phase.FAULT, vx=0.5)
@@ -197,7 +197,7 @@ def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
     assert peer.last["ended"] == "stop"
     backend.request(ModeRequest.RECOVER)
     until(backend, Phase.READY)
-    assert backend.diagnostics()["guardian_pid"] != guardian
+    assert backend.guardian_pid != guardian
 
 
 def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(domain: int):

@@ -50,6 +50,9 @@ class Wired:
     def state(self) -> RobotState:
         return self.backend.state()
 
+    def diagnostics(self) -> dict[str, float]:
+        return self.backend.diagnostics()
+
     def close(self) -> None:
         self.backend.close()
 

@@ -27,10 +27,14 @@ class Inbox:
     def __init__(self) -> None:
         self.refused = 0
         self.waiting: list[Received[Any]] = []
+        self.published: list[tuple[t.Topic, Any]] = []
 
     def take(self, _timeout: float) -> list[Received[Any]]:
         taken, self.waiting = self.waiting, []
         return taken
+
+    def publish(self, topic: t.Topic, message: Any, _stamp: int) -> None:
+        self.published.append((topic, decode(encode(message), topic.kind)))
 
     def put(self, topic: t.Topic, payload: bytes) -> None:
         self.waiting.append(Received(topic, payload, 0, 0))

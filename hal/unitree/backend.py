@@ -82,7 +82,7 @@ class UnitreeBackend:
         link = self._given or open_link(self._interface, self._domain, self.options)
         self._link = link = DryRunLink(link) if self._dry_run else link
         self._rpc = Rpc(link)
-        self._telemetry = telemetry = Telemetry(link, self.options)
+        self._telemetry = telemetry = Telemetry(link, self.options, log_raw=self._dry_run)
         telemetry.warm_up()
         self._mover = Mover(self._rpc, self.options, self.capabilities)
         self._steps = Transitions(self._rpc, telemetry, self.options, self._dry_run)

@@ -55,6 +55,10 @@ class UnitreeSettings(BaseModel):
     ignored_timeout: float = Field(
         default=12.0, gt=0, description="for Move without motion: fault; 4-10 s are normal"
     )
+    state_codes: dict[int, Literal["damped", "sitting", "standing", "ready"]] = Field(
+        default={1001: "damped", 1002: "standing"},
+        description="sportmodestate's error_code -> posture, on firmware that tells it there; other codes leave it to mode and body_height",
+    )
     motion_mode: str = Field(default="ai-w", description="motion service selected when none is active")
     avoid_obstacles: bool = Field(
         default=False, description="drive through the robot's obstacle avoidance service"

@@ -10,7 +10,7 @@ import numpy as np
 
 from hal import go2w
 from hal.rotation import rotation_rpy, up_of
-from hal.types import NS, Array, ImuSample, JointSample, LidarScan, Phase
+from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import RawImu, decode_imu
@@ -45,7 +45,9 @@ def _angle(a: Array, b: Array) -> float:
 class Telemetry:
     """Drains the link into samples. Ages are host time since the last message that carried something new."""
 
-    def __init__(self, link: Link, options: UnitreeOptions) -> None:
+    def __init__(self, link: Link, options: UnitreeOptions, *, log_raw: bool = False) -> None:
+        """`log_raw`: log what the posture is read from whenever it changes."""
+        self._log_raw = log_raw
         self._link, self._options = link, options
         self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)
         self.lidars = [
@@ -59,6 +61,7 @@ class Telemetry:
         self.sport: np.void | None = None
         self._low_at: int | None = None
         self._sport_at: int | None = None
+        self._raw = ""
         self._sport_stamp: tuple[int, int] | None = None
         self._tick: int | None = None
         self._sampled = self._elapsed = 0
@@ -117,6 +120,9 @@ class Telemetry:
         stamp = (int(sport["stamp"]["sec"]), int(sport["stamp"]["nanosec"]))
         if stamp != self._sport_stamp:  # a repeated stamp is a frozen publisher
             self._sport_stamp, self._sport_at, self.sport = stamp, now, sport
+            if self._log_raw and self.raw != self._raw:
+                self._raw = self.raw
+                log.info("sportmodestate: %s, taken as %s", self._raw, self.phase)
 
     def _take_low(self, data: bytes, now: int) -> np.void | None:
         """The message if it is new."""
@@ -249,18 +255,41 @@ class Telemetry:
         return -1 if self.sport is None else int(self.sport["mode"])
 
     @property
+    def told(self) -> Phase | None:
+        """The posture that newer firmware tells in `error_code`; None where the code is not among `state_codes`."""
+        code = -1 if self.sport is None else int(self.sport["error_code"])
+        return Phase(self._options.state_codes[code]) if code in self._options.state_codes else None
+
+    @property
     def phase(self) -> Phase:
         """The robot's posture: damped, sitting, standing (with locked joints) or ready for Move."""
+        if self.told is not None:
+            return self.told
         if self.mode == 7:
             return Phase.DAMPED
-        if self.mode in (5, 10) or not self.standing_tall:
+        if self.mode in (5, 10) or not self._high:
             return Phase.SITTING
         return Phase.READY if self.mode in (1, 2, 3) else Phase.STANDING
 
     @property
     def standing_tall(self) -> bool:
-        """Whether the body is high enough to be on its feet."""
+        """Whether it is on its feet, by its own word or else by the height of its body."""
+        return self._high if self.told is None else self.told not in LYING
+
+    @property
+    def _high(self) -> bool:
         return self.sport is not None and float(self.sport["body_height"]) > 0.2
+
+    @property
+    def raw(self) -> str:
+        """What the posture is read from, as the robot sends it."""
+        if self.sport is None:
+            return "no sportmodestate"
+        sport, height = self.sport, float(self.sport["body_height"])
+        return (
+            f"error_code {int(sport['error_code'])}, mode {self.mode}, "
+            f"gait_type {int(sport['gait_type'])}, body_height {height:.1f} m"
+        )
 
     @property
     def speed(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import Any
 
-from hal.types import NS, Phase
+from hal.types import LYING, NS, Phase
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport, WireError
 from hal.unitree.config import UnitreeOptions
@@ -69,7 +69,7 @@ class Transitions:
     def stand(self) -> Steps:
         """StandUp, then BalanceStand: StandUp alone leaves the joints locked and Move without effect."""
         yield from self._own_motion()
-        if not (self._telemetry.standing_tall and self._telemetry.mode in (0, 1, 2, 3, 6)):
+        if not self._on_its_feet():
             yield from self._call(api.SPORT, Sport.STAND_UP, "stand up")
             self._stood_up = True
             yield from self._until(
@@ -93,7 +93,7 @@ class Transitions:
         yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping")
         yield from self._stand_down()
         yield from self._until(
-            lambda: self._telemetry.mode == 5 and not self._telemetry.standing_tall,
+            lambda: self._seen(LYING, (5,)) and not self._telemetry.standing_tall,
             self._options.stand_timeout,
             "lying down",
         )
@@ -101,7 +101,7 @@ class Transitions:
     def damp(self) -> Steps:
         """Damp until the robot reports it."""
         yield from self._call(api.SPORT, Sport.DAMP, "damp")
-        yield from self._until(lambda: self._telemetry.mode == 7, 2.0, "going soft")
+        yield from self._until(lambda: self._seen(LYING, (7,)), 2.0, "going soft")
 
     def leave(self, lie_down: bool) -> Steps:
         """StopMove; wait for rest; give obstacle avoidance back; lie down. Never ReleaseMode: the robot would drop."""
@@ -120,6 +120,15 @@ class Transitions:
             )
         if lie_down:
             yield from self._stand_down(tries=1, timeout=0.5)
+
+    def _seen(self, phases: tuple[Phase, ...], modes: tuple[int, ...]) -> bool:
+        """Whether the robot tells one of `phases` in error_code, or, where it tells nothing there, is in one of `modes`."""
+        told = self._telemetry.told
+        return self._telemetry.mode in modes if told is None else told in phases
+
+    def _on_its_feet(self) -> bool:
+        upright = self._seen((Phase.STANDING, Phase.READY), (0, 1, 2, 3, 6))
+        return upright and self._telemetry.standing_tall
 
     # -- parts -----------------------------------------------------------------------------------------------------
 
@@ -177,13 +186,13 @@ class Transitions:
             yield from self._call(api.SPORT, Sport.BALANCE_STAND, "balance stand")
             start = self.now
             while self.now - start < NS:
-                if self._dry_run or self._telemetry.mode in (1, 3):
+                if self._dry_run or self._seen((Phase.READY,), (1, 3)):
                     return
                 yield
             if self.now > deadline:
                 raise Failed(
-                    f"robot stays in mode {self._telemetry.mode} after balance stand; "
-                    "check the joystick and the app are not in control"
+                    f"robot does not say that it balances ({self._telemetry.raw}); check that joystick and app are not in control, "
+                    "and that unitree.state_codes has the error_code of this firmware"
                 )
 
     def _stand_down(self, tries: int | None = None, timeout: float | None = None) -> Steps:

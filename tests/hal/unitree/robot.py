@@ -54,6 +54,8 @@ class Faults:
     sport_silent: bool = False
     sport_frozen: bool = False
     """sportmodestate keeps coming with the same stamp."""
+    coded: bool = False
+    """sportmodestate tells the posture in error_code alone; mode and body_height stay 0."""
     lidar_silent: bool = False
     epoch: float = 1.7e9
     """What the robot's clock shows at the start: 0 is 1970."""
@@ -418,6 +420,10 @@ class RobotSide:
         sport["stamp"]["sec"], sport["stamp"]["nanosec"] = stamp // NS, stamp % NS
         sport["mode"] = self.mode
         sport["body_height"] = body.height
+        if self.faults.coded:
+            low = self.mode == 7 or body.height < 0.2
+            sport["error_code"] = 1001 if low else 1013 if self.mode in (1, 3) else 1002
+            sport["mode"], sport["body_height"] = 0, 0.0
         sport["velocity"] = (body.v * math.cos(body.yaw), body.v * math.sin(body.yaw), 0.0)
         sport["yaw_speed"] = body.wz
         sport["position"] = (body.x, body.y, body.height)

@@ -705,3 +705,44 @@ def test_whatever_happens_there_is_a_phase_with_a_cause_and_rest_when_not_driven
     start = world.elapsed
     world.backend.close()
     assert (world.elapsed - start) / NS < 3.5
+
+
+CODES = {1001: "damped", 1002: "standing", 1013: "ready"}
+
+
+def test_a_robot_that_tells_its_posture_in_error_code_stands_drives_and_lies_down():
+    options = UnitreeOptions.model_validate({"lidars": (), "state_codes": CODES})
+    world = World(Faults(coded=True), standing=False, options=options)
+    world.backend.connect()
+    world.run(0.5)
+    assert world.phase is Phase.DAMPED
+    world.backend.request(ModeRequest.STAND)
+    world.until(Phase.READY, 12.0)
+    world.run(3.0, vx=0.4)
+    assert world.phase is Phase.MOVING
+    assert world.body.x > 0.5
+    world.backend.request(ModeRequest.SIT)
+    world.until(Phase.DAMPED, 12.0)
+    assert world.body.height < 0.2
+
+
+def test_a_code_that_is_not_known_never_makes_a_robot_ready_and_is_told():
+    world = World(Faults(coded=True), standing=False, options=UnitreeOptions(lidars=()))
+    world.backend.connect()
+    world.backend.request(ModeRequest.STAND)
+    state = world.until(Phase.FAULT, 30.0)
+    assert "error_code 1013, mode 0" in state.cause
+    assert "unitree.state_codes" in state.cause
+    world.run(1.0, vx=0.4)
+    assert world.body.x == 0.0
+
+
+def test_a_dry_run_logs_what_the_posture_is_read_from(caplog):
+    caplog.set_level("INFO")
+    world = World(options=UnitreeOptions(lidars=()), dry_run=True)
+    world.backend.connect()
+    world.run(1.0)
+    told = [r.getMessage() for r in caplog.records if r.getMessage().startswith("sportmodestate:")]
+    assert len(told) == 1
+    assert "error_code 0, mode 1, gait_type 0, body_height 0.3" in told[0]
+    assert told[0].endswith("taken as ready")

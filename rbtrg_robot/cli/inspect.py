@@ -1,4 +1,4 @@
-"""`scene`, `config`, `map`, `doctor`."""
+"""`scene`, `config`, `map`, `doctor`, `report`."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def register(app: typer.Typer) -> None:
     app.add_typer(config_app, name="config")
     app.add_typer(map_app, name="map")
     app.command()(doctor)
+    app.command()(report)
 
 
 @scene_app.command("list")
@@ -147,3 +148,33 @@ def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 
         print(f"{mark} {finding.what}: {finding.words}")
         worst = max(worst, finding.level is Level.FAULT)
     raise typer.Exit(worst)
+
+
+def report(
+    run: Annotated[
+        Path | None, typer.Argument(help="Folder of a run; default: the running or newest one.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Default: report-DATE.tar.gz.")] = None,
+    log_dir: Annotated[Path, typer.Option(help="Where the newest run is looked for.")] = Path("logs"),
+    robot: Robot = "go2w",
+) -> None:
+    """Pack configuration, versions, doctor, status, last log lines and the last 60 s of a run into one archive."""
+    from hal.errors import OperatorError
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.log.keep import runs
+    from rbtrg_robot.process.report import pack
+    from rbtrg_robot.process.runfiles import read_state
+
+    answer, port, newest = None, 7447, [found.folder for found in runs(log_dir)][-1:]
+    try:
+        state = read_state(robot)
+        newest = [Path(state["log_dir"])] if state["log_dir"] else newest
+        port = int(state["endpoint"].rsplit(":", 1)[1])
+        with connect(robot) as bus:
+            answer = bus.ask("status")
+    except OperatorError:
+        pass  # the report says that no status is in it
+    target = out or Path(f"report-{time.strftime('%Y%m%d-%H%M%S')}.tar.gz")
+    for line in pack(target, run or (newest[0] if newest else None), answer, port):
+        print(f"missing: {line}")
+    print(f"{target}, {target.stat().st_size / 1e6:.1f} MB")

@@ -206,6 +206,7 @@ READERS = {
     "hal/unitree/factory.py": "the same",
     "rbtrg_robot/cli": "stamps of requests, names of folders",
     "rbtrg_robot/process/doctor.py": "shows the date",
+    "rbtrg_robot/process/report.py": "dates the archive",
 }
 """Who may read the wall clock, and for what."""
 

@@ -33,6 +33,7 @@ from rbtrg_robot.stage_config import (
     ElevationStageConfig,
     FreshnessConfig,
     GraphConfig,
+    GuardConfig,
     NavigatorConfig,
     PlannerConfig,
     RecorderConfig,
@@ -100,6 +101,7 @@ class StackConfig(BaseModel):
     navigator: NavigatorConfig = NavigatorConfig()
     tracker: TrackerConfig = TrackerConfig(max_speed=0.5)
     freshness: FreshnessConfig = FreshnessConfig()
+    guard: GuardConfig = GuardConfig()
     recorder: RecorderConfig = RecorderConfig()
 
     @field_validator("lidars")

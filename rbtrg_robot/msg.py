@@ -246,6 +246,7 @@ class GoalRequest(Message):
     CANCEL: ClassVar[int] = 1
     header: Header = field(default_factory=Header)
     id: str = ""
+    owner: str = ""
     action: int = 0
     x: float = 0.0
     y: float = 0.0
@@ -262,6 +263,7 @@ class GoalStatus(Message):
     __msgtype__ = "rbtrg_msgs/msg/GoalStatus"
     header: Header = field(default_factory=Header)
     id: str = ""
+    owner: str = ""
     state: str = ""
     reason: str = ""
     detail: str = ""
@@ -320,6 +322,19 @@ class MapStatus(Message):
     warning: str = ""
     refused: int = 0
     detail: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class MotionLimits(Message):
+    """rbtrg_msgs/msg/MotionLimits."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MotionLimits"
+    header: Header = field(default_factory=Header)
+    forward: float = 0.0
+    backward: float = 0.0
+    left: float = 0.0
+    right: float = 0.0
+    reason: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -412,6 +427,7 @@ class RobotCommand(Message):
     header: Header = field(default_factory=Header)
     mode: str = ""
     cause: str = ""
+    latch: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -424,6 +440,8 @@ class RobotState(Message):
     cause: str = ""
     estop: bool = False
     estop_cause: str = ""
+    latch: int = 0
+    taken: str = ""
     battery: float = 0.0
     motor_temperature: float = 0.0
     contact: NDArray[np.bool_] = field(default_factory=lambda: _zeros("bool", 4))

@@ -86,6 +86,18 @@ class GraphConfig(GraphSettings):
         return GraphParams(**(self.model_dump() | limits))
 
 
+class GuardConfig(BaseModel):
+    """How early the guard slows the robot down."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    reaction: float = Field(0.3, gt=0, description="from the sweep that shows an obstacle to the brakes [s]")
+    deceleration: float = Field(1.5, gt=0, description="that the robot brakes with at least [m/s^2]")
+    margin: float = Field(0.03, ge=0, description="kept between body and obstacle [m]")
+    window_timeout: float = Field(0.5, gt=0, description="a map window older than this says nothing [s]")
+    pose_timeout: float = Field(0.2, gt=0, description="so does a pose [s]")
+
+
 class ElevationStageConfig(BaseModel):
     """Cadence of the elevation process, counted in scans so that a re-run makes the same map."""
 

@@ -85,6 +85,7 @@ HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SE
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)
+TELEOP         = Topic("/teleop/cmd_vel",        msg.TwistStamped,     0, Qos.COMMAND,   1, "",          "body velocity by hand; takes the motion from the stack until `resume`", safe_to_replay=False, publish_by=Role.OPERATOR)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
 ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
@@ -110,6 +111,7 @@ ROUTE          = Topic("/plan/path",             msg.Path,             0, Qos.LA
 ROUTE_STATUS   = Topic("/plan/status",           msg.RouteStatus,      2, Qos.STATE,     1, "planner",   "route still good? graph size")
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
+MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)
 HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
 DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, "",          "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures")
 # fmt: on

@@ -16,7 +16,15 @@ import math
 from collections import Counter
 
 from hal.go2w import BODY_WIDTH
-from hal.safety.gate_types import GateConfig, GateInputs, GateStatus, Refusal, RefusalReason, StopCause
+from hal.safety.gate_types import (
+    GateConfig,
+    GateInputs,
+    GateStatus,
+    MotionLimits,
+    Refusal,
+    RefusalReason,
+    StopCause,
+)
 from hal.safety.geofence import Geofence
 from hal.types import NS, Capabilities, Phase, VelocityCommand
 
@@ -35,8 +43,15 @@ class SafetyGate:
     """See the module. `command` on every incoming command, `output` at the rate the robot is driven (>= 50 Hz)."""
 
     def __init__(
-        self, capabilities: Capabilities, params: GateConfig | None = None, geofence: Geofence | None = None
+        self,
+        capabilities: Capabilities,
+        params: GateConfig | None = None,
+        geofence: Geofence | None = None,
+        *,
+        guarded: bool = True,
     ) -> None:
+        """`guarded`: nothing moves without fresh `GateInputs.limits`."""
+        self._guarded = guarded
         self.capabilities = capabilities
         self.params = params or GateConfig()
         self.geofence = geofence
@@ -128,6 +143,8 @@ class SafetyGate:
             self._output = VelocityCommand(now)
         else:
             self._output = self._slewed(now, min(max(elapsed, 0.0), 0.1))
+            if self._guarded and inputs.limits is not None:
+                self._keep_clear(inputs.limits)
             if self.geofence is not None and inputs.pose is not None:
                 self._keep_inside(self.geofence, inputs.pose)
         self._watch_motion(now, inputs)
@@ -196,6 +213,12 @@ class SafetyGate:
             return "no attitude yet"
         if self.geofence is not None and inputs.pose is None:
             return "no pose for the geofence"
+        if self._guarded:
+            if inputs.limits is None:
+                return "no guard yet"
+            age = (now - inputs.limits.stamp) / NS
+            if abs(age) > self.params.guard_timeout:
+                return f"guard is {age:.1f} s old"
         if self._accepted is not None and (now - self._fresh_from) / NS < self.params.deadman:
             return ""
         if self._refusal is not None and 0 <= (now - self._refusal[1]) / NS < self.params.deadman:
@@ -224,6 +247,24 @@ class SafetyGate:
             vy=slew(last.vy, target.vy, c.max_accel, self._limits[1]),
             wz=slew(last.wz, target.wz, c.max_alpha, self._limits[2]),
         )
+
+    def _keep_clear(self, limits: MotionLimits) -> None:
+        """No faster than the guard allows. It does not look sideways; what is not a number allows nothing."""
+        target, out = self._accepted, self._output
+        assert target is not None
+
+        def cut(value: float, most: float, least: float) -> float:
+            limit = most if value > 0.0 else least
+            return math.copysign(min(abs(value), limit), value) if limit > 0.0 else 0.0
+
+        vx, wz = cut(out.vx, limits.forward, limits.backward), cut(out.wz, limits.left, limits.right)
+        self._output = VelocityCommand(out.stamp, vx, 0.0, wz)
+        wanted = target.vx != 0.0 or target.vy != 0.0 or target.wz != 0.0
+        cleared = cut(target.vx, limits.forward, limits.backward), cut(target.wz, limits.left, limits.right)
+        if wanted and cleared == (0.0, 0.0):
+            self._hold = (
+                f"guard: {limits.reason or 'nothing is known to be in the way, and nothing is allowed'}"
+            )
 
     def _keep_inside(self, fence: Geofence, pose: tuple[float, float, float]) -> None:
         """Slow down before the fence and stop at it. A robot outside may drive inwards, and turn.

@@ -38,6 +38,9 @@ class GateConfig(BaseModel):
     min_battery: float = Field(default=0.10, ge=0, lt=1, description="state of charge [0..1]; latches")
     max_motor_temperature: float = Field(default=90.0, description="[deg C]; latches")
     sensor_timeout: SensorTimeouts = SensorTimeouts()
+    guard_timeout: float = Field(
+        default=0.3, gt=0, description="[s] a guard silent for longer means zero velocity"
+    )
     not_moving_warn: float = Field(default=1.0, gt=0, description="[s] commanded but not moving: flagged")
     not_moving_stop: float = Field(
         default=12.0, gt=0, description="[s] the same, latches; longer than a recovery"
@@ -92,6 +95,21 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True)
+class MotionLimits:
+    """The speeds at which the body still stops before what is in its way; from a guard that sees the ground around it."""
+
+    stamp: int
+    forward: float = 0.0
+    backward: float = 0.0
+    """[m/s], not negative."""
+    left: float = 0.0
+    right: float = 0.0
+    """[rad/s], not negative."""
+    reason: str = ""
+    """What is in the way; empty while nothing is."""
+
+
+@dataclass(frozen=True, slots=True)
 class GateInputs:
     """What the gate may know of the robot at an instant. None: not known, which holds the robot where it matters."""
 
@@ -102,6 +120,8 @@ class GateInputs:
     """Measured vx, vy [m/s], wz [rad/s] in base_link; None skips the two motion checks."""
     pose: tuple[float, float, float] | None = None
     """x, y [m], yaw [rad] in `map`; needed only with a geofence."""
+    limits: MotionLimits | None = None
+    """Newest of the guard."""
     stamps: Mapping[str, int] = field(default_factory=dict)
     """Newest stamp [ns] by sensor: "imu", "joints", "lidar". "state" is taken from `state`."""
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import getpass
 import math
+import socket
 import sys
 import time
 import uuid
@@ -68,8 +70,21 @@ def goal(
     goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
-        request = goal_request(time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout)
-        raise typer.Exit(_follow(bus, goal_id, request, wait=wait, timeout=timeout))
+        request = goal_request(
+            time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=_me()
+        )
+        try:
+            code = _follow(bus, goal_id, request, wait=wait, timeout=timeout)
+        except KeyboardInterrupt:
+            print("cancelling the goal", file=sys.stderr)
+            _cancel(bus, goal_id)
+            code = CANCELLED
+        raise typer.Exit(code)
+
+
+def _me() -> str:
+    """Who gives orders here, for whoever else is at the robot."""
+    return f"{getpass.getuser()}@{socket.gethostname()}"
 
 
 def _target(words: list[str], scene: str) -> tuple[float, float, float | None, str]:
@@ -151,32 +166,44 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
 
 
 def cancel(robot: Robot = "go2w") -> None:
-    """Cancel the present goal; the robot stops."""
-    from rbtrg_robot import msg
+    """Cancel the present goal, whoever sent it; the robot stops."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.messages import header
 
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
-        deadline = time.monotonic() + ANSWER_LIMIT
-        sent = -math.inf
-        while time.monotonic() < deadline:
-            if time.monotonic() - sent > RESEND:
-                sent = time.monotonic()
-                request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1)
-                bus.publish(t.GOAL_REQUEST, request, time.time_ns())
-            for received in bus.take(0.1):
-                status = bus.open(received)
-                state = status.state if status is not None else ""
-                if state == "cancelled":
-                    print("goal cancelled")
-                    return
-                if state == "idle" or state in EXIT:
-                    print("no goal to cancel" + (f"; the last one was {state}" if state in EXIT else ""))
-                    return
-    print("rbtrg-robot: the navigator does not answer; see `rbtrg-robot status`", file=sys.stderr)
-    raise typer.Exit(1)
+        if not _cancel(bus, ""):
+            _fail("the navigator does not answer; see `rbtrg-robot status`")
+
+
+def _cancel(bus: Any, goal_id: str) -> bool:
+    """Cancel this goal, or the present one where the id is empty, and say what became of it; False without an answer."""
+    from rbtrg_robot import msg
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.wire.messages import header
+
+    deadline = time.monotonic() + ANSWER_LIMIT
+    sent = -math.inf
+    while time.monotonic() < deadline:
+        if time.monotonic() - sent > RESEND:
+            sent = time.monotonic()
+            request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1, id=goal_id, owner=_me())
+            bus.publish(t.GOAL_REQUEST, request, time.time_ns())
+        for received in bus.take(0.1):
+            status = bus.open(received)
+            if status is None or goal_id not in ("", status.id):
+                continue
+            if status.state == "cancelled":
+                whose = f" of {status.owner}" if status.owner not in ("", _me()) else ""
+                print(f"goal{whose} cancelled")
+                return True
+            if status.state == "idle" or status.state in EXIT:
+                print(
+                    "no goal to cancel"
+                    + (f"; the last one was {status.state}" if status.state in EXIT else "")
+                )
+                return True
+    return False
 
 
 def stop(robot: Robot = "go2w") -> None:
@@ -187,11 +214,15 @@ def stop(robot: Robot = "go2w") -> None:
 
 
 def resume(robot: Robot = "go2w") -> None:
-    """Release the emergency stop."""
-    for state in _order(robot, "resume", ANSWER_LIMIT):
-        if not state.estop:
-            print("resumed")
+    """Release the emergency stop, and give the motion back to the stack after driving by hand."""
+    latch = 0
+    for state in _order(robot, "resume", ANSWER_LIMIT, named=True):
+        if state.latch == 0:
+            print("resumed" if latch else "nothing to resume")
             return
+        latch = latch or state.latch
+        if state.latch != latch:  # a stop that came after this order stays
+            _fail(f"stopped again: {state.estop_cause or state.taken}; `rbtrg-robot resume` once more")
     _fail("the robot does not confirm `resume`; see `rbtrg-robot status`")
 
 
@@ -224,8 +255,11 @@ def posture(
     _fail(f"no `{what}` within {timeout:.0f} s ({shown or 'the robot does not answer'})")
 
 
-def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
-    """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState)."""
+def _order(robot: str, mode: str, limit: float, *, named: bool = False) -> Iterator[Any]:
+    """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState).
+
+    `named`: for what is latched in the first state that is heard, and for nothing that comes later.
+    """
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
@@ -236,14 +270,17 @@ def _order(robot: str, mode: str, limit: float) -> Iterator[Any]:
         bus.advertise(t.ROBOT_COMMAND)
         deadline = time.monotonic() + limit
         sent = -math.inf
+        latch = None if named else 0
         while time.monotonic() < deadline:
-            if time.monotonic() - sent > REPEAT_ORDER:
+            if time.monotonic() - sent > REPEAT_ORDER and latch is not None:
                 sent = time.monotonic()
-                order = msg.RobotCommand(header=header(time.time_ns(), ""), mode=mode, cause="operator")
+                stamp = header(time.time_ns(), "")
+                order = msg.RobotCommand(header=stamp, mode=mode, cause="operator", latch=latch)
                 bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
             for received in bus.take(0.05):
                 state = bus.open(received)
                 if state is not None:
+                    latch = state.latch if latch is None else latch
                     yield state
 
 

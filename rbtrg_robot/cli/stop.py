@@ -24,7 +24,7 @@ from rbtrg_robot.access.identity import client_tls, problem, remote
 DEFAULT = ("tcp/127.0.0.1:7447", 0)
 """Endpoint and domain of a stack that was given no others."""
 STOP_KEY = "robot/stop/rbtrg_msgs::msg::dds_::RobotCommand_/"
-STOP_HASH = "RIHS01_647fb91d189ed989295d440fb779c1694a696f32afd641b0fd0133d6cd16ca31"
+STOP_HASH = "RIHS01_4796778b41b2cd20cd02d5d4330de2a265dd8ca80c524e4b029d547a33025ca2"
 STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
 REPEAT = 0.1
 """Seconds between two sendings."""
@@ -154,6 +154,7 @@ def order(stamp: int) -> bytes:
     body = struct.pack("<iI", *divmod(stamp, 1_000_000_000))
     for text in (b"", b"stop", b"operator"):  # frame, mode, cause
         body += bytes(-len(body) % 4) + struct.pack("<I", len(text) + 1) + text + b"\0"
+    body += bytes(-len(body) % 8 + 8)  # latch: of no meaning to a stop
     return b"\0\1\0\0" + body
 
 

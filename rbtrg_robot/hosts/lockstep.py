@@ -183,8 +183,9 @@ class Lockstep:
         return goal_id
 
     def command(self, mode: str, cause: str = "") -> None:
-        """Stop, resume, ..."""
-        request = msg.RobotCommand(header=header(self.now, ""), mode=mode, cause=cause)
+        """Stop, resume, ...; `resume` releases what is latched now."""
+        latch = self.newest[t.ROBOT_STATE].latch
+        request = msg.RobotCommand(header=header(self.now, ""), mode=mode, cause=cause, latch=latch)
         self.host.inject(t.ROBOT_COMMAND, request)
 
     def finish_goal(self, timeout: float) -> Any:

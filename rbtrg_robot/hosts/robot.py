@@ -42,7 +42,9 @@ def build(
     watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
     backend = _simulator(config, restored or {}) if config.simulated else _hardware(config, clock)
     area = config.allowed_area()
-    gate = SafetyGate(backend.capabilities, config.gate, Geofence.of(area) if area else None)
+    gate = SafetyGate(
+        backend.capabilities, config.gate, Geofence.of(area) if area else None, guarded="guard" in watched
+    )
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
 
 
@@ -166,7 +168,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
             for received in inbox:
                 message = bus.open(received)
                 if message is not None:  # a broken command is no command
-                    stage.on(received.topic, message)
+                    stage.on(received.topic, message, received.sender)
             if not config.simulated:
                 now = bus.clock()
                 publish(bus, stage.tick(now), now)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from typing import Any
 
 from hal.contract import UP, Backend
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate, StopCause
+from hal.safety.gate_types import MotionLimits
+from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
 from hal.safety.tilt import TiltFilter
 from hal.types import (
     NS,
@@ -39,6 +42,8 @@ DIAGNOSTICS_PERIOD = NS
 SETTLE = NS
 """A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
 tracker that its goal is over when it appears."""
+GUARD = "guard"
+UNKNOWN = "unknown request"
 POSE_LIMIT = 0.3
 """Odometry older than this [s], or as far in the future, says nothing about motion."""
 
@@ -46,7 +51,15 @@ POSE_LIMIT = 0.3
 class RobotStage:
     """Backend, gate and their messages."""
 
-    inputs = (t.CMD_VEL, t.ROBOT_COMMAND, t.ROBOT_STOP, t.POSE, t.TF_STATIC)
+    inputs = (
+        t.CMD_VEL,
+        t.TELEOP,
+        t.ROBOT_COMMAND,
+        t.ROBOT_STOP,
+        t.POSE,
+        t.TF_STATIC,
+        t.MOTION_LIMITS,
+    )
 
     def __init__(
         self, backend: Backend, gate: SafetyGate, *, simulated: bool, watched: frozenset[str]
@@ -64,6 +77,7 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
+        self._limits: MotionLimits | None = None
         self._now = 0
         self._ticks = 0
         self._state_due = 0
@@ -72,8 +86,12 @@ class RobotStage:
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
         self._driven = VelocityCommand(0)
-        self._unknown = 0
-        """Requests that are no ModeRequest."""
+        self._mux = CommandMux(TRACKER, TELEOP)
+        self._latch = 0
+        """Names what `resume` must release; it rises with every stop and every time somebody takes the motion."""
+        self._latched = False
+        self._turned_away: Counter[str] = Counter()
+        """Commands and requests that did not reach the gate, by reason."""
         self.realtime_factor = 1.0
         lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
         sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE, t.DIAGNOSTICS)
@@ -105,48 +123,104 @@ class RobotStage:
             self._lost.add(process)
             self._gate.forget()
 
-    def on(self, topic: Topic, message: Any) -> Outputs:
-        """Take one message."""
+    def on(self, topic: Topic, message: Any, sender: str = "") -> Outputs:
+        """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                twist = message.twist
-                command = VelocityCommand(
-                    stamp_of(message),
-                    twist.linear.x,
-                    twist.linear.y,
-                    twist.angular.z,
-                    message.header.frame_id,
-                )
-                self._gate.command(command, self._now)
+                self._drive(TRACKER, message, stamp_of(message), sender)
+        elif t.TELEOP.carried(message, topic):
+            # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
+            if GUARD not in self._missing:
+                self._drive(TELEOP, message, self._now, sender)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
+        elif t.MOTION_LIMITS.carried(message, topic):
+            self._limits = MotionLimits(
+                stamp_of(message),
+                message.forward,
+                message.backward,
+                message.left,
+                message.right,
+                message.reason,
+            )
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif t.ROBOT_STOP.carried(message, topic):
             self._request(
                 msg.RobotCommand(header=message.header, mode=ModeRequest.STOP.value, cause=message.cause)
             )
-        elif (
-            t.ROBOT_STATE.carried(message, topic) and message.estop
-        ):  # handed over after a restart: a latch outlives a crash
-            self._gate.stop(StopCause.OPERATOR, message.estop_cause)
+        elif t.ROBOT_STATE.carried(message, topic):
+            self._restore(message)
         return []
+
+    def _drive(self, source: Source, message: msg.TwistStamped, stamp: int, sender: str) -> None:
+        taken, _ = self._mux.taken(self._now)
+        why = self._mux.take(source, sender, self._now)
+        if self._mux.taken(self._now)[0] != taken:
+            self._gate.forget()
+            self._renew()
+        if why.startswith("another"):
+            self._turned_away[why] += 1
+        if why:
+            return
+        twist = message.twist
+        command = VelocityCommand(
+            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
+        )
+        self._gate.command(command, self._now)
+
+    def _renew(self) -> None:
+        """Something new to release: a `resume` that is under way must not."""
+        self._latch = max(self._latch + 1, self._now)
+        self._state_due = 0
+
+    def _restore(self, message: msg.RobotState) -> None:
+        """From before a restart: what was latched outlives a crash."""
+        self._latch = message.latch
+        if message.estop:
+            self._gate.stop(StopCause.OPERATOR, message.estop_cause)
+            self._latched = True
+        if message.taken:
+            self._mux.hold(TELEOP)
 
     def _request(self, message: msg.RobotCommand) -> None:
         if message.mode not in ModeRequest._value2member_map_:
-            self._unknown += 1
-            if self._unknown in (1, 10, 100, 1000):
-                log.warning("request %r is not known (%d so far)", message.mode[:40], self._unknown)
+            self._turned_away[UNKNOWN] += 1
+            if self._turned_away[UNKNOWN] in (1, 10, 100, 1000):
+                log.warning("request %r is not known", message.mode[:40])
             return
         mode = ModeRequest(message.mode)
         if mode is ModeRequest.STOP:
             self._gate.stop(StopCause.OPERATOR, message.cause)
+            self._latched = True
+            self._renew()
         elif mode is ModeRequest.RESUME:
+            if (
+                message.latch != self._shown_latch()
+            ):  # a late repeat, or one that did not hear of the newest stop
+                self._turned_away["resume of another stop"] += self._shown_latch() != 0
+                return
             self._gate.resume()
+            self._latched = False
+            if not self._mux.release(self._now):
+                self._renew()
         self.backend.request(mode)
         self._state_due = 0
+
+    def _shown_latch(self) -> int:
+        return self._latch if self._gate.status().latched or self._mux.taken(self._now)[0] else 0
+
+    def _taken(self) -> str:
+        name, speaks = self._mux.taken(self._now)
+        if not name:
+            return ""
+        return (
+            f"{name} has the motion"
+            if speaks
+            else f"{name} had the motion; `rbtrg-robot resume` gives it back"
+        )
 
     def tick(self, now: int) -> Outputs:
         """Gate, drive, read."""
@@ -161,12 +235,17 @@ class RobotStage:
         for sample in self.backend.read(now):
             outputs += self._publish(sample)
         status = self._gate.status()
+        if status.latched and not self._latched:
+            self._renew()
+        self._latched = status.latched
         state = self.backend.state()
         shown = (
             state.phase,
             state.cause,
             status.latched,
             status.cause,
+            self._shown_latch(),
+            self._taken(),
             status.not_moving,
             status.motion_unchecked,
         )
@@ -210,7 +289,7 @@ class RobotStage:
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
-        return GateInputs(state, self._tilt.tilt, velocity, pose, self._stamps)
+        return GateInputs(state, self._tilt.tilt, velocity, pose, self._limits, self._stamps)
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
@@ -234,16 +313,20 @@ class RobotStage:
             hold = f"waiting for {', '.join(sorted(self._missing))}"
         elif self._now < self._settled and not status.latched:
             hold = f"{', '.join(sorted(self._lost))} just came back"
+        elif self._taken() and hold in ("no command", "no fresh command"):
+            hold = self._taken()
         phase = (
             Phase.STOPPED if status.latched and state.phase in (Phase.READY, Phase.MOVING) else state.phase
         )
-        refused = {**status.refused, **({"unknown request": self._unknown} if self._unknown else {})}
+        refused = {**status.refused, **self._turned_away}
         return msg.RobotState(
             header=header(now, "base_link"),
             phase=phase.value,
             cause=state.cause + _remark(state, status),
             estop=status.latched,
             estop_cause=status.cause,
+            latch=self._shown_latch(),
+            taken=self._taken(),
             battery=float(state.battery),
             motor_temperature=float(state.motor_temperature),
             contact=array(state.contact, "bool"),

@@ -46,6 +46,8 @@ class Received(Generic[M]):
     stamp: int
     """Publisher's source clock [ns]."""
     sequence: int
+    sender: str = ""
+    """The publisher, by the name of its endpoint."""
 
     def decode(self) -> M:
         """The message. Raises MessageError."""
@@ -212,7 +214,7 @@ class Bus:
         def receive(sample: zenoh.Sample) -> None:
             data = sample.attachment.to_bytes() if sample.attachment is not None else b""
             sequence, stamp = wire.parse_attachment(data)
-            received = Received(topic, sample.payload.to_bytes(), stamp, sequence)
+            received = Received(topic, sample.payload.to_bytes(), stamp, sequence, wire.sender_of(data))
             with self._lock:
                 self._arrived += 1
                 if len(queue) >= topic.depth:

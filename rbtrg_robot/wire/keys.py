@@ -66,6 +66,11 @@ def attachment(sequence: int, stamp: int, endpoint: bytes) -> bytes:
     return struct.pack("<qqB16s", sequence, stamp, 16, endpoint)
 
 
+def sender_of(data: bytes) -> str:
+    """The endpoint that an attachment names; empty where it is not one of ours."""
+    return data[17:].hex() if len(data) == 33 else ""
+
+
 def parse_attachment(data: bytes) -> tuple[int, int]:
     """(sequence, source time [ns]) of an attachment; (0, 0) where it is not one of ours."""
     if len(data) != 33:

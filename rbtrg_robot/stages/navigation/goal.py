@@ -17,13 +17,14 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 
 class GoalState(StrEnum):
-    """Lifecycle: accepted -> planning -> moving <-> recovering -> one of the terminal states."""
+    """Lifecycle: accepted -> planning -> moving <-> recovering, paused -> one of the terminal states."""
 
     IDLE = "idle"
     ACCEPTED = "accepted"
     PLANNING = "planning"
     MOVING = "moving"
     RECOVERING = "recovering"
+    PAUSED = "paused"
     REACHED = "reached"
     REJECTED = "rejected"
     ABORTED = "aborted"
@@ -41,7 +42,13 @@ class GoalState(StrEnum):
         return self is not GoalState.IDLE and self not in _ACTIVE
 
 
-_ACTIVE = (GoalState.ACCEPTED, GoalState.PLANNING, GoalState.MOVING, GoalState.RECOVERING)
+_ACTIVE = (
+    GoalState.ACCEPTED,
+    GoalState.PLANNING,
+    GoalState.MOVING,
+    GoalState.RECOVERING,
+    GoalState.PAUSED,
+)
 
 
 @dataclass(slots=True)
@@ -56,6 +63,8 @@ class Goal:
     """Source clock [ns]."""
     timeout: float = 0.0
     """[s]; 0 = never."""
+    owner: str = ""
+    """Who asked for it."""
     state: GoalState = GoalState.ACCEPTED
     reason: Reason = Reason.NONE
     detail: str = ""
@@ -70,19 +79,23 @@ class Goal:
     def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
         """From rbtrg_msgs/GoalRequest."""
         yaw = message.yaw if message.has_yaw else None
-        return cls(message.id, message.x, message.y, yaw, now, message.timeout)
+        return cls(message.id, message.x, message.y, yaw, now, message.timeout, message.owner)
 
     @classmethod
     def from_pose(cls, message: msg.PoseStamped, now: int) -> Goal:
         """From geometry_msgs/PoseStamped, as RViz sends it."""
         p, q = message.pose.position, message.pose.orientation
-        return cls(f"rviz-{stamp_of(message)}", p.x, p.y, yaw_of(q), now)
+        return cls(f"rviz-{stamp_of(message) or now}", p.x, p.y, yaw_of(q), now, owner="/goal_pose")
 
     @classmethod
     def from_status(cls, message: msg.GoalStatus, now: int) -> Goal:
         """As a navigator that is gone told it last."""
         yaw = message.yaw if message.has_yaw else None
-        return cls(message.id, message.x, message.y, yaw, now)
+        return cls(message.id, message.x, message.y, yaw, now, owner=message.owner)
+
+    def foreign(self, owner: str) -> str:
+        """Who did what its own owner should know of; empty where he did it himself."""
+        return "" if owner == self.owner else f"by {owner or 'somebody without a name'}"
 
     def move_to_map(self, frame_id: str, frame: MapFrame, pose: Pose2 | None) -> tuple[Reason, str] | None:
         """Take the place as one in `frame_id` and turn it into one in `map`; why that cannot be, or None.
@@ -133,6 +146,7 @@ class Goal:
         return msg.GoalStatus(
             header=header(now, "map"),
             id=self.id,
+            owner=self.owner,
             state=self.state.value,
             reason=self.reason.value,
             detail=self.detail,
@@ -146,6 +160,13 @@ class Goal:
             risk=self.risk,
             frontier=self.frontier,
         )
+
+
+def status_of(goal: Goal | None, now: int, distance_left: float) -> msg.GoalStatus:
+    """What is told of the newest goal, or that there was none."""
+    if goal is None:
+        return msg.GoalStatus(header=header(now, "map"), state=GoalState.IDLE.value)
+    return goal.status(now, distance_left)
 
 
 def goal_request(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any
 
 from hal.go2w import BODY_WIDTH
@@ -12,7 +13,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
-from rbtrg_robot.stages.navigation.goal import Goal, GoalState
+from rbtrg_robot.stages.navigation.goal import Goal, GoalState, status_of
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
@@ -22,11 +23,12 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import header
 
 REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 """Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
+KNOWN = 1000
+"""Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -55,6 +57,7 @@ class NavigatorStage:
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
+        self._known: deque[str] = deque(maxlen=KNOWN)
         self._pose: Pose2 | None = None
         self._seen: dict[Topic, int] = {}
         self._health: msg.OdometryHealth | None = None
@@ -78,8 +81,6 @@ class NavigatorStage:
     def close(self) -> None:
         """Nothing to release."""
 
-    # --- inputs -----------------------------------------------------------------------------------------------
-
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
         self._out = []
@@ -100,7 +101,7 @@ class NavigatorStage:
         elif t.GOAL_REQUEST.carried(message, topic):
             self._request(message)
         elif t.GOAL_POSE.carried(message, topic):
-            self._accept(Goal.from_pose(message, self._now), message)
+            self._set(Goal.from_pose(message, self._now), message)
         elif t.PLAN.carried(message, topic):
             self._take_plan(message)
         elif t.ROUTE_STATUS.carried(message, topic):
@@ -111,20 +112,21 @@ class NavigatorStage:
         return self._out
 
     def _request(self, message: msg.GoalRequest) -> None:
-        if message.action == 1:
-            if self._goal and self._goal.state.active and message.id in ("", self._goal.id):
-                self._end(GoalState.CANCELLED, Reason.CANCELLED)
-            else:
-                self._status()
-        elif self._goal is None or self._goal.id != message.id:
-            self._accept(Goal.from_request(message, self._now), message)
+        if message.action == 0:
+            self._set(Goal.from_request(message, self._now), message)
+        elif self._goal and self._goal.state.active and message.id in ("", self._goal.id):
+            self._end(GoalState.CANCELLED, Reason.CANCELLED, self._goal.foreign(message.owner))
         else:
-            self._status()  # a repeat: the sender has not heard the answer yet
+            self._status()
 
-    def _accept(self, goal: Goal, message: Any) -> None:
+    def _set(self, goal: Goal, message: msg.GoalRequest | msg.PoseStamped) -> None:
+        if goal.id in self._known:
+            self._status()  # a repeat: its sender has not heard the answer yet, or it was long under way
+            return
+        self._known.append(goal.id)
         stray = goal.move_to_map(message.header.frame_id, self._frame, self._pose)
         if self._goal and self._goal.state.active:
-            self._end(GoalState.PREEMPTED, Reason.PREEMPTED)
+            self._end(GoalState.PREEMPTED, Reason.PREEMPTED, self._goal.foreign(goal.owner))
         self._goal = goal
         self._short = 0
         self._recovery = Recovery(self._params)
@@ -141,6 +143,7 @@ class NavigatorStage:
 
     def _restore(self, message: msg.GoalStatus) -> None:
         # After a crash nobody knows how far the goal had come: say so instead of driving on.
+        self._known.append(message.id)
         if self._goal is None and message.state in [s.value for s in GoalState if s.active]:
             self._goal = Goal.from_status(message, self._now)
             self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the navigator restarted")
@@ -173,8 +176,6 @@ class NavigatorStage:
             state = GoalState.REJECTED if refused else GoalState.ABORTED
             self._end(state, reason, message.detail + goal.place(self._pose))
 
-    # --- clock ------------------------------------------------------------------------------------------------
-
     def tick(self, now: int) -> Outputs:
         """Supervise the goal."""
         if now < self._now:  # the clock was reset: stamps of before mean nothing
@@ -203,6 +204,8 @@ class NavigatorStage:
                 self._missing_since = now
                 self._stand(goal, detail)
             goal.detail = detail
+            if reason is Reason.TAKEN:
+                goal.state, self._missing_since = GoalState.PAUSED, now
             if now - self._missing_since > PATIENCE.get(reason, p.patience) * NS:
                 self._end(GoalState.ABORTED, reason, detail)
             return None
@@ -270,11 +273,9 @@ class NavigatorStage:
             return away
         if not self._frame.known:
             return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
-        for topic in (t.ODOM, t.MAP_STATUS):
-            age = (self._now - self._seen.get(topic, 0)) / NS
-            if topic not in self._seen or age > self._params.input_timeout:
-                return Reason.PROCESS_LOST, f"no {topic.name} for {age:.1f} s"
-        return None
+        ages = ((topic, (self._now - self._seen.get(topic, 0)) / NS) for topic in (t.ODOM, t.MAP_STATUS))
+        old = (f"no {x.name} for {age:.1f} s" for x, age in ages if age > self._params.input_timeout)
+        return next(((Reason.PROCESS_LOST, why) for why in old), None)
 
     def _recover(self, goal: Goal) -> None:
         """Move out of the place, then replan around it; give up where that was done often enough."""
@@ -301,8 +302,6 @@ class NavigatorStage:
         self._out.append((t.PATH_COMMAND, self._order.straight(self._now, goal.id, self._pose, reach)))
         self._status()
         return True
-
-    # --- outputs ----------------------------------------------------------------------------------------------
 
     def _replan(self, goal: Goal) -> None:
         goal.replans += 1
@@ -335,12 +334,8 @@ class NavigatorStage:
 
     def _status(self) -> None:
         self._status_due = self._now + NS // 2
-        goal = self._goal
-        if goal is None:
-            status = msg.GoalStatus(header=header(self._now, "map"), state=GoalState.IDLE.value)
-        else:
-            status = goal.status(self._now, self._tracker.distance_left if self._tracker else 0.0)
-        self._out.append((t.GOAL_STATUS, status))
+        left = self._tracker.distance_left if self._tracker else 0.0
+        self._out.append((t.GOAL_STATUS, status_of(self._goal, self._now, left)))
 
 
 def build(config: StackConfig) -> NavigatorStage:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 
 from hal.types import LYING, Phase
@@ -25,6 +26,7 @@ class Reason(StrEnum):
     ROBOT_FAULT = "robot_fault"
     LYING = "robot_lies"
     DISCONNECTED = "robot_disconnected"
+    TAKEN = "taken"
     CANCELLED = "cancelled"
     PREEMPTED = "preempted"
 
@@ -44,12 +46,13 @@ WORDS: dict[Reason, str] = {
     Reason.ROBOT_FAULT: "the robot reports a fault",
     Reason.LYING: "the robot does not stand",
     Reason.DISCONNECTED: "the robot is out of contact",
+    Reason.TAKEN: "driven by hand",
     Reason.CANCELLED: "cancelled",
     Reason.PREEMPTED: "another goal took its place",
 }
 
 
-PATIENCE: dict[Reason, float] = {Reason.DISCONNECTED: 3.0}
+PATIENCE: dict[Reason, float] = {Reason.DISCONNECTED: 3.0, Reason.TAKEN: math.inf}
 """Seconds after which a goal whose cause of waiting this is ends, if not the configured ones. A robot that was out of contact
 for longer drives on only when told to: whoever plugged the cable in may stand in its way."""
 
@@ -61,9 +64,11 @@ def words(reason: str, detail: str = "") -> str:
 
 
 def absence(robot: RobotState | None, health: OdometryHealth | None) -> tuple[Reason, str] | None:
-    """Why a goal must wait: the robot is out of contact, or it is not known where it is. Newest RobotState, OdometryHealth."""
+    """Why a goal must wait: somebody drives by hand, the robot is out of contact, or it is not known where it is."""
     if robot is not None and robot.phase == Phase.DISCONNECTED:
         return Reason.DISCONNECTED, robot.cause
+    if robot is not None and robot.taken:
+        return Reason.TAKEN, robot.taken
     if health is not None and health.health == "lost":
         return Reason.LOST, health.reason
     return None

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from hal.safety.gate import GateConfig, GateInputs, RefusalReason, SafetyGate, StopCause
+from hal.safety.gate_types import MotionLimits
 from hal.safety.geofence import Geofence, GeofenceError
 from hal.safety.tilt import TiltFilter
 from hal.types import NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
@@ -24,7 +25,10 @@ TICK = 20 * MS
 def well(now: int, **changes) -> GateInputs:
     """Inputs of a healthy robot at `now`."""
     inputs = GateInputs(
-        state=RobotState(now, Phase.READY), tilt=0.05, stamps={"imu": now, "joints": now, "lidar": now}
+        state=RobotState(now, Phase.READY),
+        tilt=0.05,
+        limits=MotionLimits(now, 1.0, 1.0, 1.0, 1.0),
+        stamps={"imu": now, "joints": now, "lidar": now},
     )
     return replace(inputs, **changes)
 
@@ -227,6 +231,58 @@ def test_no_threshold_is_infinite(key: str, value: float):
         GateConfig.model_validate({key: value})
 
 
+@pytest.mark.parametrize(
+    ("vx", "wz", "out"),
+    [(0.5, 0.6, (0.2, 0.4)), (-0.5, -0.6, (-0.1, -0.3)), (0.1, -0.2, (0.1, -0.2)), (0.0, 0.6, (0.0, 0.4))],
+)
+def test_no_motion_is_faster_than_the_guard_allows(vx: float, wz: float, out: tuple[float, float]):
+    gate = SafetyGate(CAPS)
+    limits = MotionLimits(0, forward=0.2, backward=0.1, left=0.4, right=0.3)
+    now = 0
+    for _ in range(50):
+        gate.command(VelocityCommand(now, vx=vx, wz=wz), now)
+        driven = gate.output(now, well(now, limits=replace(limits, stamp=now)))
+        now += TICK
+    assert (driven.vx, driven.wz) == pytest.approx(out)
+    assert gate.status().hold == ""
+
+
+def test_what_the_guard_forbids_is_zero_at_once_and_the_gate_says_why():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    gate.command(VelocityCommand(now, vx=0.5), now)
+    limits = MotionLimits(now, 0.0, 1.0, 1.0, 1.0, "a 0.45 m face 0.02 m ahead")
+    assert gate.output(now, well(now, limits=limits)).vx == 0.0
+    assert gate.status().hold == "guard: a 0.45 m face 0.02 m ahead"
+
+
+def test_a_silent_guard_means_zero_after_a_third_of_a_second():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    last = MotionLimits(now - TICK, 1.0, 1.0, 1.0, 1.0)
+    seen = {}
+    for _ in range(20):
+        gate.command(VelocityCommand(now, vx=0.5), now)
+        seen[now - last.stamp] = gate.output(now, well(now, limits=last)).vx
+        now += TICK
+    assert {age for age, vx in seen.items() if vx == 0.5} == {age for age in seen if age <= 0.3 * NS}
+    assert gate.status().hold.startswith("guard is 0.")
+
+
+@pytest.mark.parametrize("value", [math.nan, -1.0, -math.inf])
+def test_limits_that_make_no_sense_allow_nothing(value: float):
+    gate = SafetyGate(CAPS)
+    out, _ = run(gate, 0, 1.0, wz=0.5, limits=MotionLimits(0, value, value, value, value))
+    assert (out.vx, out.wz) == (0.0, 0.0)
+
+
+def test_a_robot_without_a_guard_must_be_told_so():
+    out, _ = run(SafetyGate(CAPS), 0, 1.0, limits=None)
+    assert out.vx == 0.0
+    out, _ = run(SafetyGate(CAPS, guarded=False), 0, 1.0, limits=None)
+    assert out.vx == 0.5
+
+
 def test_the_operators_own_remote_takes_the_motion_until_resume():
     gate = SafetyGate(CAPS)
     _, now = run(gate, 0, 1.0)
@@ -246,6 +302,7 @@ def test_what_was_never_seen_holds():
         (GateInputs(), "no robot state yet"),
         (well(0, stamps={"imu": 0, "joints": 0}), "no lidar yet"),
         (well(0, tilt=None), "no attitude yet"),
+        (well(0, limits=None), "no guard yet"),
         (well(0, state=RobotState(0, Phase.SITTING)), "robot is sitting"),
         (well(0, stamps={"imu": 5 * NS, "joints": 0, "lidar": 0}), "imu is stamped"),
     ]

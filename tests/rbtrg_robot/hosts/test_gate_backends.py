@@ -25,7 +25,7 @@ from rbtrg_robot.process.health import Health
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.wire.messages import encode, header
 from tests.hal.unitree.world import World
-from tests.rbtrg_robot.offset import map_offset
+from tests.rbtrg_robot.hearsay import all_clear, map_offset
 
 CRUISE = 0.3
 """[m/s]"""
@@ -121,6 +121,7 @@ class Rig:
                 pose.pose.pose.position.x, pose.pose.pose.orientation.w = self.x, 1.0
                 pose.twist.twist.linear.x = self.speed() if self.measured is None else self.measured
                 self.stage.on(t.POSE, pose)
+                self.stage.on(t.MOTION_LIMITS, all_clear(self.now))
                 if self.vx is not None:
                     command = t.CMD_VEL.kind(header=header(self.now, self.frame))
                     command.twist.linear.x = self.way * self.vx
@@ -141,7 +142,9 @@ class Rig:
         return robot_line(self.health.robot_row())
 
     def order(self, mode: ModeRequest) -> None:
-        self.stage.on(t.ROBOT_COMMAND, t.ROBOT_COMMAND.kind(mode=mode.value, cause="by hand"))
+        latch = self.stage._shown_latch()
+        order = t.ROBOT_COMMAND.kind(mode=mode.value, cause="by hand", latch=latch)
+        self.stage.on(t.ROBOT_COMMAND, order)
 
 
 @dataclass(frozen=True)

@@ -94,7 +94,7 @@ def test_the_emergency_stop_stops_now_and_stays(stack: Lockstep) -> None:
     assert stack.finish_goal(20.0).state == "reached"
 
 
-@pytest.mark.parametrize("process", ["odometry", "elevation", "navigator", "tracker"])
+@pytest.mark.parametrize("process", ["odometry", "elevation", "navigator", "tracker", "guard"])
 def test_without_a_process_that_matters_the_robot_stands(stack: Lockstep, process: str) -> None:
     stack.send_goal(*ahead(stack, 4.0))
     stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
@@ -219,7 +219,7 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
 def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() -> None:
     appear, x0 = 8.0, 3.7
     box = {"centre": (x0 + 0.15, 0.0, 0.2), "size": (0.3, 0.5, 0.4), "appear": appear}
-    with Lockstep(config(origin=(0.0, 0.0, 0.0)).model_copy(update={"sim": {"obstacles": [box]}})) as stack:
+    with Lockstep(config(origin=(0.0, 0.0, 0.0), sim={"obstacles": [box]})) as stack:
         stack.wait_ready()
         stack.send_goal(5.5, 0.0)
         stack.run(appear - stack.seconds)

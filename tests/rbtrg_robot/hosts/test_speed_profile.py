@@ -15,7 +15,7 @@ from rbtrg_robot.stages import planner, tracker
 from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import decode, encode, header
-from tests.rbtrg_robot.offset import map_offset
+from tests.rbtrg_robot.hearsay import map_offset
 
 RES = 0.04
 

@@ -28,6 +28,7 @@ from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import odometry_msg
 from rbtrg_robot.wire.messages import encode, header, stamp_of
 from tests.hal.unitree.world import HOST_EPOCH, World
+from tests.rbtrg_robot.hearsay import all_clear
 
 ROOT = Path(__file__).parents[3]
 HOUR = 3600 * NS
@@ -106,7 +107,7 @@ def test_the_robot_drives_on_and_says_so_when_the_wall_clock_is_set(
         pose = odometry_msg(
             bus.clock(), np.zeros(3), (0, 0, 0, 1), np.array([world.body.v, 0, 0]), np.zeros(3)
         )
-        return [(t.CMD_VEL, command), (t.POSE, pose)]
+        return [(t.CMD_VEL, command), (t.POSE, pose), (t.MOTION_LIMITS, all_clear(bus.clock()))]
 
     bus.hear = hear
     set_at, end = 4 * NS, 8 * NS
@@ -205,6 +206,7 @@ READERS = {
     "hal/unitree/backend.py": "default of a parameter; the stack gives its own clock",
     "hal/unitree/factory.py": "the same",
     "rbtrg_robot/cli": "stamps of requests, names of folders",
+    "rbtrg_robot/access/certificates.py": "from when to when a certificate holds",
     "rbtrg_robot/process/doctor.py": "shows the date",
     "rbtrg_robot/process/report.py": "dates the archive",
 }

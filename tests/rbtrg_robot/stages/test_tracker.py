@@ -14,7 +14,7 @@ from rbtrg_robot.stages import tracker
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import header
-from tests.rbtrg_robot.offset import map_offset
+from tests.rbtrg_robot.hearsay import map_offset
 
 STILL = rpy_quaternion((0.0, 0.0, 0.0))
 

@@ -13,7 +13,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 
-STAGES = ("odometry", "elevation", "planner", "robot")
+STAGES = ("odometry", "elevation", "planner", "guard", "robot")
 
 
 @pytest.fixture(scope="module")

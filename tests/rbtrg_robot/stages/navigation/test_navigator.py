@@ -21,7 +21,7 @@ from rbtrg_robot.stages.navigation.progress import Pose2, Trail
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import encode, header
-from tests.rbtrg_robot.offset import map_offset
+from tests.rbtrg_robot.hearsay import map_offset
 
 SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 
@@ -40,6 +40,7 @@ class World:
         self.heading_error = 0.0
         self.tracker_obeys = True
         self.estop = False
+        self.taken = ""
         self.phase = "ready"
         self.route_valid = True
         if placed:
@@ -75,6 +76,7 @@ class World:
                 phase=self.phase,
                 estop=self.estop,
                 estop_cause="operator" if self.estop else "",
+                taken=self.taken,
             )
             path = self.last(t.PATH_COMMAND)
             path_id = path.id if path is not None and self.tracker_obeys else ""
@@ -359,6 +361,56 @@ def test_a_new_goal_preempts(world: World) -> None:
     states = [(m.id, m.state) for x, m in world.out if x is t.GOAL_STATUS]
     assert ("g", "preempted") in states
     assert (world.status.id, world.status.state) == ("second", "planning")
+
+
+def test_a_late_repeat_of_an_older_goal_starts_nothing(world: World) -> None:
+    world.goal(goal_id="a")
+    world.answer()
+    world.goal(2.0, goal_id="b")
+    world.answer()
+    before = world.count(t.PLAN_REQUEST)
+    world.goal(goal_id="a")
+    assert (world.status.id, world.status.state) == ("b", "moving")
+    assert world.count(t.PLAN_REQUEST) == before
+    world.send(t.GOAL_REQUEST, action=1)
+    world.goal(goal_id="a")
+    world.goal(2.0, goal_id="b")
+    assert (world.status.id, world.status.state) == ("b", "cancelled")
+    assert world.count(t.PLAN_REQUEST) == before
+
+
+def test_who_cancels_or_replaces_the_goal_of_another_is_told(world: World) -> None:
+    world.goal(goal_id="a", owner="ann")
+    world.send(t.GOAL_REQUEST, action=1, id="b", owner="bob")
+    assert world.status.state == "planning", "that is another goal"
+    world.send(t.GOAL_REQUEST, action=1, owner="bob")
+    assert (world.status.owner, world.status.state, world.status.detail) == ("ann", "cancelled", "by bob")
+    world.goal(goal_id="c", owner="ann")
+    world.send(t.GOAL_REQUEST, action=1, owner="ann")
+    assert (world.status.state, world.status.detail) == ("cancelled", "")
+    world.goal(goal_id="d", owner="ann")
+    world.goal(goal_id="e", owner="bob")
+    ended = [m for x, m in world.out if x is t.GOAL_STATUS and m.id == "d"][-1]
+    assert (ended.state, ended.owner, ended.detail) == ("preempted", "ann", "by bob")
+
+
+def test_a_goal_waits_as_long_as_somebody_drives_by_hand(world: World) -> None:
+    world.goal()
+    world.answer()
+    asked = world.count(t.PLAN_REQUEST)
+    world.taken = "teleop has the motion"
+    world.run(60.0)
+    assert (world.status.state, world.status.detail) == ("paused", "teleop has the motion")
+    assert world.last(t.PATH_COMMAND).id == ""
+    assert world.count(t.PLAN_REQUEST) == asked
+    world.taken, world.health = "", "lost"
+    world.run(5.0)
+    assert world.status.state != "aborted", "patience begins anew"
+    world.health = "good"
+    world.run(0.3)
+    assert world.count(t.PLAN_REQUEST) == asked + 1
+    world.answer()
+    assert world.status.state == "moving"
 
 
 def test_cancel_halts(world: World) -> None:

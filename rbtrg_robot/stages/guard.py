@@ -1,0 +1,222 @@
+"""The guard: how fast the body may move where it stands, from the newest map window and sweep. It knows no goal and no plan.
+
+The field calls it a collision monitor. The safety gate applies its limits to every motion, whoever asked for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.rotation import rotation
+from hal.safety.swept import (
+    BODY_CLEARANCE,
+    POINTS,
+    SPACING,
+    Reach,
+    Surroundings,
+    occupy,
+    reach_of,
+    straight_tracks,
+    turn_step,
+    turn_tracks,
+)
+from hal.types import NS, Capabilities
+from mapping.filling import fill_unknown
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.stage_config import GuardConfig
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import (
+    BASE,
+    LayoutError,
+    cloud_points,
+    map_patch,
+    xyz,
+    xyzw,
+    yaw_of,
+)
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import header, stamp_of
+
+FAR = 1.5
+"""[m] looked ahead of the body. A LiDAR sees the ground below an edge only far behind the edge."""
+AROUND = 2.0
+"""[m] from base_link: points of a sweep beyond are of no interest."""
+STANDS = 0.05
+"""[m] above a step that points must be to count as something that stands there: noise of map and pose."""
+WORDS = {1: "a {:.2f} m face", 2: "a {:.2f} m drop", 3: "something the last sweep saw"}
+
+
+class GuardStage:
+    """See the module."""
+
+    inputs = (t.MAP_WINDOW, t.CLOUD, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
+    outputs = (t.MOTION_LIMITS,)
+
+    def __init__(self, params: GuardConfig, robot: Capabilities) -> None:
+        self._params = params
+        self._robot = robot
+        self._frame = MapFrame()
+        self._now = 0
+        self._pose: msg.Odometry | None = None
+        self._clouds: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
+        self._odoms: OrderedDict[int, msg.Odometry] = OrderedDict()
+        self._correction = 0.0
+        self._around: Surroundings | None = None
+        self._filled: NDArray[np.float32] = np.zeros((1, 1), np.float32)
+        self._stamp = 0
+        self._malformed = 0
+        p = params
+        around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
+        self._ways = (
+            ("ahead", straight_tracks(FAR, 1.0), SPACING),
+            ("behind", straight_tracks(FAR, -1.0), SPACING),
+            ("to the left", turn_tracks(around, 1.0), turn_step()),
+            ("to the right", turn_tracks(around, -1.0), turn_step()),
+        )
+
+    @property
+    def _turn_margin(self) -> float:
+        """[rad] that keeps the corners of the body `margin` away."""
+        return self._params.margin * turn_step() / SPACING
+
+    def warm_up(self) -> None:
+        """Compile the kernels on flat ground."""
+        flat = np.zeros((3, 3), np.float32)
+        around = Surroundings(flat, np.full_like(flat, np.nan), np.zeros((3, 3), np.uint8), (0.0, 0.0), 0.04)
+        fill_unknown(flat, around.bound)
+        for _, tracks, step in self._ways:
+            reach_of(tracks, step, around, (0.0, 0.0, 0.0), self._robot)
+        self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat)
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        if t.POSE.carried(message, topic):
+            self._pose = message
+        elif t.TF_STATIC.carried(message, topic):
+            self._frame.take(message)
+        elif t.MAP_STATUS.carried(message, topic):
+            self._correction = message.height_correction
+        elif t.ODOM.carried(message, topic):
+            self._odoms[stamp_of(message)] = message
+            self._sweep()
+        elif t.CLOUD.carried(message, topic):
+            try:
+                self._clouds[stamp_of(message)] = cloud_points(message)
+            except LayoutError:
+                self._malformed += 1
+            self._sweep()
+        elif t.MAP_WINDOW.carried(message, topic):
+            self._window(message)
+        return []
+
+    def _window(self, message: msg.GridMap) -> None:
+        try:
+            patch = map_patch(message, 0)
+        except LayoutError:
+            self._malformed += 1
+            return
+        height, upper = patch.layers["elevation"], patch.layers["upper_bound"]
+        unknown = np.isnan(height)
+        self._filled = fill_unknown(height, upper)
+        self._around = Surroundings(
+            np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
+            np.where(unknown, upper, np.float32(np.nan)),
+            np.zeros(height.shape, np.uint8),
+            patch.origin,
+            patch.resolution,
+        )
+        self._stamp = patch.stamp
+        self._sweep()
+
+    def _sweep(self) -> None:
+        """Lay the newest sweep whose pose is known over the window."""
+        both = self._clouds.keys() & self._odoms.keys()
+        for kept in (self._clouds, self._odoms):
+            while len(kept) > 20:
+                kept.popitem(last=False)
+        if not both or self._around is None or not self._frame.known:
+            return
+        newest = max(both)
+        if newest < self._stamp:
+            return
+        points = self._clouds[newest]
+        near = points[(np.abs(points[:, :2]) < AROUND).all(axis=1)].astype(np.float64)
+        pose = self._odoms[newest].pose.pose
+        position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
+        place = position + np.array([0.0, 0.0, self._correction])
+        self._mark(self._around, near @ rotation(orientation).T + place, self._filled)
+
+    def _mark(self, around: Surroundings, points: NDArray[np.float64], ground: NDArray[np.float32]) -> None:
+        lowest = self._robot.max_step + STANDS
+        origin, resolution = around.origin, around.resolution
+        occupy(points, ground, *origin, resolution, lowest, BODY_CLEARANCE, POINTS, around.occupied)
+
+    def tick(self, now: int) -> Outputs:
+        """The limits of now."""
+        self._now = now
+        missing = self._missing()
+        if missing:
+            return [(t.MOTION_LIMITS, msg.MotionLimits(header=header(now, BASE), reason=missing))]
+        assert self._pose is not None
+        assert self._around is not None
+        pose = self._pose.pose.pose
+        here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+        speeds, words = [], []
+        for k, (where, tracks, step) in enumerate(self._ways):
+            reach = reach_of(tracks, step, self._around, here, self._robot)
+            speed = self._speed(reach, turning=k > 1)
+            most = self._robot.max_wz if k > 1 else self._robot.max_vx
+            speeds.append(min(speed, most))
+            if speed < most:
+                unit = f"{math.degrees(reach.free):.0f} deg" if k > 1 else f"{reach.free:.2f} m"
+                words.append(
+                    f"{WORDS[reach.kind].format(reach.height)} {unit} {where}" if reach.kind else where
+                )
+        limits = msg.MotionLimits(
+            header=header(now, BASE),
+            forward=speeds[0],
+            backward=speeds[1],
+            left=speeds[2],
+            right=speeds[3],
+            reason="; ".join(words),
+        )
+        return [(t.MOTION_LIMITS, limits)]
+
+    def _speed(self, reach: Reach, *, turning: bool) -> float:
+        """The speed [m/s or rad/s] from which the body stops within the reach; infinite where nothing is in the way."""
+        if not reach.kind:
+            return math.inf
+        p = self._params
+        rate = self._robot.max_alpha if turning else p.deceleration
+        left = reach.free - (self._turn_margin if turning else p.margin)
+        return rate * (math.sqrt(p.reaction**2 + 2.0 * left / rate) - p.reaction) if left > 0.0 else 0.0
+
+    def _missing(self) -> str:
+        """What the guard lacks; empty when it sees."""
+        if not self._frame.known:
+            return f"no {t.TF_STATIC.name} yet"
+        for topic, stamp, limit in (
+            (t.MAP_WINDOW, self._stamp if self._around else None, self._params.window_timeout),
+            (t.POSE, stamp_of(self._pose) if self._pose else None, self._params.pose_timeout),
+        ):
+            if stamp is None:
+                return f"no {topic.name} yet"
+            age = (self._now - stamp) / NS
+            if abs(age) > limit:
+                return f"{topic.name} is {age:.1f} s old"
+        return ""
+
+
+def build(config: Any) -> GuardStage:
+    """From the stack's configuration."""
+    return GuardStage(config.guard, config.capabilities())

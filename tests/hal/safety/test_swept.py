@@ -1,0 +1,275 @@
+"""How far the body can go: against a plain oracle, and on ground whose answer is known."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.safety.swept import (
+    BEFORE,
+    CLEAR,
+    DROP,
+    FACE,
+    NOISE,
+    SPACING,
+    SWEEP,
+    WITHIN,
+    Reach,
+    Surroundings,
+    nearest_obstacle,
+    occupy,
+    reach_of,
+    straight_tracks,
+    turn_step,
+    turn_tracks,
+)
+from hal.types import Capabilities
+
+ROBOT = Capabilities("test", max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10)
+RES = 0.04
+N = 101
+X, Y = np.meshgrid(*(2 * [(np.arange(N) - N // 2) * RES]))
+FRONT, SIDE = BODY_LENGTH / 2, BODY_WIDTH / 2
+
+
+def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
+    """Around the origin; what is not given is unknown or free."""
+    height = np.ascontiguousarray(height, np.float32)
+    bound = np.asarray(layers.get("bound", np.full_like(height, np.nan)), np.float32)
+    occupied = np.asarray(layers.get("occupied", np.zeros_like(height)), np.uint8)
+    corner = -(N // 2) * RES
+    return Surroundings(height, bound, occupied, (corner, corner), RES)
+
+
+def look(around: Surroundings, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> dict[str, Reach]:
+    """Every way, 1 m and 0.6 rad far."""
+    return {
+        "ahead": reach_of(straight_tracks(1.0, 1.0), SPACING, around, pose, ROBOT),
+        "behind": reach_of(straight_tracks(1.0, -1.0), SPACING, around, pose, ROBOT),
+        "left": reach_of(turn_tracks(0.6, 1.0), turn_step(), around, pose, ROBOT),
+        "right": reach_of(turn_tracks(0.6, -1.0), turn_step(), around, pose, ROBOT),
+    }
+
+
+def test_tracks_begin_under_the_body_and_lead_away_from_it() -> None:
+    for tracks in (
+        straight_tracks(1.0, 1.0),
+        straight_tracks(1.0, -1.0),
+        turn_tracks(0.6, 1.0),
+        turn_tracks(0.6, -1.0),
+    ):
+        inside = (np.abs(tracks[:, :, 0]) < FRONT - 1e-9) & (np.abs(tracks[:, :, 1]) < SIDE + 1e-9)
+        assert inside[:, :BEFORE].all()
+        rim = np.isclose(np.abs(tracks[:, BEFORE, 0]), FRONT) | np.isclose(np.abs(tracks[:, BEFORE, 1]), SIDE)
+        assert rim.all()
+        assert (np.hypot(*np.diff(tracks[:, BEFORE:], axis=1).transpose(2, 0, 1)) < SPACING + 1e-9).all()
+
+
+@pytest.mark.parametrize("turn", [-1.0, 1.0])
+def test_the_tracks_of_a_turn_cover_what_the_body_sweeps(turn: float) -> None:
+    tracks = turn_tracks(0.6, turn)[:, BEFORE:].reshape(-1, 2)
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-0.5, 0.5, (4000, 2))
+
+    def within(angle: float) -> NDArray[np.bool_]:
+        c, s = math.cos(angle), math.sin(angle)
+        u, v = points[:, 0] * c + points[:, 1] * s, points[:, 1] * c - points[:, 0] * s
+        return (np.abs(u) <= FRONT) & (np.abs(v) <= SIDE)
+
+    swept = np.any([within(turn * a) for a in np.linspace(0.0, 0.6, 61)], axis=0) & ~within(0.0)
+    near = np.hypot(*(points[swept, None] - tracks[None]).transpose(2, 0, 1)).min(axis=1)
+    assert near.max() < SPACING
+
+
+WALL, KERB = 0.5, 0.10
+
+
+@pytest.mark.parametrize("rise", [WALL, -WALL, 0.16, -0.16])
+def test_a_face_and_a_drop_beyond_the_robots_step_end_the_way(rise: float) -> None:
+    found = look(ground(np.where(X > 0.70, rise, 0.0)))["ahead"]
+    assert found.kind == (FACE if rise > 0.0 else DROP)
+    assert found.free == pytest.approx(0.70 - FRONT, abs=RES)
+    assert found.height == pytest.approx(abs(rise), abs=0.04)
+    behind = look(ground(np.where(X < -0.70, rise, 0.0)))["behind"]
+    assert (behind.kind, behind.free) == (found.kind, pytest.approx(found.free, abs=RES))
+
+
+@pytest.mark.parametrize(
+    "height",
+    [
+        np.where(X > 0.70, KERB, 0.0),
+        np.where(X > 0.70, -KERB, 0.0),
+        np.clip(X - 0.4, 0.0, None) * math.tan(math.radians(25.0)),
+        np.where(np.abs(X) < 0.1, KERB, 0.0),  # astride a bar
+        np.where(X > 0.0, KERB, 0.0),  # half up a kerb
+        np.where(np.abs(X - 0.74) < 0.06, -0.6, 0.0),  # a crack no wider than a wheel crosses
+        np.where(np.abs(Y) > SIDE + RES, WALL, 0.0),  # between two walls
+        np.where(X > 0.60, np.nan, 0.0),  # nothing is known
+    ],
+)
+def test_what_the_controller_drives_over_and_what_is_not_known_is_no_obstacle(height: NDArray[Any]) -> None:
+    found = look(ground(height))
+    assert (found["ahead"].kind, found["behind"].kind) == (CLEAR, CLEAR)
+
+
+def test_a_trench_wider_than_a_wheel_crosses_is_a_drop() -> None:
+    assert look(ground(np.where(np.abs(X - 0.85) < 0.16, -0.6, 0.0)))["ahead"].kind == DROP
+
+
+def test_a_drop_behind_ground_that_is_hidden_is_seen() -> None:
+    hidden = np.where(X > 0.70, np.nan, 0.0)
+    assert look(ground(np.where(X > 1.0, -0.5, hidden)))["ahead"].kind == DROP
+    found = look(ground(hidden, bound=np.where(X > 0.70, -0.3, np.nan)))["ahead"]
+    assert found.kind == DROP
+    assert found.free == pytest.approx(0.70 - FRONT, abs=RES)
+    assert look(ground(hidden, bound=np.where(X > 0.70, -0.05, np.nan)))["ahead"].kind == CLEAR
+
+
+def test_a_wall_beside_the_body_stops_the_turn_and_not_the_drive() -> None:
+    found = look(ground(np.where(Y > 0.30, WALL, 0.0)))
+    assert (found["ahead"].kind, found["behind"].kind) == (CLEAR, CLEAR)
+    # The front left corner reaches y = 0.30 when it has turned by this.
+    angle = math.asin(0.30 / math.hypot(FRONT, SIDE)) - math.atan2(SIDE, FRONT)
+    assert found["left"].kind == FACE
+    assert found["left"].free == pytest.approx(angle, abs=0.1)
+    assert found["right"].free == pytest.approx(found["left"].free, abs=0.1)
+
+
+def test_what_the_newest_sweep_shows_ends_the_way() -> None:
+    there = (np.abs(X + 0.60) < 0.05) & (np.abs(Y) < 0.1)
+    found = look(ground(np.zeros_like(X), occupied=there))
+    assert (found["behind"].kind, found["ahead"].kind) == (SWEEP, CLEAR)
+    assert found["behind"].free == pytest.approx(0.55 - FRONT, abs=RES)
+
+
+@pytest.mark.parametrize("yaw", np.linspace(-3.0, 3.0, 7))
+def test_the_answer_turns_and_moves_with_the_robot(yaw: float) -> None:
+    x, y = 0.3, -0.2
+    ahead = (X - x) * math.cos(yaw) + (Y - y) * math.sin(yaw)
+    found = look(ground(np.where(ahead > 0.75, WALL, 0.0)), (x, y, yaw))
+    assert found["ahead"].kind == FACE
+    assert found["ahead"].free == pytest.approx(0.75 - FRONT, abs=RES * 1.5)
+    assert found["behind"].kind == CLEAR
+
+
+def oracle(
+    tracks: NDArray[Any], around: Surroundings, pose: tuple[float, float, float], gap: int
+) -> tuple[int, int]:
+    """The same rules, written for reading: (sample, kind) of the first obstacle on any track."""
+    limit, rise = ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING
+    x, y, yaw = pose
+    rows, cols = around.height.shape
+    best = (tracks.shape[1], CLEAR)
+    for track in tracks:
+        u, v = track.T
+        col = np.floor((x + math.cos(yaw) * u - math.sin(yaw) * v - around.origin[0]) / RES + 0.5).astype(int)
+        row = np.floor((y + math.sin(yaw) * u + math.cos(yaw) * v - around.origin[1]) / RES + 0.5).astype(int)
+        on = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        row, col = np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)
+        known = np.where(on, around.height[row, col], np.nan).astype(float)
+        bound = np.where(on, around.bound[row, col], np.nan).astype(float)
+        busy = on & (around.occupied[row, col] > 0)
+        best = min(best, _walk(known, bound, busy, limit, rise, gap, best[0]), key=lambda found: found[0])
+    return best
+
+
+def _walk(
+    known: NDArray[Any],
+    bound: NDArray[Any],
+    busy: NDArray[Any],
+    limit: float,
+    rise: float,
+    gap: int,
+    end: int,
+) -> tuple[int, int]:
+    stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
+    i = 0
+    while i < end:
+        if busy[i] and i > BEFORE:
+            return i, SWEEP
+        height = known[i]
+        below = math.isnan(height) and bool(stood) and bound[i] < stood[-1][1] - limit
+        if math.isnan(height) and not below:
+            i += 1
+            continue
+        if below:
+            height = bound[i]
+        changes = [0.0]
+        if stood:
+            change = height - stood[-1][1]
+            far = rise * max(0, i - stood[-1][0] - WITHIN // 2)
+            changes.append(max(0.0, change - far) if change > 0.0 else change)
+            changes += [shrunk(height - h, rise * WITHIN / 2) for j, h in stood[:-1] if j >= i - WITHIN]
+        worst = max(changes, key=abs)
+        if abs(worst) > limit:
+            if i <= BEFORE:
+                i += 1
+                continue
+            last = stood[-1][0]
+            landing = [
+                j
+                for j in range(i + 1, min(end, last + gap + 2))
+                if not math.isnan(known[j]) and abs(known[j] - stood[-1][1]) <= limit
+            ]
+            if worst > 0.0:
+                return i, FACE
+            if not landing:
+                return min(i, max(last + 1, BEFORE + 1)), DROP
+            i = landing[0]
+            stood = [(i, known[i])]
+        elif not below:
+            stood.append((i, height))
+        i += 1
+    return end, CLEAR
+
+
+def shrunk(value: float, by: float) -> float:
+    """Nearer to zero by as much."""
+    return math.copysign(max(0.0, abs(value) - by), value)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    kinds = set()
+    for _ in range(12):
+        height = rng.choice([0.0, 0.02, 0.05], X.shape) * rng.random() + X * rng.uniform(-0.4, 0.4)
+        for _ in range(rng.integers(0, 5)):
+            cx, cy = rng.uniform(-1.0, 1.0, 2)
+            wide, deep = rng.uniform(0.02, 0.4, 2)
+            height += np.where((np.abs(X - cx) < wide) & (np.abs(Y - cy) < deep), rng.uniform(-0.5, 0.5), 0.0)
+        height = np.where(rng.random(X.shape) < rng.choice([0.0, 0.3]), np.nan, height)
+        bound = np.where(
+            np.isnan(height) & (rng.random(X.shape) < 0.3), rng.uniform(-0.4, 0.2, X.shape), np.nan
+        )
+        around = ground(height, bound=bound, occupied=rng.random(X.shape) < rng.choice([0.0, 0.001]))
+        pose = (float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3.0, 3.0)))
+        for tracks in (straight_tracks(0.7, 1.0), turn_tracks(0.6, -1.0)):
+            gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
+            sample, kind, _ = nearest_obstacle(
+                *(tracks, around.height, around.bound, around.occupied, *around.origin, RES, *pose),
+                *(ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING, gap),
+            )
+            assert (sample, kind) == oracle(tracks, around, pose, gap)
+            kinds.add(kind)
+    assert len(kinds) > 1
+
+
+def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:
+    rng = np.random.default_rng(1)
+    points = rng.uniform((-0.2, -0.2, -0.2), (0.6, 0.6, 1.0), (3000, 3))
+    heights = rng.uniform(0.0, 0.2, (10, 12)).astype(np.float32)
+    out = np.zeros((10, 12), np.uint8)
+    occupy(points, heights, 0.02, -0.02, RES, 0.15, 0.55, 3, out)
+    want = np.zeros((10, 12), int)
+    for x, y, z in points:
+        c, r = round((x - 0.02) / RES), round((y + 0.02) / RES)
+        if 0 <= r < 10 and 0 <= c < 12 and 0.15 < z - heights[r, c] < 0.55:
+            want[r, c] += 1
+    np.testing.assert_array_equal(out, want >= 3)
+    assert 0 < out.sum() < out.size

@@ -1,0 +1,145 @@
+"""The guard in the closed loop: whoever moves the robot, its body touches nothing, and kerbs do not stop it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.messages import header
+from tests.rbtrg_robot.hosts.test_lockstep import _distance, config, speed, truth
+
+Box = tuple[tuple[float, float], tuple[float, float]]
+"""Its extents along x and y [m]."""
+
+
+def box(xs: tuple[float, float], ys: tuple[float, float], high: float, appear: float = 0.0) -> dict[str, Any]:
+    """An obstacle of the simulator."""
+    return {
+        "centre": (sum(xs) / 2, sum(ys) / 2, high / 2),
+        "size": (xs[1] - xs[0], ys[1] - ys[0], high),
+        "appear": appear,
+    }
+
+
+def stack_with(*boxes: dict[str, Any], **flags: Any) -> Lockstep:
+    """Flat ground, the robot at the origin, heading +x."""
+    return Lockstep(config(origin=(0.0, 0.0, 0.0), sim={"obstacles": list(boxes)}, **flags))
+
+
+def by_hand(stack: Lockstep, seconds: float, vx: float, wz: float = 0.0, near: Box | None = None) -> float:
+    """Drive by hand at 25 Hz; the smallest distance [m] between body and the box meanwhile."""
+    closest = math.inf
+    for _ in range(round(seconds * 25)):
+        command = msg.TwistStamped(header=header(stack.now, "base_link"))
+        command.twist.linear.x, command.twist.angular.z = vx, wz
+        stack.host.inject(t.TELEOP, command)
+        stack.run(0.04)
+        if near is not None:
+            closest = min(closest, _distance(truth(stack), *near))
+    return closest
+
+
+def test_what_steps_behind_a_reversing_robot_is_not_touched() -> None:
+    appear, near = 5.0, ((-1.75, -1.45), (-0.25, 0.25))
+    with stack_with(box(*near, 0.5, appear)) as stack:
+        stack.wait_ready()
+        by_hand(stack, appear - stack.seconds - 2.2, 0.0)
+        by_hand(stack, 2.2, -0.4)
+        gap = truth(stack)[0] - 0.35 - near[0][1]
+        assert 0.25 < gap < 0.7, "behind its tail, and further than it takes to brake"
+        assert speed(stack) > 0.3
+        assert by_hand(stack, 4.0, -0.4, near=near) > 0.0
+        assert speed(stack) < 0.05
+        assert "behind" in stack.newest[t.ROBOT_STATE].hold
+        by_hand(stack, 1.5, 0.3)
+        assert speed(stack) > 0.2, "the way out is free"
+
+
+def test_what_steps_before_a_driving_robot_is_not_touched_though_the_planner_is_dead() -> None:
+    appear, near = 5.0, ((2.0, 2.3), (-0.3, 0.3))
+    with stack_with(box(*near, 0.4, appear)) as stack:
+        stack.wait_ready()
+        stack.host.kill("planner")
+        by_hand(stack, appear - stack.seconds - 2.4, 0.0)
+        by_hand(stack, 2.4, 0.5)
+        gap = near[0][0] - truth(stack)[0] - 0.35
+        assert 0.25 < gap < 0.9, "before its nose, and further than it takes to brake"
+        assert by_hand(stack, 3.0, 0.5, near=near) > 0.0
+        assert speed(stack) < 0.05
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
+    xs = (1.2, 1.5) if way > 0.0 else (-1.5, -1.2)
+    near = (xs, (-2.0, 2.0))
+    with stack_with(box(*near, 0.8)) as stack:
+        stack.wait_ready()
+        assert 0.0 < by_hand(stack, 6.0, 0.6 * way, near=near) < 0.15
+        assert speed(stack) < 0.05
+        assert stack.newest[t.ROBOT_STATE].hold.startswith("guard: ")
+        closest = by_hand(stack, 4.0, 0.3 * way, 0.8, near=near)
+        assert closest > 0.0, "its corners do not touch when it turns there either"
+
+
+def test_it_gets_over_a_kerb_of_its_envelope(tmp_path: Path) -> None:
+    x, _ = np.meshgrid(*(2 * [np.arange(201) * 0.05 - 5.0]))
+    file = tmp_path / "kerb.npz"
+    height = np.where((x > 1.0) & (x < 2.0), 0.10, 0.0).astype(np.float32)
+    np.savez(file, height=height, resolution=0.05, origin=np.array([-5.0, -5.0]))
+    with Lockstep(load(None, [], scene=str(file), origin=(0.0, 0.0, 0.0))) as stack:
+        stack.wait_ready()
+        held = 0
+        for _ in range(50):
+            by_hand(stack, 0.2, 0.4)
+            held += stack.newest[t.ROBOT_STATE].hold != ""
+        assert truth(stack)[0] > 2.2, "up and down again"
+        assert held < 5, "a leg that swings out beside the body is seen by the LiDAR for a moment"
+
+
+def test_a_guard_that_hangs_means_zero() -> None:
+    with stack_with() as stack:
+        stack.wait_ready()
+        by_hand(stack, 1.5, 0.5)
+        assert speed(stack) > 0.4
+        stack.host.kill("guard")  # its token stays: nobody tells the robot process
+        by_hand(stack, 0.4, 0.5)
+        assert stack.newest[t.ROBOT_STATE].vx == 0.0
+        assert stack.newest[t.ROBOT_STATE].hold.startswith("guard is 0.")
+
+
+@pytest.mark.parametrize("silent", ["odometry", "elevation"])
+def test_a_guard_that_sees_nothing_new_allows_nothing(silent: str) -> None:
+    with stack_with() as stack:
+        stack.wait_ready()
+        by_hand(stack, 1.5, 0.5)
+        assert speed(stack) > 0.4
+        stack.host.kill(silent)
+        by_hand(stack, 0.7, 0.5)
+        assert stack.newest[t.ROBOT_STATE].vx == 0.0
+        assert stack.newest[t.ROBOT_STATE].hold != ""
+
+
+def test_a_goal_waits_while_somebody_drives_and_goes_on_when_told_to() -> None:
+    with stack_with() as stack:
+        stack.wait_ready()
+        stack.send_goal(3.0, 0.0)
+        stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
+        by_hand(stack, 2.0, -0.2, 0.3)
+        assert stack.newest[t.GOAL_STATUS].state == "paused"
+        stack.run(15.0)
+        assert stack.newest[t.GOAL_STATUS].state == "paused"
+        assert "resume" in stack.newest[t.GOAL_STATUS].detail
+        assert speed(stack) < 0.05
+        stack.command("resume")
+        assert stack.finish_goal(40.0).state == "reached"
+        assert math.dist(truth(stack)[:2], (3.0, 0.0)) < 0.25
+    assert stack.now < 90 * NS

@@ -1,0 +1,132 @@
+"""The guard as a stage: what it says of the ground and of the newest sweep, and when it sees too little."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.types import NS
+from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.stages import guard
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import cloud_msg, odometry_msg, patch_msg, rpy_quaternion
+from rbtrg_robot.wire.messages import decode, encode
+from tests.rbtrg_robot.hearsay import map_offset
+
+RES = 0.04
+CONFIG = load(None, [], scene="flat")
+START = (2.0, 3.0, 1.0)
+"""Where `odom` lies in `map`: x, y [m], yaw [rad]."""
+
+
+class Around:
+    """The robot at the origin of `odom`, turned by `yaw`; what is `silent` stays away."""
+
+    def __init__(self, yaw: float = 0.0) -> None:
+        self.stage = guard.build(CONFIG)
+        self.now = NS
+        self.yaw = yaw
+        self.silent: set[Topic] = set()
+        self.limits: Any = None
+        self.hear(t.TF_STATIC, map_offset(*START))
+
+    def hear(self, topic: Topic, message: Any) -> None:
+        if topic not in self.silent:
+            self.stage.on(topic, decode(encode(message), topic.kind))
+
+    def tick(self, height: Any, points: Any = ()) -> msg.MotionLimits:
+        """A tenth of a second: `height(forward, left)` of the ground [m], `points` (n, 3) [m] in base_link."""
+        self.now += NS // 10
+        corner = (round(START[0] / RES) - 50) * RES, round(START[1] / RES - 50) * RES
+        x, y = np.meshgrid(corner[0] + RES * np.arange(101), corner[1] + RES * np.arange(101))
+        turn = START[2] + self.yaw
+        c, s = math.cos(turn), math.sin(turn)
+        forward = c * (x - START[0]) + s * (y - START[1])
+        left = c * (y - START[1]) - s * (x - START[0])
+        layers = {name: np.zeros(x.shape, np.float32) for name in PATCH_LAYERS}
+        layers["elevation"] = np.asarray(height(forward, left), np.float32)
+        layers["trusted"][:] = 1.0
+        pose = odometry_msg(
+            self.now, (0.0, 0.0, 0.4), rpy_quaternion((0.0, 0.0, self.yaw)), np.zeros(3), np.zeros(3)
+        )
+        cloud = cloud_msg(self.now, "base_link", np.reshape(points, (-1, 3)).astype(np.float32))
+        for topic, message in (
+            (t.MAP_WINDOW, patch_msg(MapPatch(corner, RES, self.now, 0, layers))),
+            (t.CLOUD, cloud),
+            (t.ODOM, pose),
+            (t.POSE, pose),
+        ):
+            self.hear(topic, message)
+        ((_, limits),) = self.stage.tick(self.now)
+        return decode(encode(limits), t.MOTION_LIMITS.kind)
+
+
+def flat(forward: Any, left: Any) -> Any:
+    return 0.0 * forward * left
+
+
+def four(limits: msg.MotionLimits) -> tuple[float, ...]:
+    return limits.forward, limits.backward, limits.left, limits.right
+
+
+@pytest.mark.parametrize("yaw", [0.0, 2.5])
+def test_free_ground_limits_nothing(yaw: float) -> None:
+    assert four(Around(yaw).tick(flat)) == (1.0, 1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("yaw", [0.0, -2.0])
+def test_a_wall_limits_the_way_towards_it(yaw: float) -> None:
+    limits = Around(yaw).tick(lambda forward, _: 0.5 * (forward > 0.7))
+    free = 0.7 - 0.35
+    fastest = limits.forward
+    p = CONFIG.guard
+    assert fastest * p.reaction + fastest**2 / (2 * p.deceleration) + p.margin == pytest.approx(free, abs=RES)
+    assert four(limits)[1:] == (1.0, 1.0, 1.0)
+    assert limits.reason.startswith("a 0.50 m face 0.3")
+    assert limits.reason.endswith("ahead")
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.3])
+def test_what_the_newest_sweep_shows_limits_before_the_map_has_it(yaw: float) -> None:
+    around = Around(yaw)
+    leg = np.array(
+        [[-0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.2, -0.1, 0.0)]
+    )  # base_link is 0.4 m up
+    limits = around.tick(flat, leg)
+    assert limits.backward < 0.7
+    assert (limits.forward, limits.left, limits.right) == (1.0, 1.0, 1.0)
+    assert "behind" in limits.reason
+    low, high = leg - np.array([0.0, 0.0, 0.15]), leg + np.array([0.0, 0.0, 0.6])
+    assert around.tick(flat, low[low[:, 2] < -0.29]).backward == 1.0, "no higher than a step"
+    assert around.tick(flat, high[high[:, 2] > 0.2]).backward == 1.0, "it hangs above the robot"
+    assert around.tick(flat, leg[:2]).backward == 1.0, "two points are no leg"
+    assert around.tick(flat).backward == 1.0, "it is gone"
+
+
+@pytest.mark.parametrize(("topic", "limit"), [(t.MAP_WINDOW, 0.5), (t.POSE, 0.2)])
+def test_without_new_inputs_nothing_is_allowed(topic: Topic, limit: float) -> None:
+    around = Around()
+    around.tick(flat)
+    around.silent = {topic}
+    for tenth in range(1, 9):
+        limits = around.tick(flat)
+        allowed = 1.0 if tenth / 10 <= limit else 0.0
+        assert four(limits) == (allowed,) * 4
+    assert limits.reason.startswith(f"{topic.name} is 0.8 s old")
+
+
+@pytest.mark.parametrize("topic", [t.TF_STATIC, t.MAP_WINDOW, t.POSE])
+def test_nothing_is_allowed_before_everything_was_seen(topic: Topic) -> None:
+    around = Around()
+    if topic is t.TF_STATIC:
+        around.stage = guard.build(CONFIG)
+    around.silent = {topic}
+    limits = around.tick(flat)
+    assert four(limits) == (0.0,) * 4
+    assert limits.reason == f"no {topic.name} yet"

@@ -1,0 +1,177 @@
+"""One command path: who has the motion, and what a `resume` releases."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from hal.safety.gate import SafetyGate
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.robot import STEP, RobotStage
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.messages import header
+from tests.hal.unitree.world import World
+from tests.rbtrg_robot.hearsay import all_clear
+
+WATCHED = frozenset({"tracker", "guard"})
+
+
+class Rig:
+    """The robot process in front of a robot that does what it is told. Velocities [m/s] by source; None: silent."""
+
+    def __init__(self, world: World | None = None) -> None:
+        self.world = world or World(epoch=0)
+        gate = SafetyGate(self.world.backend.capabilities)
+        self.stage = RobotStage(self.world.backend, gate, simulated=False, watched=WATCHED)
+        self.stage.warm_up()
+        for process in WATCHED:
+            self.stage.alive(process, True)
+        self.tracker: float | None = 0.3
+        self.teleop: float | None = None
+        self.state: msg.RobotState = msg.RobotState()
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds * NS / STEP)):
+            self.world.advance(STEP / NS)
+            if self.world.now % (4 * STEP) == 0:
+                self.stage.on(t.MOTION_LIMITS, all_clear(self.world.now))
+                self.say(t.CMD_VEL, self.tracker, "tracker")
+                self.say(t.TELEOP, self.teleop, "hand")
+            for topic, message in self.stage.tick(self.world.now):
+                if topic is t.ROBOT_STATE:
+                    self.state = message
+
+    def say(self, topic: Topic, speed: float | None, who: str) -> None:
+        """One command; the hand's clock is an hour wrong."""
+        if speed is not None:
+            stamp = self.world.now - (3600 * NS if topic is t.TELEOP else 0)
+            command = msg.TwistStamped(header=header(max(stamp, 0), "base_link"))
+            command.twist.linear.x = speed
+            self.stage.on(topic, command, who)
+
+    def order(self, mode: str, latch: int = 0) -> None:
+        self.stage.on(t.ROBOT_COMMAND, msg.RobotCommand(mode=mode, latch=latch, cause="test"))
+        self.run(0.1)
+
+    @property
+    def speed(self) -> float:
+        return float(self.state.vx)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    made = Rig()
+    made.run(1.0)
+    assert made.speed == 0.3
+    return made
+
+
+def refused(state: Any) -> dict[str, int]:
+    return dict(zip(state.refused_reason, state.refused_count, strict=True))
+
+
+def test_who_drives_by_hand_takes_the_motion_until_resume(rig: Rig) -> None:
+    rig.teleop = -0.2
+    rig.run(0.5)
+    assert rig.speed == -0.2
+    assert rig.state.taken == "teleop has the motion"
+    assert not rig.state.estop
+    rig.teleop = None
+    rig.run(0.3)
+    assert rig.speed == 0.0, "silent for longer than the deadman"
+    rig.run(1.0)
+    assert rig.speed == 0.0, "the tracker does not take over by itself"
+    assert rig.state.hold == "teleop had the motion; `rbtrg-robot resume` gives it back"
+    rig.order("resume", rig.state.latch)
+    rig.run(0.5)
+    assert (rig.speed, rig.state.taken, rig.state.latch) == (0.3, "", 0)
+
+
+def test_the_emergency_stop_stands_above_the_hand(rig: Rig) -> None:
+    rig.teleop = 0.2
+    rig.run(0.5)
+    rig.order("stop")
+    rig.run(0.5)
+    assert rig.speed == 0.0
+    rig.order("resume", rig.state.latch)
+    rig.run(0.5)
+    assert rig.speed == 0.2, "the hand drives on, it still speaks"
+    assert rig.state.taken == "teleop has the motion"
+
+
+def test_resume_releases_the_stop_it_names_and_no_newer_one(rig: Rig) -> None:
+    rig.order("stop")
+    first = rig.state.latch
+    assert first > 0
+    for wrong in (0, first - 1, first + 1):
+        rig.order("resume", wrong)
+        assert rig.state.estop
+    assert refused(rig.state)["resume of another stop"] == 3
+    rig.order("resume", first)
+    assert not rig.state.estop
+    rig.order("stop")
+    assert rig.state.latch > first
+    rig.order("resume", first)  # a late repeat
+    rig.run(0.5)
+    assert rig.state.estop
+    assert rig.speed == 0.0
+
+
+def test_a_stop_on_a_robot_that_stands_already_needs_its_own_resume(rig: Rig) -> None:
+    rig.world.faults.remote = (0.5, 0.0, 0.0, 0.0, 0.0)
+    rig.run(0.1)
+    first = rig.state.latch
+    assert rig.state.estop_cause == "the operator's remote drives"
+    rig.world.faults.remote = (0.0,) * 5
+    rig.run(0.1)
+    rig.order("stop")
+    rig.order("resume", first)
+    assert rig.state.estop
+    rig.order("resume", rig.state.latch)
+    assert not rig.state.estop
+
+
+def test_a_second_source_of_commands_is_refused_and_counted(rig: Rig) -> None:
+    for _ in range(20):
+        rig.say(t.CMD_VEL, -0.9, "somebody")
+        rig.run(0.02)
+    rig.run(0.1)
+    assert rig.speed == 0.3
+    assert refused(rig.state)["another tracker has the say"] == 20
+
+
+def test_a_hand_needs_the_guard_and_nobody_else(rig: Rig) -> None:
+    rig.stage.alive("tracker", False)
+    rig.teleop = 0.2
+    rig.run(0.5)
+    assert rig.speed == 0.2
+    rig.stage.alive("guard", False)
+    rig.run(0.1)
+    assert rig.speed == 0.0
+
+
+@pytest.mark.parametrize("taken", [False, True])
+def test_what_was_latched_before_a_crash_is_latched_after_it(rig: Rig, taken: bool) -> None:
+    if taken:
+        rig.teleop = 0.2
+        rig.run(0.5)
+    else:
+        rig.order("stop")
+    before = rig.state
+    again = Rig()
+    again.stage.on(t.ROBOT_STATE, before)
+    again.run(1.0)
+    assert again.speed == 0.0
+    assert again.state.latch == before.latch
+    again.order("resume", before.latch)
+    again.run(0.5)
+    assert again.speed == 0.3
+
+
+def test_a_hand_with_a_broken_command_leaves_the_robot_at_rest(rig: Rig) -> None:
+    rig.teleop = float("nan")
+    rig.run(0.1)
+    assert rig.speed == 0.0

@@ -68,6 +68,7 @@ class PathTracker:
         self._turn_gained = 0
         self._turn_left = math.inf
         self._rock = 0.0
+        self._stopping = False
 
     @property
     def has_path(self) -> bool:
@@ -232,8 +233,9 @@ class PathTracker:
         if not (resting or waited or turning):
             self._slew(0.0, 0.0, dt)
             return TrackOutput(self._vx, self._wz, self._phase, **report)
-        # Hysteresis: the first stop must be inside the tolerance, turning on the spot may then wander a little.
-        if distance > p.goal_tolerance * (1.5 if turning else 0.9) and self._tries > 0:
+        # The first stop must be inside the tolerance. The turn then wanders, and is kept near the goal while it goes on:
+        # a correction on the way would turn it away from the heading again.
+        if not turning and distance > 0.9 * p.goal_tolerance and self._tries > 0:
             self._tries -= 1
             self._correct(x, y, yaw, goal_x, goal_y)
             self._slew(0.0, 0.0, dt)
@@ -242,11 +244,16 @@ class PathTracker:
         if self._turn_began is None:
             self._turn_began = now
         given_up = now - self._turn_began > _TURN_TIME * 1e9
-        if given_up or (abs(turn) <= p.yaw_tolerance and abs(predicted) <= 0.6 * p.yaw_tolerance):
+        # A stop is carried through, and judged with hysteresis: at the edge of the tolerance it would start for ever.
+        if abs(turn) <= p.yaw_tolerance and (abs(predicted) <= 0.6 * p.yaw_tolerance or abs(wz) < 0.1):
+            self._stopping = True
+        elif abs(turn) > 1.8 * p.yaw_tolerance:
+            self._stopping = False
+        if given_up or self._stopping:
             self._slew(0.0, 0.0, dt)
             if self._vx == self._wz == 0.0 and (abs(wz) < 0.1 or given_up):
                 self._phase = TrackPhase.DONE
-                self._missed = distance > 1.5 * p.goal_tolerance
+                self._missed = distance > 2.0 * p.goal_tolerance
                 return self._finish(x, y, yaw, dt)
         else:
             ahead = math.cos(yaw) * (x - goal_x) + math.sin(yaw) * (y - goal_y)
@@ -254,9 +261,10 @@ class PathTracker:
         return TrackOutput(self._vx, self._wz, self._phase, **report)
 
     def _rocking(self, now: int, left: float, ahead: float) -> float:
-        """Speed [m/s] while `left` [rad] remain to turn, `ahead` [m] of the goal: 0 as long as the turn on the spot goes on.
+        """Speed [m/s] while `left` [rad] remain to turn, `ahead` [m] of the goal: 0 while it turns near the goal.
 
-        A wheel that an edge or a slope holds comes free when it rolls: first backward, where the robot came from.
+        What wandered off is driven back. A wheel that an edge or a slope holds comes free when it rolls: first
+        backward, where the robot came from.
         """
         if left < self._turn_left - _TURN_LEAST or self._turn_left == math.inf:
             self._turn_left, self._turn_gained = left, now
@@ -264,6 +272,8 @@ class PathTracker:
             self._rock = -self.params.min_speed
         if self._rock * ahead > _ROCK * abs(self._rock):
             self._rock = -self._rock
+        if self._rock == 0.0 and abs(ahead) > _ROCK:
+            return -math.copysign(self.params.min_speed, ahead)
         return self._rock
 
     def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:

@@ -93,4 +93,4 @@ class TrackOutput:
     fault: str = ""
     """Not empty: the velocity is zero because of this (bad input, off the path)."""
     missed: bool = False
-    """Done, but further than `goal_tolerance` from the goal after all corrections."""
+    """Done, but further than twice `goal_tolerance` from the goal: what turning there may cost."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path.path import make_path
 from planning.risk import reference
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import poses_features
@@ -124,6 +125,36 @@ def rows(report: Report, large: RiskTable) -> None:
         "large.query_s", _timed(lambda: plan(large.graph, large.grid, across, BODY, large)), "s", limit=0.5
     )
     report.add("large.query_cold_s", _timed(lambda: plan(large.graph, large.grid, across, BODY)), "s")
+    stack_rows(report, large)
+
+
+def stack_rows(report: Report, large: RiskTable) -> None:
+    """What the planner stage does for one answer on the large map, from poses: table, query and path; cold, then after updates."""
+    grid, graph = large.grid, large.graph
+    x0, y0, x1, y1 = grid.extent
+    ends = [
+        graph.nodes[int(np.argmin(np.hypot(*(graph.nodes[:, :2] - corner).T))), :2]
+        for corner in ((x0, y0), (x1, y1))
+    ]
+    start, goal = ((float(x) + 0.06, float(y)) for x, y in ends)
+    request = PlanRequest(start, goal, 0.0, allow_frontier=True)
+    table: RiskTable | None = None
+
+    def answer() -> None:
+        nonlocal table
+        table = RiskTable(graph, grid, BODY, table)
+        make_path(plan(graph, grid, request, BODY, table), grid, BODY)
+
+    report.add("large.stack_cold_s", _timed(answer), "s", limit=0.5)
+    rng, warm = np.random.default_rng(3), []
+    for _ in range(5):
+        r, c = (int(v) for v in rng.integers(0, grid.shape[0] - 40, 2))
+        height = grid.height.copy()
+        height[r : r + 40, c : c + 40] += np.float32(0.02)
+        grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+        graph.update(grid, [(r, c, r + 40, c + 40)], start)
+        warm.append(_timed(answer))
+    report.add("large.stack_warm_s", float(np.median(warm)), "s", limit=0.1)
 
 
 def _timed(work: Callable[[], object]) -> float:

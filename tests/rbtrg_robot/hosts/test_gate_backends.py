@@ -23,7 +23,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import robot_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.stages.robot import STEP, RobotStage
-from rbtrg_robot.wire.messages import encode, header
+from rbtrg_robot.wire.messages import decode, encode, header
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.hearsay import all_clear, map_offset
 
@@ -128,7 +128,7 @@ class Rig:
                     self.stage.on(t.CMD_VEL, command)
             for topic, message in self.stage.tick(self.now):
                 if topic is t.ROBOT_STATE:
-                    self.health.take(topic, encode(message))
+                    self.health.take(topic, decode(encode(message), topic.kind))
 
     def cruise(self) -> None:
         for _ in range(60):

@@ -78,7 +78,11 @@ def ahead(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: tuple[fl
 
 
 def false_ground(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: tuple[float, ...]) -> int:
-    """Trusted cells that hang above all true ground around them; the map is laid onto the scene at the robot."""
+    """Trusted cells that hang above all true ground around them; the map is laid onto the scene at the robot.
+
+    Cells more than `WALL` above the robot's ground do not count: a wall that is not there stops the robot, ground that is not there
+    lets it fall.
+    """
     r, c = np.nonzero(patch.layers["trusted"] > 0)
     dx = patch.origin[0] + c * patch.resolution - held[0]
     dy = patch.origin[1] + r * patch.resolution - held[1]
@@ -90,7 +94,9 @@ def false_ground(scene: Scene, patch: MapPatch, true: tuple[float, ...], held: t
     for a in steps:
         for b in steps:
             highest = np.fmax(highest, heights(scene, x + a, y + b))
-    return int(np.count_nonzero(patch.layers["elevation"][r, c] > highest + FALSE))
+    claimed = patch.layers["elevation"][r, c]
+    low = claimed < heights(scene, *_placed(true, np.zeros(1), np.zeros(1)))[0] + WALL
+    return int(np.count_nonzero(low & (claimed > highest + FALSE)))
 
 
 def _placed(

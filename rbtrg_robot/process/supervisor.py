@@ -7,12 +7,10 @@ import json
 import logging
 import os
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +29,9 @@ from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.runfiles import RunLock, take_interface
-from rbtrg_robot.process.zygote import Forked, Zygote
-from rbtrg_robot.processes import PROCESSES, Process
+from rbtrg_robot.process.supervised import Child, end
+from rbtrg_robot.process.zygote import Zygote
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, stack_id
 from rbtrg_robot.wire.clock import SourceClock
@@ -53,31 +52,6 @@ LAST_WISH = 0.9
 
 class StartFailed(OperatorError):
     """The stack did not come up; the message names the process and its last words."""
-
-
-@dataclass(slots=True)
-class Child:
-    """One supervised process."""
-
-    row: Process
-    forked: Forked | None = None
-    started: float = 0.0
-    restarts: int = 0
-    in_a_row: int = 0
-    due: float = 0.0
-    fatal: str = ""
-    """Why it gave up; it is not started again."""
-    words: str = ""
-    """Why it ended, until it is ready again."""
-    usage: psutil.Process | None = None
-    cpu: float = 0.0
-    memory: float = 0.0
-    log_path: Path = field(default_factory=Path)
-
-    @property
-    def alive(self) -> bool:
-        """The process exists."""
-        return self.forked is not None and self.forked.poll() is None
 
 
 class Supervisor:
@@ -355,32 +329,6 @@ class Supervisor:
 
     def status(self) -> dict[str, Any]:
         """What `status --json` prints."""
-        rows = []
-        for name, child in self._children.items():
-            age = self._health.beat_age(name)
-            beat = self._health.beats.get(name)
-            if child.fatal:
-                state = f"failed: {child.fatal}"
-            elif not child.alive:
-                state = "restarting"
-            else:
-                state = beat[1].state if beat else "starting"
-            if child.words and state != "ready":
-                state += f": {child.words}"
-            rows.append(
-                {
-                    "process": name,
-                    "pid": child.forked.pid if child.forked else None,
-                    "state": state,
-                    "restarts": child.restarts,
-                    "cpu": round(child.cpu, 1),
-                    "memory_mb": round(child.memory, 1),
-                    "heartbeat_age": None if age is None else round(age, 2),
-                    "dropped": beat[1].dropped if beat else 0,
-                    "refused": beat[1].refused if beat else 0,
-                    "detail": beat[1].detail if beat else "",
-                }
-            )
         return {
             "version": __version__,
             "pid": os.getpid(),
@@ -388,21 +336,7 @@ class Supervisor:
             "refused": self._refused,
             "uptime": round(time.monotonic() - self.began, 1),
             "log_dir": self._config.log_dir if self._config.record else "",
-            "processes": rows,
+            "processes": [child.status(self._health) for child in self._children.values()],
             "topics": [self._health.topic_row(topic) for topic in t.TOPICS],
             "robot": self._health.robot_row(),
         }
-
-
-def end(limits: dict[Forked, float]) -> None:
-    """SIGTERM, then SIGKILL to those that exceed their limit [s]; returns when all are gone."""
-    for process in limits:
-        if process.poll() is None:
-            process.terminate()
-    began = time.monotonic()
-    for process, limit in sorted(limits.items(), key=lambda entry: entry[1]):
-        try:
-            process.wait(max(0.0, began + limit - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()

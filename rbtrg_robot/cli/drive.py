@@ -114,6 +114,7 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import see_also
     from rbtrg_robot.stages.navigation.reasons import words
 
     console = Console(stderr=True)
@@ -136,7 +137,7 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
                 sent = now
                 bus.publish(t.GOAL_REQUEST, request, time.time_ns())
             if now - max(heard, began) > ANSWER_LIMIT + (10.0 if heard >= began else 0.0):
-                print("rbtrg-robot: the navigator does not answer; see `rbtrg-robot status`", file=sys.stderr)
+                print(f"rbtrg-robot: the navigator does not answer; {see_also()}", file=sys.stderr)
                 return ABORTED
             if timeout and now - began > timeout + 10.0:
                 print("rbtrg-robot: goal timed out", file=sys.stderr)
@@ -168,12 +169,12 @@ def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float)
 def cancel(robot: Robot = "go2w") -> None:
     """Cancel the present goal, whoever sent it; the robot stops."""
     from rbtrg_robot import topics as t
-    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.cli.link import connect, see_also
 
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
         if not _cancel(bus, ""):
-            _fail("the navigator does not answer; see `rbtrg-robot status`")
+            _fail(f"the navigator does not answer; {see_also()}")
 
 
 def _cancel(bus: Any, goal_id: str) -> bool:

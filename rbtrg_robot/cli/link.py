@@ -27,3 +27,9 @@ def scene(robot: str) -> str:
         return ""
     state: dict[str, Any] = read_state(robot)
     return str(state["scene"]) if state["backend"] == "sim" else ""
+
+
+def see_also() -> str:
+    """Where to look when a command is not answered."""
+    role = " and whether your certificate is an operator's" if remote() is not None else ""
+    return f"see `rbtrg-robot status`{role}"

@@ -54,7 +54,7 @@ def access_control(domain: int, members: dict[Role, list[str]]) -> dict[str, Any
     policies: list[dict[str, Any]] = [{"rules": [LOCAL], "subjects": [LOCAL]}]
     for role, own in RANKS.items():
         rules.append(_rule(role.value, ("put",), [keys.key(x, domain) for x in publishable(role)], "ingress"))
-        if members.get(role):  # a subject with an empty list of names would be everybody
+        if members.get(role):  # Zenoh refuses a subject with an empty list of names
             names = members[role]
             subjects.append({"id": role.value, "cert_common_names": names, "link_protocols": ["tls"]})
             allowed = ["hear", "see", "ask", *(x.value for x in own)]

@@ -224,7 +224,9 @@ def resume(robot: Robot = "go2w") -> None:
         latch = latch or state.latch
         if state.latch != latch:  # a stop that came after this order stays
             _fail(f"stopped again: {state.estop_cause or state.taken}; `rbtrg-robot resume` once more")
-    _fail("the robot does not confirm `resume`; see `rbtrg-robot status`")
+    from rbtrg_robot.cli.link import see_also
+
+    _fail(f"the robot does not confirm `resume`; {see_also()}")
 
 
 def posture(

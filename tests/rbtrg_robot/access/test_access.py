@@ -45,7 +45,7 @@ def test_a_topic_is_closed_unless_its_row_opens_it() -> None:
 
 
 def test_a_role_without_people_is_no_subject() -> None:
-    """Zenoh takes a subject without names for everybody."""
+    """Zenoh refuses a subject with an empty list of names."""
     made = rules.access_control(0, {Role.OPERATOR: [], Role.OBSERVER: ["observer:bob:00000000"]})
     assert [s["id"] for s in made["subjects"]] == ["local", "observer"]
     assert all(s["id"] == "local" or s["cert_common_names"] for s in made["subjects"])

@@ -22,7 +22,7 @@ from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateConfig
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
-from hal.unitree.config import UnitreeOptions, UnitreeSettings
+from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
@@ -78,7 +78,7 @@ class StackConfig(BaseModel):
     sim: SimConfig = SimConfig(lidar_step=2)
     interface: str = Field("", description="network interface of the robot (unitree)")
     dry_run: bool = Field(False, description="log requests to the robot and send nothing (unitree)")
-    unitree: UnitreeSettings = UnitreeSettings()
+    unitree: UnitreeConfig = UnitreeConfig()
     viewer: bool = Field(False, description="show the simulated robot in a window; needs a display (sim)")
     origin: tuple[float, float, float] | None = Field(
         None, description="x, y [m], yaw [rad] of the robot in `map` at start; None = the scene's start"
@@ -103,6 +103,13 @@ class StackConfig(BaseModel):
     freshness: FreshnessConfig = FreshnessConfig()
     guard: GuardConfig = GuardConfig()
     recorder: RecorderConfig = RecorderConfig()
+
+    @field_validator("unitree")
+    @classmethod
+    def _lidars_stand_in_one_place(cls, unitree: UnitreeConfig) -> UnitreeConfig:
+        if "lidars" in unitree.model_fields_set:
+            raise ValueError("set `lidars`, not `unitree.lidars`")
+        return unitree
 
     @field_validator("lidars")
     @classmethod
@@ -146,9 +153,9 @@ class StackConfig(BaseModel):
             else tuple(lidar.mounted() for lidar in self.lidars)
         )
 
-    def unitree_options(self) -> UnitreeOptions:
+    def unitree_options(self) -> UnitreeConfig:
         """Settings of the real robot with the LiDARs it carries."""
-        return UnitreeOptions(**self.unitree.model_dump(), lidars=self.lidars)
+        return self.unitree.model_copy(update={"lidars": self.lidars})
 
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""

@@ -20,10 +20,10 @@ def warm(part: str) -> float:
     """Seconds it took. Raises what the part raises."""
     began = time.monotonic()
     if part == "unitree":
-        from hal.unitree.config import UnitreeOptions
+        from hal.unitree.config import UnitreeConfig
         from hal.unitree.telemetry import Telemetry
 
-        Telemetry(None, UnitreeOptions()).warm_up()  # type: ignore[arg-type]
+        Telemetry(None, UnitreeConfig()).warm_up()  # type: ignore[arg-type]
     else:
         from rbtrg_robot.config import load
         from rbtrg_robot.hosts.lockstep import build_stages

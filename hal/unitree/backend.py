@@ -23,7 +23,7 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.connect import open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
 from hal.unitree.link import DRY_RUN, DryRunLink, Link
@@ -46,7 +46,7 @@ class UnitreeBackend:
         self,
         interface: str,
         domain: int = 0,
-        options: UnitreeOptions | None = None,
+        options: UnitreeConfig | None = None,
         dry_run: bool = False,
         link: Link | None = None,
         clock: Callable[[], int] = time.time_ns,
@@ -54,7 +54,7 @@ class UnitreeBackend:
     ) -> None:
         """interface: network interface of the robot's network; domain: 0 on the real robot; dry_run: listen, send
         nothing; link, clock, sleep: replaced by tests, then no guardian is started."""
-        self.options = options or UnitreeOptions()
+        self.options = options or UnitreeConfig()
         self.capabilities = self.options.capabilities()
         self._interface, self._domain, self._dry_run = interface, domain, dry_run
         self._given, self._clock, self._sleep = link, clock, sleep

@@ -15,8 +15,8 @@ from hal.types import Capabilities, Extrinsics, MountedLidar
 _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/livox/lidar"}
 
 
-class UnitreeSettings(BaseModel):
-    """How to reach and treat a real Go2-W; which LiDARs it carries stands elsewhere. Times in seconds."""
+class UnitreeConfig(BaseModel):
+    """How to reach and treat a real Go2-W, and the LiDARs it carries. Times in seconds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -64,12 +64,9 @@ class UnitreeSettings(BaseModel):
         default=False, description="drive through the robot's obstacle avoidance service"
     )
     sit_on_close: bool = Field(default=True, description="lie down when the backend closes")
-
-
-class UnitreeOptions(UnitreeSettings):
-    """All of it."""
-
-    lidars: tuple[LidarConfig, ...] = DEFAULT_LIDARS
+    lidars: tuple[LidarConfig, ...] = Field(
+        default=DEFAULT_LIDARS, exclude=True, description="the stack's own `lidars`; set there, not here"
+    )
 
     def topic(self, lidar: LidarConfig) -> str:
         """DDS topic of its clouds."""

@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 from hal.contract import BackendError
 from hal.types import NS
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, Link
 from hal.unitree.telemetry import Telemetry
 
 log = logging.getLogger(__name__)
 
 
-def open_link(interface: str, domain: int, options: UnitreeOptions) -> Link:
+def open_link(interface: str, domain: int, options: UnitreeConfig) -> Link:
     """DDS on this interface, with the readers these options need."""
     from hal.unitree import idl
 
@@ -30,7 +30,7 @@ def open_link(interface: str, domain: int, options: UnitreeOptions) -> Link:
 
 def wait_for_robot(
     telemetry: Telemetry,
-    options: UnitreeOptions,
+    options: UnitreeConfig,
     where: str,
     clock: Callable[[], int],
     sleep: Callable[[float], None],

@@ -11,7 +11,7 @@ from hal.optional import INSTALL_DDS
 
 if TYPE_CHECKING:
     from hal.unitree.backend import UnitreeBackend
-    from hal.unitree.config import UnitreeOptions
+    from hal.unitree.config import UnitreeConfig
 
 
 class MissingExtra(BackendError):
@@ -36,7 +36,7 @@ def check(interface: str) -> None:
 def make_backend(
     interface: str,
     dry_run: bool = False,
-    options: UnitreeOptions | None = None,
+    options: UnitreeConfig | None = None,
     clock: Callable[[], int] = time.time_ns,
 ) -> UnitreeBackend:
     """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given. Raises MissingExtra, or BackendError for an unusable interface."""

@@ -6,7 +6,7 @@ import math
 
 from hal.types import NS, Capabilities, PostureCommand, VelocityCommand
 from hal.unitree import api
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import Telemetry
 
@@ -19,7 +19,7 @@ _EULER_PERIOD = 0.2
 class Mover:
     """Repeats the wanted velocity as Move; at zero, or when the host falls silent: StopMove, zero Moves, silence."""
 
-    def __init__(self, rpc: Rpc, options: UnitreeOptions, capabilities: Capabilities) -> None:
+    def __init__(self, rpc: Rpc, options: UnitreeConfig, capabilities: Capabilities) -> None:
         self._rpc, self._options, self._capabilities = rpc, options, capabilities
         self._period = round(NS / options.move_rate)
         self._velocity = (0.0, 0.0)

@@ -14,7 +14,7 @@ from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import RawImu, decode_imu
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.lidars import LidarInput
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
@@ -45,7 +45,7 @@ def _angle(a: Array, b: Array) -> float:
 class Telemetry:
     """Drains the link into samples. Ages are host time since the last message that carried something new."""
 
-    def __init__(self, link: Link, options: UnitreeOptions, *, log_raw: bool = False) -> None:
+    def __init__(self, link: Link, options: UnitreeConfig, *, log_raw: bool = False) -> None:
         """`log_raw`: log what the posture is read from whenever it changes."""
         self._log_raw = log_raw
         self._link, self._options = link, options

@@ -8,7 +8,7 @@ from typing import Any
 from hal.types import LYING, NS, Phase
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport, WireError
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.rpc import NO_ANSWER, Rpc
 from hal.unitree.telemetry import Telemetry
 
@@ -22,7 +22,7 @@ class Failed(RuntimeError):
 class Transitions:
     """`now` [ns] is set by the owner before each advance; `doing` names the present step in plain words."""
 
-    def __init__(self, rpc: Rpc, telemetry: Telemetry, options: UnitreeOptions, dry_run: bool) -> None:
+    def __init__(self, rpc: Rpc, telemetry: Telemetry, options: UnitreeConfig, dry_run: bool) -> None:
         self._rpc, self._telemetry, self._options, self._dry_run = rpc, telemetry, options, dry_run
         self.now = 0
         self.doing = ""

@@ -13,7 +13,7 @@ import yaml
 from hal.contract import BackendError
 from hal.mujoco.config import SimConfig
 from hal.types import Extrinsics, MountedLidar
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.stages.planner import build as build_planner
@@ -108,7 +108,7 @@ def test_a_file_that_is_no_configuration(tmp_path: Path, text: str) -> None:
 def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     got: dict[str, Any] = {}
 
-    def make_backend(interface: str, dry_run: bool, options: UnitreeOptions, clock: SourceClock) -> None:
+    def make_backend(interface: str, dry_run: bool, options: UnitreeConfig, clock: SourceClock) -> None:
         got.update(interface=interface, dry_run=dry_run, options=options, clock=clock)
         raise BackendError("no robot here")
 
@@ -144,3 +144,11 @@ def test_every_robot_has_one_main_lidar() -> None:
     for wrong in ("[]", "[{name: head, model: l1}]", "[{name: main}, {name: main, model: l1}]"):
         with pytest.raises(ConfigError, match="lidars"):
             load(None, [f"lidars={wrong}"])
+
+
+def test_the_lidars_of_a_real_robot_are_set_in_one_place() -> None:
+    with pytest.raises(ConfigError, match=r"not `unitree\.lidars`"):
+        load(None, ["unitree.lidars=[]"])
+    config = load(None, ["lidars=[{name: main, model: l1}]"], backend="unitree", interface="lo")
+    assert [lidar.model for lidar in config.unitree_options().lidars] == ["l1"]
+    assert "lidars" not in yaml.safe_load(config.to_yaml())["unitree"]

@@ -25,7 +25,7 @@ from hal.types import (
     RobotState,
 )
 from hal.unitree.api import Sport
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.link import L1_CLOUD
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 from tests.hal.unitree.world import HOST_EPOCH, World
@@ -110,7 +110,7 @@ def test_the_flipped_l1_shows_the_floor_below():
 
 
 def test_imu_of_the_l1_is_turned_into_the_trunk():
-    world = ready(options=UnitreeOptions(lidars=only("l1"), imu="l1"))
+    world = ready(options=UnitreeConfig(lidars=only("l1"), imu="l1"))
     imu = [s for s in world.run(2.0, wz=0.4) if isinstance(s, ImuSample)]
     assert len(imu) == pytest.approx(500, rel=0.1)
     assert imu[-1].gyro == pytest.approx([0.0, 0.0, 0.38], abs=0.02)
@@ -211,7 +211,7 @@ def test_attitude_offsets_are_repeated_at_rest_only():
 
 
 def test_obstacle_avoidance_takes_and_gives_back_the_remote_role():
-    world = ready(options=UnitreeOptions(lidars=only("l1"), avoid_obstacles=True))
+    world = ready(options=UnitreeConfig(lidars=only("l1"), avoid_obstacles=True))
     assert world.robot.avoid_remote
     world.run(2.0, vx=0.4)
     assert world.body.x > 0.5
@@ -301,7 +301,7 @@ def test_a_robot_that_never_follows_is_a_fault():
 
 def test_released_motion_service_is_selected_through_busy():
     world = World(
-        Faults(released=True, busy=6.0), options=UnitreeOptions(lidars=only("l1"), connect_timeout=2.0)
+        Faults(released=True, busy=6.0), options=UnitreeConfig(lidars=only("l1"), connect_timeout=2.0)
     )
     world.backend.connect()
     world.until(Phase.READY, 5.0)
@@ -318,7 +318,7 @@ def test_an_answer_that_cannot_be_read_does_not_replace_the_running_motion_servi
 
 def test_busy_for_too_long_is_an_error_with_advice():
     world = World(
-        Faults(released=True, busy=60.0), options=UnitreeOptions(lidars=only("l1"), connect_timeout=1.0)
+        Faults(released=True, busy=60.0), options=UnitreeConfig(lidars=only("l1"), connect_timeout=1.0)
     )
     with pytest.raises(BackendError, match="busy"):
         world.backend.connect()
@@ -407,7 +407,7 @@ def test_a_restarted_robot_is_noticed():
 
 def test_control_of_a_restarted_robot_is_taken_again():
     """It came back listening to its joystick alone."""
-    world = ready(options=UnitreeOptions(lidars=only("l1"), avoid_obstacles=True))
+    world = ready(options=UnitreeConfig(lidars=only("l1"), avoid_obstacles=True))
     world.run(2.0, vx=0.5)
     restarted(world, Faults(late=0.1), standing=True)
     world.states.clear()
@@ -471,7 +471,7 @@ def test_a_refused_request_ends_in_a_fault_in_plain_words():
 
 def test_no_robot_is_an_error_with_advice():
     world = World(
-        Faults(low_silent=True, sport_silent=True), options=UnitreeOptions(lidars=(), connect_timeout=1.0)
+        Faults(low_silent=True, sport_silent=True), options=UnitreeConfig(lidars=(), connect_timeout=1.0)
     )
     with pytest.raises(BackendError, match=r"no LowState .* switched on.* cable"):
         world.backend.connect()
@@ -553,7 +553,7 @@ def test_an_l1_quaternion_in_the_other_order_is_told_and_the_setting_mends_it():
     world.run(2.0, vx=0.3)
     assert world.body.x > 0.3, "nothing drives by it"
     for faults, setting in ((Faults(wxyz=False), False), (Faults(), True)):
-        world = ready(faults, options=UnitreeOptions(lidars=only("l1"), l1_imu_wxyz=setting))
+        world = ready(faults, options=UnitreeConfig(lidars=only("l1"), l1_imu_wxyz=setting))
         world.run(1.5)
         assert world.cause == "balance stand, takes velocity"
 
@@ -569,7 +569,7 @@ def in_base(world: World) -> np.ndarray:
 def test_an_l1_turned_about_itself_is_set_right_by_its_yaw():
     usual = in_base(ready())
     yaw = -2.15
-    turned = ready(Faults(l1_yaw=yaw), options=UnitreeOptions(lidars=only("l1"), l1_yaw=yaw))
+    turned = ready(Faults(l1_yaw=yaw), options=UnitreeConfig(lidars=only("l1"), l1_yaw=yaw))
     np.testing.assert_allclose(in_base(turned), usual, atol=1e-4)
     assert turned.cause == "balance stand, takes velocity"
     unset = in_base(ready(Faults(l1_yaw=yaw)))
@@ -578,7 +578,7 @@ def test_an_l1_turned_about_itself_is_set_right_by_its_yaw():
 
 def test_the_z_rate_that_leaks_into_the_l1s_gyro_is_taken_out():
     def rates(leak: float) -> np.ndarray:
-        options = UnitreeOptions(lidars=only("l1"), imu="l1", l1_gyro_leak=(leak, 0.0))
+        options = UnitreeConfig(lidars=only("l1"), imu="l1", l1_gyro_leak=(leak, 0.0))
         samples = ready(Faults(l1_leak=0.15), options=options).run(2.0, wz=0.4)
         return [s for s in samples if isinstance(s, ImuSample)][-1].gyro
 
@@ -588,7 +588,7 @@ def test_the_z_rate_that_leaks_into_the_l1s_gyro_is_taken_out():
 
 def test_the_lidars_stamps_are_shifted_by_its_time_offset():
     def stamps(offset: float) -> np.ndarray:
-        world = ready(options=UnitreeOptions(lidars=(LidarConfig(model="l1", time_offset=offset),)))
+        world = ready(options=UnitreeConfig(lidars=(LidarConfig(model="l1", time_offset=offset),)))
         return np.array([s.stamp - world.epoch for s in world.run(1.0) if isinstance(s, LidarScan)])
 
     np.testing.assert_array_equal(stamps(0.0) - stamps(-0.005), 5_000_000)
@@ -630,10 +630,10 @@ def test_low_state_with_a_wrong_checksum_is_not_believed():
 
 def test_a_robot_whose_checksums_are_always_wrong_is_an_error_with_the_setting_that_takes_them():
     options = {"lidars": only("l1"), "connect_timeout": 1.0}
-    world = World(Faults(low_bent=True), options=UnitreeOptions(**options))
+    world = World(Faults(low_bent=True), options=UnitreeConfig(**options))
     with pytest.raises(BackendError, match=r"its checksum is wrong; .*unitree.check_crc=false"):
         world.backend.connect()
-    ready(Faults(low_bent=True), options=UnitreeOptions(**options, check_crc=False))
+    ready(Faults(low_bent=True), options=UnitreeConfig(**options, check_crc=False))
     ready(Faults(unsigned=True))
 
 
@@ -711,7 +711,7 @@ CODES = {1001: "damped", 1002: "standing", 1013: "ready"}
 
 
 def test_a_robot_that_tells_its_posture_in_error_code_stands_drives_and_lies_down():
-    options = UnitreeOptions.model_validate({"lidars": (), "state_codes": CODES})
+    options = UnitreeConfig.model_validate({"lidars": (), "state_codes": CODES})
     world = World(Faults(coded=True), standing=False, options=options)
     world.backend.connect()
     world.run(0.5)
@@ -727,7 +727,7 @@ def test_a_robot_that_tells_its_posture_in_error_code_stands_drives_and_lies_dow
 
 
 def test_a_code_that_is_not_known_never_makes_a_robot_ready_and_is_told():
-    world = World(Faults(coded=True), standing=False, options=UnitreeOptions(lidars=()))
+    world = World(Faults(coded=True), standing=False, options=UnitreeConfig(lidars=()))
     world.backend.connect()
     world.backend.request(ModeRequest.STAND)
     state = world.until(Phase.FAULT, 30.0)
@@ -739,7 +739,7 @@ def test_a_code_that_is_not_known_never_makes_a_robot_ready_and_is_told():
 
 def test_a_dry_run_logs_what_the_posture_is_read_from(caplog):
     caplog.set_level("INFO")
-    world = World(options=UnitreeOptions(lidars=()), dry_run=True)
+    world = World(options=UnitreeConfig(lidars=()), dry_run=True)
     world.backend.connect()
     world.run(1.0)
     told = [r.getMessage() for r in caplog.records if r.getMessage().startswith("sportmodestate:")]

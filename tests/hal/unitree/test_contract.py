@@ -17,7 +17,7 @@ from cyclonedds.domain import DomainParticipant
 from hal.lidar.config import only
 from hal.scenes import Scene
 from hal.unitree.api import Request, Response
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.connect import open_link
 from hal.unitree.factory import make_backend
 from tests.hal.unitree.peer import Peer
@@ -26,7 +26,7 @@ from tests.hal.unitree.robot import MujocoBody
 from tests.hal.unitree.world import World
 
 DOMAIN = 20 + os.getpid() % 200
-XT16 = UnitreeOptions(lidars=only("xt16"))
+XT16 = UnitreeConfig(lidars=only("xt16"))
 
 
 def walled_floor() -> Scene:

@@ -17,7 +17,7 @@ pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.contract import BackendError
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, VelocityCommand
 from hal.unitree.backend import UnitreeBackend
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.factory import make_backend
 from tests.hal.unitree.peer_process import REST, PeerProcess
 from tests.places import ROOT
@@ -28,8 +28,8 @@ import signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_DFL)
 from hal.types import VelocityCommand
 from hal.unitree.factory import make_backend
-from hal.unitree.config import UnitreeOptions
-backend = make_backend("lo", options=UnitreeOptions(domain=int(sys.argv[1])))
+from hal.unitree.config import UnitreeConfig
+backend = make_backend("lo", options=UnitreeConfig(domain=int(sys.argv[1])))
 backend.connect()
 print("up", flush=True)
 while True:
@@ -83,7 +83,7 @@ def peer(domain: int) -> Iterator[PeerProcess]:
 
 @pytest.fixture
 def backend(domain: int, peer: PeerProcess) -> Iterator[UnitreeBackend]:
-    backend = make_backend("lo", options=UnitreeOptions(domain=domain, sit_on_close=False))
+    backend = make_backend("lo", options=UnitreeConfig(domain=domain, sit_on_close=False))
     backend.connect()
     yield backend
     backend.close()
@@ -117,7 +117,7 @@ def test_close_leaves_no_process_and_lets_the_domain_be_opened_again(
     assert time.monotonic() - start < 10.0, "it hangs"
     assert not psutil.pid_exists(guardian)
     assert backend.read(time.time_ns()) == []
-    again = make_backend("lo", options=UnitreeOptions(domain=domain, sit_on_close=False))
+    again = make_backend("lo", options=UnitreeConfig(domain=domain, sit_on_close=False))
     again.connect()
     until(again, Phase.READY)
     again.close()
@@ -202,7 +202,7 @@ def test_a_killed_guardian_stops_the_robot_and_recover_starts_another(
 
 def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(domain: int):
     gone = PeerProcess(domain + 50)
-    backend = make_backend("lo", options=UnitreeOptions(domain=domain + 50, sit_on_close=False))
+    backend = make_backend("lo", options=UnitreeConfig(domain=domain + 50, sit_on_close=False))
     backend.connect()
     until(backend, Phase.MOVING, vx=0.5)
     gone.end()
@@ -232,7 +232,7 @@ def test_a_stop_is_a_stop_move(backend: UnitreeBackend, peer: PeerProcess):
 
 
 def test_dry_run_listens_and_sends_nothing(peer: PeerProcess, domain: int):
-    backend = make_backend("lo", dry_run=True, options=UnitreeOptions(domain=domain))
+    backend = make_backend("lo", dry_run=True, options=UnitreeConfig(domain=domain))
     x = peer.last["x"]
     backend.connect()
     until(backend, Phase.READY)
@@ -244,7 +244,7 @@ def test_dry_run_listens_and_sends_nothing(peer: PeerProcess, domain: int):
 
 
 def test_without_a_robot_the_error_comes_in_time_and_says_what_to_check(domain: int):
-    backend = make_backend("lo", options=UnitreeOptions(domain=domain + 100, connect_timeout=1.0))
+    backend = make_backend("lo", options=UnitreeConfig(domain=domain + 100, connect_timeout=1.0))
     start = time.monotonic()
     with pytest.raises(BackendError, match="is it switched on"):
         backend.connect()

@@ -13,7 +13,7 @@ pytest.importorskip("cyclonedds", reason="the unitree extra is not installed")
 from hal.lidar.config import only
 from hal.types import ImuSample, Phase, VelocityCommand
 from hal.unitree.backend import UnitreeBackend
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR
 
 PYTHON = os.environ.get("CYCLONEDDS_0_10_PYTHON", "")
@@ -40,7 +40,7 @@ def test_a_peer_on_cyclone_0_10_serves_us_and_lives():
         assert peer.stdin is not None
         assert peer.stdout.readline() == "old peer up\n"
         # All topics we ever announce, the cloud and the L1 included.
-        backend = UnitreeBackend("lo", DOMAIN, UnitreeOptions(lidars=only("l1"), sit_on_close=False))
+        backend = UnitreeBackend("lo", DOMAIN, UnitreeConfig(lidars=only("l1"), sit_on_close=False))
         backend.connect()
         samples = []
         deadline = time.monotonic() + 3.0

@@ -7,7 +7,7 @@ import numpy as np
 from hal.lidar.config import DEFAULT_LIDARS
 from hal.types import NS, POINT_DTYPE, LidarScan
 from hal.unitree.cloud import encode_cloud
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.telemetry import Telemetry
 
 HOST = 10**18
@@ -36,7 +36,7 @@ class Wire:
 
 def test_each_lidar_keeps_its_name_and_clock_and_a_silent_one_is_named() -> None:
     wire = Wire()
-    telemetry = Telemetry(wire, UnitreeOptions(lidars=DEFAULT_LIDARS))  # type: ignore[arg-type]
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=DEFAULT_LIDARS))  # type: ignore[arg-type]
     scans: list[LidarScan] = []
     for k in range(1, 60):
         now = k * NS // 10

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hal.types import NS, ImuSample, JointSample
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR
 from hal.unitree.link import LOW_STATE
 from hal.unitree.telemetry import Telemetry
@@ -34,7 +34,7 @@ class Wire:
 def stamps(ticks: list[int], kind: type) -> np.ndarray:
     """Stamps [s] of the samples of one kind, each LowState read when it comes: one per its tick in ms."""
     wire = Wire()
-    telemetry = Telemetry(wire, UnitreeOptions(lidars=()))  # type: ignore[arg-type]
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=()))  # type: ignore[arg-type]
     out = []
     for tick in ticks:
         wire.put(tick)

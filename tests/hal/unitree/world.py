@@ -8,11 +8,11 @@ from hal.lidar.config import only
 from hal.types import NS, Phase, RobotState, VelocityCommand
 from hal.unitree.api import SERVICES, Request, Response
 from hal.unitree.backend import UnitreeBackend
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS
-L1 = UnitreeOptions(lidars=only("l1"))
+L1 = UnitreeConfig(lidars=only("l1"))
 
 
 class World:
@@ -22,7 +22,7 @@ class World:
         self,
         faults: Faults | None = None,
         standing: bool = True,
-        options: UnitreeOptions = L1,
+        options: UnitreeConfig = L1,
         body: Any = None,
         epoch: int = HOST_EPOCH,
         **kwargs: Any,

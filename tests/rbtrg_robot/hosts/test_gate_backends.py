@@ -18,7 +18,7 @@ from hal.safety.geofence import Geofence
 from hal.safety.tilt import TiltFilter
 from hal.scenes import Scene
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, RobotState, Sample
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import robot_line
 from rbtrg_robot.process.health import Health
@@ -44,7 +44,7 @@ class Wired:
     """The Unitree backend; reading lets the robot on the other side of the wire live on."""
 
     def __init__(self) -> None:
-        self.world = World(options=UnitreeOptions(lidars=only("xt16")), epoch=0)
+        self.world = World(options=UnitreeConfig(lidars=only("xt16")), epoch=0)
         self._backend = self.world.backend
 
     def __getattr__(self, name: str) -> Any:

@@ -11,7 +11,7 @@ import pytest
 
 from hal.lidar.config import only
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import goal_line, robot_line
 from rbtrg_robot.config import load
@@ -27,7 +27,7 @@ class Wired:
 
     def __init__(self, config: Any) -> None:
         body = MujocoBody(config.load_scene(), lidar_step=4, seed=3)
-        self.world = World(options=UnitreeOptions(lidars=only("xt16")), body=body, epoch=0)
+        self.world = World(options=UnitreeConfig(lidars=only("xt16")), body=body, epoch=0)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities
 

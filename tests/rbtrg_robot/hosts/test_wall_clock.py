@@ -14,7 +14,7 @@ from hal.lidar.config import only
 from hal.safety.gate import SafetyGate
 from hal.types import NS
 from hal.unitree.api import SPORT, Sport
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import robot as robot_process
@@ -97,7 +97,7 @@ class FakeBus:
 def test_the_robot_drives_on_and_says_so_when_the_wall_clock_is_set(
     step: int, clocks: Time, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    world = World(options=UnitreeOptions(lidars=only("xt16")))
+    world = World(options=UnitreeConfig(lidars=only("xt16")))
     monkeypatch.setattr(robot_process, "_hardware", lambda _config, _clock: world.backend)
     bus = FakeBus(clocks, world.advance)
 

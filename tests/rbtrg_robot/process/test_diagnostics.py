@@ -10,7 +10,7 @@ import pytest
 from hal.lidar.config import only
 from hal.safety.gate import SafetyGate
 from hal.types import NS
-from hal.unitree.config import UnitreeOptions
+from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import render
@@ -109,7 +109,7 @@ def test_datagrams_lost_for_want_of_a_buffer_are_told(
 
 
 def test_the_robot_process_tells_the_figures_of_its_backend_once_a_second() -> None:
-    world = World(options=UnitreeOptions(lidars=only("xt16")))
+    world = World(options=UnitreeConfig(lidars=only("xt16")))
     gate = SafetyGate(world.backend.capabilities)
     stage = RobotStage(world.backend, gate, simulated=False, watched=frozenset())
     stage.warm_up()
@@ -134,7 +134,7 @@ def test_the_robot_process_tells_the_figures_of_its_backend_once_a_second() -> N
 
 
 def test_sweeps_that_never_came_are_counted() -> None:
-    world = World(options=UnitreeOptions(lidars=only("xt16")))
+    world = World(options=UnitreeConfig(lidars=only("xt16")))
     world.backend.connect()
     world.run(1.0)
     world.faults.lidar_silent = True

@@ -40,7 +40,7 @@ __all__ = [
 
 
 class SafetyGate:
-    """See the module. `command` on every incoming command, `output` at the rate the robot is driven (>= 50 Hz)."""
+    """Lets a velocity through or holds it at zero. Call `command` for every command that comes in, and `output` at the rate the robot is driven (>= 50 Hz)."""
 
     def __init__(
         self,

@@ -56,7 +56,12 @@ TRUSTED_SENT = 16
 
 
 class ElevationStage:
-    """See the module. Joins odometry, cloud and joints by their stamps, so arrival order does not matter."""
+    """Registered scans in, the elevation map out.
+    In: poses at the end of each scan, deskewed clouds of every LiDAR, joints, tf_static, requests for the
+    map. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
+    which messages belong to one scan, by their stamps, so the order of arrival does not matter. It never
+    plans, never moves the robot and writes no file.
+    """
 
     outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS)
 

@@ -45,7 +45,11 @@ NOTHING = np.empty((0, 3), np.float32)
 
 
 class OdometryStage:
-    """See the module."""
+    """Sensor messages in, poses and deskewed clouds out.
+    In: IMU, joints, sweeps of every LiDAR. Out: the pose at the end of each scan, a pose at 200 Hz for
+    control, wheel odometry, deskewed clouds, tf, health. It decides how far its pose can be believed: good,
+    degraded or lost. It never stops the robot: others act on its health.
+    """
 
     def __init__(
         self,

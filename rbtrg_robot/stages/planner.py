@@ -43,7 +43,12 @@ Box = tuple[int, int, int, int]
 
 
 class PlannerStage:
-    """See the module."""
+    """Blocks of the map and requests in, plans out.
+    In: changed blocks and the window of the map, plan requests. Out: plans and paths, whether the present
+    path still holds, a copy of the map for a restarted elevation process. It decides the route on the map
+    of now, and keeps one graph that it rebuilds only where cells changed. It never owns a goal and never
+    commands motion.
+    """
 
     inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)

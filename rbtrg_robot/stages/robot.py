@@ -49,7 +49,11 @@ POSE_LIMIT = 0.3
 
 
 class RobotStage:
-    """Backend, gate and their messages."""
+    """Commands in, sensor messages out; a backend and the safety gate between them.
+    In: velocity commands, requests, poses, which processes live. Out: IMU, joints, sweeps, robot state, and
+    the simulator's clock and truth. It decides whether a velocity reaches the robot. It never makes a
+    velocity of its own.
+    """
 
     inputs = (
         t.CMD_VEL,

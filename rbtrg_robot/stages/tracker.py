@@ -20,7 +20,11 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 
 class TrackerStage:
-    """See the module."""
+    """A path in, velocity commands out.
+    In: the navigator's path, the control pose, the ages of odometry, map and goal. Out: velocity commands
+    at 50 Hz and its state. It decides the velocity along the path, and zero when an input is old. It never
+    changes the path and never recovers by itself.
+    """
 
     inputs = (t.PATH_COMMAND, t.POSE, t.ODOM, t.ODOM_HEALTH, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC)
     outputs = (t.CMD_VEL, t.TRACKER_STATE)

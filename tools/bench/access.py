@@ -155,7 +155,7 @@ def free_port() -> int:
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     argparse.ArgumentParser(prog="python -m tools.bench access", description=__doc__).parse_args(args)
     report = Report("access")
     with site() as place:

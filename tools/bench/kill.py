@@ -34,7 +34,7 @@ ENDED = ("reached", "rejected", "aborted")
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     names = [row.name for row in PROCESSES]
     parser = argparse.ArgumentParser(prog="python -m tools.bench kill", description=__doc__)
     parser.add_argument("--only", nargs="*", choices=names, default=names, metavar="PROCESS")

@@ -15,7 +15,7 @@ from tools.bench.spent import Spent
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench lockstep", description=__doc__)
     parser.add_argument("--goals", default="a,b,rough,platform,behind_wall", help="named goals of the scene")
     parser.add_argument("--scene", default="yard")

@@ -23,7 +23,7 @@ LIMIT = 0.25
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench stop", description=__doc__)
     parser.add_argument("--rounds", type=int, default=20)
     rounds = parser.parse_args(args).rounds

@@ -48,7 +48,7 @@ MOVING_TIME = 0.5
 
 
 class Modes:
-    """See the module. `step` once per control tick."""
+    """The state machine of the simulated robot's postures. Call `step` once per control tick."""
 
     def __init__(self, controller: Locomotion) -> None:
         self._controller = controller

@@ -29,7 +29,7 @@ Frame = tuple[float, float, Array]
 
 
 class Righting:
-    """See the module. `step` once per control tick until `upright` or `failed`."""
+    """Turns a fallen robot onto its belly. Call `step` once per control tick until `upright` or `failed`."""
 
     def __init__(self, state: LowState, until: float) -> None:
         """`until`: no new try after this time [s]."""

@@ -34,7 +34,11 @@ LOOK_AGAIN = 1.0
 
 
 class NavigatorStage:
-    """See the module."""
+    """Goals in, paths for the tracker and the goal's status out.
+    In: goals and cancellations, plans, the state of route, tracker, odometry, map and robot. Out: plan
+    requests, paths, the status of the goal. It decides when to plan, to drive, to wait, to recover and to
+    give up, and tells the reason. It never computes a route and never publishes a velocity.
+    """
 
     inputs = (
         t.GOAL_REQUEST,

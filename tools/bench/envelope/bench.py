@@ -149,7 +149,7 @@ NO_FALL = (
 
 
 def run(args: list[str]) -> Report:
-    """See the module's docstring. `--only` drives what its keys need; exit 2 when no key begins so."""
+    """Run this bench; returns its rows. `--only` drives what its keys need; exit 2 when no key begins so."""
     parser = argparse.ArgumentParser(prog="envelope", description=__doc__)
     parser.add_argument("--controller", choices=("vmc", "policy"), default="vmc")
     parser.add_argument("--policy", type=Path, help="folder of the learnt policy")

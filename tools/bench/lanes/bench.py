@@ -19,7 +19,7 @@ from tools.bench.report import Report
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench lanes", description=__doc__)
     parser.add_argument("--seeds", default="0-39", help="such as 0-39 or 3,7,12")
     parser.add_argument("--levels", default="1-5")

@@ -36,7 +36,7 @@ CPU_LIMIT = {("xt16", "kiss_icp"): 20.0, ("xt16", "small_gicp"): 20.0}
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench perception")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)

@@ -24,7 +24,7 @@ from tools.bench.static.study import EXPECTED, METRICS, MODES, changed, macro, s
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="tools.bench static")
     parser.add_argument("--out", type=Path, required=True, help="folder for the table and the pictures")
     parser.add_argument("--seeds", type=int, default=10, help="graphs per scene and mode")

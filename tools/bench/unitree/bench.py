@@ -45,7 +45,7 @@ def _cloud() -> bytes:
 
 
 def run(args: list[str]) -> Report:
-    """See the module."""
+    """Run this bench with the arguments of its command line; returns its rows."""
     parser = argparse.ArgumentParser(prog="python -m tools.bench unitree", description=__doc__)
     parser.add_argument("--deaths", nargs="*", choices=DEATHS, default=list(DEATHS), metavar="WHAT")
     parser.add_argument("--no-away", action="store_true", help="leave the robot that goes and comes back out")

@@ -13,7 +13,7 @@ from planning.risk.turns import TURN_COST
 
 
 class Arcs(NamedTuple):
-    """See the module."""
+    """The graph's directed edges as the arrays that the search kernels take."""
 
     x: NDArray[np.float64]
     y: NDArray[np.float64]

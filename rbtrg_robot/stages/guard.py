@@ -54,7 +54,12 @@ WORDS = {1: "a {:.2f} m face", 2: "a {:.2f} m drop", 3: "something the last swee
 
 
 class GuardStage:
-    """See the module."""
+    """Map window and sweeps in, the speeds that are safe here out.
+
+    In: the window of the elevation map, the newest sweep, poses, tf_static, the map's status. Out: `/guard/limits`, the largest
+    speed forward, backward and in each turn, 20 times a second. It decides how far the body may move before it meets a face, a
+    drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
+    """
 
     inputs = (t.MAP_WINDOW, t.CLOUD, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
     outputs = (t.MOTION_LIMITS,)

@@ -23,6 +23,7 @@ from rosbags.highlevel import AnyReader
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import is_intact, read_run
 from rbtrg_robot.process.leftovers import shared_segments
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
@@ -134,7 +135,7 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
     assert {row["state"] for row in status["processes"]} == {"ready"}
     children = psutil.Process(status["pid"]).children(recursive=True)
     assert {p.pid for p in children} > {row["pid"] for row in status["processes"]}
-    assert len(children) == 8  # and the zygote
+    assert len(children) == len(PROCESSES) + 1  # and the zygote
 
     with stack.bus() as bus:
         watch = Observer(bus)

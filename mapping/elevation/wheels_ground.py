@@ -89,4 +89,9 @@ def behind(
     ci, cj = centre[1] / resolution - i0, centre[0] / resolution - j0
     di, dj = patch.i - i0 - ci, patch.j - j0 - cj
     steps = np.linspace(0.0, 1.0, 2 * max(blocks.shape) + 1)[:, None]
-    return blocks[np.rint(ci + steps * di).astype(int), np.rint(cj + steps * dj).astype(int)].any(axis=0)
+    i, j = np.rint(ci + steps * di).astype(int), np.rint(cj + steps * dj).astype(int)
+    # The centre may lie beside the patch: what the line crosses before it blocks nothing.
+    inside = (i >= 0) & (i < blocks.shape[0]) & (j >= 0) & (j < blocks.shape[1])
+    return (inside & blocks[np.clip(i, 0, blocks.shape[0] - 1), np.clip(j, 0, blocks.shape[1] - 1)]).any(
+        axis=0
+    )

@@ -149,7 +149,8 @@ from hal.types import LidarScan
 scene = load_scene(sys.argv[1])
 backend = MujocoBackend(scene, lidar_step=40)
 backend.connect()
-scans = [s for k in range(1, 31) for s in backend.read(k * 10_000_000) if isinstance(s, LidarScan)]
+samples = [s for k in range(1, 31) for s in backend.read(k * 10_000_000)]
+scans = [s for s in samples if isinstance(s, LidarScan) and s.name == "main"]
 assert len(scans) == 3 and len(scans[0].points) > 50, [len(s.points) for s in scans]
 """
     done = subprocess.run(

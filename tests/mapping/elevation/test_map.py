@@ -13,6 +13,7 @@ from mapping.elevation.exchange import MapError, MapMirror
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import BRIDGED, CONTACT, LIDAR
+from mapping.elevation.wheels_ground import SupportPatch, behind
 from tools.bench.perception.map import Mapper, registered
 from tools.synthetic import arena_run
 
@@ -327,3 +328,15 @@ def test_wheel_ground_that_a_ray_passes_under_is_none() -> None:
     elevation.clean()
     assert stood_on(0.7, 0.85) == 0
     assert stood_on(-0.8, 0.3) == beside
+
+
+def test_ground_on_one_side_of_the_robot_is_continued_up_to_what_stands_there() -> None:
+    """The robot's own cell may lie outside the patch: cells were dropped on that side."""
+    i, j = np.meshgrid(np.arange(3, 8), np.arange(-7, -2), indexing="ij")
+    zero = np.zeros(25, np.float32)
+    patch = SupportPatch(i.ravel(), j.ravel(), zero, zero, np.ones(25, bool))
+    wall = (patch.j == -5) & (patch.i == 5)
+    hidden = behind(patch, wall, np.array([0.0, 0.2]), 0.04)
+    assert hidden[(patch.i == 5) & (patch.j == -6)].all()
+    assert not hidden[patch.j > -5].any()
+    assert not behind(patch, np.zeros(25, bool), np.array([0.0, 0.0]), 0.04).any()

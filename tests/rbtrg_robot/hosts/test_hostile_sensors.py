@@ -198,12 +198,12 @@ def test_a_pose_that_is_not_finite_is_refused_by_the_map(samples: list[Sample]) 
     pipeline.feed([message(s) for s in samples])
     pipeline.host.tick(samples[-1].stamp + NS)
     before = pipeline.newest[t.MAP_STATUS]
-    odom, cloud = pipeline.newest[t.ODOM], pipeline.newest[t.CLOUD]
-    odom.header.stamp.sec = cloud.header.stamp.sec = odom.header.stamp.sec + 1
+    odom, cloud, head = (pipeline.newest[topic] for topic in (t.ODOM, t.CLOUD, t.HEAD_CLOUD))
+    odom.header.stamp.sec = cloud.header.stamp.sec = head.header.stamp.sec = odom.header.stamp.sec + 1
     odom.pose.pose.position.x = float("nan")
     last = [m for topic, m in (message(s) for s in samples) if topic is t.JOINTS][-1]
     last.header.stamp.sec += 3
-    for topic, m in ((t.ODOM, odom), (t.CLOUD, cloud), (t.JOINTS, last)):
+    for topic, m in ((t.ODOM, odom), (t.CLOUD, cloud), (t.HEAD_CLOUD, head), (t.JOINTS, last)):
         pipeline.host.inject(topic, m)
     pipeline.host.tick(samples[-1].stamp + 5 * NS)
     after = pipeline.newest[t.MAP_STATUS]

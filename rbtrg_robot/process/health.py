@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
+from hal.types import LidarName
 from rbtrg_robot import topics as t
 from rbtrg_robot.msg import Heartbeat
 from rbtrg_robot.processes import BY_NAME, Process
@@ -195,8 +197,16 @@ class Health:
         return row
 
 
-def expected_topics(rows: list[Process], *, simulated: bool) -> tuple[Topic, ...]:
-    """Topics with a nominal rate that these processes publish."""
+def expected_topics(
+    rows: list[Process], *, simulated: bool, lidars: Collection[LidarName] = ("main", "head")
+) -> tuple[Topic, ...]:
+    """Topics with a nominal rate that these processes publish. `lidars`: those the robot carries.
+
+    A real robot may lack the LiDAR in its head, whatever the configuration says: nobody waits for it, and `status` names its silence.
+    """
     names = {row.name for row in rows}
-    unreal = () if simulated else (t.CLOCK, t.TRUTH)
+    unreal: set[Topic] = set() if simulated else {t.CLOCK, t.TRUTH}
+    for name in t.SWEEPS:
+        if name not in lidars or (name != "main" and not simulated):
+            unreal |= {t.SWEEPS[name], t.CLOUDS[name]}
     return tuple(x for x in t.TOPICS if x.owner in names and x.rate and x not in unreal)

@@ -65,7 +65,9 @@ class Supervisor:
         if not config.record:
             rows = [p for p in rows if p.name != "recorder"]
         self._children = {row.name: Child(row) for row in rows}
-        self._expected = expected_topics(rows, simulated=config.simulated)
+        self._expected = expected_topics(
+            rows, simulated=config.simulated, lidars=[lidar.name for lidar in config.lidars]
+        )
         self._clock = SourceClock()
         self._stack = stack_id()
         self._health = Health(config.simulated, self._clock)

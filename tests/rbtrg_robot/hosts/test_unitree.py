@@ -18,6 +18,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.hosts import robot as robot_process
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.process.health import Health
+from rbtrg_robot.wire.messages import decode
 from tests.hal.unitree.robot import MujocoBody
 from tests.hal.unitree.world import World
 
@@ -130,7 +131,12 @@ def test_whatever_fails_on_the_way_it_rests_says_why_and_reaches_the_next_goal(
 ) -> None:
     stack, world = wired
     body, health = world.body, Health(simulated=True)
-    stack.host.listen(lambda topic, data, _now: health.take(topic, data) if topic in Health.WATCHED else None)
+
+    def watch(topic: t.Topic[Any], data: bytes, _now: int) -> None:
+        if topic in Health.WATCHED:
+            health.take(topic, decode(data, topic.kind))
+
+    stack.host.listen(watch)
     to = (body.x + 4.0, body.y)
     stack.send_goal(*to)
     for name, fault in FAULTS.items():

@@ -27,7 +27,7 @@ class Wired:
     """The Unitree backend on the lockstep clock: reading advances the robot's side first."""
 
     def __init__(self, config: Any) -> None:
-        body = MujocoBody(config.load_scene(), lidar_step=4, seed=3)
+        body = MujocoBody(config.load_scene(), lidar_step=4, seed=3, lidars=only("xt16"))
         self.world = World(options=UnitreeConfig(lidars=only("xt16")), body=body, epoch=0)
         self.backend = self.world.backend
         self.capabilities = self.backend.capabilities
@@ -68,7 +68,7 @@ def wired(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Lockstep, World]]:
         return made[0]
 
     monkeypatch.setattr(robot_process, "_simulator", build)
-    with Lockstep(load(None, [], scene="flat")) as stack:
+    with Lockstep(load(None, [], scene="flat", lidars=only("xt16"))) as stack:
         stack.wait_ready(30.0)
         yield stack, made[0].world
 
@@ -117,7 +117,7 @@ FAULTS = {
     ),
     "remote": Fault(
         lambda world, on: setattr(world.faults, "remote", (0.0, 0.0, 0.0, 0.0, 0.4 * on)),
-        "robot: stopped, E-STOP (the operator's remote drives)",
+        "E-STOP (the operator's remote drives)",
         "goal: aborted (GOAL): emergency stop: the operator's remote drives; `rbtrg-robot resume` releases it",
         rest=1.0,
         orders=("resume",),

@@ -52,6 +52,8 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
     assert unsafe == {
         "/robot/command",
         "/robot/stop",
+        "/teleop/cmd_vel",
+        "/guard/limits",
         "/cmd_vel",
         "/goal/request",
         "/goal_pose",

@@ -1,14 +1,24 @@
-"""Rotations: roll, pitch and yaw, quaternions x, y, z, w, matrices and rotation vectors."""
+"""Rotations: angles, roll, pitch and yaw, quaternions x, y, z, w, matrices and rotation vectors."""
 
 from __future__ import annotations
 
 import math
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import ArrayLike
 
 from hal.types import Array
+
+Angle = TypeVar("Angle", float, Array)
+
+
+@register_jitable
+def wrap(angle: Angle) -> Angle:
+    """The same direction in (-pi, pi]. `angle` [rad]: a number, or an array of any shape. Kernels may call it."""
+    return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
 def rotation_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

@@ -31,10 +31,10 @@ ROOMS: dict[str, str] = {
     "mapping.elevation": "hal hal.lidar hal.scenes mapping",
     "planning": "hal",
     "planning.graph": "mapping planning",
-    "planning.risk": "mapping planning planning.graph",
+    "planning.risk": "hal mapping planning planning.graph",
     "planning.search": "mapping planning planning.graph planning.risk",
-    "planning.path": "mapping planning.graph planning.risk planning.search",
-    "planning.tracking": "",
+    "planning.path": "hal mapping planning planning.graph planning.risk planning.search",
+    "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
     "rbtrg_robot.wire": "hal mapping.elevation rbtrg_robot",

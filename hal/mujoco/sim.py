@@ -86,7 +86,6 @@ class Simulation:
         self._qadr = np.array([j.qposadr[0] for j in joint])
         self._vadr = np.array([j.dofadr[0] for j in joint])
         self._base = self.model.body("base_link").id
-        self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in go2w.LEGS])
         parts = [b for b in range(self.model.nbody) if self.model.body_rootid[b] == self._base]
         self._parts_named = {b: self.model.body(b).name for b in parts}
         self._parts = np.array(parts)
@@ -151,23 +150,10 @@ class Simulation:
             accel=self._accel.copy(),
         )
 
-    def wheel_contact(self) -> tuple[bool, bool, bool, bool]:
-        """Wheel touches something: FR, FL, RR, RL."""
-        pairs = self.data.contact.geom
-        a, b, c, d = (bool((pairs == geom).any()) for geom in self._wheel_geoms)
-        return a, b, c, d
-
-    def body_contact(self) -> bool:
-        """Anything but a wheel touches something."""
-        pairs = self.data.contact.geom
-        if len(pairs) == 0:
-            return False
-        return bool((~np.isin(pairs, self._wheel_geoms).any(axis=1)).any())
-
     def contacts(self) -> tuple[list[str], Array, Array]:
-        """What touches: name of each robot body (`base_link`, `FL_calf`, `FL_wheel`...), places (n, 3) [m] and normals (n, 3), world.
+        """All contacts: name of each robot body (`base_link`, `FL_calf`, `FL_wheel`...), places (n, 3) [m] and normals (n, 3), world.
 
-        Normals point from what is touched to the robot.
+        Normals point towards the robot.
         """
         contact = self.data.contact
         bodies = self.model.geom_bodyid[contact.geom]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import wrap
 from mapping.grid import ElevationGrid
+from planning.path.speed import speeds
 from planning.path.spline import curve, distance_along, reach_limits
 from planning.path.types import Path, PathLimits
 from planning.path.watch import terrain_around
@@ -46,7 +48,7 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     sparse = _thin(poses, 0.05)
     features = terrain_features(terrain, poses[sparse], body)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    speed = _speeds(s, yaw, s[sparse], features, body, limits)
+    speed = speeds(s, yaw, s[sparse], features, body, limits)
     worst = features[:, :3].max(axis=0).tolist()
     return Path(
         np.column_stack([xy, heights_at(terrain, xy)]),
@@ -159,10 +161,10 @@ def _headings(xy: Array) -> Array:
     """(n,) direction of travel [rad]: mean of the chords before and after; the chord after at a sharp corner."""
     chord = np.arctan2(*np.diff(xy, axis=0).T[::-1])
     yaw = np.append(chord, chord[-1])
-    bend = (np.diff(chord) + np.pi) % (2.0 * np.pi) - np.pi
+    bend = wrap(np.diff(chord))
     smooth = np.abs(bend) < np.radians(15.0)
     yaw[1:-1] = np.where(smooth, chord[:-1] + 0.5 * bend, chord[1:])
-    return (yaw + np.pi) % (2.0 * np.pi) - np.pi
+    return wrap(yaw)
 
 
 def _thin(rows: Array, spacing: float) -> NDArray[np.int64]:
@@ -172,30 +174,3 @@ def _thin(rows: Array, spacing: float) -> NDArray[np.int64]:
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     count = max(2, int(np.ceil(s[-1] / spacing)) + 1)
     return np.unique(np.searchsorted(s, np.linspace(0.0, s[-1], count) - 1e-9))
-
-
-def _speeds(
-    s: Array, yaw: Array, s_features: Array, features: Array, body: BodyModel, limits: PathLimits
-) -> Array:
-    """(n,) [m/s] from curvature, body risk and slope, with braking for everything ahead; 0 at the end."""
-    ds = np.maximum(np.diff(s), 1e-9)
-    bend = np.abs((np.diff(yaw) + np.pi) % (2.0 * np.pi) - np.pi) / ds
-    curvature = np.zeros(len(s))
-    curvature[:-1] = bend
-    curvature[1:] = np.maximum(curvature[1:], bend)
-    curvature = np.maximum(curvature, 1e-6)
-    scaled = features / body.scales
-    risk = np.minimum(scaled[:, :3], body.clip).sum(axis=1) + features[:, 3]
-    # The corner bands' centres are three quarters of the body apart.
-    pitch = np.arctan(features[:, 0] / (0.75 * body.length))
-    share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
-    careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk), 1.0 - 0.5 * share)
-    speed = np.minimum(np.sqrt(limits.lateral_accel / curvature), limits.max_yaw_rate / curvature)
-    speed = np.minimum(speed, np.interp(s, s_features, careful))
-    speed = np.clip(speed, limits.min_speed, limits.max_speed)
-    speed[-1] = 0.0
-    for i in range(len(s) - 2, -1, -1):
-        speed[i] = min(speed[i], np.sqrt(speed[i + 1] ** 2 + 2.0 * limits.max_accel * ds[i]))
-    for i in range(1, len(s)):
-        speed[i] = min(speed[i], np.sqrt(speed[i - 1] ** 2 + 2.0 * limits.max_accel * ds[i - 1]))
-    return speed

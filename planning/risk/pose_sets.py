@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hal.rotation import wrap
 from planning.risk.cost import Weights
 from planning.risk.footprint import MOST_POSES, Scratch, features_of, scratch
 from planning.risk.terrain import Sampler
@@ -12,8 +13,8 @@ from planning.risk.terrain import Sampler
 
 @njit(cache=True)
 def turn_angle(yaw_in: float, yaw_out: float) -> float:
-    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi."""
-    d = (yaw_out - yaw_in + np.pi) % (2.0 * np.pi) - np.pi
+    """Shortest signed rotation [rad] from one heading to another, in (-pi, pi]; a half turn goes by +pi, whatever the rounding."""
+    d = wrap(yaw_out - yaw_in)
     return d + 2.0 * np.pi if d < -np.pi + 1e-9 else d
 
 

@@ -11,17 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hal.rotation import wrap
+from planning.braking import bend_speed, brake
+
 STEP = 0.05
 """Spacing of the resampled path [m]."""
 
 
 class PathError(ValueError):
     """The path cannot be tracked; the message names the field and what was expected."""
-
-
-def wrap(angle: float) -> float:
-    """Angle [rad] in (-pi, pi]."""
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +73,7 @@ class TrackPath:
         return best_s
 
 
-def make_path(
+def track_path(
     points: ArrayLike,
     yaw: ArrayLike | None,
     speed: ArrayLike | float,
@@ -137,11 +135,9 @@ def make_path(
     curvature = (heading_at[after] - heading_at[before]) / ((after - before) * step)
 
     allowed = np.minimum(np.interp(s, arc, limit), max_speed)
-    bend = np.maximum(np.abs(curvature), 1e-6)
-    allowed = np.minimum(allowed, np.minimum(np.sqrt(lateral_accel / bend), max_yaw_rate / bend))
+    allowed = np.minimum(allowed, bend_speed(curvature, lateral_accel, max_yaw_rate))
     allowed = np.maximum(allowed, min_speed)
-    for i in range(count - 2, -1, -1):
-        allowed[i] = min(allowed[i], math.sqrt(allowed[i + 1] ** 2 + 2.0 * max_decel * step))
+    brake(allowed, np.full(count - 1, step), max_decel)
     return TrackPath(
         x.tolist(), y.tolist(), heading_at.tolist(), curvature.tolist(), allowed.tolist(), step, length
     )
@@ -163,7 +159,7 @@ def _along_travel(yaw: NDArray[np.float64], chord: NDArray[np.float64]) -> NDArr
     travel = np.append(travel, travel[-1])
     against = np.cos(yaw - travel) < 0.0
     folded = np.where(against, yaw + np.pi, yaw)
-    error = np.abs((folded - travel + np.pi) % (2.0 * np.pi) - np.pi)
+    error = np.abs(wrap(folded - travel))
     if np.median(error) > np.radians(30.0):
         raise PathError(
             f"yaw does not follow the points (median difference {np.degrees(np.median(error)):.0f} deg); "

@@ -15,7 +15,8 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from planning.tracking.path import PathError, TrackPath, make_path, wrap
+from hal.rotation import wrap
+from planning.tracking.path import PathError, TrackPath, track_path
 from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
@@ -91,13 +92,13 @@ class PathTracker:
         """Follow a new path from the next step on, without stopping where it continues the old one.
 
         points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) [rad] or None; speed: (n,) or scalar [m/s], see
-        `make_path`; goal_yaw [rad] of the body at the end, or None; reverse: drive backwards, trunk last.
+        `track_path`; goal_yaw [rad] of the body at the end, or None; reverse: drive backwards, trunk last.
         Raises PathError and keeps the old path.
         """
         p = self.params
         if goal_yaw is not None and not math.isfinite(goal_yaw):
             raise PathError("goal_yaw must be finite or None")
-        path = make_path(points, yaw, speed, **self._limits())
+        path = track_path(points, yaw, speed, **self._limits())
         drift = self._drift if self._phase is TrackPhase.FOLLOWING and reverse == self._reverse else 0.0
         self.clear()
         self._path, self._goal_yaw, self._path_id, self._reverse = path, goal_yaw, path_id, reverse
@@ -280,7 +281,7 @@ class PathTracker:
         """Drive straight to the goal, whichever end of the robot is nearer to pointing at it."""
         bearing = math.atan2(goal_y - y, goal_x - x)
         self._reverse = abs(wrap(bearing - yaw)) > math.pi / 2.0
-        self._correcting = make_path(
+        self._correcting = track_path(
             [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self._limits()
         )
         self._s, self._started, self._drift = 0.0, False, 0.0

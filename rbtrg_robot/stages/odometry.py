@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from hal.rotation import rotation
+from hal.rotation import rotation, wrap
 from hal.types import Extrinsics, MountedLidar
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
@@ -124,7 +123,7 @@ class OdometryStage:
     def _continue_from(self, before: msg.Pose, scan: ScanOdometry) -> None:
         """Both are gravity-aligned, so a heading and a translation make the first pose the last one of before."""
         q = quaternion(scan.orientation)
-        self._shift.yaw = math.remainder(yaw_of(before.orientation) - yaw_of(q), 2 * math.pi)
+        self._shift.yaw = wrap(yaw_of(before.orientation) - yaw_of(q))
         x, y, _ = self._shift.pose2(scan.position[0], scan.position[1], 0.0)
         place = before.position
         self._shift.x, self._shift.y = place.x - x, place.y - y

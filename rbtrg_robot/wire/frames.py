@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import wrap
 from rbtrg_robot.msg import TFMessage
 from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
 
@@ -40,7 +41,7 @@ class MapFrame:
         return (
             self.x + c * x - s * y,
             self.y + s * x + c * y,
-            math.remainder(yaw + self.yaw, 2 * math.pi),
+            wrap(yaw + self.yaw),
         )
 
     def pose3(

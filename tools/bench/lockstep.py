@@ -6,6 +6,7 @@ import argparse
 import math
 import time
 
+from hal.rotation import wrap
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -41,7 +42,7 @@ def run(args: list[str]) -> Report:
             error = math.hypot(place.position.x - x, place.position.y - y)
             report.add(f"error_m.{name}", error if reached else math.nan, "m", 0.25)
             if yaw is not None:
-                turn = math.degrees(abs(math.remainder(yaw_of(place.orientation) - yaw, 2 * math.pi)))
+                turn = math.degrees(abs(wrap(yaw_of(place.orientation) - yaw)))
                 report.add(f"error_deg.{name}", turn if reached else math.nan, "deg", 10.0)
             report.add(f"goal_s.{name}", stack.seconds - begun, "s")
             report.add(f"replans.{name}", status.replans, "-")

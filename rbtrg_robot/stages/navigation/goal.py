@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from hal.rotation import wrap
 from hal.safety.geofence import Geofence
 from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.progress import Pose2
@@ -116,7 +117,7 @@ class Goal:
         c, s = math.cos(turn), math.sin(turn)
         self.x, self.y = x0 + c * self.x - s * self.y, y0 + s * self.x + c * self.y
         if self.yaw is not None:
-            self.yaw = math.remainder(self.yaw + turn, 2 * math.pi)
+            self.yaw = wrap(self.yaw + turn)
         return None
 
     def misplaced(self, area: Geofence | None, room: float) -> tuple[Reason, str] | None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.rotation import wrap
 from hal.types import NS
 from rbtrg_robot.msg import Plan
 
@@ -34,11 +35,6 @@ UNDER = 0.45
 """[m] around base_link is what lies under the body or its wheels."""
 EDGE = 0.03
 """[m] that the ground rises over three samples of a path (6 cm): no ramp that may be driven is as steep."""
-
-
-def wrap(angle: float) -> float:
-    """Into -pi..pi."""
-    return math.remainder(angle, 2 * math.pi)
 
 
 def over_edge(plan: Plan, pose: Pose2) -> bool:

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.path import PathLimits, make_path, still_safe
@@ -48,7 +49,7 @@ def test_the_path_keeps_ends_spacing_and_corridor():
     away = distance_to_polyline(path.points[:, :2], graph.nodes[:, :2])
     assert 0.02 < away.max() <= LIMITS.corridor
     assert path.raw_corners == 0
-    bend = np.abs((np.diff(path.yaw) + np.pi) % (2 * np.pi) - np.pi)
+    bend = np.abs(wrap(np.diff(path.yaw)))
     assert bend.max() < np.radians(20), "a rounded path has no kinks"
 
 
@@ -61,7 +62,7 @@ def test_speed_respects_curvature_braking_and_the_stop_at_the_end():
     assert accel.max() <= LIMITS.max_accel + 1e-6
     assert path.speed[-1] == 0.0
     assert path.speed.max() <= LIMITS.max_speed
-    rate = path.speed[:-1] * np.abs((np.diff(path.yaw) + np.pi) % (2 * np.pi) - np.pi) / ds
+    rate = path.speed[:-1] * np.abs(wrap(np.diff(path.yaw))) / ds
     assert rate[path.speed[:-1] > LIMITS.min_speed].max() <= LIMITS.max_yaw_rate + 1e-6
 
 

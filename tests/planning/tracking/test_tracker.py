@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planning.tracking.path import PathError, make_path, wrap
+from hal.rotation import wrap
+from planning.tracking.path import PathError, track_path
 from planning.tracking.tracker import PathTracker, TrackerConfig, TrackOutput, TrackPhase
 
 DT = 0.02
@@ -306,7 +307,7 @@ def test_outputs_keep_the_acceleration_limits():
 
 def test_bends_slopes_and_the_speed_profile_slow_down():
     p = TrackerConfig(lateral_accel=0.2)
-    path = make_path(
+    path = track_path(
         np.array([[math.sin(t), 1 - math.cos(t)] for t in np.linspace(0, 3, 200)]) * 0.4,
         None,
         0.8,

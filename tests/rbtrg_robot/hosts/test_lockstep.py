@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.rotation import wrap
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -62,7 +63,7 @@ def test_a_goal_is_reached_in_truth(stack: Lockstep) -> None:
     stack.run(1.0)
     tx, ty, tyaw = truth(stack)
     assert math.hypot(tx - x, ty - y) < 0.25
-    assert abs(math.remainder(tyaw - yaw, 2 * math.pi)) < math.radians(10.0)
+    assert abs(wrap(tyaw - yaw)) < math.radians(10.0)
     assert speed(stack) < 0.05
     states = [s.state for s in stack.statuses]
     for state in ("accepted", "planning", "moving", "reached"):

@@ -8,6 +8,7 @@ import numpy as np
 
 from hal.lowlevel import Locomotion
 from hal.mujoco.sim import Simulation
+from hal.rotation import wrap
 from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.trial import DT
 
@@ -49,7 +50,7 @@ def followed(controller: Locomotion, vx: float, wz: float, friction: float) -> t
         sim.step()
         if sim.time > 0.5 + SETTLE:
             along += float(sim.linear_velocity[0]) * DT
-            turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+            turned += wrap(sim.yaw - before)
     return along / MEASURE, turned / MEASURE
 
 

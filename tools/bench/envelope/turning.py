@@ -8,6 +8,7 @@ import numpy as np
 
 from hal.lowlevel import Locomotion
 from hal.mujoco.sim import Simulation
+from hal.rotation import wrap
 from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION
 from tools.bench.envelope.trial import DT, TIPPED
@@ -77,7 +78,7 @@ def turn_on_bar(
         before = sim.yaw
         if not _drive(sim, controller, 0.0, way * RATE):
             return "turning", way * turned
-        turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+        turned += wrap(sim.yaw - before)
     end = sim.time + LEAVING
     while sim.time < end and np.abs(sim.position[:2]).max() < HALF - 0.6:
         if not _drive(sim, controller, off[0], way * off[1]):
@@ -97,5 +98,5 @@ def turn_on_ramp(controller: Locomotion, degrees: float, way: int, seconds: floa
         before = sim.yaw
         if not _drive(sim, controller, 0.0, way * RATE if sim.time >= 0.5 else 0.0):
             return 0.0
-        turned += float((sim.yaw - before + np.pi) % (2.0 * np.pi) - np.pi)
+        turned += wrap(sim.yaw - before)
     return way * turned / (RATE * seconds)

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.rotation import wrap
 from hal.scenes import load_scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.navigation.goal import goal_request
@@ -139,7 +140,7 @@ def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
         error = math.hypot(place.position.x - x, place.position.y - y)
         report.add(f"error_m.{name}", error if reached else math.nan, "m", 0.25)
         if yaw is not None:
-            turn = math.degrees(abs(math.remainder(yaw_of(place.orientation) - yaw, 2 * math.pi)))
+            turn = math.degrees(abs(wrap(yaw_of(place.orientation) - yaw)))
             report.add(f"error_deg.{name}", turn if reached else math.nan, "deg", 10.0)
         report.add(f"goal_s.{name}", time.monotonic() - sent, "s")
     report.add("realtime_factor", float(np.mean(watch.factors)), "-", 0.95, at_least=True)

@@ -15,6 +15,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path.path import make_path
@@ -48,7 +49,7 @@ def eager_poses(table: RiskTable, states: int) -> float:
     slot = np.repeat(np.arange(len(arcs.target)), degree[arcs.target])
     row = np.concatenate([[0], np.cumsum(degree[arcs.target])])
     out = np.arange(len(slot)) - row[slot] + arcs.indptr[arcs.target[slot]]
-    turn = np.abs((arcs.heading[out] - arcs.heading[slot] + np.pi) % (2 * np.pi) - np.pi)
+    turn = np.abs(wrap(arcs.heading[out] - arcs.heading[slot]))
     per_turn = np.ceil(turn / np.radians(BODY.sweep_step)).mean() + 1
     per_edge = np.ceil(arcs.length / BODY.edge_step).mean() + 1
     return float(states * degree.mean() * per_turn + min(states, len(arcs.target) / 2) * per_edge)

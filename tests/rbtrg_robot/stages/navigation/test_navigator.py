@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hal.rotation import wrap
 from hal.safety.geofence import Geofence
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
@@ -235,7 +236,7 @@ def test_a_goal_is_meant_in_the_frame_it_names(
     world.goal(1.0, 0.5, yaw=0.2, has_yaw=True, header=header(world.now, frame))
     request = world.last(t.PLAN_REQUEST)
     assert (request.goal_x, request.goal_y) == pytest.approx(place)
-    assert math.remainder(request.goal_yaw - heading, 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    assert wrap(request.goal_yaw - heading) == pytest.approx(0.0, abs=1e-9)
     assert (world.status.x, world.status.y) == pytest.approx(place)
 
 

@@ -1,0 +1,25 @@
+"""How fast a path may be driven in its bends, and where braking must begin. Every speed profile of a path uses these two."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def bend_speed(curvature: Array, lateral_accel: float, max_yaw_rate: float) -> Array:
+    """(n,) [m/s] at which `curvature` (n,) [1/m] keeps both limits, [m/s^2] and [rad/s]."""
+    bend = np.maximum(np.abs(curvature), 1e-6)
+    return np.minimum(np.sqrt(lateral_accel / bend), max_yaw_rate / bend)
+
+
+def brake(speed: Array, ds: Array, decel: float) -> None:
+    """Lower `speed` (n,) [m/s] in place, so that `decel` [m/s^2] suffices for every lower speed ahead.
+
+    `ds` (n - 1,) [m]: distance from each point to the next.
+    """
+    for i in range(len(ds) - 1, -1, -1):
+        speed[i] = min(speed[i], math.sqrt(speed[i + 1] ** 2 + 2.0 * decel * ds[i]))

@@ -1,0 +1,18 @@
+"""Angles and rotations against plain formulas."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hal.rotation import wrap
+
+
+def test_a_wrapped_angle_is_the_same_direction_and_half_a_turn_is_positive() -> None:
+    angles = np.random.default_rng(0).uniform(-20.0, 20.0, 200)
+    wrapped = wrap(angles)
+    np.testing.assert_allclose(wrapped, [math.remainder(a, 2.0 * math.pi) for a in angles], atol=1e-12)
+    assert wrap(-math.pi) == wrap(math.pi) == math.pi
+    assert [wrap(float(a)) for a in angles] == pytest.approx(wrapped.tolist(), abs=1e-12)

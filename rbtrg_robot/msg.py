@@ -325,6 +325,105 @@ class MapStatus(Message):
 
 
 @dataclass(slots=True, eq=False)
+class MissionLoop(Message):
+    """rbtrg_msgs/msg/MissionLoop."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MissionLoop"
+    first: int = 0
+    last: int = 0
+    times: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class MissionStep(Message):
+    """rbtrg_msgs/msg/MissionStep."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MissionStep"
+    id: str = ""
+    kind: str = ""
+    blocking_type: str = ""
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    has_yaw: bool = False
+    pitch: float = 0.0
+    duration: float = 0.0
+    timeout: float = 0.0
+    text: str = ""
+    choices: list[str] = field(default_factory=list)
+    on_failure: str = ""
+    retries: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class MissionOrder(Message):
+    """rbtrg_msgs/msg/MissionOrder."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MissionOrder"
+    header: Header = field(default_factory=Header)
+    order_id: str = ""
+    order_update_id: int = 0
+    name: str = ""
+    owner: str = ""
+    map: str = ""
+    frame: str = ""
+    on_comms_loss: str = ""
+    comms_timeout: float = 0.0
+    start: int = 0
+    has_home: bool = False
+    home_x: float = 0.0
+    home_y: float = 0.0
+    home_yaw: float = 0.0
+    steps: list[MissionStep] = field(default_factory=list)
+    loops: list[MissionLoop] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
+class MissionRequest(Message):
+    """rbtrg_msgs/msg/MissionRequest."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MissionRequest"
+    header: Header = field(default_factory=Header)
+    id: str = ""
+    owner: str = ""
+    action: str = ""
+    order_id: str = ""
+    step: int = 0
+    answer: str = ""
+    order: MissionOrder = field(default_factory=MissionOrder)
+
+
+@dataclass(slots=True, eq=False)
+class MissionState(Message):
+    """rbtrg_msgs/msg/MissionState."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MissionState"
+    header: Header = field(default_factory=Header)
+    request: str = ""
+    refused: str = ""
+    map: str = ""
+    order_id: str = ""
+    order_update_id: int = 0
+    name: str = ""
+    owner: str = ""
+    phase: str = ""
+    reason: str = ""
+    returning: bool = False
+    failure: str = ""
+    step: int = 0
+    tries: int = 0
+    loop_rounds: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
+    goal_id: str = ""
+    goals: int = 0
+    question: str = ""
+    choices: list[str] = field(default_factory=list)
+    action_id: list[str] = field(default_factory=list)
+    action_type: list[str] = field(default_factory=list)
+    action_status: list[str] = field(default_factory=list)
+    result_description: list[str] = field(default_factory=list)
+
+
+@dataclass(slots=True, eq=False)
 class MotionLimits(Message):
     """rbtrg_msgs/msg/MotionLimits."""
 
@@ -417,6 +516,15 @@ class PlanRequest(Message):
     goal_yaw: float = 0.0
     has_goal_yaw: bool = False
     avoid: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+
+
+@dataclass(slots=True, eq=False)
+class Presence(Message):
+    """rbtrg_msgs/msg/Presence."""
+
+    __msgtype__ = "rbtrg_msgs/msg/Presence"
+    header: Header = field(default_factory=Header)
+    owner: str = ""
 
 
 @dataclass(slots=True, eq=False)

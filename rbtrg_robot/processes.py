@@ -42,6 +42,7 @@ PROCESSES: tuple[Process, ...] = (
     Process("elevation", "rbtrg_robot.stages.elevation:build",            0.1,    15.0,      1.6, True,         "blind: robot stops at once",                                                   (t.MAP_STATUS,)),
     Process("planner",   "rbtrg_robot.stages.planner:build",              0.1,    30.0,      1.6, False,        "no new routes, the present one is not watched: the navigator halts after 2 s", ()),
     Process("navigator", "rbtrg_robot.stages.navigation.navigator:build", 0.1,     3.0,      1.6, True,         "nobody owns the goal: robot stops at once",                                    (t.GOAL_STATUS,)),
+    Process("mission",   "rbtrg_robot.stages.mission.executor:build",      0.1,     3.0,      1.6, False,        "the robot ends the present goal and stands",                                   (t.MISSION_ORDER, t.MISSION_STATE)),
     Process("tracker",   "rbtrg_robot.stages.tracker:build",              0.02,    3.0,      1.6, True,         "no commands: robot stops at once",                                             ()),
     Process("guard",     "rbtrg_robot.stages.guard:build",                0.05,    3.0,      1.6, True,         "nobody watches the body's way: robot stops at once",                           ()),
     Process("recorder",  "rbtrg_robot.log.recorder:main",                 1.0,     3.0,      1.6, False,        "none; up to 1 s of log is lost",                                               ()),

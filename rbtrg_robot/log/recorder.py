@@ -14,7 +14,8 @@ from pathlib import Path
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.log.file import CONFIG, LogError, LogWriter, is_intact
-from rbtrg_robot.log.keep import GIGABYTE, prune
+from rbtrg_robot.log.keep import GIGABYTE, mark, prune
+from rbtrg_robot.msg import MissionState
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.clock import SourceClock
@@ -183,8 +184,17 @@ def main(
             heart.beat(detail=recorder.trouble)
             for received in bus.take(0.2):
                 recorder.write(deep[received.topic], received.payload, received.stamp, received.sequence)
+                if deep[received.topic] is t.MISSION_STATE:
+                    keep_recorded(Path(config.log_dir), bus.open(received))
             recorder.housekeep()
         for received in bus.take(0.0):
             recorder.write(deep[received.topic], received.payload, received.stamp, received.sequence)
     finally:
         recorder.close()
+
+
+def keep_recorded(folder: Path, state: MissionState | None) -> None:
+    """Mark the run in which a mission recorded something: its step `record` is why somebody wants it."""
+    steps = zip(state.action_type, state.action_status, strict=True) if state else ()
+    if any(kind == "record" and status in ("RUNNING", "FINISHED") for kind, status in steps):
+        mark(folder)

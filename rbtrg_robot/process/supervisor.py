@@ -27,6 +27,7 @@ from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
+from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.runfiles import RunLock, take_interface
 from rbtrg_robot.process.supervised import Child, end
@@ -106,17 +107,15 @@ class Supervisor:
         if latched := self._latch.read():
             self._kept[t.ROBOT_STATE] = latched
             self._say("the emergency stop of before is still latched: `rbtrg-robot resume` releases it")
+        self._mission = MissionFile(self._config.robot)
+        if left := self._mission.read():
+            self._kept |= left
+            self._say("a mission of before is paused: see `rbtrg-robot mission status`")
         try:
             endpoint, domain = self._config.endpoint, self._config.domain
-            with Bus(
-                endpoint,
-                "supervisor",
-                domain,
-                router=True,
-                clock=self._clock,
-                stack=self._stack,
-                security=security(self._config),
-            ) as bus:
+            ours: dict[str, Any] = {"clock": self._clock, "stack": self._stack}
+            served = security(self._config)
+            with Bus(endpoint, "supervisor", domain, router=True, security=served, **ours) as bus:
                 if self._config.network.listen:
                     self._say(f"listening on {', '.join(self._config.network.listen)}")
                 self._write_state(lock)
@@ -144,6 +143,8 @@ class Supervisor:
                 continue
             if any(received.topic in c.row.restores for c in self._children.values()):
                 self._kept[received.topic] = received.payload
+            if t.MISSION_STATE.carried(message, received.topic):
+                self._mission.write(self._kept, message)
             if received.topic in Health.WATCHED:
                 self._health.take(received.topic, message)
                 self._narrate(received.topic, message)

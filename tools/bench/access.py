@@ -35,6 +35,8 @@ OPERATOR_MAY = OBSERVER_MAY | {
     "/goal_pose",
     "/elevation_map/request",
     "/teleop/cmd_vel",
+    "/mission/request",
+    "/operator/presence",
 }
 """Topics that each may publish; whatever else the table has or will have, nobody from outside may."""
 NOBODY = "nobody"

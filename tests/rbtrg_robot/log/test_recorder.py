@@ -17,6 +17,7 @@ from rbtrg_robot.log import recorder as module
 from rbtrg_robot.log.file import is_intact, read_log
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
 from rbtrg_robot.log.recorder import Recorder
+from rbtrg_robot.msg import MissionState
 from rbtrg_robot.process.leftovers import last_words, rotate
 from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
 from rbtrg_robot.stage_config import RecorderConfig
@@ -189,3 +190,12 @@ def test_a_run_folder_of_somebody_else_is_refused(tmp_path: Path, monkeypatch: p
     (tmp_path / "rbtrg").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(UnsafeFolder):
         run_dir()
+
+
+def test_a_mission_that_recorded_something_keeps_its_run(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").touch()
+    for status, kept in (("WAITING", False), ("RUNNING", True)):
+        state = MissionState(action_type=["goto", "record"], action_status=["RUNNING", status])
+        module.keep_recorded(tmp_path, state)
+        assert (tmp_path / "KEEP").exists() is kept
+    module.keep_recorded(tmp_path, None)

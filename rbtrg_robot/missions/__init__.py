@@ -1,0 +1,1 @@
+"""Missions as people write them: YAML files, GeoJSON, poses of a drive."""

@@ -1,0 +1,228 @@
+"""The mission stage: it takes an operator's order and does its steps, one after the other."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.stages.mission.mission import Mission, Phase
+from rbtrg_robot.stages.mission.order import (
+    EVERYWHERE,
+    Kind,
+    OnCommsLoss,
+    OnFailure,
+    refusal,
+    update_refusal,
+)
+from rbtrg_robot.stages.mission.runner import Runner, World
+from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import MAP, yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import header
+
+KNOWN = 1000
+"""Requests whose ids are remembered: a late repeat must not do anything."""
+TELL = NS
+"""Between two states where nothing changed [ns]."""
+
+
+class MissionStage:
+    """Orders of operators in; goals, postures and the state of the mission out.
+    In: requests, the presence of operators, the states of navigator and robot, the pose. Out: the accepted order and its
+    state, which together hold all that a restarted stage needs; goals for the navigator; `stand` and `sit` for the robot. It
+    decides which step is next and what follows a failure. It never plans and never publishes a velocity.
+    """
+
+    inputs = (t.MISSION_REQUEST, t.PRESENCE, t.GOAL_STATUS, t.ROBOT_STATE, t.ODOM, t.TF_STATIC)
+    outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND)
+
+    def __init__(self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "") -> None:
+        """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty."""
+        self._possible, self._prior_map = possible, prior_map
+        self._world = World()
+        self._runner = Runner(self._world)
+        self._frame = MapFrame()
+        self._left: msg.MissionOrder | None = None
+        """Order of a process that is gone; its state follows."""
+        self._known: deque[str] = deque(maxlen=KNOWN)
+        self._answer = ("", "")
+        """The newest request's id, and why it was refused."""
+        self._due = 0
+
+    def warm_up(self) -> None:
+        """Nothing to compile."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def on(self, topic: Topic, message: Any) -> Outputs:
+        """Take one message."""
+        world, out = self._world, Outputs()
+        if t.ODOM.carried(message, topic):
+            if self._frame.known:
+                pose = message.pose.pose
+                world.pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+            return []
+        if t.TF_STATIC.carried(message, topic):
+            self._frame.take(message)
+        elif t.PRESENCE.carried(message, topic):
+            world.contact = world.now
+        elif t.GOAL_STATUS.carried(message, topic):
+            world.goal = message
+            self._runner.yield_to_others()
+        elif t.ROBOT_STATE.carried(message, topic):
+            world.robot = message
+            self._runner.yield_to_others()
+        elif t.MISSION_REQUEST.carried(message, topic):
+            out = self._take(message)
+        elif t.MISSION_ORDER.carried(message, topic):
+            self._left = message
+        elif t.MISSION_STATE.carried(message, topic):
+            return self._restore(message)
+        return out + self._tell() + self._runner.goals()
+
+    def tick(self, now: int) -> Outputs:
+        """Go on with the mission; `now` in ns."""
+        if now < self._world.now:
+            self._runner.clock_reset()
+            self._due = now
+        self._world.now = now
+        out = self._runner.tick()
+        return self._tell(due=now >= self._due) + out
+
+    def _take(self, request: msg.MissionRequest) -> Outputs:
+        out: Outputs = []
+        if request.id not in self._known:
+            self._known.append(request.id)
+            self._answer = (request.id, self._obey(request, out))
+        self._runner.changed = True
+        return out
+
+    def _obey(self, request: msg.MissionRequest, out: Outputs) -> str:
+        """Do it; why not, in words, where it is refused."""
+        mission, runner = self._runner.mission, self._runner
+        if request.action == "run":
+            return self._start(request, out)
+        if mission is None or not mission.phase.active:
+            return "no mission is under way"
+        if request.order_id not in ("", mission.order.order_id):
+            return "that mission is over"
+        if request.action == "update":
+            return self._update(mission, request.order, out)
+        if request.step not in (0, mission.cursor.at):
+            return f"that was step {request.step}; the mission is at step {mission.cursor.at}"
+        who = f"by {request.owner or 'an operator'}"
+        if request.action == "pause":
+            if mission.phase is not Phase.PAUSED:
+                runner.halt(Phase.PAUSED, f"paused {who}")
+        elif request.action == "resume":
+            if mission.phase is Phase.PAUSED:
+                if why := self._world.hindrance():
+                    return why
+                self._world.contact = self._world.now  # who says so is there
+                runner.resume()
+        elif request.action == "skip":
+            if mission.returning:
+                return "it gave up and is on its way home; `rbtrg-robot mission stop` ends it"
+            runner.skip()
+        elif request.action == "stop":
+            runner.stop(f"stopped {who}")
+        elif request.action == "answer":
+            return runner.answer(request.answer)
+        else:
+            return f"{request.action!r} is none of run, update, pause, resume, skip, stop, answer"
+        return ""
+
+    def _start(self, request: msg.MissionRequest, out: Outputs) -> str:
+        order, present = request.order, self._runner.mission
+        if present and present.phase.active:
+            return f"mission {present.order.name or present.order.order_id} is under way: stop it first"
+        if present and present.order.order_id == order.order_id:
+            return "this order was followed before: give it a new order_id"
+        if why := refusal(order, self._possible, self._prior_map) or self._world.hindrance():
+            return why
+        if not order.has_home:
+            if self._world.pose is not None:
+                order.home_x, order.home_y, order.home_yaw = self._world.pose
+            elif _returns(order):
+                return (
+                    "where the robot stands is not known yet, so it could not return: give the mission a home"
+                )
+        order.header = header(self._world.now, MAP)
+        order.owner = order.owner or request.owner
+        self._world.contact = self._world.now
+        self._runner.start(order)
+        out.append((t.MISSION_ORDER, order))
+        return ""
+
+    def _update(self, mission: Mission, order: msg.MissionOrder, out: Outputs) -> str:
+        if order.order_id != mission.order.order_id:
+            return "it is the update of another mission"
+        why = refusal(order, self._possible, self._prior_map)
+        why = why or update_refusal(mission.order, order, mission.cursor.at)
+        if not why:
+            old = mission.order
+            home = (old.home_x, old.home_y, old.home_yaw)
+            mission.update(self._with_home(order, home, old.owner))
+            out.append((t.MISSION_ORDER, mission.order))
+        return why
+
+    def _with_home(self, order: msg.MissionOrder, home: Pose2 | None, owner: str) -> msg.MissionOrder:
+        """The order as it is followed: with a home, an owner and the time."""
+        if order.has_home or home is None:
+            home = (order.home_x, order.home_y, order.home_yaw)
+        x, y, yaw = home
+        stamp = header(self._world.now, MAP)
+        return replace(order, header=stamp, owner=order.owner or owner, home_x=x, home_y=y, home_yaw=yaw)
+
+    def _restore(self, state: msg.MissionState) -> Outputs:
+        """The last words of the process before this one."""
+        if self._runner.mission is not None or self._left is None:
+            return []
+        self._runner.mission = mission = Mission.restore(self._left, state)
+        if mission is None:
+            return []
+        self._known.append(state.request)
+        self._answer = (state.request, state.refused)
+        return [(t.MISSION_ORDER, mission.order)]
+
+    def _tell(self, *, due: bool = False) -> Outputs:
+        """The state, where it changed or is due."""
+        if not (self._runner.changed or due):
+            return []
+        self._runner.changed = False
+        now, mission = self._world.now, self._runner.mission
+        self._due = now + TELL
+        idle = msg.MissionState(header=header(now, MAP), phase=Phase.IDLE.value)
+        state = mission.state(now) if mission else idle
+        state.request, state.refused = self._answer
+        state.map = self._prior_map
+        return [(t.MISSION_STATE, state)]
+
+
+def _returns(order: msg.MissionOrder) -> bool:
+    """It may have to go home."""
+    return order.on_comms_loss == OnCommsLoss.RETURN or any(
+        s.on_failure == OnFailure.RETURN for s in order.steps
+    )
+
+
+def fingerprint(map_file: str) -> str:
+    """Hash that names a prior map; empty where there is none. Raises OSError."""
+    return f"sha256:{hashlib.sha256(Path(map_file).read_bytes()).hexdigest()[:16]}" if map_file else ""
+
+
+def build(config: StackConfig) -> MissionStage:
+    """From the stack's configuration."""
+    recorded = config.record and "recorder" not in config.without
+    possible = EVERYWHERE | ({Kind.RECORD} if recorded else frozenset())
+    return MissionStage(possible, fingerprint(config.map_file))

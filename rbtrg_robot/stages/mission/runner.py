@@ -1,0 +1,216 @@
+"""Does the steps of a mission one after the other, and what follows when one fails or the operator is gone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot.stages.mission.attempt import Attempt, Outcome
+from rbtrg_robot.stages.mission.goal_order import GoalOrder, active
+from rbtrg_robot.stages.mission.mission import OURS, Mission, Phase, Status
+from rbtrg_robot.stages.mission.order import Blocking, Kind, OnCommsLoss, OnFailure
+from rbtrg_robot.stages.navigation.goal import goal_request
+from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.stages.navigation.reasons import Reason, absence, hindrance, words
+from rbtrg_robot.stages.stage import Outputs
+
+RETRY_PAUSE = 2 * NS
+"""From a failed try to the next one [ns]."""
+
+
+@dataclass(slots=True)
+class World:
+    """What the mission knows of the others."""
+
+    now: int = 0
+    """[ns]"""
+    contact: int | None = None
+    """When an operator was last heard [ns]; None: count from the next tick."""
+    goal: msg.GoalStatus | None = None
+    robot: msg.RobotState | None = None
+    pose: Pose2 | None = None
+
+    def others(self) -> str:
+        """Who stopped the robot, drives it or sent it elsewhere, in words; empty where nobody does."""
+        if self.robot is not None and self.robot.estop:
+            return words(Reason.ESTOP, f"{self.robot.estop_cause}; `rbtrg-robot resume` releases it")
+        if self.robot is not None and self.robot.taken:
+            return words(Reason.TAKEN, self.robot.taken)
+        if self.goal is not None and active(self.goal) and not self.goal.id.startswith(OURS):
+            return f"another goal of {self.goal.owner or 'somebody without a name'} is under way"
+        return ""
+
+    def hindrance(self) -> str:
+        """Why no mission can begin or go on now, and what to do; empty where one can."""
+        hinder = hindrance(self.robot)
+        if hinder is not None and hinder[0] is not Reason.LYING:  # it may have a step `stand`
+            return words(*hinder)
+        away = absence(self.robot, None)
+        return words(*away) if away is not None else self.others()
+
+
+class Runner:
+    """One mission at a time. Whatever interrupts a step, the step begins anew when the mission goes on."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self.mission: Mission | None = None
+        self._attempt: Attempt | None = None
+        self._goals = GoalOrder()
+        self._retry_at = 0
+        self.changed = False
+        """The state must be told."""
+
+    def tick(self) -> Outputs:
+        """Go on; what to tell navigator and robot."""
+        mission, out = self.mission, Outputs()
+        if mission and mission.phase is Phase.HOLDING and not self._out_of_contact(mission):
+            mission.phase, mission.reason, self.changed = Phase.RUNNING, "", True
+        if mission and mission.phase is Phase.RUNNING:
+            out = self._run(mission)
+        return out + self.goals()
+
+    def goals(self) -> Outputs:
+        """What to tell the navigator."""
+        if self.mission and self.mission.goal_id and self._attempt is None:
+            return []  # the goal of before a restart is taken up by the next tick
+        return self._goals.orders(self._world.now, self._world.goal)
+
+    def clock_reset(self) -> None:
+        """Times of before mean nothing."""
+        self._attempt, self._retry_at, self._world.contact = None, 0, None
+
+    def _run(self, mission: Mission) -> Outputs:
+        now = self._world.now
+        if not mission.returning and self._out_of_contact(mission):
+            gone = f"no operator in contact for {mission.order.comms_timeout:g} s"
+            if mission.order.on_comms_loss == OnCommsLoss.RETURN:
+                self._drop(mission, Status.FAILED, gone)
+                self._go_home(mission, gone)
+            else:
+                self.halt(Phase.HOLDING, gone)
+            return []
+        if self._attempt is None:
+            if now >= self._retry_at:
+                self._begin(mission)
+            return []
+        orders = self._attempt.orders(now)
+        verdict = self._attempt.verdict(now, self._world.goal, self._world.robot)
+        if verdict.outcome is Outcome.DONE:
+            self._done(mission, verdict.detail)
+        elif verdict.outcome is Outcome.FAILED:
+            self._failed(mission, verdict.detail)
+        elif verdict.outcome is Outcome.NEEDS_OPERATOR:
+            self.halt(Phase.PAUSED, verdict.detail)
+        return orders
+
+    def _out_of_contact(self, mission: Mission) -> bool:
+        if mission.order.on_comms_loss == OnCommsLoss.CONTINUE:
+            return False
+        if self._world.contact is None:
+            self._world.contact = self._world.now
+        return self._world.now - self._world.contact > mission.order.comms_timeout * NS
+
+    def _begin(self, mission: Mission) -> None:
+        """Try the present step. A goal of before a restart goes on: the navigator knows it by its id."""
+        step, now = mission.step, self._world.now
+        mission.mark(Status.RUNNING)
+        if step.kind == Kind.GOTO:
+            yaw = step.yaw if step.has_yaw else None
+            owner = f"mission {mission.order.name}".strip()
+            fields = {"timeout": step.timeout, "owner": owner}
+            self._goals.want(goal_request(now, mission.name_goal(), step.x, step.y, yaw, **fields))
+        mission.asking = step.kind == Kind.ASK
+        self._attempt = Attempt(step, now, mission.goal_id)
+        self.changed = True
+        if step.blocking_type == Blocking.NONE:
+            self._done(mission, "")
+
+    def _drop(self, mission: Mission, status: Status, result: str) -> None:
+        """Leave the present step."""
+        mission.mark(status, result)
+        mission.goal_id, mission.asking = "", False
+        self._attempt = None
+        self._retry_at = self._world.now
+        self._goals.want(None)
+        self.changed = True
+
+    def _done(self, mission: Mission, detail: str) -> None:
+        self._drop(mission, Status.FINISHED, detail)
+        if mission.returning:
+            mission.end(Phase.FAILED, f"{mission.failure}; the robot is back")
+        else:
+            self._next(mission)
+
+    def _next(self, mission: Mission) -> None:
+        if not mission.advance():
+            mission.end(Phase.FINISHED, "")
+
+    def _failed(self, mission: Mission, why: str) -> None:
+        step = mission.step
+        self._drop(mission, Status.FAILED, why)
+        where = f"step {mission.cursor.at} ({step.kind}): {why}"
+        if mission.returning:
+            mission.end(Phase.FAILED, f"{mission.failure}; it did not get back: {why}")
+        elif step.on_failure == OnFailure.RETRY and mission.tries < step.retries:
+            mission.tries += 1
+            self._retry_at = self._world.now + RETRY_PAUSE
+        elif step.on_failure == OnFailure.SKIP:
+            self._next(mission)
+        elif step.on_failure == OnFailure.RETURN:
+            self._go_home(mission, where)
+        else:
+            mission.end(Phase.FAILED, where)
+
+    def _go_home(self, mission: Mission, why: str) -> None:
+        mission.returning, mission.failure = True, why
+
+    # --- what others and operators do -------------------------------------------------------------------------
+
+    def yield_to_others(self) -> None:
+        """Somebody stopped the robot, drives it or sent it elsewhere: the mission goes on only when told to."""
+        if self.mission and self.mission.phase in (Phase.RUNNING, Phase.HOLDING):
+            why = self._world.others()
+            if why:
+                self.halt(Phase.PAUSED, why)
+
+    def start(self, order: msg.MissionOrder) -> None:
+        """A new mission."""
+        self.mission = Mission.begin(order)
+        self._attempt, self._retry_at = None, self._world.now
+
+    def halt(self, phase: Phase, why: str) -> None:
+        """Stand, until told to go on or until an operator is in contact."""
+        mission = self.mission
+        assert mission is not None
+        self._drop(mission, Status.PAUSED, why)
+        mission.phase, mission.reason = phase, why
+
+    def resume(self) -> None:
+        """Go on with the present step."""
+        assert self.mission is not None
+        self.mission.phase, self.mission.reason = Phase.RUNNING, ""
+        self._retry_at = self._world.now
+
+    def skip(self) -> None:
+        """Leave the present step out."""
+        assert self.mission is not None
+        self._drop(self.mission, Status.FAILED, "skipped")
+        self._next(self.mission)
+
+    def stop(self, why: str) -> None:
+        """End it here."""
+        assert self.mission is not None
+        self._drop(self.mission, Status.FAILED, why)
+        self.mission.end(Phase.STOPPED, why)
+
+    def answer(self, text: str) -> str:
+        """Take the answer to the present question; why not, in words."""
+        mission = self.mission
+        if mission is None or not mission.asking or self._attempt is None:
+            return "the mission asks nothing now"
+        if text not in mission.step.choices:
+            return f"{text!r} is none of {', '.join(mission.step.choices)}"
+        self._attempt.answer = text
+        return ""

@@ -71,7 +71,7 @@ def goal(
     with connect(robot) as bus:
         bus.subscribe([t.GOAL_STATUS])
         request = goal_request(
-            time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=_me()
+            time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=me()
         )
         try:
             code = _follow(bus, goal_id, request, wait=wait, timeout=timeout)
@@ -82,7 +82,7 @@ def goal(
         raise typer.Exit(code)
 
 
-def _me() -> str:
+def me() -> str:
     """Who gives orders here, for whoever else is at the robot."""
     return f"{getpass.getuser()}@{socket.gethostname()}"
 
@@ -188,14 +188,14 @@ def _cancel(bus: Any, goal_id: str) -> bool:
     while time.monotonic() < deadline:
         if time.monotonic() - sent > RESEND:
             sent = time.monotonic()
-            request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1, id=goal_id, owner=_me())
+            request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1, id=goal_id, owner=me())
             bus.publish(t.GOAL_REQUEST, request, time.time_ns())
         for received in bus.take(0.1):
             status = bus.open(received)
             if status is None or goal_id not in ("", status.id):
                 continue
             if status.state == "cancelled":
-                whose = f" of {status.owner}" if status.owner not in ("", _me()) else ""
+                whose = f" of {status.owner}" if status.owner not in ("", me()) else ""
                 print(f"goal{whose} cancelled")
                 return True
             if status.state == "idle" or status.state in EXIT:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, inspect, keys, logs, service, stack, topic
+from rbtrg_robot.cli import drive, inspect, keys, logs, mission, service, stack, topic
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -38,6 +38,7 @@ def _options(
 
 stack.register(app)
 drive.register(app)
+mission.register(app)
 logs.register(app)
 topic.register(app)
 inspect.register(app)

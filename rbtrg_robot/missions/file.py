@@ -13,7 +13,6 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Fiel
 from hal.errors import OperatorError
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.order import Blocking, Kind
-from rbtrg_robot.wire.convert import MAP
 
 
 class MissionError(OperatorError):

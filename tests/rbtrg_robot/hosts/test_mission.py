@@ -99,6 +99,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         run.until("finished")
         assert math.dist(run.truth[:2], (x, y)) < 0.25
         assert run.state.action_status == ["FINISHED"] * 5
+        stack.run(0.3)
     return path
 
 

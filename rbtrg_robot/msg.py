@@ -661,6 +661,14 @@ class PointCloud2(Message):
 
 
 @dataclass(slots=True, eq=False)
+class String(Message):
+    """std_msgs/msg/String."""
+
+    __msgtype__ = "std_msgs/msg/String"
+    data: str = ""
+
+
+@dataclass(slots=True, eq=False)
 class Transform(Message):
     """geometry_msgs/msg/Transform."""
 

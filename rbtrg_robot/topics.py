@@ -96,6 +96,7 @@ CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SE
 HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came", recorded="full")
 TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
 TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar_main, lidar_head, imu")
+DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LATCHED,   1, "odometry",  "the robot's URDF")
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded="")

@@ -26,6 +26,7 @@ STANDARD = (
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/PointCloud2",
+    "std_msgs/msg/String",
     "tf2_msgs/msg/TFMessage",
 )
 """Types of ROS that our topics carry; what they are made of follows."""

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, inspect, keys, logs, mission, service, stack, topic
+from rbtrg_robot.cli import drive, foxglove, inspect, keys, logs, mission, service, stack, topic
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -40,6 +40,7 @@ stack.register(app)
 drive.register(app)
 mission.register(app)
 logs.register(app)
+foxglove.register(app)
 topic.register(app)
 inspect.register(app)
 service.register(app)

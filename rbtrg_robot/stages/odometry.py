@@ -8,6 +8,7 @@ import numpy as np
 
 from hal.rotation import rotation, wrap
 from hal.types import Extrinsics, MountedLidar
+from hal.urdf import urdf
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
@@ -62,6 +63,7 @@ class OdometryStage:
         self.inputs = (t.IMU, t.JOINTS, *(t.SWEEPS[name] for name in names))
         self.outputs = (
             t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, *(t.CLOUDS[name] for name in names), t.TF, t.TF_STATIC,
+            t.DESCRIPTION,
         )  # fmt: skip
         self._odometry = odometry
         self._start = start
@@ -130,7 +132,7 @@ class OdometryStage:
         self._shift.z = place.z - scan.position[2]
 
     def tick(self, now: int) -> Outputs:
-        """The frames, once."""
+        """The frames and the robot's description, once."""
         if self._announced:
             return []
         self._announced = True
@@ -145,7 +147,8 @@ class OdometryStage:
                         _mount_msg(now, IMU, self._imu),
                     ],
                 ),
-            )
+            ),
+            (t.DESCRIPTION, msg.String(data=urdf())),
         ]
 
     def _fast(self, fast: FastPose) -> Outputs:

@@ -1,0 +1,300 @@
+"""A server of the Foxglove WebSocket protocol: the bytes of the bus to the app, goals and the emergency stop back.
+
+Written on `websockets` and not on foxglove-sdk: that server (0.30.3) takes every Origin, so any web page that is open in a browser on this
+computer could send goals, and it cannot tell the app that this is ROS (`ROS_DISTRO`), without which the app does not publish poses.
+Protocol: https://github.com/foxglove/ws-protocol/blob/main/docs/spec.md
+"""
+
+from __future__ import annotations
+
+import json
+import queue
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.sync.server import ServerConnection, serve
+
+from hal.errors import OperatorError
+from rbtrg_robot import topics as t
+from rbtrg_robot.msg import RobotCommand
+from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.wire import messages
+from rbtrg_robot.wire.bus import Bus, Received
+
+PROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
+ORIGINS = (None, "https://app.foxglove.dev", "file://")
+"""The app: in a browser, on the desktop, and programs that are no browser and say nothing."""
+STOP: tuple[Topic, ...] = (t.ROBOT_STOP,)
+BACK: tuple[Topic, ...] = tuple(t.BY_NAME[n] for n in ("/goal_pose", "/initialpose") if n in t.BY_NAME)
+"""What clients may publish beside the stop."""
+MESSAGE_DATA, TIME = 1, 2
+"""Opcodes of binary frames from the server; MESSAGE_DATA is that of a client's, too."""
+CLOCK = -1
+"""In the place of a subscription's number."""
+WARNING, ERROR = 1, 2
+LARGEST = 1 << 20
+"""Bytes of a client's message."""
+STOP_LIMIT = 30.0
+"""[s] for which a stop is sent again while the robot does not confirm it."""
+CHANNELS = dict(enumerate(t.TOPICS, 1))
+
+
+class BridgeError(OperatorError):
+    """The server cannot be started; the message tells what to do."""
+
+
+class Client:
+    """One connection: what it subscribed, what waits for it, what it publishes."""
+
+    def __init__(self, connection: ServerConnection) -> None:
+        self.connection = connection
+        self.subscribed: dict[int, Topic] = {}
+        self.published: dict[int, Topic] = {}
+        self._waiting: dict[int, deque[bytes]] = {}
+        self._more = threading.Condition()
+        self._closed = False
+
+    def put(self, subscription: int, frame: bytes, depth: int) -> None:
+        """Send a frame when the client keeps up; of each subscription only the newest `depth` wait."""
+        with self._more:
+            self._waiting.setdefault(subscription, deque(maxlen=depth)).append(frame)
+            self._more.notify()
+
+    def close(self) -> None:
+        """Nothing more is sent."""
+        with self._more:
+            self._closed = True
+            self._more.notify()
+
+    def send_all(self) -> None:
+        """In a thread of its own, until the connection ends: a client that hangs holds up nobody else."""
+        try:
+            while True:
+                with self._more:
+                    self._more.wait_for(lambda: self._closed or any(self._waiting.values()))
+                    if self._closed:
+                        return
+                    frames = [frame for waiting in self._waiting.values() for frame in waiting]
+                    self._waiting.clear()
+                for frame in frames:
+                    self.connection.send(frame)
+        except ConnectionClosed:
+            return
+
+
+class Foxglove:
+    """The server between a bus and its clients. `run` belongs to one thread, which alone touches the bus."""
+
+    def __init__(
+        self,
+        bus: Bus,
+        host: str = "127.0.0.1",
+        port: int = 8765,
+        *,
+        commands: bool = True,
+        origins: Iterable[str] = (),
+        say: Callable[[str], None] = print,
+    ) -> None:
+        """`commands`: clients may send goals; the stop they always may. `origins`: web pages that may connect beside the app.
+
+        Raises BridgeError where the port is taken.
+        """
+        self._bus, self._say = bus, say
+        self._back = {topic.name: topic for topic in (*STOP, *(BACK if commands else ()))}
+        for topic in self._back.values():
+            bus.advertise(topic)
+        bus.subscribe([t.ROBOT_STATE])  # its stamps are the clock of the clients
+        self._subscribed: set[Topic] = {t.ROBOT_STATE}
+        self._wanted: queue.SimpleQueue[Topic] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[tuple[Topic, Any]] = queue.SimpleQueue()
+        self._newest: dict[Topic, Received[Any]] = {}
+        self._clients: list[Client] = []
+        self._lock = threading.Lock()
+        self._stop: tuple[float, RobotCommand] | None = None
+        """A stop that the robot has not confirmed, and until when it is sent."""
+        allowed: list[Any] = [*ORIGINS, *origins]
+        try:
+            self._server = serve(
+                self._serve,
+                host,
+                port,
+                origins=allowed,
+                subprotocols=[*PROTOCOLS],  # type: ignore[list-item]
+                compression=None,
+                max_size=LARGEST,
+                process_response=self._refused,
+            )
+        except OSError as error:
+            raise BridgeError(
+                f"cannot listen on {host}:{port}: {error.strerror}; choose another --port"
+            ) from error
+        self.port = int(self._server.socket.getsockname()[1])
+        self._thread = threading.Thread(target=self._server.serve_forever, name="foxglove", daemon=True)
+        self._thread.start()
+
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Carry messages until `stopping()`."""
+        try:
+            while not stopping():
+                self._turn()
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End the server and every connection."""
+        self._server.shutdown()
+        with self._lock:
+            clients = list(self._clients)
+        for client in clients:
+            client.close()
+            client.connection.close()
+        self._thread.join()
+
+    def _turn(self) -> None:
+        received = self._bus.take(0.1)
+        while not self._outbox.empty():
+            topic, message = self._outbox.get()
+            if topic in STOP:
+                self._stop = (time.monotonic() + STOP_LIMIT, message)
+            else:
+                self._bus.publish(topic, message, time.time_ns())
+        if self._stop is not None:
+            self._bus.publish(t.ROBOT_STOP, self._stop[1], time.time_ns())
+            if time.monotonic() > self._stop[0]:
+                self._say("the robot does not confirm the stop; use the hardware stop")
+                self._stop = None
+        while not self._wanted.empty():
+            topic = self._wanted.get()
+            if topic not in self._subscribed:
+                self._subscribed.add(topic)
+                self._bus.subscribe([topic])
+        with self._lock:
+            for each in received:
+                self._carry(each)
+
+    def _carry(self, received: Received[Any]) -> None:
+        """One message to all clients. Called with the lock held."""
+        if received.topic.qos is Qos.LATCHED:
+            self._newest[received.topic] = received
+        for client in self._clients:
+            _give(client, received)
+        if received.topic is t.ROBOT_STATE:
+            for client in self._clients:
+                client.put(CLOCK, struct.pack("<BQ", TIME, max(received.stamp, 0)), 1)
+            if self._stop is not None:
+                state = self._bus.open(received)
+                if state is not None and state.estop:
+                    self._say(f"stopped: {state.estop_cause}")
+                    self._stop = None
+
+    # --- a connection, in its own thread ----------------------------------------------------------------------
+
+    def _refused(self, _connection: ServerConnection, request: Request, response: Response) -> None:
+        if response.status_code == 403:
+            origin = request.headers.get("Origin", "?")
+            self._say(f"refused a web page of {origin}; if it is yours: --origin {origin}")
+
+    def _serve(self, connection: ServerConnection) -> None:
+        client = Client(connection)
+        connection.send(json.dumps(_server_info()))
+        connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
+        sender = threading.Thread(target=client.send_all, name="foxglove sender", daemon=True)
+        sender.start()
+        with self._lock:
+            self._clients.append(client)
+        try:
+            for data in connection:
+                try:
+                    if isinstance(data, str):
+                        self._control(client, json.loads(data))
+                    else:
+                        self._publish(client, data)
+                except (ValueError, KeyError, TypeError, AttributeError, struct.error) as error:
+                    _status(client, ERROR, f"not understood: {error}")
+        except ConnectionClosed:
+            pass
+        finally:
+            with self._lock:
+                self._clients.remove(client)
+            client.close()
+            sender.join()
+
+    def _control(self, client: Client, request: dict[str, Any]) -> None:
+        op = request["op"]
+        if op == "subscribe":
+            for each in request["subscriptions"]:
+                self._subscribe(client, int(each["id"]), CHANNELS[int(each["channelId"])])
+        elif op == "unsubscribe":
+            with self._lock:
+                for number in request["subscriptionIds"]:
+                    client.subscribed.pop(int(number), None)
+        elif op == "advertise":
+            for each in request["channels"]:
+                topic = self._back.get(each["topic"])
+                if topic is None:
+                    _status(client, WARNING, f"{each['topic']} is not taken from here")
+                elif each["encoding"] != "cdr" or each["schemaName"] != topic.type:
+                    _status(client, WARNING, f"{topic.name} is {topic.type} in cdr")
+                else:
+                    client.published[int(each["id"])] = topic
+        elif op == "unadvertise":
+            for number in request["channelIds"]:
+                client.published.pop(int(number), None)
+
+    def _subscribe(self, client: Client, number: int, topic: Topic) -> None:
+        with self._lock:
+            client.subscribed[number] = topic
+            if topic in self._newest:  # a later client asks for what the bus tells once
+                _give(client, self._newest[topic], number)
+        self._wanted.put(topic)
+        self._bus.wake()
+
+    def _publish(self, client: Client, data: bytes) -> None:
+        opcode, number = struct.unpack_from("<BI", data)
+        topic = client.published.get(number) if opcode == MESSAGE_DATA else None
+        if topic is None:
+            return _status(client, WARNING, "a message on a channel that was not advertised")
+        self._outbox.put((topic, messages.decode(data[5:], topic.kind)))
+        return self._bus.wake()
+
+
+def _give(client: Client, received: Received[Any], only: int | None = None) -> None:
+    """One message to those of a client's subscriptions that want it. Called with the lock held."""
+    for number, topic in client.subscribed.items():
+        if topic is received.topic and only in (None, number):
+            head = struct.pack("<BIQ", MESSAGE_DATA, number, max(received.stamp, 0))
+            client.put(number, head + received.payload, max(topic.depth, 1))
+
+
+def _server_info() -> dict[str, Any]:
+    return {
+        "op": "serverInfo",
+        "name": "rbtrg-robot",
+        "capabilities": ["time", "clientPublish"],
+        "supportedEncodings": ["cdr"],
+        "metadata": {"ROS_DISTRO": "jazzy"},
+    }
+
+
+def _channels() -> list[dict[str, Any]]:
+    return [
+        {
+            "id": number,
+            "topic": topic.name,
+            "encoding": "cdr",
+            "schemaName": topic.type,
+            "schemaEncoding": "ros2msg",
+            "schema": messages.definition(topic.type),
+        }
+        for number, topic in CHANNELS.items()
+    ]
+
+
+def _status(client: Client, level: int, text: str) -> None:
+    client.connection.send(json.dumps({"op": "status", "level": level, "message": text}))

@@ -1,0 +1,241 @@
+"""The Foxglove door, seen by a client of the protocol."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.bridge.foxglove import BACK, BridgeError, Foxglove
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.convert import odometry_msg
+from rbtrg_robot.wire.messages import encode, header
+
+LIMIT = 20.0
+
+
+class Door:
+    """A bus with the server on it."""
+
+    def __init__(self, commands: bool) -> None:
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        self.said: list[str] = []
+        self._entered = ExitStack()
+        self.bus = Bus(endpoint, "stack", router=True)
+        self._own = Bus(endpoint, "foxglove")
+        self.server = Foxglove(
+            self._own, port=0, commands=commands, origins=["http://mine:1"], say=self.said.append
+        )
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self.server.run, args=(self._done.is_set,))
+        self._thread.start()
+
+    def close(self) -> None:
+        self._done.set()
+        self._thread.join()
+        self._entered.close()
+        self._own.close()
+        self.bus.close()
+
+    def enter(self, origin: str | None = None) -> Client:
+        uri = f"ws://127.0.0.1:{self.server.port}"
+        settings: Any = {"subprotocols": ["foxglove.sdk.v1"], "origin": origin}
+        return Client(self._entered.enter_context(connect(uri, **settings)))
+
+    def heard(self, topic: Topic) -> Any:
+        end = time.monotonic() + LIMIT
+        while time.monotonic() < end:
+            for received in self.bus.take(0.05):
+                if received.topic is topic:
+                    return self.bus.open(received)
+        raise AssertionError(f"nothing on {topic}")
+
+
+class Client:
+    """Speaks the protocol."""
+
+    def __init__(self, connection: ClientConnection) -> None:
+        self.connection = connection
+        self.info = self.control("serverInfo")
+        self.channels = {c["topic"]: c for c in self.control("advertise")["channels"]}
+
+    def send(self, **request: Any) -> None:
+        self.connection.send(json.dumps(request))
+
+    def control(self, op: str) -> Any:
+        end = time.monotonic() + LIMIT
+        while time.monotonic() < end:
+            data = self.connection.recv(timeout=LIMIT)
+            if isinstance(data, str) and json.loads(data)["op"] == op:
+                return json.loads(data)
+        raise AssertionError(op)
+
+    def subscribe(self, number: int, topic: Topic) -> None:
+        channel = self.channels[topic.name]["id"]
+        self.send(op="subscribe", subscriptions=[{"id": number, "channelId": channel}])
+
+    def data(self, number: int, timeout: float = LIMIT) -> tuple[int, bytes]:
+        """Stamp [ns] and payload of the next message of a subscription."""
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            frame = self.connection.recv(timeout=timeout)
+            if isinstance(frame, bytes) and frame[0] == 1:
+                _, got, stamp = struct.unpack_from("<BIQ", frame)
+                if got == number:
+                    return stamp, frame[13:]
+        raise TimeoutError
+
+    def publish(self, number: int, topic: Topic, message: Any, **other: str) -> None:
+        channel = {"id": number, "topic": topic.name, "encoding": "cdr", "schemaName": topic.type} | other
+        self.send(op="advertise", channels=[channel])
+        self.connection.send(struct.pack("<BI", 1, number) + encode(message))
+
+
+@pytest.fixture
+def door() -> Iterator[Door]:
+    made = Door(commands=True)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def test_a_client_gets_the_bytes_of_the_bus_and_can_read_their_types(door: Door) -> None:
+    client = door.enter()
+    assert client.info["metadata"]["ROS_DISTRO"]
+    assert set(client.channels) == set(t.BY_NAME)
+    for name, channel in client.channels.items():
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        assert channel["schemaName"] == t.BY_NAME[name].type
+        # An independent reader of the schema knows the type.
+        first, *others = channel["schema"].split("=" * 80 + "\n")
+        kinds = get_types_from_msg(first, channel["schemaName"])
+        for other in others:
+            title, body = other.split("\n", 1)
+            kinds |= get_types_from_msg(body, title.removeprefix("MSG: ").replace("/", "/msg/", 1))
+        store = get_typestore(Stores.EMPTY)
+        store.register(kinds)
+        assert channel["schemaName"] in store.types
+    client.subscribe(7, t.ODOM)
+    odom = odometry_msg(123_000_000_456, (1.0, 2.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0,) * 3, (0.0,) * 3)
+    done = threading.Event()
+
+    def drive() -> None:
+        while not done.wait(0.02):
+            door.bus.publish(t.ODOM, odom, 123_000_000_456)
+
+    thread = threading.Thread(target=drive)
+    thread.start()
+    try:
+        assert client.data(7) == (123_000_000_456, encode(odom))
+        client.send(op="unsubscribe", subscriptionIds=[7])
+    finally:
+        done.set()
+        thread.join()
+
+
+def test_who_comes_late_gets_what_is_told_once(door: Door) -> None:
+    door.bus.publish(t.GOAL_STATUS, msg.GoalStatus(header=header(5, "map"), state="idle"), 5)
+    for _ in range(2):
+        client = door.enter()
+        client.subscribe(1, t.GOAL_STATUS)
+        assert client.data(1)[0] == 5
+
+
+def test_a_goal_goes_back_and_what_drives_does_not(door: Door) -> None:
+    door.bus.subscribe([t.GOAL_POSE, t.CMD_VEL])
+    client = door.enter()
+    pose = msg.PoseStamped(header=header(9, "map"))
+    pose.pose.position.x = 3.5
+    client.publish(1, t.CMD_VEL, msg.TwistStamped())
+    assert "/cmd_vel is not taken" in client.control("status")["message"]
+    assert "not advertised" in client.control("status")["message"]
+    client.publish(2, t.GOAL_POSE, pose, schemaName="nav_msgs/msg/Path")
+    assert "geometry_msgs/msg/PoseStamped" in client.control("status")["message"]
+    client.connection.send(b"\x01")
+    client.connection.send("{")
+    client.publish(3, t.GOAL_POSE, pose)
+    assert door.heard(t.GOAL_POSE).pose.position.x == 3.5
+    client.connection.send(struct.pack("<BI", 1, 3) + b"\0\1\0\0no pose")
+    for _ in range(4):
+        status = client.control("status")
+    assert "not a geometry_msgs/msg/PoseStamped" in status["message"]
+
+
+def test_a_stop_is_sent_until_the_robot_confirms_it(door: Door) -> None:
+    door.bus.subscribe([t.ROBOT_STOP])
+    client = door.enter()
+    client.publish(1, t.ROBOT_STOP, msg.RobotCommand(mode="stop", cause="Foxglove"))
+    for _ in range(3):
+        assert door.heard(t.ROBOT_STOP).cause == "Foxglove"
+    end = time.monotonic() + LIMIT
+    while not door.said:
+        door.bus.publish(t.ROBOT_STATE, msg.RobotState(estop=True, estop_cause="Foxglove"), 1)
+        assert time.monotonic() < end
+        time.sleep(0.02)
+    assert door.said == ["stopped: Foxglove"]
+
+
+def test_no_other_web_page_gets_in(door: Door) -> None:
+    with pytest.raises(InvalidStatus):
+        door.enter("http://evil.example")
+    assert door.said == [
+        "refused a web page of http://evil.example; if it is yours: --origin http://evil.example"
+    ]
+    for origin in ("https://app.foxglove.dev", "http://mine:1"):
+        assert door.enter(origin).channels
+
+
+def test_who_only_looks_may_stop_and_nothing_else() -> None:
+    door = Door(commands=False)
+    try:
+        door.bus.subscribe([t.ROBOT_STOP])
+        client = door.enter()
+        client.publish(1, t.GOAL_POSE, msg.PoseStamped())
+        assert "/goal_pose is not taken" in client.control("status")["message"]
+        client.publish(2, t.ROBOT_STOP, msg.RobotCommand(mode="stop"))
+        assert door.heard(t.ROBOT_STOP).mode == "stop"
+    finally:
+        door.close()
+
+
+def test_a_client_that_hangs_holds_up_nobody(door: Door) -> None:
+    hanging, client = door.enter(), door.enter()
+    for each in (hanging, client):
+        each.subscribe(1, t.POINTS)
+    cloud = msg.PointCloud2(data=msg._zeros("uint8", 400_000))
+    for stamp in range(1, 100):
+        door.bus.publish(t.POINTS, cloud, stamp)
+        time.sleep(0.005)
+    end = time.monotonic() + LIMIT
+    got = 0
+    while got < 1000:
+        door.bus.publish(t.POINTS, cloud, 1000)
+        got = client.data(1)[0]
+        assert time.monotonic() < end
+    hanging.connection.socket.close()
+
+
+def test_a_taken_port_is_one_line(door: Door) -> None:
+    with pytest.raises(BridgeError, match="choose another --port"):
+        Foxglove(door.bus, port=door.server.port)
+
+
+def test_what_comes_back_moves_nothing_by_itself() -> None:
+    assert {topic.name for topic in BACK} <= {"/goal_pose", "/initialpose"}
+    assert t.GOAL_POSE in BACK

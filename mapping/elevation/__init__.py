@@ -1,7 +1,7 @@
 """The elevation map: fused from scans, cleared by rays, read as a grid, exchanged in patches, saved and restored."""
 
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import MapError, MapMirror, MapPatch
-from mapping.elevation.map import ElevationMap, FuseReport
+from mapping.elevation.exchange import FuseReport, MapError, MapMirror, MapPatch
+from mapping.elevation.map import ElevationMap
 
 __all__ = ["ElevationConfig", "ElevationMap", "FuseReport", "MapError", "MapMirror", "MapPatch"]

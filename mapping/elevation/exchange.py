@@ -18,6 +18,27 @@ class MapError(OperatorError):
     """Input the map cannot take; the message names it and what was expected."""
 
 
+@dataclass(frozen=True, slots=True)
+class FuseReport:
+    """What became of one scan: points by reason, then cells by outcome."""
+
+    points: int
+    used: int
+    invalid: int
+    """NaN or infinite."""
+    out_of_range: int
+    body: int
+    ceiling: int
+    cells: int
+    agreed: int
+    new: int
+    conflict: int
+    replaced: int
+    overhang: int
+    z_correction: float
+    """Height drift of the odometry taken out so far [m]."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MapPatch:
     """A rectangle of cells on the world lattice, frame `map`.

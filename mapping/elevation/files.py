@@ -75,7 +75,7 @@ def restore_store(store: TileStore, patch: MapPatch, settled: int, now: int) -> 
 def load_into(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:
     """Put the map in `path` into an empty store of this resolution; returns the number of cells with a height.
 
-    Ours (.npz): exact at the same resolution, resampled (highest surface) at another. A grid (.npz with `height`,
+    Ours (.npz): exact at the same resolution, resampled at another. A grid (.npz with `height`,
     `resolution`, `origin`, optional `trusted`), a cloud or a mesh (.ply, .pcd, .stl, .obj): in the `map` frame, metres,
     z up. Raises MapError, which says what is wrong with the file.
     """
@@ -174,7 +174,8 @@ def _enter(
 def _enter_points(
     store: TileStore, x: NDArray, y: NDArray, z: NDArray, own: float, resolution: float, trust_count: int
 ) -> int:
-    """Square patches of side `own` around (x, y) at height z onto the lattice; the highest wins."""
+    """Square patches of side `own` around (x, y) at height z onto the lattice: the highest wins, of
+    patches finer than a cell their median, the higher of two: a cell is wall only if half of it is."""
     if len(x) == 0:
         raise MapError("the prior map holds no known cell")
     far = float(max(np.abs(x).max(), np.abs(y).max()))
@@ -195,13 +196,15 @@ def _enter_points(
     store.reserve(store.used + len(tiles))
     for row, col in tiles.tolist():
         store.allocate(row, col)
-    top: NDArray[np.float32] = np.full(len(store.cells), -np.inf, dtype=np.float32)
-    for i in rows:
-        for j in cols:
-            np.maximum.at(top, store.locate(i, j), z.astype(np.float32))
-    index = np.flatnonzero(top > -np.inf)
+    cell = np.concatenate([store.locate(i, j) for i in rows for j in cols])
+    height = np.tile(z.astype(np.float32), len(rows) * len(cols))
+    order = np.lexsort((-height, cell))
+    index, begin, count = np.unique(cell[order], return_index=True, return_counts=True)
     cells = store.cells[index]
-    cells["height"], cells["variance"] = top[index], PRIOR_SIGMA**2
+    cells["height"], cells["variance"] = (
+        height[order][begin + (count - 1) // 2 * (own < resolution)],
+        PRIOR_SIGMA**2,
+    )
     cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, PRIOR
     store.cells[index] = cells
     store.touched[index >> (2 * store.shift)] = 1

@@ -10,15 +10,15 @@ Same calls, same bytes: no clock, no randomness.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mapping.elevation import fusion as kernels
+from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import MapError, MapPatch
+from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.files import load_into, restore_store, save_store
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
@@ -39,27 +39,6 @@ CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
 
 
-@dataclass(frozen=True, slots=True)
-class FuseReport:
-    """What became of one scan: points by reason, then cells by outcome."""
-
-    points: int
-    used: int
-    invalid: int
-    """NaN or infinite."""
-    out_of_range: int
-    body: int
-    ceiling: int
-    cells: int
-    agreed: int
-    new: int
-    conflict: int
-    replaced: int
-    overhang: int
-    z_correction: float
-    """Height drift of the odometry taken out so far [m]."""
-
-
 class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
@@ -67,7 +46,7 @@ class ElevationMap:
         self.params = p = params or ElevationConfig()
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
-        self.z_correction = 0.0
+        self.alignment = Alignment()
         self.stamp = 0
         self.scans = 0
         self._lived = 0
@@ -97,6 +76,7 @@ class ElevationMap:
         """Compile (or load) every kernel on a throw-away map."""
         other = ElevationMap(self.params)
         other._prior = PriorCheck()
+        other.alignment.to(other.store)
         points = np.array([[2.0, 0.1 * k, -0.4 + 0.1 * (k % 2)] for k in range(8)], dtype=np.float32)
         other.fuse_ground(
             np.array([[0.2, 0.2, -0.4], [0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]]), np.zeros(3), (0, 0, 0, 1), 0
@@ -110,7 +90,7 @@ class ElevationMap:
         """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
         self.store.clear()
         self.epoch += 1
-        self.z_correction = 0.0
+        self.alignment = Alignment()
         self.scans = 0
         self._rays = 0
         self._prior = None
@@ -137,9 +117,8 @@ class ElevationMap:
         if points.ndim != 2 or points.shape[1] != 3:
             raise MapError(f"points must be (n, 3), got {points.shape}")
         points = np.ascontiguousarray(points, dtype=np.float32)
-        rotation, place = checked_pose(position, orientation)
+        rotation, place = self.alignment.place(*checked_pose(position, orientation))
         origin = np.asarray(sensor.origin, dtype=np.float64)
-        place[2] += self.z_correction
         now = self._clock(stamp)
         if len(points) > len(self._z):
             self._buffers(2 * len(points))
@@ -166,23 +145,18 @@ class ElevationMap:
             self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
             self._which, self._slot, self._sums,
         )  # fmt: skip
-        if self._prior is not None and not self._prior.done and sensor.levels:
-            which, sums = self._which[:k], self._sums[:k]
-            higher = self._prior.level(s, which, sums)
-            if higher != 0.0:  # the prior map counts from another start: take its level
-                self.z_correction -= higher
-                return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)
-            self._prior.take(s, which, sums)
+        if sensor.levels and self._lay(k):
+            return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)
         out = np.zeros(6, dtype=np.int64)
         residuals = np.zeros(2)
         kernels.fuse(
             self._which, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
             s.touched, 2 * s.shift,
         )  # fmt: skip
-        if sensor.levels and residuals[1] >= p.drift_min_cells:
+        if sensor.levels and not self.alignment.active and residuals[1] >= p.drift_min_cells:
             # a dead band, or the estimate would walk: the map follows the corrected scans
             mean = residuals[0] / residuals[1]
-            self.z_correction -= p.drift_gain * float(
+            self.alignment.height -= p.drift_gain * float(
                 np.clip(mean, -0.05, 0.05) - np.clip(mean, -p.drift_free, p.drift_free)
             )
         self._rays, self._sensor = rays, place + rotation @ origin
@@ -201,7 +175,21 @@ class ElevationMap:
             conflict=int(out[kernels.CONFLICT]),
             replaced=int(out[kernels.REPLACED]),
             overhang=int(out[kernels.OVERHANG]) + overhangs,
-            z_correction=self.z_correction,
+            z_correction=self.alignment.height,
+        )
+
+    def _lay(self, k: int) -> bool:
+        """Compare the `k` cells of a scan with the prior map. Returns whether the scan has to be placed again."""
+        which, sums = self._which[:k], self._sums[:k]
+        if self._prior is not None and not self._prior.done:
+            higher = self._prior.level(self.store, which, sums)
+            if higher != 0.0:  # the prior map counts from another start: take its level
+                self.alignment.height -= higher
+                return True
+            self._prior.take(self.store, which, sums)
+        p = self.params
+        return self.alignment.active and self.alignment.take(
+            self.store, which, sums, p.resolution, p.drift_gain
         )
 
     def fuse_ground(
@@ -220,8 +208,7 @@ class ElevationMap:
         """
         p = self.params
         contacts = np.asarray(wheel_contacts, dtype=np.float64).reshape(-1, 3)
-        rotation, place = checked_pose(position, orientation)
-        place[2] += self.z_correction
+        rotation, place = self.alignment.place(*checked_pose(position, orientation))
         self._clock(stamp)
         start = self._fresh if start is None else start
         half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
@@ -305,6 +292,7 @@ class ElevationMap:
         self.reset()
         self.store = self._reader.store = store
         self._prior = PriorCheck()
+        self.alignment.to(store)
         return known
 
     @property

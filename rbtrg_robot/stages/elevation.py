@@ -120,7 +120,7 @@ class ElevationStage:
             elif t.MAP_STATUS.carried(message, topic):
                 self._restoring = message.known_cells > 0 or message.restoring
                 self.map.epoch = max(self.map.epoch, message.epoch)
-                self.map.z_correction = message.height_correction
+                self.map.alignment.height = message.height_correction
             elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
                 self._restore(message)
             return self._join()
@@ -237,7 +237,7 @@ class ElevationStage:
             known_cells=int(np.count_nonzero(store.cells["source"])),
             trusted_cells=int(np.count_nonzero(store.sent["state"] >= TRUSTED_SENT)),
             resolution=self.map.params.resolution,
-            height_correction=self.map.z_correction,
+            height_correction=self.map.alignment.height,
             restoring=self._restoring,
             warning="; ".join(filter(None, (self._blind(), self.map.warning))),
             refused=self._refused,

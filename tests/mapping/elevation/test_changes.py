@@ -156,6 +156,6 @@ def test_height_drift_of_the_odometry_is_mostly_taken_out() -> None:
             points = np.column_stack([x.ravel(), y.ravel(), z]).astype(np.float32)
             points = points[rng.random(len(points)) < 0.08]  # a cell is seen again after one or two seconds
             elevation.fuse(points, (0.0, 0.0, HEIGHT + rate * 0.1 * k), LEVEL, k * 10**8)
-    assert abs(maps[0.0].z_correction) < 0.003
-    assert -0.155 < maps[0.005].z_correction < -0.08
+    assert abs(maps[0.0].alignment.height) < 0.003
+    assert -0.155 < maps[0.005].alignment.height < -0.08
     assert abs(np.nanmedian(maps[0.005].grid().height)) < 0.07

@@ -286,7 +286,7 @@ def test_the_head_lidar_maps_the_ground_ahead_alone_and_tells_no_drift() -> None
         elevation = ElevationMap()
         for k in range(4):
             elevation.fuse(grid.astype(np.float32), (0, 0, 0.01 * (k == 3)), (0, 0, 0, 1), k * 10**8, sensor)
-        assert (elevation.z_correction != 0.0) == drifts
+        assert (elevation.alignment.height != 0.0) == drifts
 
 
 def test_a_robot_that_starts_in_a_lane_or_before_an_edge_stands_on_ground_on_its_side_alone() -> None:

@@ -56,7 +56,7 @@ def started_at(
 def test_a_prior_map_that_fits_is_used_in_silence(prior: Path, later: list[Registered]) -> None:
     elevation = started_at(prior, later)
     assert elevation.warning == ""
-    assert abs(elevation.z_correction) < 0.01
+    assert abs(elevation.alignment.height) < 0.01
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_a_prior_map_from_another_start_is_taken_at_its_level(
     prior: Path, later: list[Registered], z: float
 ) -> None:
     elevation = started_at(prior, later, z=z)
-    assert elevation.z_correction == pytest.approx(-z, abs=0.01)
+    assert elevation.alignment.height == pytest.approx(-z, abs=0.01)
     assert elevation.warning == ""
     grid, before = elevation.grid(), ElevationMap()
     before.load_prior(prior)

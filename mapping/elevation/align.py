@@ -1,0 +1,124 @@
+"""Scans laid onto a prior map: height and slope of the poses against it.
+
+An accelerometer's bias of 0.03 m/s^2 looks like a tilt of 0.2 deg, so poses that are right against the odometry's own map lie centimetres
+above or below a prior map some metres on. The prior map knows the level: each scan is compared with its heights, and a plane
+(height at the robot, slopes along x and y) is taken out of the poses, bit by bit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.rotation import rotation_rpy
+from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
+from mapping.elevation.tiles import LIDAR, TileStore
+
+FLAT = 0.03
+"""Largest difference of height within 3 x 3 cells [m] of ground that tells a height: a ramp does, an edge does not."""
+GATE = 0.10
+"""What differs more from the prior map [m] has changed since."""
+SCALE = 0.05
+"""Differences of this size [m] count a quarter."""
+SLOPES_HELD = 1.0
+"""Mean square reach of the ground that is compared [m^2] at which half of a slope is taken."""
+ENOUGH = 200
+"""Cells that are compared at least."""
+
+
+class Alignment:
+    """The plane between the poses and a prior map. Without one it stays zero, but for what else is put into `height`."""
+
+    def __init__(self) -> None:
+        self.height = 0.0
+        """To be added to a pose's z [m]."""
+        self.slopes = np.zeros(2)
+        """Of what is to be added, along x and y of `map` [m/m]."""
+        self._at = np.zeros(2)
+        self._known: NDArray[np.float32] = np.empty(0, np.float32)
+        self._taken = 0
+
+    def to(self, store: TileStore) -> None:
+        """Lay poses from now on onto what `store` holds now."""
+        known = np.where(store.cells["source"] == LIDAR, store.cells["height"], np.nan)
+        self._known, self._taken = known.astype(np.float32), 0
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a prior map to lay the poses onto."""
+        return self._known.size > 0
+
+    def place(
+        self, turned: NDArray[np.float64], place: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the robot is."""
+        self.height += float(self.slopes @ (place[:2] - self._at))
+        self._at = place[:2].copy()
+        turn = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0)
+        return turn @ turned, place + np.array([0.0, 0.0, self.height])
+
+    def take(
+        self,
+        store: TileStore,
+        which: NDArray[np.int64],
+        sums: NDArray[np.float32],
+        resolution: float,
+        gain: float,
+    ) -> bool:
+        """Move the plane by a share `gain` of what one scan lies off the prior map; the first scans count in full.
+
+        which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns whether this was the first one: it has to be placed again.
+        """
+        n, total, a, b = _normal_equations(
+            which, sums, self._known, store.tiles, store.shift, self._at, resolution
+        )
+        if n < ENOUGH:
+            return False
+        self._taken += 1
+        step = np.linalg.solve(a / total + np.diag([0.0, SLOPES_HELD, SLOPES_HELD]), b / total)
+        step *= max(gain, 1.0 / self._taken)
+        self.height -= float(step[0])
+        self.slopes -= step[1:]
+        return self._taken == 1
+
+
+@njit(cache=True)
+def _normal_equations(which, sums, known, tiles, shift, at, resolution):  # pragma: no cover - compiled
+    """Least squares of the scan's height over the prior map, height + slopes . (x, y from `at` (2,)): number of cells compared, sum of
+    their weights, matrix (3, 3), right side (3,)."""
+    n, total = 0, 0.0
+    a, b = np.zeros((3, 3)), np.zeros(3)
+    j = np.ones(3)
+    size = np.int64(1) << shift
+    for s in range(len(which)):
+        index = which[s]
+        if index >= len(known):
+            continue
+        r, c = (index >> shift) & (size - 1), index & (size - 1)
+        if r == 0 or c == 0 or r == size - 1 or c == size - 1:
+            continue
+        low, high, seen = np.inf, -np.inf, 0
+        for k in range(-1, 2):
+            for m in range(-1, 2):
+                h = known[index + k * size + m]
+                seen += h == h
+                low = h if h < low else low
+                high = h if h > high else high
+        if seen < 9 or high - low > FLAT:
+            continue
+        off = np.float64(sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT] - known[index])
+        if abs(off) > GATE:
+            continue
+        slot = index >> (2 * shift)
+        j[1] = (tiles[slot, 1] * size + c) * resolution - at[0]
+        j[2] = (tiles[slot, 0] * size + r) * resolution - at[1]
+        w = 1.0 / (1.0 + (off / SCALE) ** 2)
+        w *= w
+        n += 1
+        total += w
+        for k in range(3):
+            b[k] += w * j[k] * off
+            for m in range(3):
+                a[k, m] += w * j[k] * j[m]
+    return n, total, a, b

@@ -47,12 +47,13 @@ def build(
     timestep: float = 0.005,
     payload: float = 0.0,
     boxes: Sequence[tuple[float, float, float]] = (),
+    housings: bool = True,
 ) -> mujoco.MjModel:
     """Robot on terrain.
 
     `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the wheels;
     `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of sight below the
-    ground until they are placed.
+    ground until they are placed; `housings`: the wheel-motor housings collide. False is the collider set of the vendor's MJCF.
 
     Actuator i drives motor i of `hal.go2w.MOTORS` with force = ctrl + biasprm[1] q + biasprm[2] dq, clipped by the motor's
     torque limit; the simulation writes the gains of the current command into `actuator_biasprm`.
@@ -71,7 +72,7 @@ def build(
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     dress_world(spec)
     _terrain(spec, np.asarray(height, np.float64), resolution, origin)
-    _robot(spec, friction, payload)
+    _robot(spec, friction, payload, housings)
     for index, size in enumerate(boxes):
         _obstacle(spec, index, size)
     return spec.compile()
@@ -159,7 +160,7 @@ def _collider(body: mujoco.MjsBody, **shape: object) -> None:
     )
 
 
-def _robot(spec: mujoco.MjSpec, friction: float, payload: float) -> None:
+def _robot(spec: mujoco.MjSpec, friction: float, payload: float, housings: bool) -> None:
     base = spec.worldbody.add_body(name="base_link", pos=[0.0, 0.0, go2w.stand_height(go2w.STAND)])
     base.add_freejoint(name="base")
     _set_inertia(base, go2w.BASE, 1.0, 1.0)
@@ -174,7 +175,7 @@ def _robot(spec: mujoco.MjSpec, friction: float, payload: float) -> None:
         load.mass = payload
         load.inertia = payload / 12.0 * np.array([0.16**2 + 0.1**2, 0.2**2 + 0.1**2, 0.2**2 + 0.16**2])
     for leg, name in enumerate(go2w.LEGS):
-        _leg(base, name, leg, friction)
+        _leg(base, name, leg, friction, housings)
     for motor, name in enumerate(go2w.MOTORS):
         limit = float(go2w.TORQUE_LIMIT[motor])
         spec.add_actuator(
@@ -217,7 +218,7 @@ def _hinge(body: mujoco.MjsBody, motor: str, axis: list[float]) -> None:
     )
 
 
-def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float) -> None:
+def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: bool) -> None:
     sx, sy = float(go2w.SX[leg]), float(go2w.SY[leg])
     hip = base.add_body(name=f"{name}_hip", pos=[go2w.HIP_X * sx, go2w.HIP_Y * sy, 0.0])
     _hinge(hip, f"{name}_hip", [1.0, 0.0, 0.0])
@@ -238,7 +239,10 @@ def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float) -> None:
     _hinge(calf, f"{name}_calf", [0.0, 1.0, 0.0])
     _set_inertia(calf, _merge(go2w.CALF_LINK, go2w.WHEEL_MOTOR), 1.0, sy)
     axle = [0.0, 0.01 * sy, -go2w.CALF]
-    _collider(calf, type=CYLINDER, size=[0.05, 0.025, 0.0], pos=axle, quat=ALONG_Y)
+    if housings:
+        _collider(
+            calf, name=f"{name}_housing", type=CYLINDER, size=[0.05, 0.025, 0.0], pos=axle, quat=ALONG_Y
+        )
     _collider(calf, type=CAPSULE, size=[0.013, 0.0, 0.0], fromto=[0, 0, -0.02, 0, 0, -0.18])
 
     wheel = calf.add_body(name=f"{name}_wheel", pos=[0.0, 0.0, -go2w.CALF])

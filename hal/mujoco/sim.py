@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from hal import go2w
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.contacts import ContactReader, Contacts
 from hal.mujoco.model import HIDDEN, build
 from hal.types import Array
 
@@ -62,6 +63,7 @@ class Simulation:
         payload: float = 0.0,
         command_delay: float = 0.0,
         boxes: Sequence[tuple[float, float, float]] = (),
+        housings: bool = True,
     ) -> None:
         # By default MuJoCo writes its warnings, of all simulations of a process, to a file in the working directory.
         mujoco.set_mju_user_warning(log.warning)
@@ -77,6 +79,7 @@ class Simulation:
             timestep=timestep,
             payload=payload,
             boxes=boxes,
+            housings=housings,
         )
         self.data = mujoco.MjData(self.model)
         self._delay = round(command_delay / timestep)
@@ -86,9 +89,8 @@ class Simulation:
         self._qadr = np.array([j.qposadr[0] for j in joint])
         self._vadr = np.array([j.dofadr[0] for j in joint])
         self._base = self.model.body("base_link").id
-        parts = [b for b in range(self.model.nbody) if self.model.body_rootid[b] == self._base]
-        self._parts_named = {b: self.model.body(b).name for b in parts}
-        self._parts = np.array(parts)
+        self._wheel_geoms = np.array([self.model.geom(f"{leg}_wheel").id for leg in go2w.LEGS])
+        self._contacts = ContactReader(self.model, self.data, self._base)
         # Views into MuJoCo's own memory: fetching them through the bindings costs more than using them.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._ctrl, self._bias = self.data.ctrl, self.model.actuator_biasprm
@@ -150,16 +152,13 @@ class Simulation:
             accel=self._accel.copy(),
         )
 
-    def contacts(self) -> tuple[list[str], Array, Array]:
-        """All contacts: name of each robot body (`base_link`, `FL_calf`, `FL_wheel`...), places (n, 3) [m] and normals (n, 3), world.
+    def contacts(self) -> Contacts:
+        """Everything that touches the robot."""
+        return self._contacts.all()
 
-        Normals point towards the robot.
-        """
-        contact = self.data.contact
-        bodies = self.model.geom_bodyid[contact.geom]
-        first = np.isin(bodies[:, 0], self._parts)
-        names = [self._parts_named[b] for b in np.where(first, bodies[:, 0], bodies[:, 1]).tolist()]
-        return names, contact.pos.copy(), np.where(first, -1.0, 1.0)[:, None] * contact.frame[:, :3]
+    def part_forces(self) -> Array:
+        """(4,) sum of the normal forces [N] on each of `hal.mujoco.contacts.PARTS`."""
+        return self._contacts.part_forces()
 
     def ground(self, x: float, y: float) -> float:
         """Terrain height [m] at x, y [m], bilinear; the edge value outside."""
@@ -217,6 +216,20 @@ class Simulation:
         self.step(round(settle / self.timestep))
         self.data.time = 0.0
         self._steps = 0
+
+    def lift_clear(self, step: float = 0.01, most: float = 0.8) -> float:
+        """Raise the robot in steps [m] until nothing but wheels touches, at most by `most`; how far it was raised [m]."""
+        z = float(self._qpos[2])
+        for k in range(round(most / step) + 1):
+            self._qpos[2] = z + k * step
+            mujoco.mj_forward(self.model, self.data)
+            if self._contacts.only_wheels():
+                break
+        return float(self._qpos[2]) - z
+
+    def set_friction(self, friction: float) -> None:
+        """Sliding friction of the wheels from now on."""
+        self.model.geom_friction[self._wheel_geoms, 0] = friction
 
     def _touching(self, x: float, y: float, c: float, s: float) -> float:
         """Height [m] of the centre of a wheel at x, y with heading (c, s) that rests on the ground."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -89,6 +89,14 @@ class Scene:
         if self.survey is None:
             return np.ones(self.height.shape, np.bool_)
         return np.isfinite(self.survey)
+
+    def with_apron(self, width: float) -> Scene:
+        """The same scene with level ground at height 0 for `width` [m] around it, which no survey has seen."""
+        cells = round(width / self.resolution)
+        x, y = self.origin
+        survey = None if self.survey is None else np.pad(self.survey, cells, constant_values=np.nan)
+        origin = (x - cells * self.resolution, y - cells * self.resolution)
+        return replace(self, height=np.pad(self.height, cells), origin=origin, survey=survey)
 
     def caster(self) -> TerrainCaster:
         """What the rays of a LiDAR hit. Raises CasterError where a mesh needs open3d and it does not load."""

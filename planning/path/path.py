@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.path.speed import speeds
-from planning.path.spline import curve, distance_along, reach_limits
+from planning.path.spline import rounded
 from planning.path.types import Path, PathLimits
 from planning.path.watch import terrain_around
 from planning.risk.body import (
@@ -113,28 +113,21 @@ def _excess(poses: Array, raw: Array, terrain: Terrain, body: BodyModel, limits:
 
 def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, int]:
     """Samples (n, 2) of the rounded route and the number of corners left sharp."""
-    reach = reach_limits(vertices, limits.corridor)
     raw = _corner_poses(vertices, _dense(body, limits))
     peak = _peak(np.concatenate(raw), terrain, body)
-    while True:
-        xy, owner = curve(vertices, reach, limits.spacing)
+
+    def riskier(xy: Array, corners: list[tuple[int, slice]]) -> list[int]:
+        """Corners whose rounding is riskier than the route."""
         poses = np.column_stack([xy, _headings(xy)])
-        away = distance_along(xy, owner, vertices, limits.corridor)
-        first = np.searchsorted(
-            owner, np.arange(len(vertices) + 1)
-        )  # samples come in the order of their corners
-        shrink = []
-        for i in np.flatnonzero(reach > 0.0).tolist():
-            part = slice(first[i], first[i + 1])
+        out = []
+        for i, part in corners:
             mine = poses[part]
             over = _peak(mine, terrain, body) - peak > _SLACK_PEAK * body.scales[:3]
-            risky = over.any() or _excess(mine, raw[i], terrain, body, limits) > _SLACK
-            if risky or away[part].max() > limits.corridor:
-                shrink.append(i)
-        if not shrink:
-            return xy, int((reach[1:-1] == 0.0).sum())
-        for i in shrink:
-            reach[i] = 0.5 * reach[i] if reach[i] > 0.06 else 0.0
+            if over.any() or _excess(mine, raw[i], terrain, body, limits) > _SLACK:
+                out.append(i)
+        return out
+
+    return rounded(vertices, limits.corridor, limits.spacing, riskier)
 
 
 def _corner_poses(vertices: Array, body: BodyModel) -> list[Array]:

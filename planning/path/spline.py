@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -79,6 +81,43 @@ def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np
     out = np.column_stack([np.interp(at, arc, xy[:, 0]), np.interp(at, arc, xy[:, 1])])
     out[0], out[-1] = vertices[0], vertices[-1]
     return out, own[np.minimum(np.searchsorted(arc, at - 1e-12), len(own) - 1)]
+
+
+def smooth_route(vertices: Array, corridor: float = 0.08, spacing: float = 0.02) -> Array:
+    """A polyline (n, 2) [m] as a smooth line (m, 2) from its first to its last point.
+
+    It stays within `corridor` [m] of the polyline and has a sample every `spacing` [m] or a little less. It looks at no map: a
+    corner is rounded as far as the corridor allows (`planning.path.make_path` looks at the body's risk too). Successive
+    vertices must differ.
+    """
+    return rounded(np.asarray(vertices, np.float64), corridor, spacing)[0]
+
+
+def rounded(
+    vertices: Array,
+    corridor: float,
+    spacing: float,
+    refused: Callable[[Array, list[tuple[int, slice]]], list[int]] | None = None,
+) -> tuple[Array, int]:
+    """Samples (m, 2) of the rounded polyline and how many of its corners stayed sharp.
+
+    Each corner is rounded less until its samples lie within the corridor and `refused` does not name it. `refused` gets all samples
+    and, per rounded corner, its vertex and which samples are its own; it returns the vertices whose rounding it refuses.
+    """
+    reach = reach_limits(vertices, corridor)
+    while True:
+        xy, owner = curve(vertices, reach, spacing)
+        away = distance_along(xy, owner, vertices, corridor)
+        # Samples come in the order of their corners.
+        first = np.searchsorted(owner, np.arange(len(vertices) + 1))
+        corners = [(i, slice(first[i], first[i + 1])) for i in np.flatnonzero(reach > 0.0).tolist()]
+        shrink = {i for i, part in corners if away[part].max(initial=0.0) > corridor}
+        if refused is not None:
+            shrink.update(refused(xy, corners))
+        if not shrink:
+            return xy, int((reach[1:-1] == 0.0).sum())
+        for i in shrink:
+            reach[i] = 0.5 * reach[i] if reach[i] > 0.06 else 0.0
 
 
 @njit(cache=True)

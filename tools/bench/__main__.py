@@ -12,7 +12,9 @@ import tools.bench
 def main(argv: list[str]) -> int:
     """Dispatch to `tools.bench.NAME.run(args)`."""
     names = sorted(
-        m.name for m in pkgutil.iter_modules(tools.bench.__path__) if m.name not in ("report", "spent")
+        m.name
+        for m in pkgutil.iter_modules(tools.bench.__path__)
+        if m.name not in ("report", "spent", "spread")
     )
     names = [n for n in names if not n.startswith("_")]
     if not argv or argv[0] not in names:

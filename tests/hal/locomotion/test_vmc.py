@@ -335,7 +335,7 @@ def test_contacts_are_those_of_the_simulator() -> None:
     sim.reset()
     _run(sim, controller, 0.0, 0.0, 1.0)
     assert controller.contacts() == (True, True, True, True)
-    assert set(sim.contacts()[0]) == {f"{leg}_wheel" for leg in go2w.LEGS}
+    assert set(sim.contacts().bodies) == {f"{leg}_wheel" for leg in go2w.LEGS}
     state = sim.low_state()
     state.tau = np.zeros(16)
     for _ in range(100):

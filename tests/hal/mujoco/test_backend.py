@@ -301,7 +301,7 @@ def test_seated_start_waits_for_stand_and_gets_up_on_a_slope() -> None:
     r.run(5.0)
     assert r.phase is Phase.READY
     assert r.backend.simulation.rotation[2, 2] > 0.97
-    assert all(name.endswith("wheel") for name in r.backend.simulation.contacts()[0])
+    assert all(name.endswith("wheel") for name in r.backend.simulation.contacts().bodies)
 
 
 def test_a_fall_is_a_fault_that_says_what_to_do() -> None:

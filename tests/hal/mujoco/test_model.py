@@ -124,7 +124,7 @@ def test_reset_stands_level_on_a_slope_and_stays(slope: float, along: str) -> No
     sim = Simulation(height.astype(np.float32), RESOLUTION, (-2.0, -2.0))
     sim.reset(0.1, -0.2, 0.7)
     assert sim.time == 0.0
-    assert set(sim.contacts()[0]) == {f"{leg}_wheel" for leg in go2w.LEGS}, (
+    assert set(sim.contacts().bodies) == {f"{leg}_wheel" for leg in go2w.LEGS}, (
         "it stands on its wheels and on nothing else"
     )
     assert sim.rotation[2, 2] > np.cos(0.15)
@@ -208,7 +208,7 @@ def test_boxes_are_solid_where_they_are_placed() -> None:
     sim.apply(drive)
     sim.step(400)
     assert 0.15 < sim.position[0] < 0.30, "it drove up to the box"
-    assert not all(name.endswith("wheel") for name in sim.contacts()[0]), "the trunk touches the box"
+    assert not all(name.endswith("wheel") for name in sim.contacts().bodies), "the trunk touches the box"
     assert abs(sim.linear_velocity[0]) < 0.02, "the box stops it, its wheels still drive"
     sim.place_box(0, None)
     sim.step(400)

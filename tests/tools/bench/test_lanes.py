@@ -98,7 +98,7 @@ def test_contacts_are_named_and_point_to_the_robot() -> None:
     one = lane(0, level=1)
     sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin)
     sim.reset(one.scene.start[0], 0.0)
-    names, places, normals = sim.contacts()
-    assert set(names) == {f"{leg}_wheel" for leg in ("FR", "FL", "RR", "RL")}
-    assert (normals[:, 2] > 0.9).all()
-    assert abs(places[:, 2]).max() < 0.02
+    contacts = sim.contacts()
+    assert set(contacts.bodies) == {f"{leg}_wheel" for leg in ("FR", "FL", "RR", "RL")}
+    assert (contacts.normals[:, 2] > 0.9).all()
+    assert abs(contacts.places[:, 2]).max() < 0.02

@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from tools.bench.lanes.picture import draw
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, drive
 from tools.bench.report import Report
+from tools.bench.spread import spread
 
 
 def run(args: list[str]) -> Report:
@@ -52,7 +52,7 @@ def run(args: list[str]) -> Report:
     wanted = {trial.key for trial in trials}
     done = {r["key"]: r for r in _read(options.out) if r["key"] in wanted}
     left = [trial for trial in trials if trial.key not in done]
-    for record in _drive_all(left, options.workers, options.scheduler):
+    for record in spread(drive, [(trial,) for trial in left], options.workers, options.scheduler):
         done[record["key"]] = record
         told = f"{record['outcome']} {record['reason']} {record['detail']}"
         print(
@@ -81,28 +81,3 @@ def _read(file: Path | None) -> list[dict[str, Any]]:
     if file is None or not file.exists():
         return []
     return [json.loads(line) for line in file.read_text().splitlines() if line]
-
-
-def _drive_all(trials: Sequence[Trial], workers: int, scheduler: str) -> Iterator[dict[str, Any]]:
-    """Records as they come."""
-    if not trials:
-        return
-    if workers == 0 and not scheduler:
-        yield from map(drive, trials)
-        return
-    from distributed import Client, LocalCluster, as_completed
-
-    # A trial that breaks its worker is told, not driven again elsewhere.
-    cluster = (
-        None
-        if scheduler
-        else LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None)
-    )
-    with Client(scheduler or cluster) as client:
-        try:
-            futures = client.map(drive, trials, retries=0, pure=False)
-            for _, record in as_completed(futures, with_results=True):
-                yield record
-        finally:
-            if cluster is not None:
-                cluster.close()

@@ -184,7 +184,8 @@ class Watch:
 
     def _contacts(self, now: float) -> None:
         """A wall is touched above the floor at its foot."""
-        names, places, normals = self._sim.contacts()
+        contacts = self._sim.contacts()
+        places, normals = contacts.places, contacts.normals
         steep = np.abs(normals[:, 2]) < 0.7
         if not steep.any():
             return
@@ -196,7 +197,7 @@ class Watch:
             column, row = (round((places[k, i] - scene.origin[i]) / scene.resolution) for i in (0, 1))
             around = self._lane.floor[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3]
             if gap.min() < NEAR_WALL and places[k, 2] > around.max() + 0.01:
-                part = "wheels" if names[k].endswith("wheel") else "body"
+                part = "wheels" if contacts.bodies[k].endswith("wheel") else "body"
                 self._touches[part] += now - self._touched[part] > PAUSE
                 self._touched[part] = now
 

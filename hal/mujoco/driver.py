@@ -1,0 +1,48 @@
+"""A locomotion controller that drives the bare simulated robot: the loop of benches and tests without the stack."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from hal.lowlevel import Locomotion, LowState
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+
+
+class Driver:
+    """Velocity in, motion out: each `step` is one physics step, the controller runs at its own period.
+
+    `sense` may change what the controller is told of the state, such as by noise. It never touches the physics.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        controller: Locomotion,
+        sense: Callable[[LowState], LowState] | None = None,
+    ) -> None:
+        self.simulation, self.controller, self.sense = simulation, controller, sense
+        self._every = max(1, round(controller.period / simulation.timestep))
+        self._posture = PostureCommand(0)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the controller's state: the robot was placed anew."""
+        self.controller.reset()
+        self._tick = 0
+
+    def step(self, vx: float = 0.0, wz: float = 0.0) -> None:
+        """One physics step under a forward speed [m/s] and a yaw rate [rad/s]."""
+        if self._tick % self._every == 0:
+            state = self.simulation.low_state()
+            if self.sense is not None:
+                state = self.sense(state)
+            command = VelocityCommand(0, vx, 0.0, wz)
+            self.simulation.apply(self.controller.step(state, command, self._posture))
+        self.simulation.step()
+        self._tick += 1
+
+    def settle(self, seconds: float) -> None:
+        """Stand under zero velocity for `seconds`: the learnt policy holds its joints after 0.6 s of it."""
+        for _ in range(round(seconds / self.simulation.timestep)):
+            self.step()

@@ -1,0 +1,3 @@
+from tools.bench.closed_loop.bench import run
+
+__all__ = ["run"]

@@ -1,0 +1,150 @@
+"""The paper's closed-loop study: every method's routes driven with the true pose on four rescue scenes.
+
+`python -m tools.bench closed_loop --out DIR --policy DIR` writes `routes.jsonl` and `trials.jsonl` (one line each as they come; what
+stands there is not computed again), then `tables.md` and pictures. `docs/evaluation.md` has the protocol and the results.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.progress import track
+
+from tools.bench.closed_loop import protocol
+from tools.bench.closed_loop.routes import Route, routes
+from tools.bench.closed_loop.tables import markdown, report
+from tools.bench.closed_loop.trial import drive
+from tools.bench.report import Report
+from tools.bench.spread import spread
+
+
+def run(args: list[str]) -> Report:
+    """Run this bench with the arguments of its command line; returns its rows."""
+    options = _options(args)
+    options.out.mkdir(parents=True, exist_ok=True)
+    wanted = protocol.trials(
+        options.methods,
+        options.controller,
+        options.colliders,
+        options.scenes,
+        options.draws,
+        options.queries,
+    )
+    found = _routes(options)
+    file = options.out / "trials.jsonl"
+    done = {r["key"]: r for r in read(file)}
+    left = [t for t in wanted if t.key not in done]
+    work = [(t, found[t.scene, t.query, t.method, _planned_for(t)], options.policy) for t in left]
+    for record in _written(
+        file, spread(drive, work, options.workers, options.scheduler), len(work), "trials"
+    ):
+        done[record["key"]] = record
+    records = [done[t.key] for t in wanted]
+    (options.out / "tables.md").write_text(markdown(records))
+    if records:
+        from tools.bench.closed_loop import pictures  # matplotlib takes a second to load
+
+        pictures.draw(options.out, records, list(found.values()))
+    return report(records)
+
+
+def _options(args: list[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tools.bench closed_loop", description=__doc__)
+    add = parser.add_argument
+
+    def names(known: tuple[str, ...]) -> Any:
+        def read_names(text: str) -> list[str]:
+            wrong = set(text.split(",")) - set(known)
+            if wrong:
+                raise argparse.ArgumentTypeError(f"no {', '.join(sorted(wrong))}: use {', '.join(known)}")
+            return text.split(",")
+
+        return read_names
+
+    add("--out", type=Path, required=True, help="folder of records, tables and pictures")
+    add("--scenes", type=names(protocol.SCENES), default=list(protocol.SCENES))
+    add("--methods", type=names(protocol.METHODS), default=["native", "full"])
+    add("--controller", type=names(protocol.CONTROLLERS), default=["policy"])
+    add("--colliders", type=names(protocol.COLLIDERS), default=["all"])
+    add("--policy", default="", help="folder of the learnt policy")
+    add("--draws", type=int, default=5, help="frictions and start offsets per query")
+    add("--queries", type=int, default=protocol.QUERIES, help="start-goal pairs per scene, at most 10")
+    add("--workers", type=int, default=1, help="processes on this machine; 0: this one")
+    add("--scheduler", default="", help="address of a dask scheduler: spread the work there")
+    options = parser.parse_args(args)
+    if "policy" in options.controller and not options.policy:
+        parser.error("the learnt policy needs --policy FOLDER")
+    if not 1 <= options.queries <= protocol.QUERIES:
+        parser.error(f"--queries must lie in 1..{protocol.QUERIES}")
+    return options
+
+
+def _planned_for(trial: protocol.Trial) -> str:
+    return trial.controller if trial.method == "ours" else ""
+
+
+Key = tuple[str, int, str, str]
+
+
+def _routes(options: argparse.Namespace) -> dict[Key, Route]:
+    """The routes of all methods: read, or planned and written."""
+    file = options.out / "routes.jsonl"
+    known = {_key(r): r for r in read(file)}
+    work = []
+    for scene in options.scenes:
+        for query in range(options.queries):
+            controllers = [c for c in options.controller if (scene, query, "ours", c) not in known]
+            methods = [
+                m
+                for m in options.methods
+                if (controllers if m == "ours" else (scene, query, m, "") not in known)
+            ]
+            if methods:
+                work.append((scene, query, methods, controllers))
+    for record in _written(
+        file, _planned(spread(plan_query, work, options.workers, options.scheduler)), None, "routes"
+    ):
+        known[_key(record)] = record
+    return {key: Route(**record) for key, record in known.items()}
+
+
+def plan_query(scene: str, query: int, methods: list[str], controllers: list[str]) -> dict[str, Any]:
+    """Routes of a query as JSON."""
+    return {"routes": [asdict(r) for r in routes(scene, query, methods, controllers)]}
+
+
+def _planned(queries: Iterable[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    for query in queries:
+        yield from query["routes"]
+
+
+def _key(record: dict[str, Any]) -> Key:
+    return record["scene"], record["query"], record["method"], record["controller"]
+
+
+def read(file: Path) -> list[dict[str, Any]]:
+    """Records of a file; a line that was cut off when its writer died is left out."""
+    if not file.exists():
+        return []
+    lines = file.read_text().splitlines(keepends=True)
+    return [json.loads(line) for line in lines if line.endswith("\n") and line.strip()]
+
+
+def _written(
+    file: Path, records: Iterable[dict[str, Any]], total: int | None, what: str
+) -> Iterator[dict[str, Any]]:
+    """The records, each written as it comes, with a progress bar."""
+    if file.exists():  # the rest of a line whose writer died
+        text = file.read_text()
+        if text and not text.endswith("\n"):
+            file.write_text(text[: text.rfind("\n") + 1])
+    with file.open("a") as out:
+        for record in track(records, description=what, total=total):
+            out.write(json.dumps(record) + "\n")
+            out.flush()
+            yield record

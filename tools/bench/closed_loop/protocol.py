@@ -1,0 +1,99 @@
+"""The protocol of the closed-loop study: everything that was fixed before a result was seen. `docs/evaluation.md` gives the reasons."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from planning.tracking import TrackerConfig
+
+SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
+QUERIES = 10
+"""Start-goal pairs per scene."""
+SHARED = ("native", "edge-only", "mean-only", "full", "refined")
+"""Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
+OWN = ("guarded", "ours")
+"""`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
+METHODS = (*SHARED, *OWN)
+CONTROLLERS = ("policy", "vmc")
+COLLIDERS = ("all", "vendor")
+"""`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""
+
+SPEED = 0.50
+"""Commanded [m/s]."""
+TRACKER = TrackerConfig(max_speed=SPEED, max_cross_track=100.0)
+"""Frozen for all methods; it gets no slope."""
+FRICTION = (0.6, 1.0)
+"""Drawn uniformly, of the wheels."""
+JITTER = (0.05, np.radians(5.0))
+"""Largest offset of the start along x and y [m] and in yaw [rad], drawn uniformly."""
+APRON = 1.0
+"""Level ground around a scene [m]."""
+SETTLE = 3.0
+"""Under zero velocity before the drive [s]."""
+WHEELS_NEEDED = 3
+TILT = dict.fromkeys(SCENES, (20.0, 20.0)) | {"rescue_elevated": (35.0, 45.0)}
+"""Largest |roll| and |pitch| after settling [deg]."""
+ARRIVED = 0.25
+"""From the goal [m]."""
+BUDGET = 90.0
+"""[s]"""
+STRICT_SPEED, STRICT_TIME = 0.1, 0.5
+"""The stricter arrival: this slow [m/s] for this long [s] within `ARRIVED`."""
+STRICT_WAIT = 5.0
+"""How long after arriving the stricter arrival is waited for [s]."""
+WINDOW = 20.0
+"""Diagnostics are over this time from the start of the drive [s], or until arrival; no trial is ended before it."""
+FALLEN, FALLEN_TIME = 60.0, 4.0
+"""Tilt [deg] and how long [s]."""
+STALLED = 20.0
+"""Without 5 cm of progress or 2 cm nearer to the goal [s]."""
+FACE = 0.30
+"""A rise of the true ground within 4 cm along a route's centre line that counts as a wall [m]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One drive."""
+
+    scene: str
+    query: int
+    method: str
+    controller: str
+    colliders: str
+    draw: int
+
+    @property
+    def key(self) -> str:
+        """Name in the records."""
+        return ".".join(str(v) for v in asdict(self).values())
+
+
+def trials(
+    methods: list[str],
+    controllers: list[str],
+    colliders: list[str],
+    scenes: list[str],
+    draws: int,
+    queries: int = QUERIES,
+) -> list[Trial]:
+    """All trials, ordered so that a study cut short is complete in its first draws."""
+    return [
+        Trial(scene, query, method, controller, set_of, draw)
+        for controller in controllers
+        for set_of in colliders
+        for draw in range(draws)
+        for query in range(queries)
+        for scene in scenes
+        for method in methods
+    ]
+
+
+def conditions(trial: Trial) -> dict[str, Any]:
+    """Friction and start offset of a trial: the same for all methods, controllers and collider sets."""
+    rng = np.random.default_rng([SCENES.index(trial.scene), trial.query, trial.draw, 77])
+    friction = float(rng.uniform(*FRICTION))
+    dx, dy, dyaw = (rng.uniform(-1.0, 1.0, 3) * (JITTER[0], JITTER[0], JITTER[1])).tolist()
+    return {"friction": friction, "dx": dx, "dy": dy, "dyaw": dyaw}

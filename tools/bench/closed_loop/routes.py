@@ -1,0 +1,172 @@
+"""The route of every method for a query, as the line that the tracker gets."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.mujoco.config import CAPABILITIES
+from hal.scenes import Scene, load_scene
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute
+from planning.graph import GraphParams, TraversalGraph
+from planning.path import PathLimits, make_path, smooth_route
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search import Plan, PlanRequest, plan
+from planning.search.endpoints import snapped
+from tools.bench.closed_loop.protocol import FACE, SHARED, SPEED
+from tools.bench.static.study import survey_grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """What a method found for a query."""
+
+    scene: str
+    query: int
+    method: str
+    controller: str
+    """Whose limits it was planned for; empty where the method knows none."""
+    error: str = ""
+    """Why there is no route."""
+    line: list[list[float]] = field(default_factory=list)
+    """x, y [m] of the line driven; its last point is the goal that counts."""
+    speed: list[float] = field(default_factory=list)
+    """[m/s] per point; empty: `SPEED` everywhere."""
+    vertices: list[list[float]] = field(default_factory=list)
+    """x, y [m] of the route over the graph."""
+    length: float = 0.0
+    """Of the line [m]."""
+    wall: bool = False
+    """The line crosses a face higher than `FACE`."""
+    transitions: list[dict[str, float]] = field(default_factory=list)
+    """Length, risk, body, unknown, cost of each edge."""
+
+
+@lru_cache(maxsize=4)
+def scene_of(name: str) -> Scene:
+    """A scene, loaded once."""
+    return load_scene(name)
+
+
+def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -> list[Route]:
+    """Routes of a query. Graph seed is the number of the query."""
+    out: list[Route] = []
+    shared = [m for m in methods if m in SHARED or m == "guarded"]
+    if shared:
+        out += _on_one_graph(scene, query, shared)
+    for controller in controllers if "ours" in methods else []:
+        out.append(_as_it_drives(scene, query, controller))
+    return out
+
+
+def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
+    """The paper's variants on one native graph, which went through a file, between the nodes nearest to start and goal."""
+    scene = scene_of(name)
+    grid, body = survey_grid(scene), BodyModel()
+    start, goal = scene.pairs[query]
+    try:
+        built = TraversalGraph.build(
+            grid, scene.start[:2], GraphParams(mode="native", max_turn_step=np.inf), query
+        )
+        graph = through_file(built)
+        table = RiskTable(graph, grid, body)
+        ends = snapped(graph, grid, start, goal)
+    except NoRoute as none:
+        return [Route(name, query, m, "", str(none)) for m in methods]
+    out = []
+    for method in methods:
+        variant: Any = "full" if method == "guarded" else method
+        try:
+            found = plan(graph, grid, PlanRequest(*ends, variant=variant), body, table)
+        except NoRoute as none:
+            out.append(Route(name, query, method, "", str(none)))
+            continue
+        if len(found.points) < 2:
+            out.append(Route(name, query, method, "", "start and goal share a node"))
+            continue
+        vertices = np.array(found.points[:, :2])
+        line = make_path(found, grid, body).points[:, :2] if method == "guarded" else smooth_route(vertices)
+        out.append(_route(scene, query, method, "", line, found))
+    return out
+
+
+def _as_it_drives(name: str, query: int, controller: str) -> Route:
+    """The corrected graph within the controller's limits, real endpoints, the path with its guard and its speeds."""
+    scene = scene_of(name)
+    grid, body = survey_grid(scene), BodyModel()
+    start, goal = scene.pairs[query]
+    robot = CAPABILITIES[controller]
+    params = GraphParams(
+        max_step=robot.max_step,
+        max_slope=robot.max_slope,
+        max_gap=robot.max_gap,
+        max_oblique=robot.max_oblique,
+    )
+    limits = PathLimits(max_speed=SPEED, max_step=robot.max_step, max_slope=robot.max_slope)
+    try:
+        graph = TraversalGraph.build(grid, start, params, query)
+        found = plan(graph, grid, PlanRequest(start, goal), body)
+    except NoRoute as none:
+        return Route(name, query, "ours", controller, str(none))
+    path = make_path(found, grid, body, limits)
+    if len(path.points) < 2:
+        return Route(name, query, "ours", controller, "start and goal are one place")
+    return _route(scene, query, "ours", controller, path.points[:, :2], found, path.speed.tolist())
+
+
+def _route(
+    scene: Scene,
+    query: int,
+    method: str,
+    controller: str,
+    line: Array,
+    found: Plan,
+    speed: list[float] | None = None,
+) -> Route:
+    return Route(
+        scene.name,
+        query,
+        method,
+        controller,
+        line=np.round(line, 5).tolist(),
+        speed=speed or [],
+        vertices=np.round(found.points[:, :2], 5).tolist(),
+        length=float(np.hypot(*np.diff(line, axis=0).T).sum()),
+        wall=crosses_wall(scene, line),
+        transitions=[
+            {k: float(getattr(t, k)) for k in ("length", "risk", "body", "unknown", "cost")}
+            for t in found.transitions
+        ],
+    )
+
+
+def through_file(graph: TraversalGraph) -> TraversalGraph:
+    """The graph as a file gives it back."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "graph.npz"
+        graph.save(file)
+        return TraversalGraph.load(file)
+
+
+def crosses_wall(scene: Scene, line: Array) -> bool:
+    """Whether the true ground under the line (n, 2) rises or falls by more than `FACE` within 4 cm."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    at = np.arange(0.0, s[-1], 0.01)
+    x, y = np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])
+    z = np.array([scene.z(px, py) for px, py in zip(x.tolist(), y.tolist(), strict=True)])
+    return bool((np.abs(z[4:] - z[:-4]) > FACE).any())
+
+
+def truth_grid(scene: Scene) -> ElevationGrid:
+    """The scene itself, all of it known."""
+    return ElevationGrid(scene.height, np.ones(scene.height.shape, bool), scene.origin, scene.resolution)

@@ -1,0 +1,59 @@
+"""Independent trials of a bench, in this process or on a dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+AHEAD = 64
+"""Trials handed to the cluster at a time: their arguments need not all be in its memory."""
+Result = dict[str, Any]
+
+
+class TrialsFailed(RuntimeError):
+    """Some trials raised or killed their workers again and again. All others are done."""
+
+
+def spread(
+    function: Callable[..., Result], trials: Sequence[tuple[Any, ...]], workers: int, scheduler: str = ""
+) -> Iterator[Result]:
+    """`function(*trial)` of every trial, in the order in which they finish.
+
+    `workers`: processes on this machine, 0 for this process; `scheduler`: address of a cluster to use instead. A trial whose worker
+    dies is given to another worker. What a trial raises is raised when all others are done (TrialsFailed), in this process at once.
+    """
+    if not trials:
+        return
+    if workers == 0 and not scheduler:
+        for trial in trials:
+            yield function(*trial)
+        return
+    from distributed import Client, LocalCluster, as_completed
+
+    cluster = (
+        None
+        if scheduler
+        else LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None)
+    )
+    failed: list[str] = []
+    with Client(scheduler or cluster) as client:
+        try:
+            left = iter(trials)
+            first = [
+                client.submit(function, *t, pure=False) for t, _ in zip(left, range(AHEAD), strict=False)
+            ]
+            queue = as_completed(first)
+            for future in queue:
+                if future.status == "finished":
+                    yield future.result()
+                else:
+                    failed.append(f"{type(future.exception()).__name__}: {future.exception()}")
+                future.release()
+                following = next(left, None)
+                if following is not None:
+                    queue.add(client.submit(function, *following, pure=False))
+        finally:
+            if cluster is not None:
+                cluster.close()
+    if failed:
+        raise TrialsFailed(f"{len(failed)} of {len(trials)} trials failed, the first with {failed[0]}")

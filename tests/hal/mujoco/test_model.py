@@ -8,6 +8,7 @@ import pytest
 
 from hal import go2w
 from hal.lowlevel import LowCommand
+from hal.mujoco.contacts import PARTS
 from hal.mujoco.model import build
 from hal.mujoco.sim import Simulation, stand_command
 
@@ -223,3 +224,55 @@ def test_divergence_is_noticed() -> None:
     assert sim.diverged
     sim.reset()
     assert not sim.diverged
+
+
+def test_contacts_tell_part_and_force() -> None:
+    sim = on_flat()
+    force = dict(zip(PARTS, sim.part_forces().tolist(), strict=True))
+    assert force["wheel"] == pytest.approx(19.521 * 9.81, rel=0.02)
+    assert force["trunk"] == force["leg"] == force["housing"] == 0.0
+    contacts = sim.contacts()
+    assert contacts.forces.sum() == pytest.approx(force["wheel"])
+    assert {PARTS[k] for k in contacts.parts.tolist()} == {"wheel"}
+    sim.data.qpos[2] -= 0.06  # sunk until the housings are in the ground and trunk and legs are not
+    mujoco.mj_forward(sim.model, sim.data)
+    assert [f > 0.0 for f in sim.part_forces().tolist()] == [False, False, True, True]
+
+
+def test_the_vendors_colliders_have_no_housings() -> None:
+    sim = on_flat(housings=False)
+    sim.data.qpos[2] -= 0.06
+    mujoco.mj_forward(sim.model, sim.data)
+    assert not sim.part_forces()[:3].any()
+    assert sim.model.body_mass.sum() == pytest.approx(19.521, abs=1e-3), "only the collider is gone"
+
+
+def test_the_robot_is_lifted_until_nothing_but_wheels_touches() -> None:
+    height = flat()
+    height[38:43, 38:43] = 0.45  # a block under the trunk, between the wheels
+    sim = Simulation(height, RESOLUTION, (-2.0, -2.0))
+    sim.reset(q=go2w.STAND, settle=0.0)
+    assert sim.part_forces()[:3].any()
+    lift = sim.lift_clear()
+    assert not sim.part_forces()[:3].any()
+    assert 0.05 < lift < 0.25
+    assert sim.time == 0.0
+    sim.data.qpos[2] -= 0.011
+    mujoco.mj_forward(sim.model, sim.data)
+    assert sim.part_forces()[:3].any(), "one step less was not enough"
+
+
+def test_friction_set_later_is_friction_built_in_and_nothing_is_left_of_a_run_before() -> None:
+    def run(sim: Simulation) -> list[float]:
+        sim.reset()
+        sim.apply(stand_command())
+        sim.push((120.0, 80.0, 0.0), 0.5)
+        sim.step(150)
+        return sim.data.qpos.tolist()
+
+    fresh = Simulation(flat(), RESOLUTION, (-2.0, -2.0), friction=0.6)
+    used = Simulation(flat(), RESOLUTION, (-2.0, -2.0), friction=1.0)
+    other = run(used)
+    used.set_friction(0.6)
+    assert run(used) == run(fresh)
+    assert other != run(used)

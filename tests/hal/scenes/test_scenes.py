@@ -91,3 +91,13 @@ def test_the_picture_shows_north_up(tmp_path: Path) -> None:
     image = np.asarray(Image.open(tmp_path / "s.png")).astype(int)
     assert image.shape == (200, 300, 3)
     assert image[5, 150].sum() > image[150, 200].sum() + 200
+
+
+def test_an_apron_is_level_unseen_and_leaves_the_scene_where_it_is():
+    scene = load_scene("rescue_platform")
+    wide = scene.with_apron(0.5)
+    assert wide.extent == pytest.approx(np.add(scene.extent, (-0.5, -0.5, 0.5, 0.5)))
+    for x, y in ((1.0, 1.0), (3.5, 3.6), (6.2, 1.0)):
+        assert wide.z(x, y) == pytest.approx(scene.z(x, y), abs=1e-5)
+    assert wide.z(scene.extent[0] - 0.3, 1.0) == 0.0
+    assert wide.trusted.sum() == scene.trusted.sum()

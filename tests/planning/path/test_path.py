@@ -10,7 +10,7 @@ import pytest
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
-from planning.path import PathLimits, make_path, still_safe
+from planning.path import PathLimits, make_path, smooth_route, still_safe
 from planning.path.spline import curve, distance_along, reach_limits
 from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
 from planning.search.plan import PlanRequest, plan
@@ -177,3 +177,35 @@ def test_a_route_that_crosses_itself_is_left_where_it_is_left():
     point, owner = np.array([[1.0, 0.5]]), np.array([1])
     assert distance_to_polyline(point, vertices)[0] == 0.0
     assert distance_along(point, owner, vertices, 0.08)[0] == pytest.approx(0.5)
+
+
+def test_a_smooth_route_keeps_ends_corridor_and_spacing_and_looks_at_no_map():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        turns = rng.uniform(-2.2, 2.2, 12).cumsum()
+        vertices = np.cumsum(
+            rng.uniform(0.3, 0.6, (12, 1)) * np.column_stack([np.cos(turns), np.sin(turns)]), 0
+        )
+        line = smooth_route(vertices)
+        np.testing.assert_array_equal(line[[0, -1]], vertices[[0, -1]])
+        assert np.hypot(*np.diff(line, axis=0).T).max() <= 0.02 + 1e-6
+        assert distance_to_polyline(line, vertices).max() <= 0.08 + 1e-9
+        assert distance_to_polyline(vertices, line).max() <= 0.08 + 1e-9, "every vertex is passed"
+        tight = smooth_route(vertices, corridor=0.02, spacing=0.05)
+        assert distance_to_polyline(tight, vertices).max() <= 0.02 + 1e-9
+        assert len(tight) < len(line)
+    grid, graph = zigzag()
+    path = make_path(plan(graph, grid, PlanRequest(0, 6)), grid, BODY)
+    np.testing.assert_allclose(
+        smooth_route(graph.nodes[:, :2]),
+        path.points[:, :2],
+        atol=1e-9,
+        err_msg="on level ground no risk objects",
+    )
+
+
+def test_a_smooth_route_turns_back_in_place():
+    out_and_back = np.array([[0.0, 0.0], [1.0, 0.0], [0.05, 0.05]])
+    line = smooth_route(out_and_back)
+    assert (np.hypot(*(line - (1.0, 0.0)).T) < 1e-9).any(), "a reversal stays a corner"
+    np.testing.assert_array_equal(smooth_route([[0.0, 0.0], [1.0, 0.0]])[[0, -1]], [[0.0, 0.0], [1.0, 0.0]])

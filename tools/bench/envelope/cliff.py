@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from hal.lowlevel import Locomotion
+from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
-from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION
 from tools.bench.envelope.trial import DT, TIPPED
 
@@ -44,13 +44,12 @@ def creep_to_edge(
     height = np.where(beyond, 0.0, DEPTH).astype(np.float32)
     sim = Simulation(height, RESOLUTION, (-HALF, -HALF), friction=friction, timestep=DT, command_delay=delay)
     sim.reset(START - 0.15 * math.tan(angle), 0.0, 0.0 if speed > 0.0 else math.pi)
-    controller.reset()
+    driver = Driver(sim, controller)
     turned_back = 0.5 + 0.3 / abs(speed) + 4.0
     nearest, said = START, ""
     while sim.time < turned_back + 2.0:
         vx = 0.0 if sim.time < 0.5 else speed if sim.time < turned_back else -speed
-        sim.apply(controller.step(sim.low_state(), VelocityCommand(0, vx), PostureCommand(0)))
-        sim.step()
+        driver.step(vx)
         nearest = max(nearest, float(sim.position[0]))
         said = said or controller.warning()
         if sim.rotation[2, 2] < TIPPED or sim.position[2] < DEPTH + 0.2:

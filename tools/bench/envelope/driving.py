@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hal.lowlevel import Locomotion
+from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 from planning.tracking.tracker import PathTracker, TrackerConfig, TrackPhase
@@ -44,11 +45,10 @@ def figure_eight(controller: Locomotion) -> Ride:
     points = eight()
     direction = points[1] - points[0]
     sim.reset(0.0, 0.0, float(np.arctan2(direction[1], direction[0])))
-    controller.reset()
+    driver = Driver(sim, controller)
     tracker = PathTracker(TrackerConfig(max_speed=SPEED))
     tracker.set_path(points, None, SPEED)
-    posture = PostureCommand(0)
-    command = VelocityCommand(0)
+    command = 0.0, 0.0
     errors: list[float] = []
     wanted: list[float] = []
     got: list[float] = []
@@ -69,9 +69,8 @@ def figure_eight(controller: Locomotion) -> Ride:
                 got.append(yaw_rate)
             elif out.phase is TrackPhase.DONE:
                 break
-            command = VelocityCommand(0, out.vx, 0.0, out.wz)
-        sim.apply(controller.step(sim.low_state(), command, posture))
-        sim.step()
+            command = out.vx, out.wz
+        driver.step(*command)
     else:
         return Ride(np.inf, np.inf, np.nan)
     if len(errors) < 100 or sim.rotation[2, 2] < TIPPED:
@@ -93,14 +92,11 @@ def hold_on_slope(controller: Locomotion, degrees: int = 20, seconds: float = 30
         ground = course(f"{kind}_{degrees}")
         sim = Simulation(ground.height, RESOLUTION, ground.origin, timestep=DT)
         sim.reset(x, y)
-        controller.reset()
-        for _ in range(round(2.0 / DT)):
-            sim.apply(controller.step(sim.low_state(), VelocityCommand(0), PostureCommand(0)))
-            sim.step()
+        driver = Driver(sim, controller)
+        driver.settle(2.0)
         start = sim.position
         for tick in range(round(seconds / DT)):
-            sim.apply(controller.step(sim.low_state(), VelocityCommand(0), PostureCommand(0)))
-            sim.step()
+            driver.step()
             if tick % 100 == 0:
                 worst = max(worst, float(np.linalg.norm(sim.position - start)))
     return worst
@@ -117,14 +113,12 @@ def stopping_time(
     height = np.broadcast_to(-np.tan(np.radians(degrees)) * axis, (axis.size, axis.size)).astype(np.float32)
     sim = Simulation(height, RESOLUTION, (-5.0, -5.0), friction=friction, timestep=DT)
     sim.reset()
-    controller.reset()
+    driver = Driver(sim, controller)
     driven = 2.5
     moving = 0.0
     while sim.time < driven + 1.5:
         wz = float(np.clip(-2.0 * sim.yaw, -0.8, 0.8)) if sim.time < driven - 1.0 else yaw_rate
-        command = VelocityCommand(0, speed, 0.0, wz) if 0.4 < sim.time < driven else VelocityCommand(0)
-        sim.apply(controller.step(sim.low_state(), command, PostureCommand(0)))
-        sim.step()
+        driver.step(*((speed, wz) if 0.4 < sim.time < driven else (0.0, 0.0)))
         if sim.rotation[2, 2] < TIPPED:
             return np.inf
         if sim.time > driven and np.linalg.norm(sim.linear_velocity) >= 0.05:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hal.lowlevel import Locomotion
+from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
-from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.trial import DT
 
 SPEEDS = (0.03, 0.06, 0.09, 0.12, 0.16, 0.2, 0.3, 0.5)
@@ -39,15 +39,11 @@ def followed(controller: Locomotion, vx: float, wz: float, friction: float) -> t
     """Mean speed [m/s] and yaw rate [rad/s] on level ground under a steady command."""
     sim = Simulation(np.zeros((120, 120), np.float32), 0.1, (-6.0, -6.0), friction=friction, timestep=DT)
     sim.reset()
-    controller.reset()
-    every = round(controller.period / DT)
+    driver = Driver(sim, controller)
     along = turned = 0.0
-    for tick in range(round((0.5 + SETTLE + MEASURE) / DT)):
-        if tick % every == 0:
-            command = VelocityCommand(0, vx, 0.0, wz) if sim.time >= 0.5 else VelocityCommand(0)
-            sim.apply(controller.step(sim.low_state(), command, PostureCommand(0)))
+    for _ in range(round((0.5 + SETTLE + MEASURE) / DT)):
         before = sim.yaw
-        sim.step()
+        driver.step(*((vx, wz) if sim.time >= 0.5 else (0.0, 0.0)))
         if sim.time > 0.5 + SETTLE:
             along += float(sim.linear_velocity[0]) * DT
             turned += wrap(sim.yaw - before)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hal.lowlevel import Locomotion, LowState
+from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
-from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION, course
 
 DT = 0.005
@@ -86,22 +86,14 @@ def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | 
         command_delay=c.delay,
     )
     sim.reset(x0, y0, yaw0)
-    controller.reset()
     rng = np.random.default_rng(run)
-    every = round(controller.period / DT)
-    posture = PostureCommand(0)
+    driver = Driver(sim, controller, (lambda state: noisy(state, rng)) if c.noise else None)
     limit = 1.0 + 3.0 * (ground.finish - x0) / c.speed
     pitches = []
     tick = 0
     while sim.time < limit:
-        if tick % every == 0:
-            state = sim.low_state()
-            if c.noise:
-                state = noisy(state, rng)
-            wz = float(np.clip(2.0 * (np.arctan2(-sim.position[1], AIM) - sim.yaw), -0.8, 0.8))
-            command = VelocityCommand(0, c.speed, 0.0, wz) if sim.time >= 0.5 else VelocityCommand(0)
-            sim.apply(controller.step(state, command, posture))
-        sim.step()
+        wz = float(np.clip(2.0 * (np.arctan2(-sim.position[1], AIM) - sim.yaw), -0.8, 0.8))
+        driver.step(*((c.speed, wz) if sim.time >= 0.5 else (0.0, 0.0)))
         tick += 1
         if tick % 4 == 0:
             x, y, _ = sim.position

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from hal.lowlevel import Locomotion
+from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
-from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION
 from tools.bench.envelope.trial import DT, TIPPED
 
@@ -35,11 +35,10 @@ def _ground() -> tuple[np.ndarray, np.ndarray]:
     return x, y
 
 
-def _drive(sim: Simulation, controller: Locomotion, vx: float, wz: float) -> bool:
+def _drive(driver: Driver, vx: float, wz: float) -> bool:
     """One tick; False when the robot has tipped."""
-    sim.apply(controller.step(sim.low_state(), VelocityCommand(0, vx, 0.0, wz), PostureCommand(0)))
-    sim.step()
-    return bool(sim.rotation[2, 2] >= TIPPED)
+    driver.step(vx, wz)
+    return bool(driver.simulation.rotation[2, 2] >= TIPPED)
 
 
 def turn_on_bar(
@@ -65,23 +64,23 @@ def turn_on_bar(
     )
     sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=friction, timestep=DT)
     sim.reset(-1.0)
-    controller.reset()
+    driver = Driver(sim, controller)
     while sim.time < 0.5:
-        if not _drive(sim, controller, 0.0, 0.0):
+        if not _drive(driver, 0.0, 0.0):
             return "arriving", 0.0
     while sim.position[0] < 0.0 and sim.time < 8.0:
-        if not _drive(sim, controller, 0.5, float(np.clip(-2.0 * (sim.yaw + sim.position[1]), -0.6, 0.6))):
+        if not _drive(driver, 0.5, float(np.clip(-2.0 * (sim.yaw + sim.position[1]), -0.6, 0.6))):
             return "arriving", 0.0
     turned = 0.0
     end = sim.time + turning
     while sim.time < end:
         before = sim.yaw
-        if not _drive(sim, controller, 0.0, way * RATE):
+        if not _drive(driver, 0.0, way * RATE):
             return "turning", way * turned
         turned += wrap(sim.yaw - before)
     end = sim.time + LEAVING
     while sim.time < end and np.abs(sim.position[:2]).max() < HALF - 0.6:
-        if not _drive(sim, controller, off[0], way * off[1]):
+        if not _drive(driver, off[0], way * off[1]):
             return "leaving", way * turned
     return "", way * turned
 
@@ -92,11 +91,11 @@ def turn_on_ramp(controller: Locomotion, degrees: float, way: int, seconds: floa
     z = (math.tan(math.radians(degrees)) * x).astype(np.float32)
     sim = Simulation(z, RESOLUTION, (-HALF, -HALF), friction=0.8, timestep=DT)
     sim.reset()
-    controller.reset()
+    driver = Driver(sim, controller)
     turned = 0.0
     while sim.time < 0.5 + seconds:
         before = sim.yaw
-        if not _drive(sim, controller, 0.0, way * RATE if sim.time >= 0.5 else 0.0):
+        if not _drive(driver, 0.0, way * RATE if sim.time >= 0.5 else 0.0):
             return 0.0
         turned += wrap(sim.yaw - before)
     return way * turned / (RATE * seconds)

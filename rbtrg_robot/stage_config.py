@@ -113,8 +113,11 @@ class PlannerConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    method: Literal["rb_trg", "t_hybrid"] = Field(
+        "rb_trg", description="rb_trg: the project's planner; t_hybrid: a baseline, for comparison"
+    )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
-        "full", description="cost variant of the search"
+        "full", description="rb_trg: cost variant of the search"
     )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
 

@@ -34,6 +34,8 @@ ROOMS: dict[str, str] = {
     "planning.risk": "hal mapping planning planning.graph",
     "planning.search": "mapping planning planning.graph planning.risk",
     "planning.path": "hal mapping planning planning.graph planning.risk planning.search",
+    "planning.baselines": "mapping planning planning.risk planning.search",
+    "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
@@ -42,7 +44,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
-    "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.graph planning.path "
+    "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.baselines planning.baselines.t_hybrid planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",

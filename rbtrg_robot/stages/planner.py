@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from hal.types import NS
 from mapping.elevation.exchange import MapError, MapMirror, MapPatch
 from mapping.grid import ElevationGrid
+from planning.baselines import t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import Path, PathLimits, face_in_the_way, make_path, still_safe
@@ -36,7 +38,8 @@ REASONS = {
     NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
     NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
 }
-
+BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {"t_hybrid": t_hybrid.plan}
+"""Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
 Box = tuple[int, int, int, int]
 """Lattice cells: first row, first column, row and column after the last."""
@@ -212,7 +215,11 @@ class PlannerStage:
         if graph is not None and self._path is not None and graph.version != self._checked_version:
             self._checked_version = graph.version
             assert self._grid is not None
-            self._verdict = still_safe(self._path, graph, self._grid, self._body)
+            if self._params.method == "rb_trg":
+                self._verdict = still_safe(self._path, graph, self._grid, self._body)
+            else:  # its routes keep to no graph
+                face = face_in_the_way(self._path, self._grid, self._body)
+                self._verdict = (not face, face)
         valid, detail = self._verdict
         return msg.RouteStatus(
             header=header(now, MAP),
@@ -271,6 +278,9 @@ class PlannerStage:
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),
         )
+        if self._params.method != "rb_trg":
+            found = BASELINES[self._params.method](self._grid, request)
+            return found, make_path(found, self._grid, self._body, self._limits)
         graph = self._graph.avoiding(message.avoid.reshape(-1, 3)) if len(message.avoid) else self._graph
         if self._table is None or not self._table.fits(graph, self._grid, self._body):
             self._table = RiskTable(graph, self._grid, self._body, self._table)

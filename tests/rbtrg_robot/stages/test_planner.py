@@ -212,3 +212,23 @@ def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
     stage = build(load(None, ["graph.max_step=0.15"], scene="flat", controller="policy"))
     stage.on(t.MAP_UPDATE, patch(ground))
     assert ask(stage, (1.5, 1.5), (5.0, 1.5)).reaches_goal
+
+
+def test_a_baseline_plans_in_the_planners_place_and_its_path_is_watched() -> None:
+    stage = build(load(None, ["planner.method=t_hybrid"], scene="flat"))
+    height = 0.006 * np.random.default_rng(0).standard_normal((100, 125))
+    height[:60, 60:64] = 0.8
+    stage.on(t.MAP_UPDATE, patch(height))
+    answer = ask(stage, (1.0, 1.0), (4.0, 1.0))
+    assert (answer.ok, answer.reaches_goal) == (True, True)
+    assert len(answer.transition_risk) == 0, "no graph"
+    assert answer.length > 4.0, "around the wall"
+    (status,) = [m for topic, m in stage.tick(4 * NS) if topic is t.ROUTE_STATUS]
+    assert (status.valid, status.detail) == (True, "")
+    height[:, 45:49] = 0.8
+    stage.on(t.MAP_UPDATE, patch(height, stamp=5 * NS))
+    (status,) = [m for topic, m in stage.tick(6 * NS) if topic is t.ROUTE_STATUS]
+    assert not status.valid
+    assert "face" in status.detail
+    refused = ask(stage, (1.0, 1.0), (4.0, 1.0), sequence=2, now=7 * NS)
+    assert (refused.ok, refused.reason) == (False, "no_route")

@@ -16,7 +16,9 @@ SHARED = ("native", "edge-only", "mean-only", "full", "refined")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")
 """`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
-METHODS = (*SHARED, *OWN)
+BASELINES = ("t_hybrid",)
+"""Planners of others between the same snapped endpoints; their lines are driven as they are."""
+METHODS = (*SHARED, *OWN, *BASELINES)
 CONTROLLERS = ("policy", "vmc")
 COLLIDERS = ("all", "vendor")
 """`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""

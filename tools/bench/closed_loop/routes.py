@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
+from planning.baselines import t_hybrid
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
@@ -25,6 +27,7 @@ from tools.bench.closed_loop.protocol import FACE, SHARED, SPEED
 from tools.bench.static.study import survey_grid
 
 Array = NDArray[np.float64]
+BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {"t_hybrid": t_hybrid.plan}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ def scene_of(name: str) -> Scene:
 def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -> list[Route]:
     """Routes of a query. Graph seed is the number of the query."""
     out: list[Route] = []
-    shared = [m for m in methods if m in SHARED or m == "guarded"]
+    shared = [m for m in methods if m != "ours"]
     if shared:
         out += _on_one_graph(scene, query, shared)
     for controller in controllers if "ours" in methods else []:
@@ -70,7 +73,10 @@ def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -
 
 
 def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
-    """The paper's variants on one native graph, which went through a file, between the nodes nearest to start and goal."""
+    """The paper's variants on one native graph, which went through a file, between the nodes nearest to start and goal.
+
+    Baselines plan between the same two places.
+    """
     scene = scene_of(name)
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
@@ -85,9 +91,13 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
         return [Route(name, query, m, "", str(none)) for m in methods]
     out = []
     for method in methods:
-        variant: Any = "full" if method == "guarded" else method
+        variant: Any = method if method in SHARED else "full"
         try:
-            found = plan(graph, grid, PlanRequest(*ends, variant=variant), body, table)
+            if method in BASELINES:
+                a, b = ((float(x), float(y)) for x, y in graph.nodes[list(ends), :2])
+                found = BASELINES[method](grid, PlanRequest(a, b))
+            else:
+                found = plan(graph, grid, PlanRequest(*ends, variant=variant), body, table)
         except NoRoute as none:
             out.append(Route(name, query, method, "", str(none)))
             continue
@@ -165,8 +175,3 @@ def crosses_wall(scene: Scene, line: Array) -> bool:
     x, y = np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])
     z = np.array([scene.z(px, py) for px, py in zip(x.tolist(), y.tolist(), strict=True)])
     return bool((np.abs(z[4:] - z[:-4]) > FACE).any())
-
-
-def truth_grid(scene: Scene) -> ElevationGrid:
-    """The scene itself, all of it known."""
-    return ElevationGrid(scene.height, np.ones(scene.height.shape, bool), scene.origin, scene.resolution)

@@ -20,7 +20,7 @@ height under the top, number, shared variance; scratch."""
 @njit(cache=True)
 def project(
     points, rotation, position, origin, limits, body, noise, resolution, directory, first, shift,
-    cell, z, weight, shared, rays, counts, absent,
+    cell, z, weight, shared, ray, rays, counts, absent,
 ):  # fmt: skip  # pragma: no cover
     """Points of one scan to cells of the pool. Goes on at point counts[NEXT]; returns False when it met a tile that does
     not exist, its row and column in `absent` (2,): make it and call again.
@@ -32,7 +32,7 @@ def project(
     noise: range sigma, beam angle sigma, attitude sigma, height sigma. directory, first, shift: of the tile store.
     Out, compacted (counts[USED]): cell i64 index into the pool; z f32 world height; weight f32, one over the variance
     of z that is each point's own; shared f32, the variance that all points of a place share (attitude, pose), which does
-    not average out. rays (q,3) f32, counts[RAYS]: world ends of all rays, dropped for their distance or height included:
+    not average out; ray its row in `rays`. rays (q,3) f32, counts[RAYS]: world ends of all rays, dropped for their distance or height included:
     they still tell what is empty.
     """
     m = counts[USED]
@@ -87,6 +87,7 @@ def project(
                 counts[USED], counts[RAYS], counts[NEXT] = m, q, k
                 return False
             tile_i, tile_j, base = ti, tj, slot << (2 * shift)
+        ray[m] = q
         q += 1
         uz = r20 * dx + r21 * dy + r22 * dz
         uz2 = uz * uz

@@ -19,6 +19,7 @@ from mapping.elevation import fusion as kernels
 from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
+from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import load_into, restore_store, save_store
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
@@ -69,7 +70,7 @@ class ElevationMap:
         self._cell, self._z = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.float32)
         self._weight, self._shared = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
         self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 8), dtype=np.float32)
-        self._slot = np.empty(n, dtype=np.int32)
+        self._slot, self._ray = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
         self._ends = np.empty((n, 3), dtype=np.float32)
 
     def warm_up(self) -> None:
@@ -137,13 +138,17 @@ class ElevationMap:
         while not kernels.project(
             points, rotation, place, origin, limits, self._body, noise, p.resolution,
             s.directory, s.first, s.shift,
-            self._cell, self._z, self._weight, self._shared, self._ends, drops, absent,
+            self._cell, self._z, self._weight, self._shared, self._ray, self._ends, drops, absent,
         ):  # fmt: skip
             s.allocate(int(absent[0]), int(absent[1]))
         m, rays = int(drops[kernels.USED]), int(drops[kernels.RAYS])
         k, overhangs = kernels.reduce_cells(
             self._cell, self._z, self._weight, self._shared, m, s.mark, p.surface_band, p.clearance,
             self._which, self._slot, self._sums,
+        )  # fmt: skip
+        k = fill_faces(
+            self._z, self._weight, self._shared, self._slot, m, self._ends, self._ray, place + rotation @ origin,
+            p.surface_band, p.resolution, s.directory, s.first, s.shift, s.cells, s.mark, self._which, self._sums, k,
         )  # fmt: skip
         if sensor.levels and self._lay(k):
             return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)

@@ -32,12 +32,13 @@ def test_project_equals_numpy() -> None:
     store = TileStore(8)
     cell, z = np.empty(n, np.int64), np.empty(n, np.float32)
     weight, shared = np.empty(n, np.float32), np.empty(n, np.float32)
+    ray_of = np.empty(n, np.int32)
     rays, counts, absent = np.empty((n, 3), np.float32), np.zeros(7, np.int64), np.zeros(2, np.int64)
 
     def project() -> bool:
         return kernels.project(
             points, r, p, o, limits, body, noise, 0.04, store.directory, store.first, store.shift,
-            cell, z, weight, shared, rays, counts, absent,
+            cell, z, weight, shared, ray_of, rays, counts, absent,
         )  # fmt: skip
 
     while not project():  # tiles are made as they are met
@@ -62,6 +63,7 @@ def test_project_equals_numpy() -> None:
     world = turned + p
     np.testing.assert_allclose(rays[:q], world[ray], atol=1e-5)
     np.testing.assert_allclose(z[:m], world[keep, 2], atol=1e-5)
+    np.testing.assert_allclose(rays[ray_of[:m]], world[keep], atol=1e-5)
     row, col = (
         np.floor(world[keep, 1] / 0.04 + 0.5).astype(int),
         np.floor(world[keep, 0] / 0.04 + 0.5).astype(int),

@@ -257,10 +257,21 @@ def down(robot: Robot = ROBOT) -> None:
 def status(
     robot: Robot = ROBOT,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
+    everybody: Annotated[bool, typer.Option("--all", help="Every robot of this computer.")] = False,
 ) -> None:
     """How the running stack is."""
-    from rbtrg_robot.cli.link import connect
+    from rich.console import Console
 
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.cli.table import fleet, render
+
+    if everybody:
+        known = _everybody()
+        if as_json:
+            print(json.dumps(known, indent=1))
+        else:
+            Console().print(fleet(known))
+        return
     with connect(robot) as bus:
         answer = bus.ask("status")
     if answer is None:
@@ -272,8 +283,25 @@ def status(
     if as_json:
         print(json.dumps(json.loads(answer), indent=1))
         return
-    from rich.console import Console
-
-    from rbtrg_robot.cli.table import render
-
     Console().print(render(json.loads(answer), topics=True))
+
+
+def _everybody() -> dict[str, dict[str, Any] | None]:
+    """Status of every stack of this user on this computer by name; None where its supervisor does not answer. Raises NotRunning."""
+    from rbtrg_robot.process.runfiles import NotRunning, read_state, running
+    from rbtrg_robot.wire.bus import Bus, BusError
+
+    found: dict[str, dict[str, Any] | None] = {}
+    for name in running():
+        try:
+            state = read_state(name)
+            with Bus(state["endpoint"], "cli", int(state["domain"])) as bus:
+                answer = bus.ask("status")
+            found[name] = None if answer is None else json.loads(answer)
+        except NotRunning:  # it ended meanwhile
+            continue
+        except BusError:
+            found[name] = None
+    if not found:
+        raise NotRunning("no stack is running on this computer; start one with `rbtrg-robot up`")
+    return found

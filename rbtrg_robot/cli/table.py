@@ -39,6 +39,8 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         if row.get("detail")
     ]
     parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    if words := mission_line(status["robot"]):
+        parts.append(Text(words))
     if backend := status["robot"].get("backend"):
         parts.append(Text("backend: " + ", ".join(f"{name} {value}" for name, value in backend.items())))
     refused = {row["process"]: row["refused"] for row in status["processes"]}
@@ -99,6 +101,35 @@ def goal_line(robot: dict[str, Any]) -> str:
         text += f", {goal['distance_left']:.1f} m left, {goal['replans']} replans"
     why = words(goal["reason"], goal["detail"])
     return f"{text}: {why}" if why else text
+
+
+def mission_line(robot: dict[str, Any]) -> str:
+    """The mission in one line; empty where there was none."""
+    mission = robot.get("mission")
+    if not mission:
+        return ""
+    text = f"mission {mission['name']}".strip() + f": {mission['phase']}"
+    if mission["phase"] != "finished":
+        text += f", step {mission['step']} of {mission['steps']}"
+    why = mission["question"] or mission["reason"]
+    return f"{text}: {why}" if why else text
+
+
+def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:
+    """One row for each robot of this computer; None where its supervisor does not answer."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("robot", "processes", "state"):
+        table.add_column(title)
+    for name, status in statuses.items():
+        if status is None:
+            table.add_row(name, "-", Text("the supervisor does not answer", style="red"))
+            continue
+        rows = status["processes"]
+        ready = sum(row["state"] == "ready" for row in rows)
+        style = "green" if ready == len(rows) else "yellow"
+        lines = [robot_line(status["robot"]), goal_line(status["robot"]), mission_line(status["robot"])]
+        table.add_row(name, Text(f"{ready}/{len(rows)} ready", style=style), "\n".join(filter(None, lines)))
+    return table
 
 
 class Screen:

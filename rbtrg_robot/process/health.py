@@ -66,6 +66,7 @@ class Health:
         t.MAP_STATUS,
         t.TF_STATIC,
         t.DIAGNOSTICS,
+        t.MISSION_STATE,
     )
 
     def __init__(self, simulated: bool, clock: SourceClock | None = None) -> None:
@@ -187,6 +188,16 @@ class Health:
                 "distance_left": goal.distance_left,
                 "replans": goal.replans,
                 "recoveries": goal.recoveries,
+            }
+        mission = self.newest.get(t.MISSION_STATE)
+        if mission is not None and mission.order_id:
+            row["mission"] = {
+                "name": mission.name,
+                "phase": mission.phase,
+                "reason": mission.reason,
+                "step": mission.step,
+                "steps": len(mission.action_id),
+                "question": mission.question,
             }
         backend = self.newest.get(t.DIAGNOSTICS)
         if backend is not None:

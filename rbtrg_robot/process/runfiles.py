@@ -105,6 +105,16 @@ def state_of(pid: int) -> dict[str, Any]:
     raise NotRunning(f"no stack of process {pid} is running")
 
 
+def running() -> list[str]:
+    """Names of the robots whose stacks are up on this computer, in order."""
+    found = []
+    for file in sorted(run_dir().glob("*.json")):
+        with contextlib.suppress(NotRunning):
+            read_state(file.stem)
+            found.append(file.stem)
+    return found
+
+
 def take_interface(interface: str, domain: int | None) -> socket.socket:
     """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
 

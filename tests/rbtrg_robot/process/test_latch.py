@@ -1,4 +1,4 @@
-"""An emergency stop outlives the stack that was told of it."""
+"""An emergency stop and a mission outlive the stack that was told of them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.timeout(300)
 
 
 class Robot:
-    """The robot process alone under a supervisor of its own."""
+    """Robot and mission process alone under a supervisor of their own."""
 
     def __init__(self, folder: Path) -> None:
         self._environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
@@ -53,7 +53,7 @@ class Robot:
     def optional(self) -> list[str]:
         from rbtrg_robot.processes import PROCESSES
 
-        return [p.name for p in PROCESSES if p.name not in (*OTHERS, "robot", "recorder")]
+        return [p.name for p in PROCESSES if p.name not in (*OTHERS, "robot", "mission", "recorder")]
 
     def status(self) -> dict[str, Any]:
         found: dict[str, Any] = json.loads(self.run("status", "--json"))
@@ -63,6 +63,11 @@ class Robot:
         end = time.monotonic() + 20.0
         while self.status()["robot"].get("estop") is not estop:
             assert time.monotonic() < end, self.status()["robot"]
+
+    def mission_until(self, words: str) -> None:
+        end = time.monotonic() + 20.0
+        while words not in (told := self.run("mission", "status")):
+            assert time.monotonic() < end, told
 
 
 @pytest.fixture
@@ -76,21 +81,35 @@ def robot(tmp_path: Path) -> Iterator[Robot]:
                 process.terminate()
 
 
-def test_a_stop_is_still_latched_after_the_supervisor_was_killed(robot: Robot) -> None:
+def test_stop_and_mission_are_still_there_after_the_supervisor_was_killed(
+    robot: Robot, tmp_path: Path
+) -> None:
+    mission = tmp_path / "m.yaml"
+    mission.write_text("name: round\nsteps: [{wait: 0.1}, {ask: {question: 'open?'}}]\n")
     robot.up()
     robot.until(estop=False)
+    robot.run("mission", "run", str(mission))
+    robot.mission_until("open?")
     robot.run("stop")
     robot.until(estop=True)
     supervisor = psutil.Process(robot.status()["pid"])
     family = supervisor.children(recursive=True)
     supervisor.send_signal(signal.SIGKILL)
     psutil.wait_procs([supervisor, *family], timeout=20.0)
-    assert "still latched" in robot.up()
+    said = robot.up()
+    assert "still latched" in said
+    assert "a mission of before is paused" in said
     robot.until(estop=True)
+    robot.mission_until("paused, step 2 of 2 (ask-2): the stack was restarted")
     robot.run("resume")
     robot.until(estop=False)
+    robot.run("mission", "resume")
+    robot.mission_until("open?")
+    robot.run("mission", "stop")
     robot.run("down")
-    assert "still latched" not in robot.up()
+    said = robot.up()
+    assert "still latched" not in said
+    assert "a mission of before" not in said
     robot.until(estop=False)
 
 

@@ -6,7 +6,8 @@ import json
 import math
 import subprocess
 import sys
-from threading import Thread
+from collections.abc import Callable
+from threading import Condition, Thread
 
 from tests.places import ROOT
 
@@ -33,6 +34,7 @@ class PeerProcess:
             command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
         self.reports: list[dict] = []
+        self._news = Condition()
         assert self.process.stdout is not None
         assert self.process.stdout.readline().startswith("robot on lo")
         self._thread = Thread(target=self._collect, daemon=True)
@@ -41,7 +43,14 @@ class PeerProcess:
     def _collect(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
-            self.reports.append(json.loads(line))
+            with self._news:
+                self.reports.append(json.loads(line))
+                self._news.notify_all()
+
+    def until(self, condition: Callable[[], bool], seconds: float = 15.0) -> None:
+        """Wait for reports until `condition()`; fail in the end."""
+        with self._news:
+            assert self._news.wait_for(condition, seconds), "the robot did not do it"
 
     def say(self, line: str) -> None:
         assert self.process.stdin is not None

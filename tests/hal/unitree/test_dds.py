@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import psutil
@@ -39,14 +39,6 @@ while True:
     time.sleep(0.02)
 """
 """A host that drives forward for ever, to be killed."""
-
-
-def wait(condition: Callable[[], bool], seconds: float = 15.0) -> None:
-    """Poll until true; fail in the end."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "condition never came true"
-        time.sleep(0.01)
 
 
 def run(backend: UnitreeBackend, seconds: float, vx: float = 0.0) -> list:
@@ -137,17 +129,18 @@ def test_the_robot_of_a_host_that_dies_or_hangs_is_stopped_before_its_own_hold_r
     try:
         assert host.stdout is not None
         assert host.stdout.readline() == "up\n"
-        wait(lambda: bool(peer.reports) and peer.last["v"] > 0.4)
+        peer.until(lambda: bool(peer.reports) and peer.last["v"] > 0.4)
         children = psutil.Process(host.pid).children()
         assert len(children) == 1
         moment = time.monotonic()
         os.kill(host.pid, number)
-        wait(lambda: peer.last["t"] > moment and peer.at_rest)
+        peer.until(lambda: peer.last["t"] > moment and peer.at_rest)
         assert peer.last["ended"] == "stop"
     finally:
         host.kill()
         host.communicate()
-    wait(lambda: not children[0].is_running(), 5.0)
+    _gone, alive = psutil.wait_procs(children, timeout=5.0)
+    assert not alive
 
 
 def test_a_cut_cable_is_noticed_by_the_sentry_on_the_robots_side(peer: PeerProcess, domain: int):
@@ -166,11 +159,11 @@ def test_a_cut_cable_is_noticed_by_the_sentry_on_the_robots_side(peer: PeerProce
         assert host.stdout is not None
         assert host.stdout.readline() == "up\n"
         family += family[0].children()
-        wait(lambda: peer.last["v"] > 0.4)
+        peer.until(lambda: peer.last["v"] > 0.4)
         for process in reversed(family):
             process.suspend()
         moment = time.monotonic()
-        wait(lambda: peer.last["t"] > moment and peer.at_rest)
+        peer.until(lambda: peer.last["t"] > moment and peer.at_rest)
         assert peer.last["ended"] == "stop"
     finally:
         for process in family:
@@ -213,7 +206,7 @@ def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(doma
     try:
         until(backend, Phase.READY)
         until(backend, Phase.MOVING, vx=0.5)
-        wait(lambda: bool(back.reports))
+        back.until(lambda: bool(back.reports))
         run(backend, 1.0, vx=0.5)
         assert back.last["v"] > 0.3
     finally:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
@@ -112,37 +112,50 @@ def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: str) -> None
     monkeypatch.setattr(sys, "executable", str(script))
 
 
-def lost(watch: Guardian) -> None:
-    """Wait until it counts as lost; fail if it never does."""
-    deadline = time.monotonic() + 20.0
-    while watch.alive():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+@dataclass
+class Clock:
+    """The guardian's `time`, set by hand."""
+
+    now: float = 0.0
+
+    def monotonic(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(guardian, "time", made)
+    return made
 
 
 @pytest.mark.parametrize("lines", ["exec sleep 60", "while true; do printf .; sleep 0.05; done"])
 def test_a_guardian_that_never_gets_ready_is_lost(
-    lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    lines: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, lines)
-    monkeypatch.setattr(guardian, "START", 0.3)
     watch = Guardian("lo", 0, avoid=False)
+    clock.now = 0.9 * guardian.START
     assert watch.alive(), "it may take a moment"
-    lost(watch)
+    clock.now = 1.1 * guardian.START
+    assert not watch.alive()
     assert not watch.ready
     watch.kill()
     assert not psutil.pid_exists(watch.pid)
 
 
 def test_a_guardian_that_hangs_is_lost_and_can_be_killed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     program(tmp_path, monkeypatch, "while true; do printf r; sleep 0.05; done")
-    monkeypatch.setattr(guardian, "LOST", 0.5)
     watch = Guardian("lo", 0, avoid=False)
     watch.wait_ready(10.0)
-    assert watch.alive()
     os.kill(watch.pid, signal.SIGSTOP)
-    lost(watch)
+    os.waitid(os.P_PID, watch.pid, os.WSTOPPED)
+    assert watch.alive(), "what it said before is heard"
+    clock.now += 0.9 * guardian.LOST
+    assert watch.alive()
+    clock.now += 0.2 * guardian.LOST
+    assert not watch.alive()
     watch.kill()
     assert not psutil.pid_exists(watch.pid)

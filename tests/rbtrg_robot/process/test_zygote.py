@@ -125,7 +125,7 @@ def test_a_process_starts_though_its_folder_is_gone_or_cannot_be_written(
 
 def test_what_a_killed_process_leaves_is_reaped_and_what_is_waited_for_is_not(tmp_path: Path) -> None:
     script = """
-import json, os, signal, subprocess, sys, time
+import json, os, signal, subprocess, sys
 from pathlib import Path
 from rbtrg_robot.process.zygote import Zygote
 children = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children")
@@ -133,11 +133,9 @@ with Zygote() as zygote:
     known = zygote.fork(json.loads(sys.argv[1]), Path(sys.argv[2]))
     os.kill(known.pid, signal.SIGSTOP)
     subprocess.run(["sh", "-c", "sleep 0.1 &"], check=True)
-    print(len(children.read_text().split()))
-    deadline = time.monotonic() + 60
-    while len(children.read_text().split()) > 2 and time.monotonic() < deadline:
-        zygote.reap({known.pid})
-        time.sleep(0.01)
+    (left,) = set(children.read_text().split()) - {str(zygote.pid), str(known.pid)}
+    os.waitid(os.P_PID, int(left), os.WEXITED | os.WNOWAIT)
+    zygote.reap({known.pid})
     print(set(children.read_text().split()) == {str(zygote.pid), str(known.pid)})
     os.kill(known.pid, signal.SIGKILL)
     os.waitid(os.P_PID, known.pid, os.WEXITED | os.WNOWAIT)
@@ -146,7 +144,7 @@ with Zygote() as zygote:
 """
     arguments = [sys.executable, "-c", script, json.dumps(tracker()), str(tmp_path / "log")]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=150, check=False)
-    assert done.stdout.split() == ["3", "True", str(-signal.SIGKILL)], done.stderr
+    assert done.stdout.split() == ["True", str(-signal.SIGKILL)], done.stderr
 
 
 def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:

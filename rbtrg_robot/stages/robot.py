@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import logging
-from collections import Counter
 from typing import Any
 
 from hal.contract import UP, Backend
-from hal.safety.gate import GateInputs, GateStatus, SafetyGate, StopCause
+from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
-from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
+from hal.safety.mux import TELEOP, TRACKER
 from hal.safety.tilt import TiltFilter
 from hal.types import (
     NS,
@@ -25,14 +23,13 @@ from hal.types import (
 )
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.stages.command_path import CommandPath
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import array, header, stamp_of
-
-log = logging.getLogger(__name__)
 
 STEP = 5_000_000
 """Gate and simulator period [ns]."""
@@ -43,13 +40,13 @@ SETTLE = NS
 """A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
 tracker that its goal is over when it appears."""
 GUARD = "guard"
-UNKNOWN = "unknown request"
 POSE_LIMIT = 0.3
 """Odometry older than this [s], or as far in the future, says nothing about motion."""
 
 
 class RobotStage:
     """Commands in, sensor messages out; a backend and the safety gate between them.
+
     In: velocity commands, requests, poses, which processes live. Out: IMU, joints, sweeps, robot state, and
     the simulator's clock and truth. It decides whether a velocity reaches the robot. It never makes a
     velocity of its own.
@@ -90,12 +87,7 @@ class RobotStage:
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
         self._driven = VelocityCommand(0)
-        self._mux = CommandMux(TRACKER, TELEOP)
-        self._latch = 0
-        """Names what `resume` must release; it rises with every stop and every time somebody takes the motion."""
-        self._latched = False
-        self._turned_away: Counter[str] = Counter()
-        """Commands and requests that did not reach the gate, by reason."""
+        self._commands = CommandPath(gate)
         self.realtime_factor = 1.0
         lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
         sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE, t.DIAGNOSTICS)
@@ -131,11 +123,11 @@ class RobotStage:
         """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._drive(TRACKER, message, stamp_of(message), sender)
+                self._commands.drive(TRACKER, message, stamp_of(message), sender, self._now)
         elif t.TELEOP.carried(message, topic):
             # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
             if GUARD not in self._missing:
-                self._drive(TELEOP, message, self._now, sender)
+                self._commands.drive(TELEOP, message, self._now, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
@@ -156,75 +148,14 @@ class RobotStage:
                 msg.RobotCommand(header=message.header, mode=ModeRequest.STOP.value, cause=message.cause)
             )
         elif t.ROBOT_STATE.carried(message, topic):
-            self._restore(message)
+            self._commands.restore(message)
         return []
 
-    def _drive(self, source: Source, message: msg.TwistStamped, stamp: int, sender: str) -> None:
-        taken, _ = self._mux.taken(self._now)
-        why = self._mux.take(source, sender, self._now)
-        if self._mux.taken(self._now)[0] != taken:
-            self._gate.forget()
-            self._renew()
-        if why.startswith("another"):
-            self._turned_away[why] += 1
-        if why:
-            return
-        twist = message.twist
-        command = VelocityCommand(
-            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
-        )
-        self._gate.command(command, self._now)
-
-    def _renew(self) -> None:
-        """Something new to release: a `resume` that is under way must not."""
-        self._latch = max(self._latch + 1, self._now)
-        self._state_due = 0
-
-    def _restore(self, message: msg.RobotState) -> None:
-        """From before a restart: what was latched outlives a crash."""
-        self._latch = message.latch
-        if message.estop:
-            self._gate.stop(StopCause.OPERATOR, message.estop_cause)
-            self._latched = True
-        if message.taken:
-            self._mux.hold(TELEOP)
-
     def _request(self, message: msg.RobotCommand) -> None:
-        if message.mode not in ModeRequest._value2member_map_:
-            self._turned_away[UNKNOWN] += 1
-            if self._turned_away[UNKNOWN] in (1, 10, 100, 1000):
-                log.warning("request %r is not known", message.mode[:40])
-            return
-        mode = ModeRequest(message.mode)
-        if mode is ModeRequest.STOP:
-            self._gate.stop(StopCause.OPERATOR, message.cause)
-            self._latched = True
-            self._renew()
-        elif mode is ModeRequest.RESUME:
-            if (
-                message.latch != self._shown_latch()
-            ):  # a late repeat, or one that did not hear of the newest stop
-                self._turned_away["resume of another stop"] += self._shown_latch() != 0
-                return
-            self._gate.resume()
-            self._latched = False
-            if not self._mux.release(self._now):
-                self._renew()
-        self.backend.request(mode)
-        self._state_due = 0
-
-    def _shown_latch(self) -> int:
-        return self._latch if self._gate.status().latched or self._mux.taken(self._now)[0] else 0
-
-    def _taken(self) -> str:
-        name, speaks = self._mux.taken(self._now)
-        if not name:
-            return ""
-        return (
-            f"{name} has the motion"
-            if speaks
-            else f"{name} had the motion; `rbtrg-robot resume` gives it back"
-        )
+        mode = self._commands.request(message, self._now)
+        if mode is not None:
+            self.backend.request(mode)
+            self._state_due = 0
 
     def tick(self, now: int) -> Outputs:
         """Gate, drive, read."""
@@ -239,17 +170,15 @@ class RobotStage:
         for sample in self.backend.read(now):
             outputs += self._publish(sample)
         status = self._gate.status()
-        if status.latched and not self._latched:
-            self._renew()
-        self._latched = status.latched
+        self._commands.follow_gate(now)
         state = self.backend.state()
         shown = (
             state.phase,
             state.cause,
             status.latched,
             status.cause,
-            self._shown_latch(),
-            self._taken(),
+            self._commands.latch(now),
+            self._commands.taken(now),
             status.not_moving,
             status.motion_unchecked,
         )
@@ -312,25 +241,25 @@ class RobotStage:
         return []  # RobotState is read from the backend at each tick
 
     def _state_msg(self, now: int, state: RobotState, status: GateStatus) -> msg.RobotState:
-        hold = status.hold
+        hold, taken = status.hold, self._commands.taken(now)
         if self._missing and not status.latched:
             hold = f"waiting for {', '.join(sorted(self._missing))}"
         elif self._now < self._settled and not status.latched:
             hold = f"{', '.join(sorted(self._lost))} just came back"
-        elif self._taken() and hold in ("no command", "no fresh command"):
-            hold = self._taken()
+        elif taken and hold in ("no command", "no fresh command"):
+            hold = taken
         phase = (
             Phase.STOPPED if status.latched and state.phase in (Phase.READY, Phase.MOVING) else state.phase
         )
-        refused = {**status.refused, **self._turned_away}
+        refused = {**status.refused, **self._commands.turned_away}
         return msg.RobotState(
             header=header(now, "base_link"),
             phase=phase.value,
             cause=state.cause + _remark(state, status),
             estop=status.latched,
             estop_cause=status.cause,
-            latch=self._shown_latch(),
-            taken=self._taken(),
+            latch=self._commands.latch(now),
+            taken=taken,
             battery=float(state.battery),
             motor_temperature=float(state.motor_temperature),
             contact=array(state.contact, "bool"),

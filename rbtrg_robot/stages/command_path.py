@@ -1,0 +1,106 @@
+"""Who has the motion, and what a `resume` releases."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+
+from hal.safety.gate import SafetyGate, StopCause
+from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
+from hal.types import ModeRequest, VelocityCommand
+from rbtrg_robot import msg
+
+log = logging.getLogger(__name__)
+
+UNKNOWN = "unknown request"
+
+
+class CommandPath:
+    """Commands and requests of everybody, on their way to the gate.
+
+    In: velocity commands with their source and sender, requests. Out: commands, stops and releases for the gate.
+    It decides whose command counts and which `resume` is meant. It never makes a velocity of its own. Times in ns
+    of the source clock.
+    """
+
+    def __init__(self, gate: SafetyGate) -> None:
+        self._gate = gate
+        self._mux = CommandMux(TRACKER, TELEOP)
+        self._latch = 0
+        """Names what `resume` must release; it rises with every stop and every time somebody takes the motion."""
+        self._latched = False
+        self.turned_away: Counter[str] = Counter()
+        """Commands and requests that did not reach the gate, by reason."""
+
+    def drive(self, source: Source, message: msg.TwistStamped, stamp: int, sender: str, now: int) -> None:
+        """A velocity command of `sender`, valid from `stamp`."""
+        taken, _ = self._mux.taken(now)
+        why = self._mux.take(source, sender, now)
+        if self._mux.taken(now)[0] != taken:
+            self._gate.forget()
+            self._renew(now)
+        if why.startswith("another"):
+            self.turned_away[why] += 1
+        if why:
+            return
+        twist = message.twist
+        command = VelocityCommand(
+            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
+        )
+        self._gate.command(command, now)
+
+    def request(self, message: msg.RobotCommand, now: int) -> ModeRequest | None:
+        """Stop or release the gate. Returns what the backend must hear of, None where the request does not count."""
+        if message.mode not in ModeRequest._value2member_map_:
+            self.turned_away[UNKNOWN] += 1
+            if self.turned_away[UNKNOWN] in (1, 10, 100, 1000):
+                log.warning("request %r is not known", message.mode[:40])
+            return None
+        mode = ModeRequest(message.mode)
+        if mode is ModeRequest.STOP:
+            self._gate.stop(StopCause.OPERATOR, message.cause)
+            self._latched = True
+            self._renew(now)
+        elif mode is ModeRequest.RESUME:
+            latch = self.latch(now)
+            if message.latch != latch:  # a late repeat, or one that did not hear of the newest stop
+                self.turned_away["resume of another stop"] += latch != 0
+                return None
+            self._gate.resume()
+            self._latched = False
+            if not self._mux.release(now):
+                self._renew(now)
+        return mode
+
+    def restore(self, message: msg.RobotState) -> None:
+        """Take back what was latched before a restart: a stop outlives a crash."""
+        self._latch = message.latch
+        if message.estop:
+            self._gate.stop(StopCause.OPERATOR, message.estop_cause)
+            self._latched = True
+        if message.taken:
+            self._mux.hold(TELEOP)
+
+    def follow_gate(self, now: int) -> None:
+        """Name a stop that the gate latched by itself."""
+        latched = self._gate.status().latched
+        if latched and not self._latched:
+            self._renew(now)
+        self._latched = latched
+
+    def latch(self, now: int) -> int:
+        """What a `resume` must name to be meant; 0 where there is nothing to release."""
+        return self._latch if self._gate.status().latched or self._mux.taken(now)[0] else 0
+
+    def taken(self, now: int) -> str:
+        """Who took the motion from the stack, in words; empty where nobody did."""
+        name, speaks = self._mux.taken(now)
+        if not name:
+            return ""
+        if speaks:
+            return f"{name} has the motion"
+        return f"{name} had the motion; `rbtrg-robot resume` gives it back"
+
+    def _renew(self, now: int) -> None:
+        """Something new to release: a `resume` that is under way must not."""
+        self._latch = max(self._latch + 1, now)

@@ -82,7 +82,6 @@ class StopCause(StrEnum):
     ROBOT_FAULT = "robot fault"
     NOT_MOVING = "commanded but not moving"
     MOVING = "moving but not commanded"
-    PROCESS_LOST = "process lost"
     REMOTE = "the operator's remote drives"
 
 

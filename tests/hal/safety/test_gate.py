@@ -136,9 +136,9 @@ def test_forget_is_zero_until_the_next_fresh_command_without_a_latch():
 
 def test_the_first_cause_stays():
     gate = SafetyGate(CAPS)
-    gate.stop(StopCause.PROCESS_LOST, "tracker")
+    gate.stop(StopCause.ROBOT_FAULT, "fallen")
     gate.stop(StopCause.OPERATOR)
-    assert gate.status().cause == "process lost: tracker"
+    assert gate.status().cause == "robot fault: fallen"
 
 
 @pytest.mark.parametrize(

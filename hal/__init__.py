@@ -1,1 +1,1 @@
-"""What a robot is: contract, value types, Go2-W facts, safety gate; simulators and hardware behind it."""
+"""The robot: contract, value types, Go2-W facts, safety gate; simulators and hardware behind it."""

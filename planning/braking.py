@@ -1,4 +1,4 @@
-"""How fast a path may be driven in its bends, and where braking must begin. Every speed profile of a path uses these two."""
+"""Speed limits of a path from its bends and from the room to brake. Every speed profile of a path uses these two."""
 
 from __future__ import annotations
 

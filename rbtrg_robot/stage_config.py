@@ -36,7 +36,7 @@ class NavigatorConfig(BaseModel):
 
 
 class FreshnessConfig(BaseModel):
-    """How old the tracker's inputs may be while it drives."""
+    """Largest age of the tracker's inputs while it drives."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -87,7 +87,7 @@ class GraphConfig(GraphSettings):
 
 
 class GuardConfig(BaseModel):
-    """How early the guard slows the robot down."""
+    """Distances and times at which the guard slows the robot down."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -109,7 +109,7 @@ class ElevationStageConfig(BaseModel):
 
 
 class PlannerConfig(BaseModel):
-    """How the planner process works; the graph and the body have their own parameters."""
+    """Settings of the planner process; the graph and the body have their own."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -49,7 +49,7 @@ CANDIDATES: dict[str, tuple[LidarSpec, Extrinsics | None]] = {
 
 @dataclass(slots=True)
 class Score:
-    """What the map was worth on one run."""
+    """Quality of the map on one run."""
 
     trusted: Array
     """(bins,) share of trusted cells."""

@@ -1,4 +1,4 @@
-"""What a ray hits: the terrain, as a height surface (numba) or as a mesh (Embree), and moving boxes on top.
+"""Ray casting: on the terrain, a height surface (numba) or a mesh (Embree), and on moving boxes.
 
 A height surface has its vertices at the cell centres; each cell is cut in two triangles from [r, c] to [r+1, c+1].
 """

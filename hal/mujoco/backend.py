@@ -248,7 +248,7 @@ class MujocoBackend:
         )
 
     def _watch(self) -> None:
-        """What a simulation can suffer and a robot cannot."""
+        """A fault that only a simulation can have."""
         sim = self.simulation
         if self._modes.phase is Phase.FAULT:
             return

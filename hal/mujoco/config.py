@@ -1,4 +1,4 @@
-"""What can be set about the simulated robot besides its scene, its controller and its LiDAR."""
+"""Settings of the simulated robot besides its scene, its controller and its LiDARs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CAPABILITIES = {
         strafe=True,
     ),
 }
-"""What the simulated robot can do, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`."""
+"""Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

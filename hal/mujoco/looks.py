@@ -1,4 +1,4 @@
-"""What the simulated robot and its ground look like: colours, light and shapes that do not collide (group 2)."""
+"""Looks of the simulated robot and its ground: colours, light and shapes that do not collide (group 2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the obstacles are at a time."""
+"""Places of the obstacles at a time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def present(obstacle: Obstacle, time: float) -> bool:
 
 
 def box_at(obstacle: Obstacle, time: float) -> OrientedBox:
-    """Where it is `time` [s] after connect, if it is there."""
+    """Its place `time` [s] after connect, if it is there."""
     x, y, z = obstacle.centre
     age = time - obstacle.appear
     vx, vy = obstacle.velocity

@@ -1,4 +1,4 @@
-"""What goes into the safety gate and what comes out."""
+"""Inputs and outputs of the safety gate."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class RefusalReason(StrEnum):
 
 
 class StopCause(StrEnum):
-    """What latched the gate."""
+    """Causes that latch the gate."""
 
     OPERATOR = "emergency stop"
     TILT = "tilt"
@@ -105,12 +105,12 @@ class MotionLimits:
     right: float = 0.0
     """[rad/s], not negative."""
     reason: str = ""
-    """What is in the way; empty while nothing is."""
+    """The obstacle; empty without one."""
 
 
 @dataclass(frozen=True, slots=True)
 class GateInputs:
-    """What the gate may know of the robot at an instant. None: not known, which holds the robot where it matters."""
+    """State of the robot at an instant, as the gate knows it. None: not known, which holds the robot where it matters."""
 
     state: RobotState | None = None
     tilt: float | None = None

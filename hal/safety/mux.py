@@ -1,4 +1,4 @@
-"""Who has the say over the motion: one source at a time, the one with the highest priority that speaks.
+"""Arbitration of motion: one source at a time has it, the one with the highest priority that speaks.
 
 A source is silent once its timeout has passed. Each has one owner: whoever spoke first keeps it while he speaks. A source that
 took the motion from a lower one keeps it until `release`, though it falls silent: a robot that was driven by hand goes on

@@ -1,4 +1,4 @@
-"""How far the trunk is tipped, from the IMU alone: independent of odometry, so the safety gate can trust it."""
+"""Tilt of the trunk from the IMU alone. It does not depend on odometry, so the safety gate can trust it."""
 
 from __future__ import annotations
 

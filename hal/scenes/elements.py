@@ -63,7 +63,7 @@ PASSAGE = {1: 0.85, 2: 0.80, 3: 0.75, 4: 0.70}
 
 @dataclass(frozen=True, slots=True)
 class Grade:
-    """What the elements of one lane may ask for."""
+    """Limits of the elements of one lane."""
 
     level: int
     controller: Controller
@@ -103,7 +103,7 @@ def wave(s: Field, half: float) -> Field:
 
 
 def flat(length: float) -> Element:
-    """Nothing."""
+    """Level ground."""
     return Element("flat", length, lambda s, t: np.zeros_like(s))
 
 
@@ -235,7 +235,7 @@ def delayed(e: Element, by: float, length: float) -> Element:
 
 
 def blocker(random: np.random.Generator, grade: Grade) -> Element:
-    """What the controller cannot drive over, across the whole lane: a wall of a kerb, a bar, a gap or a ramp."""
+    """An element across the whole lane that the controller cannot drive over: a kerb, a bar, a gap or a ramp."""
     beyond = BEYOND[grade.controller]
     what = str(random.choice(list(beyond)))
     value = float(random.uniform(*beyond[what]))
@@ -260,4 +260,4 @@ MAPS: dict[str, Maker] = {
     "platform": platform,
     "rough": rough,
 }
-"""What a lane can be made of; `mixed` draws from all of them and from thin walls."""
+"""Elements of a lane; `mixed` draws from all of them and from thin walls."""

@@ -78,7 +78,7 @@ class Lane:
     elements: tuple[str, ...]
     """Kinds, as they lie on the way."""
     beyond: Rect | None
-    """Where the element lies that must not be tried; level 5 only."""
+    """Place of the element that must not be tried; level 5 only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ class _Row:
         return self.x + self.way * s, self.y + self.way * t
 
     def rect(self, index: int, width: float) -> Rect:
-        """Where an element lies."""
+        """Place of an element."""
         a, b = self.at(self.begins[index])[0], self.at(self.begins[index + 1])[0]
         return min(a, b), max(a, b), self.y - 0.5 * width, self.y + 0.5 * width
 

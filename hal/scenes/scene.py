@@ -99,7 +99,7 @@ class Scene:
         return replace(self, height=np.pad(self.height, cells), origin=origin, survey=survey)
 
     def caster(self) -> TerrainCaster:
-        """What the rays of a LiDAR hit. Raises CasterError where a mesh needs open3d and it does not load."""
+        """The surface that a LiDAR's rays hit. Raises CasterError where a mesh needs open3d and it does not load."""
         from hal.lidar.caster import MeshCaster, NumbaCaster, Surface  # only a simulator casts rays
 
         if self.mesh is not None:

@@ -1,4 +1,4 @@
-"""What scanner stations would know of a scene, and benchmark queries drawn from its geometry."""
+"""The part of a scene that scanner stations would see, and benchmark queries drawn from its geometry."""
 
 from __future__ import annotations
 

@@ -306,7 +306,7 @@ class UnitreeBackend:
         return Phase.READY, note or t.order_note or t.silence(now) or "balance stand, takes velocity"
 
     def _trouble(self, t: Telemetry, now: int) -> str:
-        """What makes a fault now, in words; empty when nothing does."""
+        """The reason of a fault now, in words; empty without a fault."""
         o = self.options
         if not self._steps.goal and t.sport_age(now) > o.sport_timeout:
             return "sport service is silent (motion service released?): request recover"

@@ -16,7 +16,7 @@ _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/li
 
 
 class UnitreeConfig(BaseModel):
-    """How to reach and treat a real Go2-W, and the LiDARs it carries. Times in seconds."""
+    """Settings to reach and drive a real Go2-W and the LiDARs it carries. Times in seconds."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -89,7 +89,7 @@ class UnitreeConfig(BaseModel):
         return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
     def capabilities(self) -> Capabilities:
-        """What the robot may be asked for with these settings: the vendor's own gaits, held well below their limits."""
+        """The robot's limits with these settings: those of the vendor's own gaits, with a wide margin."""
         return Capabilities(
             "unitree-go2w",
             max_vx=self.max_vx,

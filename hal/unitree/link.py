@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 
 class Link(Protocol):
-    """What the backend needs of the network. Nothing blocks."""
+    """The network as the backend needs it. Nothing blocks."""
 
     def send(self, service: str, request: Request) -> None:
         """Write a request."""

@@ -1,4 +1,4 @@
-"""What the robot tells: samples for the stack, and the few values the driver itself decides by."""
+"""Messages of the robot become samples for the stack and the few values that the driver itself needs."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Telemetry:
         self.mount_error: float | None = None
         """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
         self.order_note = ""
-        """What is odd about the L1's quaternion, in words; nothing here drives by it."""
+        """The L1's quaternion looks wrong for this reason, in words; nothing here drives by it."""
         self.reboots = 0
 
     def warm_up(self) -> None:
@@ -228,7 +228,7 @@ class Telemetry:
         return ", ".join(f"the {lidar.name} LiDAR is silent on {lidar.topic}" for lidar in silent)
 
     def figures(self) -> dict[str, float]:
-        """What an operator may want to know: offsets of clocks as float [s], counters as int."""
+        """Figures for the operator: offsets of clocks as float [s], counters as int."""
         clocks = {"low_state": self.low_clock, **{f"lidar_{x.name}": x.clock for x in self.lidars}}
         return {
             **{f"{name}_clock_offset": c.offset / NS for name, c in clocks.items() if c.offset is not None},
@@ -282,7 +282,7 @@ class Telemetry:
 
     @property
     def raw(self) -> str:
-        """What the posture is read from, as the robot sends it."""
+        """The raw values that tell the posture, as the robot sends them."""
         if self.sport is None:
             return "no sportmodestate"
         sport, height = self.sport, float(self.sport["body_height"])

@@ -28,9 +28,9 @@ class Transitions:
         self.doing = ""
         self._running: Steps | None = None
         self.goal = ""
-        """What is under way, in plain words; empty when nothing is."""
+        """The transition that runs, in plain words; empty without one."""
         self.phase = Phase.STANDING
-        """What the robot shows meanwhile."""
+        """The phase that the robot shows meanwhile."""
         self._stood_up = False
 
     # -- running -------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What travels from the map to its readers: rectangular patches, assembled again by `MapMirror`."""
+"""The map on its way to its readers: rectangular patches, which `MapMirror` assembles again."""
 
 from __future__ import annotations
 

@@ -302,7 +302,7 @@ class ElevationMap:
 
     @property
     def warning(self) -> str:
-        """What an operator should know of the map, in plain words; empty when all is well."""
+        """Warning for the operator about the map, in plain words; empty when all is well."""
         return self._prior.warning if self._prior is not None else ""
 
     def restore(self, patch: MapPatch) -> int:

@@ -1,4 +1,4 @@
-"""Where the wheels touch the ground, from joint angles and torques."""
+"""Contact points of the wheels, from joint angles and torques."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a registration can be believed: its covariance, and good | degraded | lost with a reason."""
+"""Judge of a registration: its covariance, and good | degraded | lost with a reason."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class HealthConfig(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What to do with one scan."""
+    """Verdict on one scan."""
 
     health: Health
     reason: str

@@ -27,7 +27,7 @@ JOINT_PERIOD = 18_000_000
 
 
 class Inbox:
-    """What has arrived and is not used up. A source clock that is set empties it and calls `on_jump(stamp)`."""
+    """Samples that have arrived and are not used yet. A source clock that is set empties it and calls `on_jump(stamp)`."""
 
     def __init__(
         self,

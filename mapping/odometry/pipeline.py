@@ -179,7 +179,7 @@ class LidarInertialOdometry:
     def _others(
         self, sweep: Sweep, stamps: NDArray[np.int64], track: Array
     ) -> dict[LidarName, NDArray[np.float32]]:
-        """What the other LiDARs saw meanwhile, each to the end of the track."""
+        """Clouds of the other LiDARs of the same time, each deskewed to the end of the track."""
         path, self._path = self._path, (stamps, track)
         if path is not None:
             stamps, track = np.concatenate([path[0], stamps]), np.concatenate([path[1], track])

@@ -22,12 +22,12 @@ SWAY = 0.005
 WINDOW = NS * 7 // 10
 """Samples that are looked at [ns]."""
 MOVED, TURNED = 0.3, 0.2
-"""How far a robot may have gone and turned, one standard deviation [m, rad], while nobody watched."""
+"""Distance and turn of a robot that nobody watched, one standard deviation [m, rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Before:
-    """Where the robot was when it was last seen, and what it saw there: an odometry that is started again goes on from it."""
+    """Last known pose of the robot and its scan there: an odometry that is started again goes on from it."""
 
     pose: Array
     """(4, 4) `odom` <- base_link."""

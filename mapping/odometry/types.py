@@ -1,4 +1,4 @@
-"""What the odometry is told and what it answers."""
+"""Settings, inputs and outputs of the odometry."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class ScanOdometry:
     degeneracy: float
     """Share of surface that faces it [0..1/3]."""
     correction: float
-    """How far registration moved the prediction [m]."""
+    """Distance by which registration moved the prediction [m]."""
     clouds: Mapping[LidarName, NDArray[np.float32]]
     """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link; none where the registration was refused."""
 

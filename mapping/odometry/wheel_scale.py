@@ -1,4 +1,4 @@
-"""How far the robot really goes per metre of wheel: tyres slip a few percent under load, and the scans tell how many.
+"""Distance of the robot per metre of wheel: tyres slip a few percent under load, and the scans tell how many.
 
 What they slip beyond that, on an edge or on loose ground, comes and goes: while it lasts the wheels are believed less."""
 

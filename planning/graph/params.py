@@ -1,4 +1,4 @@
-"""What comes into the graph: its settings, a start that makes sense, and the windows of the map that changed."""
+"""Inputs of the graph: its settings, a valid start, and the windows of the map that changed."""
 
 from __future__ import annotations
 

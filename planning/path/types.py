@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 
 class PathLimits(BaseModel):
-    """What the path may ask of the robot."""
+    """Limits of a path."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -56,5 +56,5 @@ def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
 
 
 def terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
-    """What a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
+    """Terrain that a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
     return terrain_of(grid.around(xy, body.circumradius + SIDE), body)

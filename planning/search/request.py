@@ -1,4 +1,4 @@
-"""What goes into planning and what comes out."""
+"""Inputs and outputs of planning."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SETS = ("edge", "sweep", "terminal sweep")
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """Where from, where to. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
+    """Start and goal. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
 
     start: Place
     goal: Place

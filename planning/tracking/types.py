@@ -1,4 +1,4 @@
-"""What goes into the path tracker and what comes out."""
+"""Inputs and outputs of the path tracker."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class TrackerConfig(BaseModel):
 
 
 class TrackPhase(StrEnum):
-    """What the tracker is doing."""
+    """Phase of the tracker."""
 
     IDLE = "idle"
     ALIGNING = "aligning"

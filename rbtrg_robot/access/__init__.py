@@ -1,1 +1,1 @@
-"""Who from outside the robot's computer may do what: certificates, and Zenoh's rules made from the table of topics."""
+"""Access from other computers: certificates, and Zenoh's rules made from the table of topics."""

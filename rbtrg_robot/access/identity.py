@@ -29,7 +29,7 @@ class Remote:
 
 
 def keys_dir() -> Path:
-    """Where keys lie unless told otherwise."""
+    """The default folder of keys."""
     base = os.environ.get("XDG_CONFIG_HOME")
     return (Path(base) if base else Path.home() / ".config") / "rbtrg" / "keys"
 

@@ -1,4 +1,4 @@
-"""What the router of a stack needs in order to serve other computers."""
+"""Settings that let the router of a stack serve other computers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where `rbtrg-robot` begins. `stop` goes its own short way: nothing else is imported before it is sent."""
+"""Entry of `rbtrg-robot`. `stop` takes a short way: the stop is sent before anything else is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What runs stages: live on Zenoh, in lockstep with the simulator, offline on a log."""
+"""Hosts run stages: live on Zenoh, in lockstep with the simulator, offline on a log."""
 
 from rbtrg_robot.hosts.lockstep import Lockstep
 

@@ -28,7 +28,7 @@ from rbtrg_robot.wire.messages import decode, header, stamp_in
 
 
 class LockstepTimeout(AssertionError):
-    """What was waited for did not happen; the message tells how the stack stood."""
+    """A condition did not come true in time; the message tells the state of the stack."""
 
 
 def build_stages(config: StackConfig, names: list[str]) -> dict[str, tuple[Stage, float]]:

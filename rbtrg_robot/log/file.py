@@ -196,7 +196,7 @@ class LogWriter:
 
 @dataclass(slots=True)
 class LogContents:
-    """What a pass over a file found besides its messages; filled while `messages` runs."""
+    """Findings of a pass over a file besides its messages; filled while `messages` runs."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, bytes] = field(default_factory=dict)

@@ -26,7 +26,7 @@ RATE_STEP = 1.1
 
 @dataclass(slots=True)
 class Report:
-    """What was played."""
+    """Counts of a replay."""
 
     messages: int = 0
     late: int = 0
@@ -39,7 +39,7 @@ class Report:
 
 @dataclass(slots=True)
 class Controls:
-    """What keys change while playing."""
+    """State that keys change while playing."""
 
     rate: float = 1.0
     paused: bool = False

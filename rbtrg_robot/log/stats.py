@@ -1,4 +1,4 @@
-"""What can be said about a log: counts, rates, gaps, losses."""
+"""Statistics of a log: counts, rates, gaps, losses."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class LogSummary:
     wall_seconds: float
 
     def problems(self) -> list[str]:
-        """What `log check` complains about."""
+        """Problems for `log check`."""
         found = list(self.damage)
         for name, s in sorted(self.topics.items()):
             topic = BY_NAME.get(name)

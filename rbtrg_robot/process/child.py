@@ -1,4 +1,4 @@
-"""What runs in every process that the supervisor starts."""
+"""The program of every process that the supervisor starts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this machine needs to run the stack, checked in plain words."""
+"""Checks of this machine: is everything there that the stack needs?"""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RMEM_MAX = Path("/proc/sys/net/core/rmem_max")
 
 
 class Level(Enum):
-    """How bad a finding is."""
+    """Severity of a finding."""
 
     OK = 0
     NOTE = 1

@@ -1,4 +1,4 @@
-"""What the supervisor knows of processes and topics, from heartbeats; and the status it makes of it."""
+"""State of processes and topics from heartbeats, and the `status` made of it."""
 
 from __future__ import annotations
 

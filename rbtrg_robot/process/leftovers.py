@@ -1,4 +1,4 @@
-"""What processes leave on the machine: their output, shared memory."""
+"""Leftovers of processes on the machine: their output, shared memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a running stack leaves its traces: one lock and one state file per robot name."""
+"""Files of a running stack: one lock and one state file per robot name."""
 
 from __future__ import annotations
 

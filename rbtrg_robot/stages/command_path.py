@@ -1,4 +1,4 @@
-"""Who has the motion, and what a `resume` releases."""
+"""The way of commands and requests to the gate: who has the motion, and which stop a `resume` releases."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class CommandPath:
         self._latched = latched
 
     def latch(self, now: int) -> int:
-        """What a `resume` must name to be meant; 0 where there is nothing to release."""
+        """The number that a `resume` must name; 0 where there is nothing to release."""
         return self._latch if self._gate.status().latched or self._mux.taken(now)[0] else 0
 
     def taken(self, now: int) -> str:

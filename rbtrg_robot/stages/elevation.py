@@ -48,7 +48,7 @@ SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 NOTHING = np.empty((0, 3), np.float32)
 RESTORE_PATIENCE = 3_000_000_000
-"""How long a restarted process waits for the planner's copy of the map [ns]."""
+"""Longest wait of a restarted process for the planner's copy of the map [ns]."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
 TRUSTED_SENT = 16
@@ -196,7 +196,7 @@ class ElevationStage:
         )
 
     def _blind(self) -> str:
-        """What an operator should know of the LiDARs, in plain words."""
+        """Warning for the operator about the LiDARs, in plain words."""
         silent = [name for name, scans in self._silent.items() if scans >= SILENT_SCANS]
         words = [f"nothing from the {' and the '.join(silent)} LiDAR"] if silent else []
         if "head" not in self._sensors:

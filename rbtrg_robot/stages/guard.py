@@ -207,7 +207,7 @@ class GuardStage:
         return rate * (math.sqrt(p.reaction**2 + 2.0 * left / rate) - p.reaction) if left > 0.0 else 0.0
 
     def _missing(self) -> str:
-        """What the guard lacks; empty when it sees."""
+        """The input that the guard lacks; empty when it sees."""
         if not self._frame.known:
             return f"no {t.TF_STATIC.name} yet"
         for topic, stamp, limit in (

@@ -113,7 +113,7 @@ class OdometryStage:
         return outputs
 
     def _resume(self, cloud: msg.PointCloud2) -> None:
-        """What was seen at the last pose lets the first scan find its place; without it what the robot coasted is lost."""
+        """The cloud of the last pose lets the first scan find its place; without it the distance that the robot coasted is lost."""
         if self._before is None or stamp_of(cloud) != self._before_stamp:
             return
         pose = np.eye(4)

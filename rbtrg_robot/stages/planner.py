@@ -74,7 +74,7 @@ class PlannerStage:
         self._window: MapPatch | None = None
         """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
         self._overlaid: Box | None = None
-        """Where the newest grid has the window drawn over the mirror."""
+        """Part of the newest grid where the window lies over the mirror."""
         self._epoch = 0
         self._graph: TraversalGraph | None = None
         self._grid: ElevationGrid | None = None
@@ -83,7 +83,7 @@ class PlannerStage:
         self._updated = 0
         self._start: tuple[float, float] | None = None
         self._first: tuple[float, float] | None = None
-        """Where the first graph began: only around it is unseen ground assumed drivable."""
+        """Start of the first graph: only around it unseen ground is assumed drivable."""
         self._retries = 0
         self._now = 0
         self._status_due = 0

@@ -274,7 +274,7 @@ class RobotStage:
 
 
 def _remark(state: RobotState, status: GateStatus) -> str:
-    """What the gate adds to the robot's own words."""
+    """Remark of the gate after the robot's own words."""
     if status.not_moving:
         return "; commanded but not moving"
     return (

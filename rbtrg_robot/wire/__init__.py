@@ -1,1 +1,1 @@
-"""How messages travel: key expressions, CDR, frames and the Zenoh session, as rmw_zenoh makes them."""
+"""The wire: key expressions, CDR, frames and the Zenoh session, as rmw_zenoh makes them."""

@@ -1,4 +1,4 @@
-"""How topics look on Zenoh: the keys, attachments and liveliness tokens of rmw_zenoh.
+"""Topics on Zenoh: the keys, attachments and liveliness tokens of rmw_zenoh.
 
 So RViz, `ros2 topic` and rosbag2 see a ROS 2 graph although no ROS is installed here.
 """

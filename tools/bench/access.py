@@ -1,4 +1,4 @@
-"""Who may do what over TLS: each identity tries each verb on each topic at a real router on loopback.
+"""Access over TLS: each identity tries each verb on each topic at a real router on loopback.
 
 What is expected stands here once more, in names of topics: the rules under test are made from the table.
 """

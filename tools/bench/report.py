@@ -1,4 +1,4 @@
-"""What every benchmark prints: rows with a value, its limit and a baseline measured in the same run."""
+"""The report of a benchmark: rows with a value, its limit and a baseline measured in the same run."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Righting:
         return self._command
 
     def _plan(self, state: LowState) -> list[Frame]:
-        """What to do next, from the attitude."""
+        """Choose the next motion from the attitude."""
         _, left_up, height = up_of(state.quaternion)
         self.upright = height > UPRIGHT
         self.failed = not self.upright and state.time > self._until

@@ -38,7 +38,7 @@ class RenderError(OperatorError):
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How a film looks."""
+    """Looks of a film."""
 
     width: int = 854
     height: int = 480

@@ -1,4 +1,4 @@
-"""What the tracker was last told to drive, and whether it does."""
+"""The newest order to the tracker, and whether it follows it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is the robot getting anywhere, and which way did it come?"""
+"""Progress of the robot, and the way it came."""
 
 from __future__ import annotations
 

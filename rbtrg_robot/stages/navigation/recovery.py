@@ -1,4 +1,4 @@
-"""What the navigator tries where there is no route or no progress, in the order of what it costs."""
+"""Attempts of the navigator where there is no route or no progress, the cheapest first."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SAME_PLACE = 1.0
 
 
 class Measure(StrEnum):
-    """What to do next."""
+    """The next attempt."""
 
     LOOK = "look"
     """Stand, wait for a newer map and ask again; the planner draws another graph meanwhile."""

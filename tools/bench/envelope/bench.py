@@ -1,4 +1,4 @@
-"""What ground a locomotion controller masters: success counts per course, robustness, path tracking, hold, real-time factor.
+"""Envelope of a locomotion controller: success counts per course, robustness, path tracking, hold, real-time factor.
 
     python -m tools.bench envelope --controller vmc [--only BEGINNING_OF_KEY] [--json]
     python -m tools.bench envelope --controller policy --policy DIR

@@ -1,4 +1,4 @@
-"""What a controller makes of slow commands: deadband and gain, along the body and in turns on the spot."""
+"""Response of a controller to slow commands: deadband and gain, along the body and in turns on the spot."""
 
 from __future__ import annotations
 

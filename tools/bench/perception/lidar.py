@@ -1,4 +1,4 @@
-"""What simulating a LiDAR costs beside the physics, in the thread that does both."""
+"""Cost of a simulated LiDAR beside the physics, in the thread that does both."""
 
 from __future__ import annotations
 

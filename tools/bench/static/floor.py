@@ -1,4 +1,4 @@
-"""How low the core maxima of any route on a graph could be: what the terrain between start and goal leaves to choose."""
+"""Lower bound of the core maxima of any route on a graph, which the terrain between start and goal sets."""
 
 from __future__ import annotations
 

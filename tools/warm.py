@@ -12,7 +12,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
-PARTS = ("planner", "robot", "elevation", "odometry", "unitree")
+PARTS = ("planner", "robot", "elevation", "odometry", "native", "guard", "unitree")
 """The longest first."""
 
 
@@ -24,6 +24,15 @@ def warm(part: str) -> float:
         from hal.unitree.telemetry import Telemetry
 
         Telemetry(None, UnitreeConfig()).warm_up()  # type: ignore[arg-type]
+    elif part == "native":
+        import numpy as np
+
+        from mapping.grid import ElevationGrid
+        from planning.graph import GraphParams, TraversalGraph
+
+        flat = np.zeros((50, 50), np.float32)
+        grid = ElevationGrid(flat, np.ones(flat.shape, bool), (0.0, 0.0), 0.05)
+        TraversalGraph.build(grid, (1.25, 1.25), GraphParams(mode="native"))
     else:
         from rbtrg_robot.config import load
         from rbtrg_robot.hosts.lockstep import build_stages

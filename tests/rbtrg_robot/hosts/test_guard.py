@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
@@ -131,15 +130,14 @@ def test_a_guard_that_sees_nothing_new_allows_nothing(silent: str) -> None:
 def test_a_goal_waits_while_somebody_drives_and_goes_on_when_told_to() -> None:
     with stack_with() as stack:
         stack.wait_ready()
-        stack.send_goal(3.0, 0.0)
+        stack.send_goal(2.0, 0.0)
         stack.run_until(lambda: speed(stack) > 0.3, 10.0, "motion")
         by_hand(stack, 2.0, -0.2, 0.3)
         assert stack.newest[t.GOAL_STATUS].state == "paused"
-        stack.run(15.0)
+        stack.run(6.0)  # longer than what counts as stuck
         assert stack.newest[t.GOAL_STATUS].state == "paused"
         assert "resume" in stack.newest[t.GOAL_STATUS].detail
         assert speed(stack) < 0.05
         stack.command("resume")
         assert stack.finish_goal(40.0).state == "reached"
-        assert math.dist(truth(stack)[:2], (3.0, 0.0)) < 0.25
-    assert stack.now < 90 * NS
+        assert math.dist(truth(stack)[:2], (2.0, 0.0)) < 0.25

@@ -16,6 +16,7 @@ from rbtrg_robot.wire.messages import MessageError, decode, encode
 
 log = logging.getLogger(__name__)
 TOPICS: tuple[Topic, ...] = (t.MISSION_ORDER, t.MISSION_STATE)
+ACTIVE = tuple(phase.value for phase in Phase if phase.active)
 PAUSED = (
     "the stack was restarted: see that the robot is where the map says; `rbtrg-robot mission resume` goes on"
 )
@@ -26,6 +27,8 @@ class MissionFile:
 
     def __init__(self, robot: str) -> None:
         self._path = run_dir() / f"{robot}.mission"
+        self._trouble: str | None = None
+        """Why the file could not be written last."""
 
     def read(self) -> dict[Topic, bytes]:
         """Order and state on the wire, paused; empty where no mission was under way. A broken file counts as none."""
@@ -41,14 +44,21 @@ class MissionFile:
             return {}
 
     def write(self, newest: Mapping[Topic, bytes], state: MissionState) -> None:
-        """What a later stack needs; `newest` payloads of TOPICS, the state decoded."""
-        if not Phase(state.phase).active or any(topic not in newest for topic in TOPICS):
-            self._path.unlink(missing_ok=True)
-            return
-        content = {topic.name: base64.b64encode(newest[topic]).decode() for topic in TOPICS}
-        fresh = self._path.with_suffix(".mission-new")
-        fresh.write_text(json.dumps(content))
-        fresh.replace(self._path)
+        """What a later stack needs; `newest` payloads of TOPICS, the state decoded. A full disk ends nothing."""
+        try:
+            if state.phase not in ACTIVE or any(topic not in newest for topic in TOPICS):
+                self._path.unlink(missing_ok=True)
+                return
+            content = {topic.name: base64.b64encode(newest[topic]).decode() for topic in TOPICS}
+            fresh = self._path.with_suffix(".mission-new")
+            fresh.write_text(json.dumps(content))
+            fresh.replace(self._path)
+        except OSError as error:
+            if error.strerror != self._trouble:
+                log.warning(
+                    "%s cannot be written (%s): a restarted stack forgets the mission", self._path, error
+                )
+            self._trouble = error.strerror
 
 
 def _paused(state: MissionState) -> MissionState:

@@ -81,6 +81,7 @@ class Supervisor:
         self._goal_said = ""
         self._estop_said = self._away_said = False
         self._map_said = ""
+        self._mission: MissionFile | None = None
         self._notifier = Notifier()
         self._diagnosis = Diagnosis(config.robot)
         self._diagnosis_due = 0.0
@@ -143,7 +144,7 @@ class Supervisor:
                 continue
             if any(received.topic in c.row.restores for c in self._children.values()):
                 self._kept[received.topic] = received.payload
-            if t.MISSION_STATE.carried(message, received.topic):
+            if self._mission and t.MISSION_STATE.carried(message, received.topic):
                 self._mission.write(self._kept, message)
             if received.topic in Health.WATCHED:
                 self._health.take(received.topic, message)

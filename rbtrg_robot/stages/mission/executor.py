@@ -22,6 +22,7 @@ from rbtrg_robot.stages.mission.order import (
     update_refusal,
 )
 from rbtrg_robot.stages.mission.runner import Runner, World
+from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -77,8 +78,9 @@ class MissionStage:
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now
         elif t.GOAL_STATUS.carried(message, topic):
-            world.goal = message
-            self._runner.yield_to_others()
+            if message.state in GoalState._value2member_map_:
+                world.goal = message
+                self._runner.yield_to_others()
         elif t.ROBOT_STATE.carried(message, topic):
             world.robot = message
             self._runner.yield_to_others()
@@ -188,6 +190,8 @@ class MissionStage:
         """The last words of the process before this one."""
         if self._runner.mission is not None or self._left is None:
             return []
+        if refusal(self._left, self._possible, self._prior_map):
+            return []  # of another version or of a stack with other settings
         self._runner.mission = mission = Mission.restore(self._left, state)
         if mission is None:
             return []

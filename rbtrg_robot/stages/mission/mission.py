@@ -74,7 +74,10 @@ class Mission:
     @classmethod
     def restore(cls, order: msg.MissionOrder, state: msg.MissionState) -> Mission | None:
         """From the last words of a process that is gone; None where they do not belong together."""
-        if not state.order_id or state.order_id != order.order_id or len(state.action_id) != len(order.steps):
+        here = state.order_id and state.order_id == order.order_id
+        fits = len(state.action_id) == len(order.steps) and len(state.loop_rounds) == len(order.loops)
+        known = state.phase in Phase._value2member_map_ and 1 <= state.step <= len(order.steps)
+        if not (here and fits and known and set(state.action_status) <= set(Status)):
             return None
         return cls(
             order,

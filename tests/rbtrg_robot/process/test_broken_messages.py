@@ -13,6 +13,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import render
 from rbtrg_robot.config import load
 from rbtrg_robot.process.health import Health
+from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import LayoutError, map_patch
@@ -83,6 +84,15 @@ def test_no_mutation_of_a_watched_message_ends_the_supervisor(supervisor: Superv
     assert supervisor._refused > 50
     assert len(supervisor._health.topics) <= len(t.TOPICS)
     assert supervisor._health.beats.keys() <= supervisor._children.keys()
+
+
+def test_a_mission_of_an_unknown_phase_leaves_the_supervisor_up(
+    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    supervisor._mission = MissionFile("a")
+    state = msg.MissionState(order_id="o", phase="dancing", step=9)
+    assert turn(supervisor, t.MISSION_STATE, encode(state))["robot"]["mission"]["phase"] == "dancing"
 
 
 def test_strangers_heartbeats_take_no_memory(supervisor: Supervisor) -> None:

@@ -54,3 +54,17 @@ def test_a_broken_file_is_no_mission(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     MissionFile("a")._path.write_text(text)
     assert MissionFile("a").read() == {}
+
+
+def test_a_file_that_cannot_be_written_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    file = MissionFile("a")
+    newest = {topic: encode(topic.kind()) for topic in (t.MISSION_ORDER, t.MISSION_STATE)}
+    (tmp_path / "rbtrg" / "a.mission-new").mkdir()
+    for _ in range(3):
+        file.write(newest, msg.MissionState(phase="running"))
+    assert caplog.text.count("cannot be written") == 1
+    file.write(newest, msg.MissionState(phase="a phase of nobody"))
+    assert file.read() == {}

@@ -416,6 +416,35 @@ def test_the_stack_says_what_it_can_and_which_map_it_has(tmp_path: Any) -> None:
     assert outputs[t.MISSION_STATE].phase == "running"
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"phase": "dancing"},
+        {"step": 0},
+        {"step": 3},
+        {"order_id": "o2"},
+        {"action_status": ["DANCING", "WAITING"]},
+        {"loop_rounds": array([1], "uint32")},
+    ],
+)
+def test_last_words_that_make_no_sense_are_no_mission(world: World, wrong: dict[str, Any]) -> None:
+    world.start(goto(1.0), goto(2.0))
+    state = world.state
+    for name, value in wrong.items():
+        setattr(state, name, value)
+    world.kept[t.MISSION_STATE] = encode(state)
+    world.restart()
+    world.run(1.5)
+    assert world.state.phase == "idle"
+
+
+def test_a_goal_status_that_makes_no_sense_is_none(world: World) -> None:
+    world.start(goto(1.0))
+    world.run(0.3)
+    world.take(world.stage.on(t.GOAL_STATUS, msg.GoalStatus(id=world.goal.id, state="dancing")))
+    world.until("finished")
+
+
 OPERATIONS = st.lists(
     st.sampled_from(
         ["run", "pause", "resume", "skip", "answer", "estop", "release", "fail", "reach", "restart"]

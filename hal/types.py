@@ -194,6 +194,8 @@ class Capabilities:
     """[rad/s^2] slew of the commanded yaw rate."""
     min_vx: float = 0.2
     """[m/s] slowest speed of which at least half is driven, forward and backward. The default is a guess on the safe side."""
+    step_vx: float = 0.0
+    """[m/s] slowest speed at which uneven ground with faces up to `max_step` is passed: slower, wheels stall on it; 0: any."""
     min_wz: float = 0.3
     """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess, too."""
     max_step: float = 0.10
@@ -203,7 +205,8 @@ class Capabilities:
     max_gap: float = 0.10
     """Widest gap crossed [m]."""
     max_oblique: float = math.radians(30.0)
-    """Angle between travel and the normal of a face of `max_step` from which crossing it is a risk [rad]; not measured yet."""
+    """Angle between travel and the normal of a face of `max_step` from which crossing it is a risk [rad]: both simulated controllers
+    pass such faces up to here at 0.5 m/s (`tools.bench envelope`, rows `oblique_*`)."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

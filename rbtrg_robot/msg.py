@@ -461,12 +461,12 @@ class PathCommand(Message):
     __msgtype__ = "rbtrg_msgs/msg/PathCommand"
     header: Header = field(default_factory=Header)
     id: str = ""
-    reverse: bool = False
     x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     z: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    least_speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     has_goal_yaw: bool = False
     goal_yaw: float = 0.0
 
@@ -490,6 +490,7 @@ class Plan(Message):
     z: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    least_speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     has_goal_yaw: bool = False
     goal_yaw: float = 0.0
     node_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))

@@ -119,6 +119,9 @@ class PlannerConfig(BaseModel):
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="rb_trg: cost variant of the search"
     )
+    backward: float = Field(
+        1.3, ge=1.0, description="factor of the cost of a metre driven backward; .inf = forward only"
+    )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
 
 

@@ -26,6 +26,7 @@ CAPABILITIES = {
         max_vy=0.5,
         max_wz=1.0,
         min_vx=0.2,
+        step_vx=0.5,
         min_wz=0.3,
         max_step=0.25,
         max_slope=math.radians(30.0),
@@ -33,7 +34,8 @@ CAPABILITIES = {
         strafe=True,
     ),
 }
-"""Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`."""
+"""Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` from
+its rows `posts_*`."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

@@ -36,24 +36,32 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
     ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
     terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
-    vertices = _vertices(plan)
+    vertices, back = _vertices(plan)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
-        xy, raw = vertices, 0
-        yaw = np.array([start_yaw if start_yaw is not None else (goal_yaw or 0.0)])
+        yaw = start_yaw if start_yaw is not None else (goal_yaw or 0.0)
+        pieces, raw = [np.array([[*vertices[0], yaw]])], 0
     else:
-        xy, raw = _smooth(vertices, terrain, body, limits)
-        yaw = _headings(xy)
-    poses = np.column_stack([xy, yaw])
+        pieces, raw = _pieces(vertices, back, terrain, body, limits)
+    profile = [_profile(piece, terrain, body, limits) for piece in pieces]
+    # Where the direction changes the last point of one piece is the first of the next, which tells the heading from there on.
+    keep = [slice(None, -1)] * (len(pieces) - 1) + [slice(None)]
+    poses = np.concatenate([piece[k] for piece, k in zip(pieces, keep, strict=True)])
+    speed, least = (
+        np.concatenate([p[part][k] for p, k in zip(profile, keep, strict=True)]) for part in (0, 1)
+    )
+    turns = np.cumsum([len(piece) - 1 for piece in pieces[:-1]], dtype=np.int64)
+    speed[turns] = least[turns] = 0.0
+    xy, yaw = poses[:, :2], poses[:, 2]
     sparse = _thin(poses, 0.05)
     features = terrain_features(terrain, poses[sparse], body)
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
-    speed = speeds(s, yaw, s[sparse], features, body, limits)
     worst = features[:, :3].max(axis=0).tolist()
     return Path(
         np.column_stack([xy, heights_at(terrain, xy)]),
         yaw,
         speed,
+        least,
         s,
         vertices,
         None if start_yaw is None else turn_angle(start_yaw, float(yaw[0])),
@@ -66,20 +74,50 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     )
 
 
-def _vertices(plan: Plan) -> Array:
-    """(n, 2) corners of the route. A plan on a graph that does not know its map is led to the requested ends unchecked."""
+def _pieces(
+    vertices: Array, back: NDArray[np.bool_], terrain: Terrain, body: BodyModel, limits: PathLimits
+) -> tuple[list[Array], int]:
+    """Smoothed poses x, y, yaw of the body, one (n, 3) for each stretch in one direction, and the number of sharp corners."""
+    out, sharp, first = [], 0, 0
+    for last in range(1, len(vertices)):
+        if last < len(back) and back[last] == back[first]:
+            continue
+        xy, raw = _smooth(vertices[first : last + 1], terrain, body, limits)
+        out.append(np.column_stack([xy, wrap(_headings(xy) + np.pi * back[first])]))
+        sharp, first = sharp + raw, last
+    return out, sharp
+
+
+def _profile(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, Array]:
+    """Speed and least speed of a stretch in one direction."""
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    sparse = _thin(poses, 0.05)
+    features = terrain_features(terrain, poses[sparse], body)
+    faces = steps_under(terrain, poses[sparse], body.length, body.width)
+    return speeds(s, poses[:, 2], s[sparse], features, faces, body, limits)
+
+
+def _vertices(plan: Plan) -> tuple[Array, NDArray[np.bool_]]:
+    """(n, 2) corners of the route and (n - 1,) whether the way between two of them is driven backward.
+
+    A plan on a graph that does not know its map is led to the requested ends unchecked.
+    """
     xy = [*plan.points[:, :2]]
+    back = [t.backward for t in plan.transitions]
     ends = (plan.request.start, plan.request.goal)
     start, goal = (None if isinstance(end, (int, np.integer)) else np.array(end, np.float64) for end in ends)
     if start is not None and not plan.exact:
         xy.insert(0, start)
+        back.insert(0, False)
     if goal is not None and not plan.exact and plan.reaches_goal:
         xy.append(goal)
-    keep = [xy[0]]
-    for p in xy[1:]:
+        back.append(False)
+    keep, ways = [xy[0]], []
+    for p, way in zip(xy[1:], back, strict=True):
         if np.hypot(*(p - keep[-1])) > 1e-3:
             keep.append(p)
-    return np.array(keep)
+            ways.append(way)
+    return np.array(keep), np.array(ways, np.bool_)
 
 
 def _leg(a: Array, b: Array, body: BodyModel) -> Array:

@@ -13,12 +13,23 @@ from planning.risk.body import BodyModel
 Array = NDArray[np.float64]
 
 
-def speeds(
-    s: Array, yaw: Array, s_features: Array, features: Array, body: BodyModel, limits: PathLimits
-) -> Array:
-    """(n,) [m/s] at arc length `s` (n,) [m] with heading `yaw` (n,) [rad]; 0 at the end.
+FACE = 0.03
+"""Faces above this [m], the edge that may be turned over on the spot, have to be climbed."""
 
-    `features` (m, 4) of the body (eq. 1 and 2) at arc length `s_features` (m,) [m].
+
+def speeds(
+    s: Array,
+    yaw: Array,
+    s_features: Array,
+    features: Array,
+    faces: Array,
+    body: BodyModel,
+    limits: PathLimits,
+) -> tuple[Array, Array]:
+    """(n,) [m/s] at arc length `s` (n,) [m] with heading `yaw` (n,) [rad], 0 at the end; and (n,) the least that passes there.
+
+    `features` (m, 4) of the body (eq. 1 and 2) and the highest face under it, `faces` (m,) [m], at arc length `s_features` (m,) [m].
+    Where a face has to be climbed the speed is `PathLimits.step_speed` at least, whatever the risk: a wheel that comes slower stalls.
     """
     ds = np.maximum(np.diff(s), 1e-9)
     bend = np.abs(wrap(np.diff(yaw))) / ds
@@ -31,6 +42,8 @@ def speeds(
     pitch = np.arctan(features[:, 0] / (0.75 * body.length))
     share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
     careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk), 1.0 - 0.5 * share)
+    climb = np.where((faces > FACE) & (faces <= limits.max_step), limits.step_speed, 0.0)
+    careful = np.maximum(careful, climb)
     speed = bend_speed(curvature, limits.lateral_accel, limits.max_yaw_rate)
     speed = np.minimum(speed, np.interp(s, s_features, careful))
     speed = np.clip(speed, limits.min_speed, limits.max_speed)
@@ -38,4 +51,4 @@ def speeds(
     brake(speed, ds, limits.max_accel)
     # It starts from rest and speeds up no faster than it brakes.
     brake(speed[::-1], ds[::-1], limits.max_accel)
-    return speed
+    return speed, np.minimum(np.interp(s, s_features, climb), speed)

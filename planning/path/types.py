@@ -23,6 +23,9 @@ class PathLimits(BaseModel):
     max_yaw_rate: float = Field(default=0.8, gt=0.0, description="in curves [rad/s]")
     max_slope: float = Field(default=0.436, gt=0.0, description="steepest ground; half speed there [rad]")
     max_step: float = Field(default=0.10, gt=0.0, description="highest vertical face under the body [m]")
+    step_speed: float = Field(
+        default=0.0, ge=0.0, description="slowest speed at which faces are climbed [m/s]; 0 = any does"
+    )
     spacing: float = Field(default=0.02, gt=0.0, description="distance between samples [m]")
     corridor: float = Field(default=0.08, gt=0.0, description="farthest the path leaves the route [m]")
 
@@ -34,9 +37,11 @@ class Path:
     points: Array = field(repr=False)
     """(n, 3) x, y, z of the ground [m]."""
     yaw: Array = field(repr=False)
-    """(n,) direction of travel [rad]."""
+    """(n,) heading of the body [rad]: against the direction of travel where it is driven backward."""
     speed: Array = field(repr=False)
-    """(n,) [m/s] upper bound; 0 at the end."""
+    """(n,) [m/s] upper bound; 0 at the end and where forward changes to backward."""
+    least: Array = field(repr=False)
+    """(n,) [m/s] slowest speed at which the ground there is passed, never above `speed`; 0: any."""
     s: Array = field(repr=False)
     """(n,) planar distance along the path [m]."""
     route: Array = field(repr=False)
@@ -44,7 +49,7 @@ class Path:
     initial_turn: float | None
     """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
     goal_yaw: float | None
-    """Heading wanted at the end [rad]; the last `yaw` is the direction of travel."""
+    """Heading wanted at the end [rad]; the last `yaw` is that on the way."""
     raw_corners: int
     """Corners of the route that stayed sharp because rounding them left the corridor or raised the risk."""
     worst: tuple[float, float, float]

@@ -135,6 +135,7 @@ def route_moments(
     w: Weights,
     xy: np.ndarray,
     flip: np.ndarray,
+    back: np.ndarray,
     start_yaw: float,
     goal_yaw: float,
     first: int,
@@ -144,19 +145,22 @@ def route_moments(
     """Moments of every pose set of transitions first..last - 1 of a route through points xy (n, 2).
 
     `out` is (n - 1, 3, 3, 4): transition, set (edge, sweep before it, terminal sweep), moment, feature; NaN where a
-    set does not exist. `flip` marks edges that are evaluated from their far end, as the search does.
+    set does not exist. `flip` marks edges that are evaluated from their far end, as the search does, `back` edges
+    that are driven backward.
     """
     work = scratch(sampler)
     for t in range(first, last):
         out[t] = np.nan
         x, y = xy[t, 0], xy[t, 1]
         dx, dy = xy[t + 1, 0] - x, xy[t + 1, 1] - y
-        yaw = np.arctan2(dy, dx)
+        yaw = np.arctan2(dy, dx) + (np.pi if back[t] else 0.0)
         if flip[t]:
             edge_moments(sampler, work, w, x + dx, y + dy, -dx, -dy, out[t, 0])
         else:
             edge_moments(sampler, work, w, x, y, dx, dy, out[t, 0])
-        yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) if t > 0 else start_yaw
+        yaw_in = start_yaw
+        if t > 0:
+            yaw_in = np.arctan2(y - xy[t - 1, 1], x - xy[t - 1, 0]) + (np.pi if back[t - 1] else 0.0)
         if not np.isnan(yaw_in):
             turn_moments(sampler, work, w, x, y, yaw_in, turn_angle(yaw_in, yaw), out[t, 1])
         if t == xy.shape[0] - 2 and not np.isnan(goal_yaw):

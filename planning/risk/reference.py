@@ -134,8 +134,11 @@ def cheapest_route(
     goal_yaw: float | None = None,
     variant: str = "full",
     turn_cost: Callable[[int, float], float] = lambda _node, _turn: 0.0,
+    backward: float = math.inf,
 ) -> tuple[float, tuple[int, ...]]:
     """Least sum of eq. 5 over all routes, and its nodes: Dijkstra over ordered pairs, every pose set evaluated.
+
+    A metre driven backward costs `backward` times as much; in the paper the robot only drives forward.
 
     `turn_cost(node, turn [rad])` adds [m] to turns on the spot; the paper has none. inf, () where there is no route.
     """
@@ -150,39 +153,40 @@ def cheapest_route(
             memo[key] = set_risk(grid, poses(), body)
         return memo[key]
 
-    def cost(i: int | None, slot: int, j: int) -> float:
-        """Of driving edge `slot` out of node j, reached from i."""
+    def cost(i: int | None, came: int, slot: int, j: int, way: int) -> float:
+        """Of driving edge `slot` out of node j, reached from i; came, way: 0 forward, 1 backward, to j and on."""
         k = int(graph.indices[slot])
         here, there = xyz[j].tolist(), xyz[k].tolist()
-        out, extra = heading(here, there), 0.0
+        out, extra = heading(here, there) + way * math.pi, 0.0
         sets = [risk_of((j, k), lambda: edge_set(here, there, body))]
         if variant != "edge-only":
-            yaw_in = start_yaw if i is None else heading(xyz[i].tolist(), here)
+            yaw_in = start_yaw if i is None else heading(xyz[i].tolist(), here) + came * math.pi
             if yaw_in is not None:
-                sets.append(risk_of((i, j, k), lambda: sweep_set(here, yaw_in, out, body)))
+                sets.append(risk_of((i, came, j, k, way), lambda: sweep_set(here, yaw_in, out, body)))
                 extra += turn_cost(j, math.remainder(out - yaw_in, 2 * math.pi))
             if k == goal and goal_yaw is not None:
-                sets.append(risk_of(("goal", j), lambda: sweep_set(there, out, goal_yaw, body)))
+                sets.append(risk_of(("goal", j, way), lambda: sweep_set(there, out, goal_yaw, body)))
                 extra += turn_cost(k, math.remainder(goal_yaw - out, 2 * math.pi))
-        return extra + transition(
-            math.dist(here[:2], there[:2]), float(graph.risk[slot]), sets, body, variant
-        )
+        length = math.dist(here[:2], there[:2]) * (backward if way else 1.0)
+        return extra + transition(length, float(graph.risk[slot]), sets, body, variant)
 
-    queue: list[tuple[float, int, int, tuple[int, ...]]] = []
+    ways = (0,) if math.isinf(backward) else (0, 1)
+    queue: list[tuple[float, int, int, int, tuple[int, ...]]] = []
     for slot in edges[start]:
         k = int(graph.indices[slot])
-        queue.append((cost(None, slot, start), start, k, (start, k)))
+        queue += [(cost(None, 0, slot, start, way), start, k, way, (start, k)) for way in ways]
     heapq.heapify(queue)
     done = set()
     while queue:
-        g, i, j, route = heapq.heappop(queue)
+        g, i, j, came, route = heapq.heappop(queue)
         if j == goal:
             return g, route
-        if (i, j) in done:
+        if (i, j, came) in done:
             continue
-        done.add((i, j))
+        done.add((i, j, came))
         for slot in edges[j]:
             k = int(graph.indices[slot])
-            if (j, k) not in done:
-                heapq.heappush(queue, (g + cost(i, slot, j), j, k, (*route, k)))
+            for way in ways:
+                if (j, k, way) not in done:
+                    heapq.heappush(queue, (g + cost(i, came, slot, j, way), j, k, way, (*route, k)))
     return math.inf, ()

@@ -21,7 +21,8 @@ class Tables(NamedTuple):
     edge: NDArray[np.float64]
     """(slots, 2)"""
     turn_at: NDArray[np.int64]
-    """(slots,) first row in `turns` of the turns out of each slot, one per edge that leaves its target; -1 = none."""
+    """(slots,) first row in `turns` of the turns out of each slot: two per edge that leaves its target, with the same end of
+    the body ahead after it and with the other; -1 = none."""
     turns: NDArray[np.float64]
     """(rows, 2); B = inf where there is no room to turn."""
     used: NDArray[np.int64]

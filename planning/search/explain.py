@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,10 @@ class Route:
     """(n - 1,) native risk of the edges; a moved edge keeps that of the graph's."""
     flip: NDArray[np.bool_]
     """(n - 1,) edges that the search evaluates from their far end."""
+    back: NDArray[np.bool_]
+    """(n - 1,) edges driven backward."""
+    backward: float
+    """What a metre driven backward costs more, as a factor."""
     start_yaw: float
     goal_yaw: float
     """[rad], NaN = any."""
@@ -37,10 +42,17 @@ class Route:
 
     @classmethod
     def along(
-        cls, table: RiskTable, start: int, slots: NDArray[np.int64], start_yaw: float, goal_yaw: float
+        cls,
+        table: RiskTable,
+        start: int,
+        states: NDArray[np.int64],
+        start_yaw: float,
+        goal_yaw: float,
+        backward: float = math.inf,
     ) -> Route:
-        """The route over these directed edges from node `start`."""
+        """The route over these states (`planning.search.pairs`) from node `start`."""
         arcs = table.arcs
+        slots = states // 2
         nodes = (start, *arcs.target[slots].tolist())
         xy = np.column_stack([arcs.x[list(nodes)], arcs.y[list(nodes)]])
         flip = slots > arcs.reverse[slots]
@@ -49,6 +61,8 @@ class Route:
             xy,
             arcs.risk[slots].astype(np.float64),
             flip,
+            states % 2 == 1,
+            backward,
             start_yaw,
             goal_yaw,
             arcs.turn_rate[list(nodes)],
@@ -60,7 +74,16 @@ class Route:
     def evaluate(self, sampler: Sampler, w: Weights, first: int, last: int) -> None:
         """Bring the moments of transitions first..last - 1 up to date with `xy`."""
         route_moments(
-            sampler, w, self.xy, self.flip, self.start_yaw, self.goal_yaw, first, last, self.moments
+            sampler,
+            w,
+            self.xy,
+            self.flip,
+            self.back,
+            self.start_yaw,
+            self.goal_yaw,
+            first,
+            last,
+            self.moments,
         )
 
     @property
@@ -68,12 +91,16 @@ class Route:
         """(n - 1,) [m]"""
         return np.hypot(*np.diff(self.xy, axis=0).T)
 
+    @property
+    def heading(self) -> NDArray[np.float64]:
+        """(n - 1,) of the body along each edge [rad]."""
+        return np.arctan2(*np.diff(self.xy, axis=0).T[::-1]) + np.pi * self.back
+
     def turn_cost(self) -> NDArray[np.float64]:
         """(n - 1,) [m] for edges under the wheels in each transition's turns."""
         if len(self.xy) < 2:
             return np.zeros(0)
-        heading = np.arctan2(*np.diff(self.xy, axis=0).T[::-1])
-        yaw = np.concatenate([[self.start_yaw], heading, [self.goal_yaw]])
+        yaw = np.concatenate([[self.start_yaw], self.heading, [self.goal_yaw]])
         cost = np.array(
             [
                 0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn_angle(a, b))
@@ -94,7 +121,15 @@ class Route:
     def cost(self, w: Weights) -> NDArray[np.float64]:
         """(n - 1,) [m] of each transition (eq. 5), and of edges in its turns."""
         worst = self.terms(w).max(axis=1)
-        return transition_cost(w, self.length, self.risk, worst[:, 0], worst[:, 1]) + self.turn_cost()
+        return (
+            self.factor * transition_cost(w, self.length, self.risk, worst[:, 0], worst[:, 1])
+            + self.turn_cost()
+        )
+
+    @property
+    def factor(self) -> NDArray[np.float64]:
+        """(n - 1,) by which the direction makes each edge dearer."""
+        return np.where(self.back, self.backward, 1.0)
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
@@ -106,7 +141,7 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
     each = np.arange(len(length))
     body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
     native = transition_cost(w, length, route.risk, 0.0, 0.0)
-    full = transition_cost(w, length, route.risk, body_term, unknown_term)
+    full = route.factor * transition_cost(w, length, route.risk, body_term, unknown_term)
     cost = native if request.variant == "native" else full
     turns = route.turn_cost() if request.variant not in ("native", "edge-only") else np.zeros(len(length))
     transitions = []
@@ -125,6 +160,7 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
                 float(unknown_term[t]),
                 float(cost[t] + turns[t]),
                 float(turns[t]),
+                bool(route.back[t]),
                 SETS[decided[t, 0]],
                 SETS[decided[t, 1]],
                 mean,

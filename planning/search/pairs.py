@@ -1,6 +1,6 @@
 """A* over ordered pairs of nodes for the body-aware cost.
 
-A state is a directed edge (i, j), named by its CSR slot. Nearly all time goes into evaluating pose sets, so both
+A state is a directed edge (i, j), driven forward or backward: twice its CSR slot, plus one if backward. Nearly all time goes into evaluating pose sets, so both
 searches are lazy: what enters a queue has a lower bound of its cost, its pose sets are evaluated when it comes up, and
 it goes back if that made it dearer. First a search over nodes, backwards from the goal, finds the cost to go without
 turns; that bound lacks so little that the search over pairs then evaluates few turns. The optimum is the one of
@@ -102,12 +102,15 @@ def search_pairs(
     goal_yaw: float,
     sweeps: bool,
     once: bool,
+    backward: float,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
     That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
-    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost more over edges, and are only made where there is room. Returns the cost of the route (inf:
-    none), the slots of its edges, the number of expanded states, and `tables.turns`, which may have grown.
+    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost more over edges, and are only made where there is room. An edge driven
+    backward costs `backward` times as much (inf: none is); yaws are the body's. The footprint is the same turned by half a turn,
+    so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or with the other.
+    Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
     """
     none = np.empty(0, np.int64)
     turns = tables.turns
@@ -118,10 +121,11 @@ def search_pairs(
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = arcs
     edge, turn_at, _, _ = tables
     used = tables.used[0]
-    slots = target.size
-    best = np.full(slots, np.inf)  # least evaluated cost of each state
-    parent = np.full(slots, -1, np.int64)
-    closed = np.zeros(slots, np.bool_)
+    states = 2 * target.size
+    ways = 1 if np.isinf(backward) else 2
+    best = np.full(states, np.inf)  # least evaluated cost of each state
+    parent = np.full(states, -1, np.int64)
+    closed = np.zeros(states, np.bool_)
     size = 256
     f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
     # Queue entries: where the state was reached from, at what cost, and how far it is evaluated: not at all (0),
@@ -130,103 +134,109 @@ def search_pairs(
     n = 0
     entries = 0
     expanded = 0
-    slot = -1
+    state = -1
     at = start
     if once:
         for out in range(indptr[start], indptr[start + 1]):
-            closed[reverse[out]] = True
+            closed[2 * reverse[out]] = closed[2 * reverse[out] + 1] = True
     while True:
-        g = 0.0 if slot < 0 else best[slot]
+        g = 0.0 if state < 0 else best[state]
         expanded += 1
         for out in range(indptr[at], indptr[at + 1]):
-            if closed[out]:
-                continue
             known = not np.isnan(edge[out, 0])
             b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-            cost = g + transition_cost(w, length[out], risk[out], b, u)
-            if cost >= best[out]:
-                continue
-            if entries == came.size:
-                came, base, stage = grown(came), grown(base), grown(stage)
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            came[entries], base[entries], stage[entries] = slot, g, known
-            n = push(f, s, e, n, cost + h[target[out]], out, entries)
-            entries += 1
+            step = transition_cost(w, length[out], risk[out], b, u)
+            for way in range(ways):
+                to = 2 * out + way
+                cost = g + (backward * step if way else step)
+                if closed[to] or cost >= best[to]:
+                    continue
+                if entries == came.size:
+                    came, base, stage = grown(came), grown(base), grown(stage)
+                if n == f.size:
+                    f, s, e = grown(f), grown(s), grown(e)
+                came[entries], base[entries], stage[entries] = state, g, known
+                n = push(f, s, e, n, cost + h[target[out]], to, entries)
+                entries += 1
         # Take the most promising state and evaluate what its cost still lacks, until one is certain.
-        slot = -1
+        state = -1
         while n > 0:
-            bound, out, entry = f[0], s[0], e[0]
+            bound, to, entry = f[0], s[0], e[0]
             n = pop(f, s, e, n)
-            if out < 0:  # the way on from an end: nothing in the queue can be cheaper
+            if to < 0:  # the way on from an end: nothing in the queue can be cheaper
                 return best[entry], walk_back(parent, entry), expanded, turns
-            if closed[out]:
+            if closed[to]:
                 continue
             origin = came[entry]
             if stage[entry] == 2:
-                if parent[out] != origin:
+                if parent[to] != origin:
                     continue  # reached more cheaply in the meantime
-                slot = out
+                state = to
                 break
+            out, way = to // 2, to % 2
+            factor = backward if way else 1.0
             at, k = source[out], target[out]
             if np.isnan(edge[out, 0]):
                 evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
             b, u = edge[out, 0], edge[out, 1]
-            cost = base[entry] + transition_cost(w, length[out], risk[out], b, u)
+            cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u)
             stage[entry] += 1
             if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
                 stage[entry] = 2
                 b2, u2 = 0.0, 0.0
                 edges = 0.0
+                yaw = heading[out] + (np.pi if way else 0.0)
                 if origin >= 0:
-                    if turn_at[origin] < 0:
-                        degree = indptr[at + 1] - indptr[at]
-                        while used + degree > len(turns):
+                    came_by = origin // 2
+                    if turn_at[came_by] < 0:
+                        rows = 2 * (indptr[at + 1] - indptr[at])
+                        while used + rows > len(turns):
                             turns = _more(turns)
-                        turn_at[origin] = used
-                        used += degree
+                        turn_at[came_by] = used
+                        used += rows
                         tables.used[0] = used
-                    row = turn_at[origin] + out - indptr[at]
+                    change = way != origin % 2
+                    row = turn_at[came_by] + 2 * (out - indptr[at]) + change
+                    d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
                     if np.isnan(turns[row, 0]):
-                        d = turn_angle(heading[origin], heading[out])
-                        if turn_is_free(room[at], heading[origin], d):
-                            turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[origin], d)
+                        if turn_is_free(room[at], heading[came_by], d):
+                            turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[came_by], d)
                         else:
                             turns[row] = np.inf
                     b2, u2 = turns[row]
                     if turn_rate[at] > 0.0:
-                        edges = edge_turn_cost(turn_rate[at], turn_angle(heading[origin], heading[out]))
+                        edges = edge_turn_cost(turn_rate[at], d)
                 elif not np.isnan(start_yaw):
-                    d = turn_angle(start_yaw, heading[out])
+                    d = turn_angle(start_yaw, yaw)
                     b2, u2 = np.inf, 0.0
                     if turn_is_free(room[at], start_yaw, d):
                         b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, d)
                     edges = edge_turn_cost(turn_rate[at], d)
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
-                    d = turn_angle(heading[out], goal_yaw)
+                    d = turn_angle(yaw, goal_yaw)
                     b2, u2 = np.inf, 0.0
-                    if may_turn_to(room[k], heading[out], d):
-                        b2, u2 = turn_risk(sampler, work, w, x[k], y[k], heading[out], d)
+                    if may_turn_to(room[k], yaw, d):
+                        b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, d)
                     b, u = max(b, b2), max(u, u2)
                     edges += edge_turn_cost(turn_rate[k], d)
-                cost = base[entry] + transition_cost(w, length[out], risk[out], b, u) + edges
+                cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + edges
             elif not sweeps:
                 stage[entry] = 2
-            if not cost < best[out]:
+            if not cost < best[to]:
                 continue
             if stage[entry] == 2:
-                best[out] = cost
-                parent[out] = origin
-            n = push(f, s, e, n, cost + h[k], out, entry)
-        if slot < 0:
+                best[to] = cost
+                parent[to] = origin
+            n = push(f, s, e, n, cost + h[k], to, entry)
+        if state < 0:
             return np.inf, none, expanded, turns
-        closed[slot] = True
-        at = target[slot]
+        closed[state] = True
+        at = target[state // 2]
         if is_end[at]:
             if n == f.size:
                 f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, best[slot] + exit_cost[at], -1, slot)
+            n = push(f, s, e, n, best[state] + exit_cost[at], -1, state)
 
 
 @njit(cache=True)
@@ -239,7 +249,7 @@ def _more(turns: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def walk_back(parent: np.ndarray, last: int) -> np.ndarray:
-    """Slots from the start to `last`."""
+    """States from the start to `last`."""
     count = 0
     k = last
     while k >= 0:

@@ -20,11 +20,12 @@ from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, w
 from planning.search.nodes import search_nodes
 from planning.search.pairs import search_pairs
 from planning.search.refine import refine
-from planning.search.request import SETS, VARIANTS, Plan, PlanRequest, Transition, Variant
+from planning.search.request import SETS, VARIANTS, DriveRules, Plan, PlanRequest, Transition, Variant
 
 __all__ = [
     "SETS",
     "VARIANTS",
+    "DriveRules",
     "Plan",
     "PlanRequest",
     "RiskTable",
@@ -194,7 +195,8 @@ def _search(
     if ends[start]:
         route, cost, expanded = np.empty(0, np.int64), 0.0, 0
     elif request.variant == "native":
-        cost, route, expanded = search_nodes(w, table.arcs, start, ends, exit_cost, *xy)
+        cost, slots, expanded = search_nodes(w, table.arcs, start, ends, exit_cost, *xy)
+        route = 2 * slots
     else:
         sweeps = request.variant != "edge-only"
         tables = table.tables(body)
@@ -210,11 +212,12 @@ def _search(
             goal_yaw,
             sweeps,
             at.exact,
+            request.rules.backward if sweeps else np.inf,
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
         return None
-    found = Route.along(table, start, route, start_yaw, goal_yaw)
+    found = Route.along(table, start, route, start_yaw, goal_yaw, request.rules.backward)
     if request.variant == "refined":
         found = refine(table, found)
     return replace(describe(table, request, body, found, expanded), exact=at.exact)

@@ -87,9 +87,9 @@ def _faces(table: RiskTable, route: Route, first: int, last: int) -> np.ndarray:
     for t in range(first, last):
         poses = edge_poses(route.xy[t], route.xy[t + 1], table.body)
         if t > 0:
-            dx, dy = route.xy[t] - route.xy[t - 1]
             x, y = route.xy[t]
-            turn = sweep_poses(x, y, float(np.arctan2(dy, dx)), float(poses[0, 2]), table.body)
+            before, after = route.heading[t - 1 : t + 1].tolist()
+            turn = sweep_poses(x, y, before, after, table.body)
             poses = np.concatenate([turn, poses])
         out[t - first] = steps_beneath(table.sampler, poses).max()
     return out

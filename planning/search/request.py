@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -19,6 +20,14 @@ SETS = ("edge", "sweep", "terminal sweep")
 
 
 @dataclass(frozen=True, slots=True)
+class DriveRules:
+    """How the robot drives, which is no part of the paper's cost and the same for all its variants."""
+
+    backward: float = math.inf
+    """Factor of a metre driven backward; infinite: it drives forward only. Not for `native` and `edge-only`, which know no turns."""
+
+
+@dataclass(frozen=True, slots=True)
 class PlanRequest:
     """Start and goal. A place is x, y [m] in `map` or a node index; yaw in radians, None = any."""
 
@@ -33,6 +42,7 @@ class PlanRequest:
     """x, y [m] of the frontier driven to so far (`Plan.frontier`): it is kept unless another is clearly better."""
     seen_frontiers: tuple[tuple[float, float], ...] = ()
     """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
+    rules: DriveRules = DriveRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +62,8 @@ class Transition:
     """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, and `turn_cost`."""
     turn_cost: float
     """[m] for turning in place over an edge before the edge (or after it, at the goal), see `planning.risk.turns`."""
+    backward: bool
+    """Driven with the rear of the body ahead."""
     body_from: str
     """Pose set that decided B: one of `SETS`."""
     unknown_from: str

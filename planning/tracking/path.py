@@ -6,7 +6,8 @@ Everything that can be computed once per path is computed here, so that a contro
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,10 +35,14 @@ class TrackPath:
     """[1/m], positive to the left, mean over one step either side."""
     speed: list[float]
     """[m/s] the robot may have here and still brake for everything that follows."""
+    least: list[float]
+    """[m/s] the robot must have here not to stall, where `speed` allows it."""
     step: float
     """Spacing of the samples [m]."""
     length: float
     """[m]."""
+    reverse: bool = False
+    """Driven with the rear of the body ahead."""
 
     @property
     def goal(self) -> tuple[float, float]:
@@ -54,6 +59,12 @@ class TrackPath:
             return values[-1]
         f = u - i
         return values[i] * (1.0 - f) + values[i + 1] * f
+
+    def cross(self, s: float, x: float, y: float) -> float:
+        """Signed distance of x, y from the path at arc length s [m], left positive."""
+        dx, dy = x - self.at(self.x, s), y - self.at(self.y, s)
+        heading = self.at(self.heading, s)
+        return math.cos(heading) * dy - math.sin(heading) * dx
 
     def project(self, x: float, y: float, s_from: float, s_to: float) -> float:
         """Arc length of the point of [s_from, s_to] nearest to x, y. The earliest wins a tie."""
@@ -73,10 +84,39 @@ class TrackPath:
         return best_s
 
 
+def track_paths(
+    points: ArrayLike,
+    yaw: ArrayLike | None,
+    speed: ArrayLike | float,
+    least: ArrayLike | float,
+    **limits: float,
+) -> list[TrackPath]:
+    """`track_path` of each stretch in one direction, in their order: backward where the body's heading is against the travel."""
+    whole = track_path(points, yaw, speed, least, **limits)
+    if yaw is None or whole.length == 0.0:
+        return [whole]
+    xy, facing = np.asarray(points, np.float64)[:, :2], np.array(yaw, np.float64)
+    rows = [np.broadcast_to(np.asarray(v, np.float64), len(xy)) for v in (speed, least)]
+    keep = np.flatnonzero(np.append(np.hypot(*np.diff(xy, axis=0).T) > 1e-6, True))
+    chord = np.diff(xy[keep], axis=0)
+    back = np.cos(facing[keep][:-1] - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0
+    ends = [0, *(np.flatnonzero(back[1:] != back[:-1]) + 1).tolist(), len(back)]
+    out = []
+    for first, last in pairwise(ends):
+        part = keep[first : last + 1]
+        along = facing[part]
+        along[-1] = along[-2] if last < len(back) else along[-1]  # there the next stretch has its own heading
+        speeds, leasts = (row[part] for row in rows)
+        piece = track_path(xy[part], along, speeds, leasts, **limits)
+        out.append(replace(piece, reverse=bool(back[first])))
+    return out
+
+
 def track_path(
     points: ArrayLike,
     yaw: ArrayLike | None,
     speed: ArrayLike | float,
+    least: ArrayLike | float = 0.0,
     *,
     min_speed: float,
     max_speed: float,
@@ -88,7 +128,7 @@ def track_path(
 
     points: (n, 2) or (n, 3) x, y[, z] in `map` [m], n >= 1. yaw: (n,) heading of the path or of the body along it
     [rad] (a body that drives backwards may carry its own heading: the direction of travel decides), or None to
-    take it from the points. speed: (n,) or scalar upper bound [m/s]. Raises PathError.
+    take it from the points. speed: (n,) or scalar upper bound [m/s]; least: (n,) or scalar, the least that passes. Raises PathError.
     """
     xy = _finite("points", points)
     if xy.ndim != 2 or xy.shape[0] < 1 or xy.shape[1] not in (2, 3):
@@ -100,18 +140,21 @@ def track_path(
     if limit.shape != (n,):
         raise PathError(f"speed must be a number or have shape ({n},), got {limit.shape}")
     if (limit < 0.0).any():
-        raise PathError("speed must not be negative; use reverse=True to drive a path backwards")
+        raise PathError("speed must not be negative; to drive backward give the heading of the body as yaw")
+    floor = np.broadcast_to(_finite("least", least), n) if np.ndim(least) == 0 else _finite("least", least)
+    if floor.shape != (n,):
+        raise PathError(f"least must be a number or have shape ({n},), got {floor.shape}")
     given = None if yaw is None else _finite("yaw", yaw)
     if given is not None and given.shape != (n,):
         raise PathError(f"yaw must have shape ({n},), got {given.shape}")
 
     keep = np.concatenate([[True], np.hypot(*np.diff(xy[:, :2], axis=0).T) > 1e-6])
     keep[0] = True
-    xy, limit = xy[keep, :2], limit[keep]
+    xy, limit, floor = xy[keep, :2], limit[keep], floor[keep]
     given = None if given is None else given[keep]
     if len(xy) == 1:
         heading = 0.0 if given is None else float(given[0])
-        return TrackPath([xy[0, 0]], [xy[0, 1]], [heading], [0.0], [min_speed], STEP, 0.0)
+        return TrackPath([xy[0, 0]], [xy[0, 1]], [heading], [0.0], [min_speed], [0.0], STEP, 0.0)
 
     chord = np.diff(xy, axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(chord[:, 0], chord[:, 1]))])
@@ -138,9 +181,9 @@ def track_path(
     allowed = np.minimum(allowed, bend_speed(curvature, lateral_accel, max_yaw_rate))
     allowed = np.maximum(allowed, min_speed)
     brake(allowed, np.full(count - 1, step), max_decel)
-    return TrackPath(
-        x.tolist(), y.tolist(), heading_at.tolist(), curvature.tolist(), allowed.tolist(), step, length
-    )
+    needed = np.minimum(np.interp(s, arc, floor), allowed)
+    lists = (v.tolist() for v in (x, y, heading_at, curvature, allowed, needed))
+    return TrackPath(*lists, step, length)
 
 
 def _finite(name: str, values: ArrayLike) -> NDArray[np.float64]:

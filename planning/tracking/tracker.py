@@ -16,7 +16,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from hal.rotation import wrap
-from planning.tracking.path import PathError, TrackPath, track_path
+from planning.tracking.path import PathError, TrackPath, track_path, track_paths
 from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
@@ -54,6 +54,8 @@ class PathTracker:
     def clear(self) -> None:
         """Forget the path; the next steps brake to zero."""
         self._path: TrackPath | None = None
+        self._rest: list[TrackPath] = []
+        self._driven = 0.0
         self._goal_yaw: float | None = None
         self._path_id = 0
         self._reverse = False
@@ -87,21 +89,22 @@ class PathTracker:
         speed: ArrayLike | float,
         goal_yaw: float | None = None,
         path_id: int = 0,
-        reverse: bool = False,
+        least: ArrayLike | float = 0.0,
     ) -> None:
         """Follow a new path from the next step on, without stopping where it continues the old one.
 
-        points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) [rad] or None; speed: (n,) or scalar [m/s], see
-        `track_path`; goal_yaw [rad] of the body at the end, or None; reverse: drive backwards, trunk last.
+        points: (n, 3) or (n, 2) in `map` [m]; yaw: (n,) of the body [rad], against the travel where it drives backward, or
+        None; speed, least: (n,) or scalar [m/s], see `track_path`; goal_yaw [rad] of the body at the end, or None.
         Raises PathError and keeps the old path.
         """
         p = self.params
         if goal_yaw is not None and not math.isfinite(goal_yaw):
             raise PathError("goal_yaw must be finite or None")
-        path = track_path(points, yaw, speed, **self._limits())
-        drift = self._drift if self._phase is TrackPhase.FOLLOWING and reverse == self._reverse else 0.0
+        path, *rest = track_paths(points, yaw, speed, least, **self.params.profile())
+        drift = self._drift if self._phase is TrackPhase.FOLLOWING and path.reverse == self._reverse else 0.0
         self.clear()
-        self._path, self._goal_yaw, self._path_id, self._reverse = path, goal_yaw, path_id, reverse
+        self._path, self._rest, self._reverse = path, rest, path.reverse
+        self._goal_yaw, self._path_id = goal_yaw, path_id
         self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, drift))
         self._phase = TrackPhase.FOLLOWING
         self._tries = p.goal_retries
@@ -152,14 +155,15 @@ class PathTracker:
         self._s = max(s, self._s)
         self._started = True
         left = line.length - s
+        after = sum(piece.length for piece in self._rest)
         error = wrap(line.at(line.heading, s) - course)
-        cross = _cross(line, s, x, y)
+        cross = line.cross(s, x, y)
         goal_x, goal_y = path.goal
         report: dict[str, Any] = {
-            "distance_left": left,
+            "distance_left": left + after,
             "cross_track": cross,
             "heading_error": error,
-            "progress": self._s if self._correcting is None else path.length,
+            "progress": self._driven + (self._s if self._correcting is None else path.length),
             "goal_distance": math.hypot(goal_x - x, goal_y - y),
             "path_id": self._path_id,
         }
@@ -174,8 +178,12 @@ class PathTracker:
         mid = course + 0.5 * wz * p.lag
         x_p, y_p = x + travel * math.cos(mid), y + travel * math.sin(mid)
         s_p = line.project(x_p, y_p, s, min(s + _WINDOW, line.length))
-        cross_p = _cross(line, s_p, x_p, y_p)
+        cross_p = line.cross(s_p, x_p, y_p)
         along_p = left - travel * math.cos(error)
+        if along_p <= 0.005 and self._rest:
+            self._turn_round(path)
+            self._slew(0.0, 0.0, dt)
+            return TrackOutput(self._vx, self._wz, self._phase, **report)
         if along_p <= 0.005:
             self._phase = TrackPhase.FINAL_TURN
             self._settle_since = now
@@ -199,16 +207,17 @@ class PathTracker:
         # The mean of here and of where the command acts: the profile bounds both.
         speed = min(line.at(line.speed, s), line.at(line.speed, s_p))
         speed = min(speed, math.sqrt(2.0 * p.max_decel * max(along_p, 0.0)))
+        least = max(p.min_speed, min(speed, line.at(line.least, s)))
         speed *= self._slope_factor(slope)
         free = 0.3 * p.turn_threshold
         speed *= min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
-        speed = max(speed, p.min_speed)
+        speed = max(speed, least)
         rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
         if abs(v) > 0.1 and abs(cross) < 0.3 and abs(off) < free:
             self._drift += p.drift_gain * cross_p / p.lookahead * dt
             self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, self._drift))
         if abs(rate) > p.max_yaw_rate:  # keep the bend's shape: slow down rather than cut or widen it
-            speed = max(p.min_speed, speed * p.max_yaw_rate / abs(rate))
+            speed = max(least, speed * p.max_yaw_rate / abs(rate))
         self._slew(sign * speed, rate, dt)
         return TrackOutput(self._vx, self._wz, self._phase, **report)
 
@@ -226,7 +235,7 @@ class PathTracker:
         report: dict[str, Any] = {
             "distance_left": distance,
             "heading_error": turn,
-            "progress": path.length,
+            "progress": self._driven + path.length,
             "goal_distance": distance,
             "path_id": self._path_id,
         }
@@ -277,12 +286,20 @@ class PathTracker:
             return -math.copysign(self.params.min_speed, ahead)
         return self._rock
 
+    def _turn_round(self, path: TrackPath) -> None:
+        """At the end of a stretch in one direction: drive the next one."""
+        self._driven += path.length
+        self._path = self._rest.pop(0)
+        self._reverse = self._path.reverse
+        self._s, self._drift = 0.0, 0.0
+        self._phase = TrackPhase.FOLLOWING
+
     def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:
         """Drive straight to the goal, whichever end of the robot is nearer to pointing at it."""
         bearing = math.atan2(goal_y - y, goal_x - x)
         self._reverse = abs(wrap(bearing - yaw)) > math.pi / 2.0
         self._correcting = track_path(
-            [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self._limits()
+            [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self.params.profile()
         )
         self._s, self._started, self._drift = 0.0, False, 0.0
         # Aligning, not following: short of the goal there is no room to bend towards it.
@@ -299,23 +316,13 @@ class PathTracker:
             self._wz,
             self._phase,
             heading_error=0.0 if self._goal_yaw is None else wrap(self._goal_yaw - yaw),
-            progress=self._path.length,
+            progress=self._driven + self._path.length,
             goal_distance=distance,
             path_id=self._path_id,
             missed=self._missed,
         )
 
     # -- helpers ---------------------------------------------------------------------------------------------------
-
-    def _limits(self) -> dict[str, float]:
-        p = self.params
-        return {
-            "min_speed": p.min_speed,
-            "max_speed": p.max_speed,
-            "max_decel": p.max_decel,
-            "lateral_accel": p.lateral_accel,
-            "max_yaw_rate": 0.8 * p.max_yaw_rate,  # the rest is for corrections
-        }
 
     def _turn_rate(self, error: float) -> float:
         """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
@@ -337,10 +344,3 @@ class PathTracker:
         self._vx += max(-change, min(change, speed - self._vx))
         rate = max(-p.max_yaw_rate, min(p.max_yaw_rate, rate))
         self._wz += max(-p.max_yaw_accel * dt, min(p.max_yaw_accel * dt, rate - self._wz))
-
-
-def _cross(path: TrackPath, s: float, x: float, y: float) -> float:
-    """Signed distance of x, y from the path at arc length s [m], left positive."""
-    dx, dy = x - path.at(path.x, s), y - path.at(path.y, s)
-    heading = path.at(path.heading, s)
-    return math.cos(heading) * dy - math.sin(heading) * dx

@@ -57,6 +57,16 @@ class TrackerConfig(BaseModel):
         default=0.6, gt=0, description="[m] stop when further from the path than this"
     )
 
+    def profile(self) -> dict[str, float]:
+        """Limits of a path's speed profile, see `planning.tracking.path.track_path`."""
+        return {
+            "min_speed": self.min_speed,
+            "max_speed": self.max_speed,
+            "max_decel": self.max_decel,
+            "lateral_accel": self.lateral_accel,
+            "max_yaw_rate": 0.8 * self.max_yaw_rate,  # the rest is for corrections
+        }
+
 
 class TrackPhase(StrEnum):
     """Phase of the tracker."""

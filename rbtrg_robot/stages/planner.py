@@ -17,7 +17,7 @@ from planning.path import Path, PathLimits, face_in_the_way, make_path, still_sa
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory
-from planning.search.plan import Plan, PlanRequest, plan
+from planning.search.plan import DriveRules, Plan, PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -274,6 +274,7 @@ class PlannerStage:
             start_yaw=message.start_yaw,
             goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
             variant=self._params.variant,
+            rules=DriveRules(backward=self._params.backward),
             allow_frontier=True,
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),
@@ -300,6 +301,7 @@ def _plan_fields(found: Plan, path: Path, message: msg.PlanRequest) -> dict[str,
         "z": array(path.points[:, 2], f64),
         "yaw": array(path.yaw, f64),
         "speed": array(path.speed, f64),
+        "least_speed": array(path.least, f64),
         "has_goal_yaw": message.has_goal_yaw,
         "goal_yaw": message.goal_yaw,
         "node_x": array(found.points[:, 0], f64),
@@ -323,7 +325,11 @@ def _path_msg(path: Path, now: int) -> msg.Path:
 def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
     graph = config.graph_params()
+    fastest = config.tracker.max_speed
     limits = PathLimits(
-        max_speed=config.tracker.max_speed, max_step=graph.max_step, max_slope=graph.max_slope
+        max_speed=fastest,
+        max_step=graph.max_step,
+        max_slope=graph.max_slope,
+        step_speed=min(config.capabilities().step_vx, fastest),
     )
     return PlannerStage(config.planner, graph, config.body, limits, config.seed)

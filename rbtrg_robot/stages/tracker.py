@@ -81,9 +81,8 @@ class TrackerStage:
         points = np.column_stack([message.x, message.y, message.z])
         goal_yaw = message.goal_yaw if message.has_goal_yaw else None
         try:
-            self._tracker.set_path(
-                points, message.yaw, message.speed, goal_yaw, reverse=bool(message.reverse)
-            )
+            least = message.least_speed if len(message.least_speed) else 0.0
+            self._tracker.set_path(points, message.yaw, message.speed, goal_yaw, least=least)
         except PathError as error:
             self._tracker.clear()
             self._path_fault = f"path refused: {error}"

@@ -54,8 +54,14 @@ class NavigatorStage:
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
-    def __init__(self, params: NavigatorConfig, area: Geofence | None = None, room: float = 0.0) -> None:
-        """`area`: what goals must lie in, `room` [m] from its edge."""
+    def __init__(
+        self,
+        params: NavigatorConfig,
+        area: Geofence | None = None,
+        room: float = 0.0,
+        step_speed: float = 0.0,
+    ) -> None:
+        """`area`: what goals must lie in, `room` [m] from its edge; `step_speed`: `Capabilities.step_vx` [m/s]."""
         self._params = params
         self._area, self._room = area, room
         self._frame = MapFrame()
@@ -72,7 +78,7 @@ class NavigatorStage:
         self._route_bad = ""
         self._short = 0
         self._recovery = Recovery(params)
-        self._order = PathOrder()
+        self._order = PathOrder(step_speed)
         self._progress = ProgressMonitor()
         self._trail = Trail()
         self._missing_since = 0
@@ -346,4 +352,5 @@ def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
     room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
     area = config.allowed_area()
-    return NavigatorStage(config.navigator, Geofence.of(area) if area else None, room)
+    fence = Geofence.of(area) if area else None
+    return NavigatorStage(config.navigator, fence, room, config.capabilities().step_vx)

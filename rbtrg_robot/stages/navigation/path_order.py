@@ -15,7 +15,7 @@ from rbtrg_robot.wire.messages import header
 REPEAT = NS // 2
 """A tracker that works on something else than it was told is told again after this long [ns]."""
 OUT_SPEED = 0.3
-"""[m/s]"""
+"""[m/s], or what the robot needs to come over faces: it may have been one that held it."""
 HEADING = math.radians(10.0)
 """A goal whose heading is farther off is not reached."""
 
@@ -31,13 +31,15 @@ def heading_off(wanted: float | None, tracker: msg.TrackerState | None) -> str:
 class PathOrder:
     """Makes rbtrg_msgs/PathCommand in frame `map`. Times in ns."""
 
-    def __init__(self) -> None:
+    def __init__(self, step_speed: float = 0.0) -> None:
+        """`step_speed`: see `Capabilities.step_vx` [m/s]."""
+        self._step_speed = step_speed
         self._path: msg.PathCommand | None = None
         self._sent = 0
 
     def route(self, now: int, plan: msg.Plan) -> msg.PathCommand:
         """Drive the path of a Plan."""
-        fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed")}
+        fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed", "least_speed")}
         final = plan.has_goal_yaw and plan.reaches_goal
         path_id = f"{plan.goal_id}/{plan.sequence}"
         return self._send(now, id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
@@ -49,12 +51,12 @@ class PathOrder:
         return self._send(
             now,
             id=f"{goal_id}/straight-{now}",
-            reverse=reach < 0.0,
             x=x + s * math.cos(yaw),
             y=y + s * math.sin(yaw),
             z=0.0 * s,
             yaw=np.full(len(s), yaw),
-            speed=np.full(len(s), OUT_SPEED),
+            speed=np.full(len(s), max(OUT_SPEED, self._step_speed)),
+            least_speed=np.full(len(s), self._step_speed),
         )
 
     def stand(self, now: int) -> msg.PathCommand:

@@ -209,3 +209,22 @@ def test_a_smooth_route_turns_back_in_place():
     line = smooth_route(out_and_back)
     assert (np.hypot(*(line - (1.0, 0.0)).T) < 1e-9).any(), "a reversal stays a corner"
     np.testing.assert_array_equal(smooth_route([[0.0, 0.0], [1.0, 0.0]])[[0, -1]], [[0.0, 0.0], [1.0, 0.0]])
+
+
+def test_faces_are_climbed_at_the_speed_that_the_robot_needs_for_them():
+    grid = flat(6, 4)
+    half = grid.height.shape[1] // 2
+    grid.height[:, half:] += 0.12
+    nodes = np.array([[0.6, 2.0, 0.0], [5.4, 2.0, 0.0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1]]), np.zeros(1))
+    slow, fast = (
+        make_path(plan(graph, grid, PlanRequest(0, 1)), grid, BODY, PathLimits(max_step=0.25, step_speed=v))
+        for v in (0.0, 0.75)
+    )
+    away = np.abs(fast.points[:, 0] - grid.origin[0] - (half - 0.5) * grid.resolution)
+    assert slow.speed[away < 0.2].max() < 0.6, "a face is a risk"
+    np.testing.assert_array_equal(slow.least, 0.0)
+    np.testing.assert_allclose(fast.least[away < 0.2], 0.75)
+    assert fast.speed[away < 0.2].min() >= 0.75
+    assert fast.least[away > 0.6].max() == 0.0
+    np.testing.assert_array_equal(fast.speed[away > 0.8], slow.speed[away > 0.8])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path.path import make_path
 from planning.risk.body import BodyModel, edge_poses, sweep_poses
 from planning.risk.table import RiskTable
-from planning.search.plan import Plan, PlanRequest, plan
+from planning.search.plan import DriveRules, Plan, PlanRequest, plan
 from tests.planning.graph.scenes import random_scene
 from tests.planning.risk.test_turns import straddles
 
@@ -159,3 +160,32 @@ def test_a_place_to_avoid_counts_for_the_first_leg_too() -> None:
     for a, b in pairwise(around.points[:, :2]):
         t = np.linspace(0, 1, 50)[:, None]
         assert np.hypot(*(a + t * (b - a) - (2.0, 1.5)).T).min() > 0.299
+
+
+def test_a_closed_narrow_lane_is_left_backward():
+    height = np.zeros((75, 150), np.float32)  # 3 x 6 m of 0.04 m
+    across = np.arange(75) * 0.04 - 1.48
+    height[np.abs(across) > 0.32, :75] = 0.5  # a lane 0.62 m wide for 3 m
+    height[:, :3] = 0.5
+    grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, -1.48), 0.04)
+    inside, goal = (0.8, 0.0), (5.0, 0.0)
+    for seed in range(20):
+        graph = TraversalGraph.build(grid, (4.0, 0.0), GraphParams(blind_radius=0.0), seed)
+        into = PlanRequest(inside, goal, np.pi)
+        try:
+            plan(graph, grid, PlanRequest(inside, goal, 0.0), BODY)  # the lane holds edges in this graph
+        except NoRoute:
+            continue
+        with pytest.raises(NoRoute):
+            plan(graph, grid, into, BODY)
+        found = plan(graph, grid, replace(into, rules=DriveRules(backward=1.3)), BODY)
+        back = np.array([t.backward for t in found.transitions])
+        assert back[found.points[:-1, 0] < 2.5].all()
+        assert found.cost >= 1.3 * 2.0
+        path = make_path(found, grid, BODY)
+        chord = np.diff(path.points[:, :2], axis=0)
+        against = np.cos(path.yaw[:-1] - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0
+        assert against[path.points[:-1, 0] < 2.5].all()
+        assert abs(path.initial_turn) < 0.3
+        return
+    pytest.fail("no graph holds the lane")

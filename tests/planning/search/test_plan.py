@@ -14,7 +14,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk import reference
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search.plan import Plan, PlanRequest, plan, plan_many
+from planning.search.plan import DriveRules, Plan, PlanRequest, plan, plan_many
 from tests.places import needs_shared
 from tests.planning.worlds import flat, golden_world, lattice, rough
 
@@ -40,6 +40,22 @@ def test_search_finds_the_optimum_over_ordered_pairs(world, variant, start_yaw, 
         cost, nodes = reference.cheapest_route(grid, graph, start, goal, BODY, **yaws, variant=variant)
         assert got.cost == pytest.approx(cost, abs=1e-4)
         assert got.nodes == nodes
+
+
+def test_search_finds_the_optimum_forward_and_backward(world):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    driven = set()
+    for start, goal, yaws in ((0, last, (-2.4, -2.4)), (last, 3, (0.5, None)), (2, last, (-2.4, 0.8))):
+        got = plan(graph, grid, PlanRequest(start, goal, *yaws, rules=DriveRules(backward=1.01)), BODY)
+        cost, nodes = reference.cheapest_route(
+            grid, graph, start, goal, BODY, start_yaw=yaws[0], goal_yaw=yaws[1], backward=1.01
+        )
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+        assert got.nodes == nodes
+        driven |= {t.backward for t in got.transitions}
+    assert driven == {False, True}
 
 
 def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):

@@ -258,7 +258,7 @@ def test_a_side_step_at_the_end_is_corrected_a_bounded_number_of_times():
 def test_reverse_backs_out_along_the_path():
     points = line(1.5, math.pi)  # leads behind the robot
     tracker, base = PathTracker(), Base()
-    tracker.set_path(points, None, 0.4, goal_yaw=0.0, reverse=True)
+    tracker.set_path(points, np.zeros(len(points)), 0.4, goal_yaw=0.0)
     run = drive(tracker, base)
     assert TrackPhase.ALIGNING not in run.phases()
     assert min(o.vx for o in run.outputs) == pytest.approx(-0.4, abs=0.01)
@@ -271,7 +271,7 @@ def test_reverse_follows_a_bend_with_body_yaw_given():
     t = np.linspace(0.0, 1.2, 80)
     points = np.stack([-np.sin(t), 1.0 - np.cos(t), 0 * t], axis=1) * [1.5, 1.5, 1.0]
     tracker, base = PathTracker(), Base()
-    tracker.set_path(points, -t, 0.4, reverse=True)
+    tracker.set_path(points, -t, 0.4)
     run = drive(tracker, base)
     assert rmse(run.xy, points)[1] < 0.08
     assert run.last.goal_distance <= 0.10
@@ -283,7 +283,7 @@ def test_turning_round_into_reverse_while_moving_never_jumps():
     drive(tracker, base, seconds=2.0)
     assert base.v > 0.4
     back = np.stack([base.x - np.linspace(0, 1.0, 50), np.zeros(50), np.zeros(50)], axis=1)
-    tracker.set_path(back, None, 0.4, reverse=True)
+    tracker.set_path(back, np.zeros(50), 0.4)
     run = drive(tracker, base, start=100)
     speeds = np.array([0.6] + [o.vx for o in run.outputs])
     assert np.abs(np.diff(speeds)).max() <= 2.0 * 0.6 * DT + 0.03
@@ -394,7 +394,7 @@ def test_input_that_is_not_finite_gives_zero_and_says_so(index: int):
         ([[0, 0, 0], [1, 0, 0]], [0.0, math.inf], 0.5, None, "yaw"),
         ([[0, 0, 0], [0, 1, 0]], [0.0, 0.0], 0.5, None, "follow"),
         ([[0, 0, 0], [1, 0, 0]], None, [0.5, math.nan], None, "speed"),
-        ([[0, 0, 0], [1, 0, 0]], None, -0.5, None, "reverse"),
+        ([[0, 0, 0], [1, 0, 0]], None, -0.5, None, "backward"),
         ([[0, 0, 0], [1, 0, 0]], None, [0.5] * 3, None, "speed"),
         ([[0, 0, 0], [1, 0, 0]], None, 0.5, math.nan, "goal_yaw"),
         ("abc", None, 0.5, None, "points"),
@@ -522,3 +522,30 @@ def test_a_heading_that_cannot_be_had_is_given_up_and_told() -> None:
     assert run.last.heading_error == pytest.approx(1.0, abs=0.05)
     assert (run.last.vx, run.last.wz) == (0.0, 0.0)
     assert abs(base.x) < 0.2
+
+
+def test_a_path_that_changes_direction_is_driven_forward_then_backward():
+    x = np.concatenate([np.arange(0.0, 1.0, 0.02), np.arange(1.0, 0.29, -0.02)])
+    tracker, base = PathTracker(), Base()
+    tracker.set_path(np.column_stack([x, 0.0 * x]), 0.0 * x, 0.4)
+    run = drive(tracker, base)
+    assert TrackPhase.ALIGNING not in run.phases()
+    assert (max(o.vx for o in run.outputs), min(o.vx for o in run.outputs)) == pytest.approx(
+        (0.4, -0.4), abs=0.02
+    )
+    assert 0.95 < run.xy[:, 0].max() < 1.05, "it turns back where the path does"
+    assert run.last.goal_distance <= 0.10
+    assert run.outputs[0].distance_left == pytest.approx(1.7, abs=0.03)
+    assert run.last.progress == pytest.approx(1.7, abs=0.03)
+
+
+def test_ground_that_needs_a_speed_is_driven_at_it_also_where_it_is_steep():
+    def slowest(least: float) -> float:
+        tracker, base = PathTracker(), Base()
+        tracker.set_path(line(3.0), None, 0.5, least=np.where(line(3.0)[:, 0] < 2.0, least, 0.0))
+        run = drive(tracker, base, slope=0.44)
+        at = (run.xy[:-1, 0] > 0.5) & (run.xy[:-1, 0] < 1.5)
+        return float(min(o.vx for o, wanted in zip(run.outputs[1:], at, strict=True) if wanted))
+
+    assert slowest(0.0) == pytest.approx(0.25, abs=0.01)
+    assert slowest(0.5) == pytest.approx(0.5, abs=0.01)

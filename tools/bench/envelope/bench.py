@@ -22,6 +22,7 @@ from hal.mujoco.config import CAPABILITIES
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope.response import along, turning, turning_while_driving
+from tools.bench.envelope.terrain import ANGLES
 from tools.bench.envelope.trial import RUNS, Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
@@ -140,6 +141,12 @@ SLOW = (0.12, 0.15, 0.22, 0.3)
 """Speeds [m/s] at which paths over difficult ground are followed..."""
 SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_5", "rough_4", "rough_6")
 """... and the courses that must be passed at them as well."""
+OBLIQUE = {"vmc": (5, 10), "policy": (10, 15, 20, 25)}
+"""Heights [cm] of faces and bars up to the capabilities of each controller, met at `ANGLES`."""
+POSTS = {"vmc": (5, 10), "policy": (10, 15, 20)}
+"""Heights [cm] of the highest posts of a stepfield..."""
+POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
+"""... and speeds [m/s] at which it is driven through."""
 NO_FALL = (
     *(f"{kind}_{v}" for kind in SLOPES for v in (10, 15, 20, 25)),
     *("crossing_10", "crossing_15", "pitch_roll_10", "pitch_roll_15"),
@@ -164,6 +171,7 @@ def run(args: list[str]) -> Report:
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
     bench.conditions()
+    bench.faces()
     bench.edges_and_turns()
     bench.responses()
     bench.driving()
@@ -242,6 +250,21 @@ class _Bench:
                 successes = sum(self._passed(course, Conditions(speed=speed)) for course in SLOW_COURSES)
                 of = f"of {len(RUNS) * len(SLOW_COURSES)}"
                 add(f"slow.{name}.{speed}", successes, of, self._least(19.0), at_least=True)
+
+    def faces(self) -> None:
+        """Faces and bars at an angle, and stepfields at several speeds."""
+        name, add = self.name, self.report.add
+        for kind in ("face", "bar"):
+            for height in OBLIQUE[name]:
+                if self._wanted(f"oblique_{kind}_{height}"):
+                    passed = [self._passed(f"{kind}{angle}_{height}") == len(RUNS) for angle in ANGLES]
+                    first = passed.index(False) if False in passed else len(ANGLES)
+                    add(f"oblique_{kind}_{height}.{name}", ANGLES[first - 1] if first else -1, "deg")
+        for height in POSTS[name]:
+            for speed in POSTS_SPEEDS:
+                if self._wanted(f"posts_{height}_{speed}"):
+                    successes = self._passed(f"posts_{height}", Conditions(speed=speed))
+                    add(f"posts_{height}_{speed}.{name}", successes, f"of {len(RUNS)}")
 
     def edges_and_turns(self) -> None:
         """Creeping to an edge, turning astride bars and on ramps."""

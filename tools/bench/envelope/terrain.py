@@ -19,6 +19,10 @@ START = -0.9
 HALF_WIDTH = 1.2
 AT = 1.0
 """x at which the obstacle begins [m]."""
+OBLIQUE_AT = 1.6
+"""x [m] at which a face that may lie across the way crosses its middle."""
+ANGLES = (0, 15, 30, 45, 60)
+"""Of faces and bars to the head-on way [deg]."""
 
 Field = NDArray[np.float64]
 
@@ -102,6 +106,27 @@ def _krail(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     return z, AT + 0.6 * 4 + 0.8
 
 
+def _face(angle: float) -> Callable[[Field, Field, float, int], tuple[Field, float]]:
+    """A face up whose normal is `angle` [deg] off the way, for good."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+
+    def terrain(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
+        return np.where((x - OBLIQUE_AT) * c + y * s > 0.0, value / 100.0, 0.0), OBLIQUE_AT + 1.2
+
+    return terrain
+
+
+def _bar(angle: float) -> Callable[[Field, Field, float, int], tuple[Field, float]]:
+    """A bar 0.10 m wide whose normal is `angle` [deg] off the way."""
+    c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+
+    def terrain(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
+        off = (x - OBLIQUE_AT) * c + y * s
+        return np.where(np.abs(off) <= 0.05, value / 100.0, 0.0), OBLIQUE_AT + 1.2
+
+    return terrain
+
+
 def _rough(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     """Uniform random heights on a 0.15 m grid, linear between; the first half metre fades in."""
     rng = np.random.default_rng(seed)
@@ -110,6 +135,15 @@ def _rough(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
     along = np.array([np.interp(u, np.arange(knots.shape[1]), row) for row in knots])
     z = np.array([np.interp(v, np.arange(knots.shape[0]), column) for column in along.T]).T
     return z * np.clip((x - 0.4) / 0.5, 0.0, 1.0), AT + 3.0
+
+
+def _posts(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
+    """A stepfield 1.2 m long: posts of 0.12 m of four heights, more low than high ones."""
+    column = np.floor((x - AT) / 0.12).astype(int)
+    row = np.floor((y - y[0, 0]) / 0.12).astype(int)
+    heights = np.random.default_rng(seed).choice(4, (row.max() + 1, 10), p=[0.4, 0.3, 0.2, 0.1])
+    inside = (column >= 0) & (column < 10)
+    return np.where(inside, heights[row, np.clip(column, 0, 9)] * value / 300.0, 0.0), AT + 2.2
 
 
 _KINDS: dict[str, Callable[[Field, Field, float, int], tuple[Field, float]]] = {
@@ -125,6 +159,9 @@ _KINDS: dict[str, Callable[[Field, Field, float, int], tuple[Field, float]]] = {
     "pitch_roll": _pitch_roll,
     "krail": _krail,
     "rough": _rough,
+    "posts": _posts,
+    **{f"face{angle}": _face(angle) for angle in ANGLES},
+    **{f"bar{angle}": _bar(angle) for angle in ANGLES},
 }
 
 

@@ -337,8 +337,8 @@ def test_where_no_route_begins_it_backs_out_once_and_looks_again(world: World) -
         assert world.status.state == expected
         if expected == "recovering":
             back = world.last(t.PATH_COMMAND)
-            assert back.reverse
             assert back.x[0] > back.x[-1] > 0.2
+            assert back.yaw[0] == pytest.approx(0.0), "the body keeps its heading: it drives backward"
             requests = world.count(t.PLAN_REQUEST)
             world.tracker_phase = "done"
             world.run(0.6)
@@ -585,8 +585,7 @@ def test_stuck_moves_out_then_replans_around_a_few_times_then_aborts(world: Worl
             world.run(2.1)
         assert world.status.state == "recovering"
         path = world.last(t.PATH_COMMAND)
-        assert path.reverse
-        assert (path.x[0], path.x[-1]) == pytest.approx((0.95, 0.35))
+        assert (path.x[0], path.x[-1], path.yaw[0]) == pytest.approx((0.95, 0.35, 0.0))
         requests = world.count(t.PLAN_REQUEST)
         world.run(3.0)
         assert world.count(t.PLAN_REQUEST) == requests, "no better route is looked for while it moves out"
@@ -683,7 +682,7 @@ def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stoo
         np.testing.assert_allclose(np.hypot(*way.T), along * reach, atol=1e-9)
         assert 0.2 <= along * reach[-1] <= 0.6
         tracker = PathTracker()
-        tracker.set_path(way, path.yaw, path.speed, reverse=bool(path.reverse))
+        tracker.set_path(way, path.yaw, path.speed)
         tracker.step(0, 0.0, 0.0, heading, 0.0, 0.0)
         step = tracker.step(NS // 50, 0.0, 0.0, heading, 0.0, 0.0)
         assert step.phase == "following"

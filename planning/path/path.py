@@ -39,8 +39,8 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
     vertices, back = _vertices(plan)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
-        yaw = start_yaw if start_yaw is not None else (goal_yaw or 0.0)
-        pieces, raw = [np.array([[*vertices[0], yaw]])], 0
+        stand = start_yaw if start_yaw is not None else (goal_yaw or 0.0)
+        pieces, raw = [np.array([[*vertices[0], stand]])], 0
     else:
         pieces, raw = _pieces(vertices, back, terrain, body, limits)
     profile = [_profile(piece, terrain, body, limits) for piece in pieces]
@@ -64,6 +64,7 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
         least,
         s,
         vertices,
+        back,
         None if start_yaw is None else turn_angle(start_yaw, float(yaw[0])),
         goal_yaw,
         raw,

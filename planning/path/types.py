@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+
+from planning.risk.pose_sets import turn_angle
 
 Array = NDArray[np.float64]
 
@@ -46,6 +48,8 @@ class Path:
     """(n,) planar distance along the path [m]."""
     route: Array = field(repr=False)
     """(m, 2) the polyline it follows: start, nodes, goal [m]."""
+    back: NDArray[np.bool_] = field(repr=False)
+    """(m - 1,) whether each leg of the polyline is driven backward."""
     initial_turn: float | None
     """Turn in place before driving off [rad], positive left; None when the start yaw is not known."""
     goal_yaw: float | None
@@ -64,3 +68,30 @@ class Path:
     def length(self) -> float:
         """[m]"""
         return float(self.s[-1])
+
+    def ahead(self, x: float, y: float) -> tuple[Array, NDArray[np.bool_]] | None:
+        """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off the route."""
+        if len(self.route) < 2:
+            return None
+        a, leg = self.route[:-1], np.diff(self.route, axis=0)
+        rel = np.array([x, y]) - a
+        t = np.clip((rel * leg).sum(1) / (leg * leg).sum(1), 0.0, 1.0)
+        off = np.hypot(*(rel - t[:, None] * leg).T)
+        k = int(np.argmin(off))
+        return (self.route[k + 1 :], self.back[k:]) if off[k] <= 2.0 * self.limits.corridor else None
+
+    def rest(self, x: float, y: float, yaw: float) -> Path:
+        """From the point nearest to the robot's pose x, y [m], yaw [rad] on."""
+        k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (self.points, self.watched))
+        ahead = self.ahead(x, y)
+        assert ahead is not None, "the robot is on the path"
+        return replace(
+            self,
+            **{name: getattr(self, name)[k:] for name in ("points", "yaw", "speed", "least")},
+            s=self.s[k:] - self.s[k],
+            route=np.concatenate([[(x, y)], ahead[0]]),
+            back=ahead[1],
+            initial_turn=float(turn_angle(yaw, self.yaw[k])),
+            watched=self.watched[w:],
+            faces=self.faces[w:],
+        )

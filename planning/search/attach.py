@@ -105,6 +105,11 @@ class Ground:
         found = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
         return np.float32(-1.0) if found < 0.0 else np.float32(found + F32(OBLIQUE_RISK * share))
 
+    def headings(self, xy: XY) -> np.uint64:
+        """`TraversalGraph.free_headings` at x, y."""
+        p, c = self._graph.params, self._cells
+        return np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
+
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
         d = np.hypot(self._graph.nodes[:, 0] - xy[0], self._graph.nodes[:, 1] - xy[1])
@@ -118,13 +123,13 @@ class Ground:
         ]  # fmt: skip
         risk = [self.risk(xy, self._at(k)) for k in nodes]
         known = [(k, r) for k, r in zip(nodes, risk, strict=True) if r >= 0.0]
-        p, c, grid = self._graph.params, self._cells, self._grid
+        c, grid = self._cells, self._grid
         return Spot(
             xy,
             np.array([k for k, _ in known], np.int64),
             np.array([r for _, r in known], np.float32),
             float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy)),
-            np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width)),
+            self.headings(xy),
         )
 
     def joined(self, a: XY, b: XY) -> bool:

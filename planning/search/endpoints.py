@@ -37,6 +37,8 @@ class Endpoints:
     """The goal without a node lies on seen ground and in no obstacle."""
     exact: bool = False
     """The start is the pose itself, not the node next to it."""
+    ground: Ground | None = None
+    """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: tuple[RiskTable, NDArray[np.int64]] | None = None
 
     def close(self) -> None:
@@ -92,7 +94,14 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         )
     query, kept = attached(graph, grid, new, between)
     return Endpoints(
-        table.for_query(query, kept), start, goal, short, seen, not is_node(request.start), (table, kept)
+        table.for_query(query, kept),
+        start,
+        goal,
+        short,
+        seen,
+        not is_node(request.start),
+        ground,
+        (table, kept),
     )
 
 

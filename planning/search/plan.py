@@ -17,15 +17,18 @@ from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
+from planning.search.keep import kept
 from planning.search.nodes import search_nodes
 from planning.search.pairs import search_pairs
 from planning.search.refine import refine
-from planning.search.request import SETS, VARIANTS, DriveRules, Plan, PlanRequest, Transition, Variant
+from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
+from planning.search.straight import straighten
 
 __all__ = [
     "SETS",
     "VARIANTS",
     "DriveRules",
+    "Driven",
     "Plan",
     "PlanRequest",
     "RiskTable",
@@ -60,6 +63,8 @@ def plan(
         found = _to_frontier(ends, request, start_yaw)
         if found is None and ends.seen:
             found = _to_nearest(ends, request, start_yaw)
+    if found is not None and request.driven is not None:
+        found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan)
     ends.close()
     if found is None:
         raise NoRoute(
@@ -218,6 +223,8 @@ def _search(
     if not np.isfinite(cost):
         return None
     found = Route.along(table, start, route, start_yaw, goal_yaw, request.rules.backward)
+    if request.rules.straight and at.ground is not None:
+        straighten(at.ground, table, found)
     if request.variant == "refined":
         found = refine(table, found)
     return replace(describe(table, request, body, found, expanded), exact=at.exact)

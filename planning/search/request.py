@@ -25,6 +25,18 @@ class DriveRules:
 
     backward: float = math.inf
     """Factor of a metre driven backward; infinite: it drives forward only. Not for `native` and `edge-only`, which know no turns."""
+    straight: bool = False
+    """Straighten the route where that costs no more (`planning.search.straight`), on a graph that knows its map."""
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """What is left of the route that is driven."""
+
+    points: NDArray[np.float64]
+    """(n, 2) x, y [m] ahead of the robot, the end of the route last."""
+    back: NDArray[np.bool_]
+    """(n,) whether the way to each of these is driven backward."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +55,8 @@ class PlanRequest:
     seen_frontiers: tuple[tuple[float, float], ...] = ()
     """x, y [m] of frontiers that were looked from already and showed nothing new: not chosen again."""
     rules: DriveRules = DriveRules()
+    driven: Driven | None = None
+    """Kept where it leads to the same end, unless the new route is clearly better (`planning.search.keep`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +104,7 @@ class Plan:
     """Planar length of the route [m]."""
     transitions: tuple[Transition, ...]
     points: NDArray[np.float64] = field(repr=False)
-    """(n, 3) x, y, z [m], `map`: the nodes, inner ones moved by a refinement."""
+    """(n, 3) x, y, z [m], `map`: the nodes, inner ones moved where the route was straightened or refined."""
     request: PlanRequest
     reaches_goal: bool = True
     """False when the plan ends at a frontier, from where the robot has to look again."""
@@ -100,6 +114,8 @@ class Plan:
     """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0
     """[m] from the plan's end to the goal asked for, where that is too near to something to stand there."""
+    kept: bool = False
+    """This is what was left of the route driven so far."""
     expanded: int = 0
     """States the search expanded."""
 

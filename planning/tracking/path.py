@@ -182,8 +182,8 @@ def track_path(
     allowed = np.maximum(allowed, min_speed)
     brake(allowed, np.full(count - 1, step), max_decel)
     needed = np.minimum(np.interp(s, arc, floor), allowed)
-    lists = (v.tolist() for v in (x, y, heading_at, curvature, allowed, needed))
-    return TrackPath(*lists, step, length)
+    speeds = allowed.tolist(), needed.tolist()
+    return TrackPath(x.tolist(), y.tolist(), heading_at.tolist(), curvature.tolist(), *speeds, step, length)
 
 
 def _finite(name: str, values: ArrayLike) -> NDArray[np.float64]:

@@ -17,7 +17,7 @@ from planning.path import Path, PathLimits, face_in_the_way, make_path, still_sa
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory
-from planning.search.plan import DriveRules, Plan, PlanRequest, plan
+from planning.search.plan import Driven, DriveRules, Plan, PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -236,6 +236,7 @@ class PlannerStage:
 
     def _answer(self, message: msg.PlanRequest) -> Outputs:
         self._start = (message.start_x, message.start_y)
+        driven = self._path if self._verdict[0] and message.goal_id == self._answered[0] else None
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._verdict = None, (True, "")
         if message.goal_id != self._memory_goal:
@@ -249,7 +250,7 @@ class PlannerStage:
             "sequence": message.sequence,
         }
         try:
-            found, path = self._plan(message)
+            found, path = self._plan(message, driven)
         except NoRoute as none:
             reason = REASONS[none.reason]
             if reason is Reason.NO_ROUTE and self._graph is not None:
@@ -265,16 +266,19 @@ class PlannerStage:
         answer = msg.Plan(**base, **_plan_fields(found, path, message))
         return [(t.PLAN, answer), (t.ROUTE, _path_msg(path, self._now))]
 
-    def _plan(self, message: msg.PlanRequest) -> tuple[Plan, Path]:
+    def _plan(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
+        """The route, and its path. What is left of the path that is driven, if any, is kept unless another is clearly better."""
         if self._graph is None or self._grid is None:
             raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
+        ahead = driven.ahead(message.start_x, message.start_y) if driven is not None else None
         request = PlanRequest(
             start=(message.start_x, message.start_y),
             goal=(message.goal_x, message.goal_y),
             start_yaw=message.start_yaw,
             goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
             variant=self._params.variant,
-            rules=DriveRules(backward=self._params.backward),
+            rules=DriveRules(backward=self._params.backward, straight=True),
+            driven=Driven(*ahead) if ahead is not None else None,
             allow_frontier=True,
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),
@@ -286,6 +290,8 @@ class PlannerStage:
         if self._table is None or not self._table.fits(graph, self._grid, self._body):
             self._table = RiskTable(graph, self._grid, self._body, self._table)
         found = plan(graph, self._grid, request, self._body, self._table)
+        if found.kept and driven is not None:
+            return found, driven.rest(message.start_x, message.start_y, message.start_yaw)
         return found, make_path(found, self._grid, self._body, self._limits)
 
 

@@ -59,7 +59,9 @@ def test_on_random_ground_nothing_that_is_driven_between_two_poses_sweeps_an_obs
             continue
         (x, y, yaw), (u, v, goal_yaw) = (tuple(e.tolist()) for e in ends)
         try:
-            got = plan(graph, scene.grid, PlanRequest((x, y), (u, v), yaw, goal_yaw), careless, table)
+            rules = DriveRules(straight=found % 2 == 1)
+            request = PlanRequest((x, y), (u, v), yaw, goal_yaw, rules=rules)
+            got = plan(graph, scene.grid, request, careless, table)
         except NoRoute:
             continue
         found += 1

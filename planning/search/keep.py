@@ -1,0 +1,68 @@
+"""Keeping the route that is driven: what is left of it stays unless the new one is clearly better.
+
+Two searches on almost the same map from places a step apart find routes that cost almost the same and look different. A robot
+that changes between them turns instead of driving.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from planning.risk.body import weights_of
+from planning.search.attach import SAME
+from planning.search.endpoints import Endpoints
+from planning.search.explain import Route, describe
+from planning.search.frontier import worth_keeping
+from planning.search.request import Plan, PlanRequest
+from planning.search.straight import has_room
+
+
+def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
+    """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more; else `found`."""
+    route = _rest(at, request, found, start_yaw, goal_yaw)
+    if route is None or not worth_keeping(float(route.cost(weights_of(at.table.body)).sum()), found.cost):
+        return found
+    same = {name: getattr(found, name) for name in ("reaches_goal", "frontier", "exact", "short", "expanded")}
+    return replace(describe(at.table, request, at.table.body, route, 0), **same, kept=True)
+
+
+def _rest(
+    at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float
+) -> Route | None:
+    """The rest as a route that was tested and evaluated on the map of now; None where it cannot be driven or ends elsewhere."""
+    ground, driven, nodes = at.ground, request.driven, at.table.graph.nodes
+    if ground is None or driven is None or not len(found.transitions):
+        return None
+    here = (float(found.points[0, 0]), float(found.points[0, 1]))
+    legs = [((float(x), float(y)), bool(b)) for (x, y), b in zip(driven.points, driven.back, strict=True)]
+    if len(legs) > 1 and math.dist(here, legs[0][0]) <= SAME:
+        legs = legs[1:]
+    places = [here, *(place for place, _ in legs)]
+    if math.dist(places[-1], found.points[-1, :2]) > SAME:
+        return None
+    moves = list(pairwise(places))
+    if not all(ground.joined(a, b) for a, b in moves):
+        return None
+    xy = np.array(places)
+    near = [int(np.argmin(np.hypot(*(nodes[:, :2] - p).T))) for p in xy[1:-1]]
+    count = len(moves)
+    route = Route(
+        (found.nodes[0], *near, found.nodes[-1]),
+        xy,
+        np.array([ground.risk(a, b) for a, b in moves], np.float64),
+        np.zeros(count, np.bool_),
+        np.array([b for _, b in legs]),
+        request.rules.backward,
+        start_yaw,
+        goal_yaw,
+        at.table.arcs.turn_rate[[found.nodes[0], *near, found.nodes[-1]]],
+        np.empty((count, 3, 3, 4)),
+    )
+    if (route.risk < 0.0).any() or not all(has_room(ground, route, k) for k in range(len(xy))):
+        return None
+    route.evaluate(at.table.sampler, weights_of(at.table.body), 0, count)
+    return route

@@ -1,0 +1,87 @@
+"""A searched route made straight where that costs no more: the graph's nodes are samples, and on open ground edges zigzag between them.
+
+Points of a stretch are moved onto its chord, evenly spaced, so that each piece is tested and priced like an edge of the
+graph. A chord is taken where every piece can be driven, the turns at its ends have room, the accumulated transition cost is
+not higher, and no feature of the body is worse than the route has it anywhere, but for the noise of one cell.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from planning.graph.describe import turn_is_free
+from planning.risk.body import weights_of
+from planning.risk.pose_sets import turn_angle
+from planning.risk.table import RiskTable
+from planning.search.attach import SAME, Ground
+from planning.search.explain import Route
+
+LONGEST = 24
+"""Edges of a route that one chord may replace: about 10 m."""
+SLACK = 0.02
+"""Share of a feature's scale by which a chord may exceed the route's largest value: the height noise of one cell."""
+PASSES = 3
+
+
+def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
+    """Move inner points of `route` onto chords, longest first, until nothing changes (at most `PASSES` times)."""
+    w, n = weights_of(table.body), len(route.xy)
+    if n < 3:
+        return
+    most = _peaks(route.moments) + SLACK * np.array(table.body.scales[:3])
+    cost = route.cost(w)
+    for _ in range(PASSES):
+        changed, i = False, 0
+        while i < n - 2:
+            same = np.flatnonzero(route.back[i:] != route.back[i])
+            span = min(int(same[0]) if len(same) else n - 1 - i, LONGEST)
+            while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
+                span = span - 1 if span <= 4 else span * 3 // 4
+            changed |= span >= 2
+            i += max(span, 1)
+        if not changed:
+            return
+
+
+def _chord(
+    ground: Ground, table: RiskTable, route: Route, i: int, j: int, cost: np.ndarray, most: np.ndarray
+) -> bool:
+    """Move points i + 1..j - 1 onto the straight line from i to j and bring `cost` (n - 1,) up to date; False and as before where that is no gain."""
+    w, last = weights_of(table.body), min(j + 1, len(route.xy) - 1)
+    points = np.linspace(route.xy[i], route.xy[j], j - i + 1)
+    if np.abs(points - route.xy[i : j + 1]).max() < 1e-6:
+        return False
+    places = [(float(x), float(y)) for x, y in points]
+    if not SAME < math.dist(places[0], places[1]) <= ground.reach:
+        return False
+    if not all(ground.joined(a, b) for a, b in pairwise(places)):
+        return False
+    before = route.xy[i : j + 1].copy(), route.risk[i:j].copy(), route.moments[i:last].copy()
+    route.xy[i : j + 1] = points
+    route.risk[i:j] = [ground.risk(a, b) for a, b in pairwise(places)]
+    if (route.risk[i:j] >= 0.0).all() and has_room(ground, route, i) and has_room(ground, route, j):
+        route.evaluate(table.sampler, w, i, last)
+        new = route.cost(w)[i:last]
+        if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
+            cost[i:last] = new
+            return True
+    route.xy[i : j + 1], route.risk[i:j], route.moments[i:last] = before
+    return False
+
+
+def has_room(ground: Ground, route: Route, k: int) -> bool:
+    """Whether there is room for the turn at point k of the route."""
+    yaw = np.concatenate([[route.start_yaw], route.heading, [route.goal_yaw]])[k : k + 2]
+    if np.isnan(yaw).any():
+        return True
+    turn = turn_angle(*yaw)
+    x, y = route.xy[k].tolist()
+    return bool(turn_is_free(ground.headings((x, y)), yaw[0], turn))
+
+
+def _peaks(moments: np.ndarray) -> np.ndarray:
+    """(3,) largest core features of pose sets."""
+    return np.nanmax(moments[:, :, 2, :3], axis=(0, 1))

@@ -16,7 +16,7 @@ from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalState, status_of
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
-from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, Trail, over_edge
+from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
@@ -55,13 +55,9 @@ class NavigatorStage:
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
     def __init__(
-        self,
-        params: NavigatorConfig,
-        area: Geofence | None = None,
-        room: float = 0.0,
-        step_speed: float = 0.0,
+        self, params: NavigatorConfig, area: Geofence | None = None, room: float = 0.0, step_vx: float = 0.0
     ) -> None:
-        """`area`: what goals must lie in, `room` [m] from its edge; `step_speed`: `Capabilities.step_vx` [m/s]."""
+        """`area`: what goals must lie in, `room` [m] from its edge; `step_vx`: see `Capabilities` [m/s]."""
         self._params = params
         self._area, self._room = area, room
         self._frame = MapFrame()
@@ -75,10 +71,10 @@ class NavigatorStage:
         self._tracker: msg.TrackerState | None = None
         self._query = PlanQuery()
         self._plan: msg.Plan | None = None
-        self._route_bad = ""
+        self._route = RouteWatch()
         self._short = 0
         self._recovery = Recovery(params)
-        self._order = PathOrder(step_speed)
+        self._order = PathOrder(step_vx)
         self._progress = ProgressMonitor()
         self._trail = Trail()
         self._missing_since = 0
@@ -114,9 +110,8 @@ class NavigatorStage:
             self._set(Goal.from_pose(message, self._now), message)
         elif t.PLAN.carried(message, topic):
             self._take_plan(message)
-        elif t.ROUTE_STATUS.carried(message, topic):
-            if self._query.is_about_route(message):
-                self._route_bad = "" if message.valid else message.detail or "the map changed"
+        elif t.ROUTE_STATUS.carried(message, topic) and self._query.is_about_route(message):
+            self._route.told(self._now, message)
         elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out
@@ -164,7 +159,7 @@ class NavigatorStage:
             return
         if self._missing_since:
             return  # asked before the inputs went: a new route is asked for when they are back
-        self._route_bad = ""
+        self._route = RouteWatch()
         if message.ok:
             self._recovery.found()
             self._plan = message
@@ -197,8 +192,7 @@ class NavigatorStage:
             self._supervise(goal)
         if now >= self._status_due or now < self._status_due - NS:
             self._status()
-        again = self._order.repeat(now, self._tracker)
-        if again is not None:
+        if (again := self._order.repeat(now, self._tracker)) is not None:
             self._out.append((t.PATH_COMMAND, again))
         return self._out
 
@@ -244,8 +238,8 @@ class NavigatorStage:
         if self._tracker is not None and on_path and self._tracker.phase == "done":
             self._arrive(goal)
             return
-        if goal.state is GoalState.MOVING and self._route_bad:
-            self._stand(goal, self._route_bad)
+        if goal.state is GoalState.MOVING and (broken := self._route.broken(now, self._plan, self._pose)):
+            self._stand(goal, broken)
             self._replan(goal)
             return
         if now - self._seen.get(t.ROUTE_STATUS, now) > p.plan_retry * NS:
@@ -258,7 +252,7 @@ class NavigatorStage:
             self._recover(goal)
             return
         look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > p.replan_period
-        if look and not (self._plan and self._pose and over_edge(self._plan, self._pose)):
+        if look and not self._route.over_edge(self._plan, self._pose):
             self._replan(goal)  # on an edge it could not turn into another route
 
     def _arrive(self, goal: Goal) -> None:

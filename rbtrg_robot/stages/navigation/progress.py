@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import wrap
 from hal.types import NS
-from rbtrg_robot.msg import Plan
+from rbtrg_robot.msg import Plan, RouteStatus
 
 Pose2 = tuple[float, float, float]
 """x [m], y [m], yaw [rad] in `map`."""
@@ -37,10 +37,40 @@ EDGE = 0.03
 """[m] that the ground rises over three samples of a path (6 cm): no ramp that may be driven is as steep."""
 
 
-def over_edge(plan: Plan, pose: Pose2) -> bool:
-    """Whether a Plan leads over an edge that lies under the robot."""
-    under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < UNDER
-    return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE)[under[3:] & under[:-3]].any())
+OVER_EDGE = 3.0
+"""[s] to come over a face on a route that does not hold any more: a body length at 0.25 m/s."""
+
+
+class RouteWatch:
+    """Whether the route that is driven still holds. While the robot stands on a face that the route crosses, it goes on for a moment.
+
+    On the face the robot cannot stop and turn without a risk to tip, and the face under it looks different in every map. What is
+    really in the way is the guard's business, which knows no routes.
+    """
+
+    def __init__(self) -> None:
+        self._why = ""
+        self._since = 0
+
+    def told(self, now: int, message: RouteStatus) -> None:
+        """A RouteStatus of this route; `now` in ns."""
+        why = "" if message.valid else message.detail or "the map changed"
+        if why and not self._why:
+            self._since = now
+        self._why = why
+
+    def broken(self, now: int, plan: Plan | None, pose: Pose2 | None) -> str:
+        """Why the robot must stop on its route; empty while it may go on."""
+        patient = now - self._since <= OVER_EDGE * NS
+        return "" if patient and self.over_edge(plan, pose) else self._why
+
+    @staticmethod
+    def over_edge(plan: Plan | None, pose: Pose2 | None) -> bool:
+        """Whether a Plan leads over an edge that lies under the robot."""
+        if plan is None or pose is None:
+            return False
+        under = np.hypot(plan.x - pose[0], plan.y - pose[1]) < UNDER
+        return bool((np.abs(plan.z[3:] - plan.z[:-3]) > EDGE)[under[3:] & under[:-3]].any())
 
 
 class ProgressMonitor:

@@ -59,7 +59,7 @@ def test_a_wall_on_the_chord_is_gone_around():
     path = make_path(found, grid, BODY)
     beside = (path.points[:, 0] > 3.4) & (path.points[:, 0] < 3.9)
     assert path.points[beside, 1].min() > 2.96 + 0.5 * BODY.width
-    assert path.faces.max() < 0.1
+    assert path.worst[2] < 0.03, "nothing reaches under the body"
     assert turned(found) < 3.0
 
 

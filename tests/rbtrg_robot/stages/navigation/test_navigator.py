@@ -625,6 +625,27 @@ def test_over_an_edge_it_keeps_its_route_to_the_frontier(world: World) -> None:
         assert looked == (x > 0.94), f"at {x:.2f} m"
 
 
+def test_a_route_is_not_taken_back_while_the_robot_stands_on_the_face_it_crosses(world: World) -> None:
+    world.goal()
+    world.answer(kerb=0.5)
+    world.pose = (0.3, 0.0, 0.0)
+    world.route_valid = False
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(2.0)
+    assert world.count(t.PLAN_REQUEST) == requests, "it drives on over the kerb"
+    assert world.last(t.PATH_COMMAND).id
+    world.pose = (1.0, 0.0, 0.0)
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.last(t.PATH_COMMAND).id == "", "off the kerb it stands"
+    world.route_valid = True
+    world.pose = (0.3, 0.0, 0.0)
+    world.answer(kerb=0.5)
+    world.route_valid = False
+    world.run(4.0)
+    assert world.last(t.PATH_COMMAND).id == "", "it does not wait for ever"
+
+
 def test_a_tracker_that_lost_its_path_gets_it_again(world: World) -> None:
     world.goal()
     world.answer()

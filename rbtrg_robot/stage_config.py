@@ -104,7 +104,7 @@ class ElevationStageConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     publish_every: int = Field(5, ge=1, description="scans between two map updates")
-    window: float = Field(2.0, gt=0, le=10.0, description="half width of the window around the robot [m]")
+    window: float = Field(2.8, gt=0, le=10.0, description="half width of the window around the robot [m]")
     clean_every: int = Field(3, ge=1, description="scans between two visibility clean-ups")
 
 

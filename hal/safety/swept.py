@@ -1,10 +1,11 @@
 """How far the body can go before it meets what it cannot drive over: forward, backward, turning left and right.
 
-Every point of the body's rim that leads a motion draws a track over the height map. Along a track the ground may rise and fall
-by no more than a step within two cells. Behind cells that are missing it may have risen as the steepest slope does; where it
-lies lower by more than a step, the drop is taken to begin at the last ground that is known. A gap in the ground may be as wide as a
-wheel crosses. What lies under the body now, a kerb or an edge, is no obstacle. Ground that was never seen is none either,
-unless a ray has shown that it lies lower.
+Every point of the body's rim that leads a motion draws a track over the height map. It begins on the ground that the robot
+stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
+may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins where the LiDAR last measured
+ground, or at the body: ground that the map fills in between, or takes for granted around the wheels, may be the air over the
+edge. A drive goes on ground that the map knows alone; the corners of a turn may sweep ground that nobody saw. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
+be as wide as a wheel crosses. What lies under the body now, a kerb or an edge, is no obstacle.
 """
 
 from __future__ import annotations
@@ -32,8 +33,11 @@ BODY_CLEARANCE = 0.55
 POINTS = 3
 """Returns in one cell that count as something there."""
 
-CLEAR, FACE, DROP, SWEEP = 0, 1, 2, 3
-"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep."""
+WHEELS, LIDAR = 1, 2
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured; else filled in between."""
+
+CLEAR, FACE, DROP, SWEEP, UNSEEN = 0, 1, 2, 3, 4
+"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +48,8 @@ class Surroundings:
     """(rows, cols) [m]; NaN where it is not certain."""
     bound: NDArray[np.float32]
     """(rows, cols) [m] the ground is not above this; NaN where no ray tells."""
+    source: NDArray[np.uint8]
+    """(rows, cols) where the height comes from: WHEELS, LIDAR or another."""
     occupied: NDArray[np.uint8]
     """(rows, cols) 1 where the newest sweep has something that stands on the ground."""
     origin: tuple[float, float]
@@ -98,14 +104,41 @@ def _spaced(low: float, high: float) -> Array:
     return np.linspace(low, high, math.ceil((high - low) / SPACING - 1e-9) + 1)
 
 
+Stand = tuple[float, float, float]
+"""The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward and left [m/m]."""
+
+
+def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) -> Stand:
+    """The plane under the body at `pose` x, y [m], yaw [rad] in `map`: as tilted as the body, whose z axis `up` (3,) is in `map`;
+    as high as the median of the ground that is known there.
+    """
+    x, y, yaw = (float(v) for v in pose)
+    c, s = math.cos(yaw), math.sin(yaw)
+    across = max(float(up[2]), 0.5)
+    ahead, left = -(c * up[0] + s * up[1]) / across, -(c * up[1] - s * up[0]) / across
+    height = height_under(around.height, *around.origin, around.resolution, x, y, yaw, ahead, left)
+    return float(height), float(ahead), float(left)
+
+
 def reach_of(
-    tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float], robot: Capabilities
+    tracks: Array,
+    step: float,
+    around: Surroundings,
+    pose: tuple[float, float, float],
+    stand: Stand,
+    robot: Capabilities,
+    *,
+    seen: bool,
 ) -> Reach:
-    """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`."""
+    """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`; `seen`: on
+    ground that the map knows alone.
+    """
+    gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
     sample, kind, height = nearest_obstacle(
         tracks,
         around.height,
         around.bound,
+        around.source,
         around.occupied,
         around.origin[0],
         around.origin[1],
@@ -113,55 +146,90 @@ def reach_of(
         float(pose[0]),
         float(pose[1]),
         float(pose[2]),
+        stand,
         robot.max_step + NOISE,
         math.tan(robot.max_slope) * SPACING,
-        math.ceil((robot.max_gap + around.resolution) / SPACING),
+        gap,
+        gap if seen else tracks.shape[1],
     )
     return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
 
 
 @njit(cache=True)
+def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma: no cover - compiled
+    """Median height [m] of the known ground under the body, carried to its middle along the grades; NaN where nothing is known."""
+    rows, cols = height.shape
+    c, s = math.cos(yaw), math.sin(yaw)
+    reach = math.ceil(math.hypot(BODY_LENGTH, BODY_WIDTH) / (2.0 * resolution))
+    col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    known = np.empty((2 * reach + 1) ** 2)
+    n = 0
+    for r in range(max(0, row - reach), min(rows, row + reach + 1)):
+        for k in range(max(0, col - reach), min(cols, col + reach + 1)):
+            dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
+            u, v = c * dx + s * dy, c * dy - s * dx
+            if abs(u) <= BODY_LENGTH / 2 and abs(v) <= BODY_WIDTH / 2 and not math.isnan(height[r, k]):
+                known[n] = height[r, k] - ahead * u - left * v
+                n += 1
+    return np.median(known[:n]) if n > 0 else np.nan
+
+
+@njit(cache=True)
 def nearest_obstacle(
-    tracks, height, bound, occupied, x0, y0, resolution, x, y, yaw, limit, rise, gap
+    tracks, height, bound, source, occupied, x0, y0, resolution, x, y, yaw, stand, limit, rise, gap, blind
 ):  # pragma: no cover - compiled
     """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none.
 
-    `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from sample to sample; `gap`: samples a gap may span.
+    `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from sample to sample; `gap`: samples a gap may span; `blind`:
+    samples that may lie between one whose ground is known and the next.
     """
     rows, cols = height.shape
     count, samples = tracks.shape[0], tracks.shape[1]
     c, s = math.cos(yaw), math.sin(yaw)
     first, kind, size = samples, CLEAR, 0.0
     ground = np.empty(samples)
-    low = np.empty(samples, np.bool_)
+    low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
+    felt = np.empty(samples, np.bool_)
+    seen = np.empty(samples, np.bool_)
     busy = np.empty(samples, np.bool_)
     for k in range(count):
-        for i in range(first):
+        for i in range(samples):
             u, v = tracks[k, i, 0], tracks[k, i, 1]
             col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
             row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
-            ground[i], low[i], busy[i] = np.nan, False, False
+            ground[i], low[i], busy[i], felt[i], seen[i] = np.nan, False, False, False, False
             if 0 <= row < rows and 0 <= col < cols:
                 ground[i] = height[row, col]
                 busy[i] = occupied[row, col] > 0
+                felt[i] = source[row, col] == WHEELS
+                seen[i] = source[row, col] == LIDAR
                 if math.isnan(ground[i]):
                     ground[i] = bound[row, col]
                     low[i] = True
-        last = -1  # newest sample whose ground is known
+        # The newest sample whose ground is believed, and its height: first the plane that the robot stands on.
+        last = 0
+        level = stand[0] + stand[1] * tracks[k, 0, 0] + stand[2] * tracks[k, 0, 1]
+        known = measured = (
+            BEFORE  # newest sample the map knows, and newest that was measured; both are true of what is under the body
+        )
         landed = 0  # behind a gap: what lies in it is not driven on
+        end, what, much = samples, CLEAR, 0.0
         i = 0
-        while i < first:
+        while i < samples:
             if busy[i] and i > BEFORE:
-                first, kind, size = i, SWEEP, 0.0
+                if i < end:
+                    end, what = i, SWEEP
                 break
-            if math.isnan(ground[i]) or (low[i] and (last < 0 or ground[i] >= ground[last] - limit)):
+            if end == samples and i - known > blind:
+                end, what = known + 1, UNSEEN
+            if math.isnan(ground[i]) or (low[i] and not ground[i] < level - limit):
                 i += 1
                 continue
             # Compare with everything known within the spread of a face, else with the last known ground.
             worst = 0.0
-            if last >= 0:
-                worst = ground[i] - ground[last]
-                if worst > 0.0:
+            if not math.isnan(level):
+                worst = ground[i] - level
+                if worst > 0.0 and not felt[i]:
                     worst = max(0.0, worst - rise * max(0, i - last - WITHIN // 2))
                 for j in range(max(landed, i - WITHIN), last):
                     if not low[j] and not math.isnan(ground[j]):
@@ -169,34 +237,37 @@ def nearest_obstacle(
                         other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
                         if abs(other) > abs(worst):
                             worst = other
-            if abs(worst) > limit and i <= BEFORE:
-                low[i] = (
-                    True  # a wall beside the body that the map shows a cell too near: nothing stands on it
-                )
+            if abs(worst) > limit and (i <= BEFORE or felt[i]):
+                # A wall beside the body that the map shows a cell too near, or a wheel in the air.
+                low[i] = True
+                known = max(known, i)
                 i += 1
                 continue
             if abs(worst) > limit:
                 across = -1
                 if worst < 0.0:
-                    for j in range(i + 1, min(first, last + 1 + gap + 1)):
+                    for j in range(i + 1, min(samples, last + 1 + gap + 1)):
                         if (
-                            not low[j]
-                            and not math.isnan(ground[j])
-                            and abs(ground[j] - ground[last]) <= limit
+                            not (low[j] or felt[j] or math.isnan(ground[j]))
+                            and abs(ground[j] - level) <= limit
                         ):
                             across = j
                             break
                 if across >= 0:
-                    last, landed, i = across, across, across + 1
+                    last, level, landed, known, i = across, ground[across], across, across, across + 1
                     continue
-                if worst > 0.0:
-                    first, kind, size = i, FACE, worst
-                else:
-                    first, kind, size = min(i, max(last + 1, BEFORE + 1)), DROP, -worst
+                at = i if worst > 0.0 else min(i, measured + 1)
+                if at <= end:
+                    end, what, much = at, FACE if worst > 0.0 else DROP, abs(worst)
                 break
             if not low[i]:
-                last = i
+                last, level = i, ground[i]
+                known = max(known, i)
+                if seen[i]:
+                    measured = max(measured, i)
             i += 1
+        if end < first:
+            first, kind, size = end, what, much
     return first, kind, size
 
 

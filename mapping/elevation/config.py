@@ -61,7 +61,7 @@ class ElevationConfig(BaseModel):
     # --- ground under the wheels
     footprint: tuple[float, float] = Field(default=(0.70, 0.43), description="body length and width [m]")
     footprint_margin: float = Field(
-        default=0.10, description="support plane reaches this far beyond the footprint [m]"
+        default=0.0, description="support plane of a driving robot reaches this far beyond the footprint [m]"
     )
     start_radius: float = Field(
         default=0.8, description="support plane of a starting robot reaches this far [m]"

@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 from hal.rotation import rotation
 from hal.safety.swept import (
     BODY_CLEARANCE,
+    LIDAR,
     POINTS,
     SPACING,
+    WHEELS,
     Reach,
     Surroundings,
     occupy,
     reach_of,
+    stand_of,
     straight_tracks,
     turn_step,
     turn_tracks,
@@ -44,13 +47,19 @@ from rbtrg_robot.wire.convert import (
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header, stamp_of
 
-FAR = 1.5
-"""[m] looked ahead of the body. A LiDAR sees the ground below an edge only far behind the edge."""
+FAR = 2.4
+"""[m] looked ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the back whose lowest beam
+goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 AROUND = 2.0
 """[m] from base_link: points of a sweep beyond are of no interest."""
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
-WORDS = {1: "a {:.2f} m face", 2: "a {:.2f} m drop", 3: "something the last sweep saw"}
+WORDS = {
+    1: "a {:.2f} m face",
+    2: "a {:.2f} m drop",
+    3: "something the last sweep saw",
+    4: "ground nobody saw",
+}
 
 
 class GuardStage:
@@ -94,10 +103,13 @@ class GuardStage:
     def warm_up(self) -> None:
         """Compile the kernels on flat ground."""
         flat = np.zeros((3, 3), np.float32)
-        around = Surroundings(flat, np.full_like(flat, np.nan), np.zeros((3, 3), np.uint8), (0.0, 0.0), 0.04)
+        free = np.zeros((3, 3), np.uint8)
+        around = Surroundings(flat, np.full_like(flat, np.nan), free, free.copy(), (0.0, 0.0), 0.04)
         fill_unknown(flat, around.bound)
+        here = (0.0, 0.0, 0.0)
+        stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]))
         for _, tracks, step in self._ways:
-            reach_of(tracks, step, around, (0.0, 0.0, 0.0), self._robot)
+            reach_of(tracks, step, around, here, stand, self._robot, seen=False)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat)
 
     def close(self) -> None:
@@ -131,11 +143,13 @@ class GuardStage:
             self._malformed += 1
             return
         height, upper = patch.layers["elevation"], patch.layers["upper_bound"]
+        source = patch.layers["source"]
         unknown = np.isnan(height)
         self._filled = fill_unknown(height, upper)
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
+            np.where(source == WHEELS, WHEELS, np.where(source == LIDAR, LIDAR, 0)).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,
@@ -176,9 +190,11 @@ class GuardStage:
         assert self._around is not None
         pose = self._pose.pose.pose
         here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+        _, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
+        stand = stand_of(self._around, here, rotation(orientation)[:, 2])
         speeds, words = [], []
         for k, (where, tracks, step) in enumerate(self._ways):
-            reach = reach_of(tracks, step, self._around, here, self._robot)
+            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k < 2)
             speed = self._speed(reach, turning=k > 1)
             most = self._robot.max_wz if k > 1 else self._robot.max_vx
             speeds.append(min(speed, most))

@@ -15,15 +15,21 @@ from hal.safety.swept import (
     CLEAR,
     DROP,
     FACE,
+    LIDAR,
     NOISE,
     SPACING,
     SWEEP,
+    UNSEEN,
+    WHEELS,
     WITHIN,
     Reach,
+    Stand,
     Surroundings,
+    height_under,
     nearest_obstacle,
     occupy,
     reach_of,
+    stand_of,
     straight_tracks,
     turn_step,
     turn_tracks,
@@ -41,18 +47,26 @@ def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
     """Around the origin; what is not given is unknown or free."""
     height = np.ascontiguousarray(height, np.float32)
     bound = np.asarray(layers.get("bound", np.full_like(height, np.nan)), np.float32)
+    source = np.asarray(layers.get("source", np.where(np.isnan(height), 0, LIDAR)), np.uint8)
     occupied = np.asarray(layers.get("occupied", np.zeros_like(height)), np.uint8)
     corner = -(N // 2) * RES
-    return Surroundings(height, bound, occupied, (corner, corner), RES)
+    return Surroundings(height, bound, source, occupied, (corner, corner), RES)
 
 
-def look(around: Surroundings, pose: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> dict[str, Reach]:
+def look(
+    around: Surroundings, pose: tuple[float, float, float] = (0.0, 0.0, 0.0), up: Any = (0.0, 0.0, 1.0)
+) -> dict[str, Reach]:
     """Every way, 1 m and 0.6 rad far."""
+    stand = stand_of(around, pose, np.asarray(up))
+    ways = {
+        "ahead": (straight_tracks(1.0, 1.0), SPACING),
+        "behind": (straight_tracks(1.0, -1.0), SPACING),
+        "left": (turn_tracks(0.6, 1.0), turn_step()),
+        "right": (turn_tracks(0.6, -1.0), turn_step()),
+    }
     return {
-        "ahead": reach_of(straight_tracks(1.0, 1.0), SPACING, around, pose, ROBOT),
-        "behind": reach_of(straight_tracks(1.0, -1.0), SPACING, around, pose, ROBOT),
-        "left": reach_of(turn_tracks(0.6, 1.0), turn_step(), around, pose, ROBOT),
-        "right": reach_of(turn_tracks(0.6, -1.0), turn_step(), around, pose, ROBOT),
+        name: reach_of(tracks, step, around, pose, stand, ROBOT, seen=name in ("ahead", "behind"))
+        for name, (tracks, step) in ways.items()
     }
 
 
@@ -109,12 +123,67 @@ def test_a_face_and_a_drop_beyond_the_robots_step_end_the_way(rise: float) -> No
         np.where(X > 0.0, KERB, 0.0),  # half up a kerb
         np.where(np.abs(X - 0.74) < 0.06, -0.6, 0.0),  # a crack no wider than a wheel crosses
         np.where(np.abs(Y) > SIDE + RES, WALL, 0.0),  # between two walls
-        np.where(X > 0.60, np.nan, 0.0),  # nothing is known
+        np.where(np.abs(X - 0.74) < 0.06, np.nan, 0.0),  # a slit no wider than that which nobody saw
     ],
 )
-def test_what_the_controller_drives_over_and_what_is_not_known_is_no_obstacle(height: NDArray[Any]) -> None:
+def test_what_the_controller_drives_over_is_no_obstacle(height: NDArray[Any]) -> None:
     found = look(ground(height))
     assert (found["ahead"].kind, found["behind"].kind) == (CLEAR, CLEAR)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_it_drives_on_ground_that_the_map_knows_alone(side: float) -> None:
+    name, other = ("ahead", "behind") if side > 0.0 else ("behind", "ahead")
+    found = look(ground(np.where(side * X > 0.70, np.nan, 0.0)))
+    assert (found[name].kind, found[other].kind) == (UNSEEN, CLEAR)
+    assert found[name].free == pytest.approx(0.70 - FRONT, abs=RES)
+    nothing = look(ground(np.where((np.abs(X) > FRONT) | (np.abs(Y) > SIDE), np.nan, 0.0)))
+    assert [reach.kind for reach in nothing.values()] == [UNSEEN, UNSEEN, CLEAR, CLEAR]
+    assert nothing[name].free < RES
+
+
+@pytest.mark.parametrize("filled_in", [WHEELS, 3])
+def test_a_drop_begins_where_ground_was_measured_last(filled_in: int) -> None:
+    height = np.where(X > 1.0, -0.5, 0.0)
+    source = np.where(np.abs(X - 0.85) < 0.20, filled_in, LIDAR)
+    found = look(ground(height, source=source))["ahead"]
+    assert found.kind == DROP
+    assert found.free == pytest.approx(0.65 - FRONT, abs=RES)
+    all_felt = look(ground(height, source=np.where(X > 1.0, LIDAR, filled_in)))["ahead"]
+    assert (all_felt.kind, all_felt.free) == (DROP, 0.0)
+
+
+def test_a_drop_far_away_counts_from_where_ground_was_measured_though_a_wall_is_nearer() -> None:
+    height = np.where(X > 0.95, -0.5, 0.0) + np.where((X > 0.8) & (Y > 0.1), 0.5, 0.0)
+    source = np.where(X > 0.5, np.where(X > 0.95, LIDAR, 3), LIDAR)
+    found = look(ground(height, source=source))["ahead"]
+    assert found.kind == DROP
+    assert found.free == pytest.approx(0.5 - FRONT, abs=RES)
+
+
+def test_what_a_lifted_wheel_felt_is_neither_face_nor_drop() -> None:
+    for wrong in (0.22, -0.22):
+        spot = (np.hypot(X - 0.40, Y - 0.15) < 0.10) | (np.hypot(X + 0.30, Y + 0.15) < 0.10)
+        found = look(ground(np.where(spot, wrong, 0.0), source=np.where(spot, WHEELS, LIDAR)))
+        assert {reach.kind for reach in found.values()} == {CLEAR}
+
+
+def test_the_robot_stands_on_the_median_of_what_lies_under_it() -> None:
+    rng = np.random.default_rng(2)
+    height = (0.3 * X - 0.2 * Y + np.where(rng.random(X.shape) < 0.2, 0.5, 0.0)).astype(np.float32)
+    height[rng.random(X.shape) < 0.3] = np.nan
+    for x, y, yaw in rng.uniform(-1.0, 1.0, (8, 3)):
+        up = np.array([-0.3, 0.2, 1.0]) / math.sqrt(1.13)
+        stand = stand_of(ground(height), (x, y, yaw), up)
+        c, s = math.cos(yaw), math.sin(yaw)
+        assert stand[1:] == pytest.approx((0.3 * c - 0.2 * s, -0.2 * c - 0.3 * s))
+        u, v = c * (X - x) + s * (Y - y), c * (Y - y) - s * (X - x)
+        under = (np.abs(u) <= FRONT) & (np.abs(v) <= SIDE) & np.isfinite(height)
+        want = np.median(height[under] - stand[1] * u[under] - stand[2] * v[under])
+        assert stand[0] == pytest.approx(want, abs=1e-6)
+        assert stand[0] == pytest.approx(0.3 * x - 0.2 * y, abs=0.01)
+    nothing = np.full((3, 3), np.nan, np.float32)
+    assert math.isnan(height_under(nothing, 0.0, 0.0, RES, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 def test_a_trench_wider_than_a_wheel_crosses_is_a_drop() -> None:
@@ -127,7 +196,7 @@ def test_a_drop_behind_ground_that_is_hidden_is_seen() -> None:
     found = look(ground(hidden, bound=np.where(X > 0.70, -0.3, np.nan)))["ahead"]
     assert found.kind == DROP
     assert found.free == pytest.approx(0.70 - FRONT, abs=RES)
-    assert look(ground(hidden, bound=np.where(X > 0.70, -0.05, np.nan)))["ahead"].kind == CLEAR
+    assert look(ground(hidden, bound=np.where(X > 0.70, -0.05, np.nan)))["ahead"].kind == UNSEEN
 
 
 def test_a_wall_beside_the_body_stops_the_turn_and_not_the_drive() -> None:
@@ -158,9 +227,9 @@ def test_the_answer_turns_and_moves_with_the_robot(yaw: float) -> None:
 
 
 def oracle(
-    tracks: NDArray[Any], around: Surroundings, pose: tuple[float, float, float], gap: int
+    tracks: NDArray[Any], around: Surroundings, pose: tuple[float, float, float], stand: Stand, *edges: int
 ) -> tuple[int, int]:
-    """The same rules, written for reading: (sample, kind) of the first obstacle on any track."""
+    """The same rules, written for reading: (sample, kind) of the first obstacle on any track. `edges`: gap and blind."""
     limit, rise = ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING
     x, y, yaw = pose
     rows, cols = around.height.shape
@@ -173,59 +242,74 @@ def oracle(
         row, col = np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)
         known = np.where(on, around.height[row, col], np.nan).astype(float)
         bound = np.where(on, around.bound[row, col], np.nan).astype(float)
+        source = np.where(on, around.source[row, col], 0)
         busy = on & (around.occupied[row, col] > 0)
-        best = min(best, _walk(known, bound, busy, limit, rise, gap, best[0]), key=lambda found: found[0])
+        level = stand[0] + stand[1] * u[0] + stand[2] * v[0]
+        found = _walk(known, bound, source, busy, level, limit, rise, *edges)
+        best = min(best, *found, key=lambda end: end[0])
     return best
 
 
 def _walk(
     known: NDArray[Any],
     bound: NDArray[Any],
+    source: NDArray[Any],
     busy: NDArray[Any],
+    level: float,
     limit: float,
     rise: float,
     gap: int,
-    end: int,
-) -> tuple[int, int]:
+    blind: int,
+) -> list[tuple[int, int]]:
     stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
-    i = 0
-    while i < end:
+    sure = [BEFORE]  # samples that the map knows
+    measured = [BEFORE]
+    ends = [(len(known), CLEAR)]
+    last, i = 0, 0
+    while i < len(known):
         if busy[i] and i > BEFORE:
-            return i, SWEEP
-        height = known[i]
-        below = math.isnan(height) and bool(stood) and bound[i] < stood[-1][1] - limit
-        if math.isnan(height) and not below:
+            return [*ends, (i, SWEEP)]
+        if i - max(sure) > blind:
+            ends.append((max(sure) + 1, UNSEEN))
+        below = math.isnan(known[i]) and bound[i] < level - limit
+        if math.isnan(known[i]) and not below:
             i += 1
             continue
-        if below:
-            height = bound[i]
+        height = bound[i] if below else known[i]
         changes = [0.0]
-        if stood:
-            change = height - stood[-1][1]
-            far = rise * max(0, i - stood[-1][0] - WITHIN // 2)
-            changes.append(max(0.0, change - far) if change > 0.0 else change)
-            changes += [shrunk(height - h, rise * WITHIN / 2) for j, h in stood[:-1] if j >= i - WITHIN]
+        if not math.isnan(level):
+            change = height - level
+            far = rise * max(0, i - last - WITHIN // 2)
+            changes.append(max(0.0, change - far) if change > 0.0 and source[i] != WHEELS else change)
+            changes += [
+                shrunk(height - h, rise * WITHIN / 2) for j, h in stood if i - WITHIN <= j and j < last
+            ]
         worst = max(changes, key=abs)
         if abs(worst) > limit:
-            if i <= BEFORE:
+            if i <= BEFORE or source[i] == WHEELS:
+                sure.append(i)
                 i += 1
                 continue
-            last = stood[-1][0]
+            if worst > 0.0:
+                return [*ends, (i, FACE)]
             landing = [
                 j
-                for j in range(i + 1, min(end, last + gap + 2))
-                if not math.isnan(known[j]) and abs(known[j] - stood[-1][1]) <= limit
+                for j in range(i + 1, min(len(known), last + gap + 2))
+                if source[j] != WHEELS and not math.isnan(known[j]) and abs(known[j] - level) <= limit
             ]
-            if worst > 0.0:
-                return i, FACE
             if not landing:
-                return min(i, max(last + 1, BEFORE + 1)), DROP
-            i = landing[0]
-            stood = [(i, known[i])]
+                return [(min(i, max(measured) + 1), DROP), *ends]
+            last, level = landing[0], known[landing[0]]
+            stood = [(last, level)]
+            sure.append(last)
+            i = last
         elif not below:
             stood.append((i, height))
+            sure.append(i)
+            measured += [i] if source[i] == LIDAR else []
+            last, level = i, height
         i += 1
-    return end, CLEAR
+    return ends
 
 
 def shrunk(value: float, by: float) -> float:
@@ -247,17 +331,21 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
         bound = np.where(
             np.isnan(height) & (rng.random(X.shape) < 0.3), rng.uniform(-0.4, 0.2, X.shape), np.nan
         )
-        around = ground(height, bound=bound, occupied=rng.random(X.shape) < rng.choice([0.0, 0.001]))
+        source = np.where(np.isnan(height), 0, rng.choice([WHEELS, LIDAR, 3], X.shape, p=[0.05, 0.9, 0.05]))
+        occupied = rng.random(X.shape) < rng.choice([0.0, 0.001])
+        around = ground(height, bound=bound, source=source, occupied=occupied)
         pose = (float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3.0, 3.0)))
-        for tracks in (straight_tracks(0.7, 1.0), turn_tracks(0.6, -1.0)):
-            gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
+        tilt = rng.uniform(-0.3, 0.3, 2)
+        stand = stand_of(around, pose, np.array([*tilt, math.sqrt(1.0 - tilt @ tilt)]))
+        gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
+        for tracks, blind in ((straight_tracks(0.7, 1.0), gap), (turn_tracks(0.6, -1.0), 1000)):
             sample, kind, _ = nearest_obstacle(
-                *(tracks, around.height, around.bound, around.occupied, *around.origin, RES, *pose),
-                *(ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING, gap),
+                *(tracks, around.height, around.bound, around.source, around.occupied, *around.origin, RES),
+                *(*pose, stand, ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING, gap, blind),
             )
-            assert (sample, kind) == oracle(tracks, around, pose, gap)
+            assert (sample, kind) == oracle(tracks, around, pose, stand, gap, blind)
             kinds.add(kind)
-    assert len(kinds) > 1
+    assert len(kinds) > 2
 
 
 def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.safety.swept import LIDAR
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import msg
@@ -43,15 +44,15 @@ class Around:
     def tick(self, height: Any, points: Any = ()) -> msg.MotionLimits:
         """A tenth of a second: `height(forward, left)` of the ground [m], `points` (n, 3) [m] in base_link."""
         self.now += NS // 10
-        corner = (round(START[0] / RES) - 50) * RES, round(START[1] / RES - 50) * RES
-        x, y = np.meshgrid(corner[0] + RES * np.arange(101), corner[1] + RES * np.arange(101))
+        corner = (round(START[0] / RES) - 70) * RES, round(START[1] / RES - 70) * RES
+        x, y = np.meshgrid(corner[0] + RES * np.arange(141), corner[1] + RES * np.arange(141))
         turn = START[2] + self.yaw
         c, s = math.cos(turn), math.sin(turn)
         forward = c * (x - START[0]) + s * (y - START[1])
         left = c * (y - START[1]) - s * (x - START[0])
         layers = {name: np.zeros(x.shape, np.float32) for name in PATCH_LAYERS}
         layers["elevation"] = np.asarray(height(forward, left), np.float32)
-        layers["trusted"][:] = 1.0
+        layers["trusted"][:], layers["source"][:] = 1.0, LIDAR
         pose = odometry_msg(
             self.now, (0.0, 0.0, 0.4), rpy_quaternion((0.0, 0.0, self.yaw)), np.zeros(3), np.zeros(3)
         )

@@ -13,6 +13,9 @@ from mapping.grid import ElevationGrid
 
 PATCH_LAYERS = ("elevation", "variance", "trusted", "upper_bound", "source")
 
+LARGEST = 50_000_000
+"""Cells of a mirror: 280 m x 280 m of 4 cm, 1 GB. One patch that lies far off must not fill the memory."""
+
 
 class MapError(OperatorError):
     """Input the map cannot take; the message names it and what was expected."""
@@ -110,7 +113,7 @@ class MapMirror:
     def apply(self, patch: MapPatch) -> CellWindow:
         """Take a patch in; returns the cells that it wrote. A new epoch or resolution starts over.
 
-        A patch of an older epoch is ignored (empty window). Raises MapError for a patch off the lattice.
+        A patch of an older epoch is ignored (empty window). Raises MapError for a patch off the lattice or too far off.
         """
         rows, cols = patch.shape
         row, col = patch.cell
@@ -148,6 +151,10 @@ class MapMirror:
                 return
             r0, c0 = min(r0, self.row), min(c0, self.col)
             r1, c1 = max(r1, self.row + h), max(c1, self.col + w)
+        if (r1 - r0) * (c1 - c0) > LARGEST:
+            raise MapError(
+                f"a map of {(r1 - r0) * self.resolution:.0f} x {(c1 - c0) * self.resolution:.0f} m is too large: is a patch far off?"
+            )
         for name in PATCH_LAYERS:
             fresh = 0.0 if name in ("trusted", "source") else np.nan
             grown = np.full((r1 - r0, c1 - c0), fresh, dtype=np.float32)

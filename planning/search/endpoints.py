@@ -58,6 +58,8 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         start = start_node(graph, grid, request.start)
         return Endpoints(table, start, goal_node(graph, grid, request.goal, request.allow_frontier))
     start_xy, goal_xy = position(graph, request.start, "start"), position(graph, request.goal, "goal")
+    if not is_node(request.start):
+        _require_on_map(grid, start_xy, "start")
     yaw = math.nan if request.start_yaw is None else request.start_yaw
     ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw))
     new: list[Spot] = []
@@ -65,7 +67,6 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
     if is_node(request.start):
         start = int(request.start)  # type: ignore[arg-type]
     else:
-        _require_on_map(grid, start_xy, "start")
         new.append(ground.spot(start_xy))
     between = None
     if is_node(request.goal):

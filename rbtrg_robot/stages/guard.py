@@ -159,10 +159,10 @@ class GuardStage:
 
     def _sweep(self) -> None:
         """Lay the newest sweep whose pose is known over the window."""
-        both = self._clouds.keys() & self._odoms.keys()
         for kept in (self._clouds, self._odoms):
             while len(kept) > 20:
                 kept.popitem(last=False)
+        both = self._clouds.keys() & self._odoms.keys()
         if not both or self._around is None or not self._frame.known:
             return
         newest = max(both)

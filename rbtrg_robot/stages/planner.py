@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -206,8 +207,8 @@ class PlannerStage:
                 self._first = self._graph.first_xy
             else:
                 self._graph.update(grid, windows, start)
-        except NoRoute:
-            # No ground under the robot in this map (yet): the next update or request begins anew.
+        except PlanningError:
+            # No ground under the robot in this map (yet), or its cells moved: the next update or request begins anew.
             self._graph = None
 
     def _status(self, now: int) -> msg.RouteStatus:
@@ -235,6 +236,11 @@ class PlannerStage:
     # --- requests ---------------------------------------------------------------------------------------------
 
     def _answer(self, message: msg.PlanRequest) -> Outputs:
+        numbers = (message.start_x, message.start_y, message.start_yaw, message.goal_x, message.goal_y)
+        sound = all(map(math.isfinite, (*numbers, message.goal_yaw))) and len(message.avoid) % 3 == 0
+        if not (sound and np.isfinite(message.avoid).all()):
+            self._malformed += 1
+            return []
         self._start = (message.start_x, message.start_y)
         driven = self._path if self._verdict[0] and message.goal_id == self._answered[0] else None
         self._answered = (message.goal_id, int(message.sequence))

@@ -23,6 +23,8 @@ IMU = "imu"
 
 _names = POINT_DTYPE.names or ()
 _offsets: dict[str, int] = {name: entry[1] for name, entry in (POINT_DTYPE.fields or {}).items()}
+FARTHEST = 2**31
+"""Cells from the origin of `map` to the farthest one that is addressed."""
 _FIELD_TYPES = {"f4": 7, "u2": 4}
 _FIELDS: list[msg.PointField] = [
     msg.PointField(
@@ -255,8 +257,11 @@ def _layer_msg(layer: NDArray[np.float32]) -> msg.Float32MultiArray:
 def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
-    if not (0.0 < info.resolution < math.inf and all(map(math.isfinite, (info.length_x, info.length_y)))):
-        raise LayoutError(f"a map of {info.length_x} x {info.length_y} m in cells of {info.resolution} m")
+    numbers = (info.length_x, info.length_y, info.pose.position.x, info.pose.position.y)
+    if not (0.0 < info.resolution < math.inf and all(abs(v) < info.resolution * FARTHEST for v in numbers)):
+        raise LayoutError(
+            f"a map of {info.length_x} x {info.length_y} m at ({numbers[2]}, {numbers[3]}) in cells of {info.resolution} m"
+        )
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
     if cols < 1 or rows < 1:
         raise LayoutError(f"a map of {rows} x {cols} cells")

@@ -122,7 +122,7 @@ class TheSupervisor:
         made: Any = Supervisor(config, None, lambda _text: None)  # type: ignore[arg-type]
         self._bus = made._bus = StubBus()
         made._mend = made._measure = lambda: None
-        made._latch = type("NoFile", (), {"write": lambda self, data: None})()
+        made._latch = made._mission = type("NoFile", (), {"write": lambda self, *data: None})()
         made._write_state = lambda lock: None
         self._supervisor = made
 

@@ -70,7 +70,10 @@ class StackConfig(BaseModel):
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
     controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
-    policy_dir: str = Field("", description="folder of a locomotion policy in rl_sar's layout")
+    policy_dir: str = Field(
+        "",
+        description="folder of a locomotion policy in rl_sar's layout; empty: the one that `policy get` fetched",
+    )
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
     )

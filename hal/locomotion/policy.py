@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hal import go2w
+from hal.locomotion.public import stored
 from hal.locomotion.torchfile import Layer, PolicyError, read_mlp
 from hal.lowlevel import LowCommand, LowState
 from hal.rotation import up_of
@@ -120,12 +121,10 @@ def load_params(folder: Path) -> PolicyParams:
 
 
 class PolicyController:
-    """`hal.lowlevel.Locomotion` from a policy folder. Follows vx, vy and wz; ignores posture. Raises PolicyError."""
+    """`hal.lowlevel.Locomotion` from a policy folder (empty: the public policy that was fetched). Follows vx, vy and wz; ignores posture. Raises PolicyError."""
 
     def __init__(self, folder: str | Path) -> None:
-        if not str(folder):
-            raise PolicyError("no policy given: name its folder with --policy DIR")
-        folder = Path(folder)
+        folder = Path(folder) if str(folder) else stored()
         self.params = p = load_params(folder)
         self.layers = read_mlp(folder / p.model_name)
         inputs, outputs = self.layers[0].weight.shape[1], self.layers[-1].weight.shape[0]

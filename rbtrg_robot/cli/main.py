@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, foxglove, inspect, keys, logs, mission, service, stack, topic
+from rbtrg_robot.cli import drive, foxglove, inspect, keys, logs, mission, policy, service, stack, topic
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -45,6 +45,7 @@ topic.register(app)
 inspect.register(app)
 service.register(app)
 keys.register(app)
+policy.register(app)
 
 
 def main() -> None:

@@ -233,5 +233,5 @@ def test_wrong_names_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
         (["--queries", "11"], "1..10"),
     ):
         with pytest.raises(SystemExit):
-            bench.run(["--out", "x", *args, *([] if word == "--policy" else ["--controller", "vmc"])])
+            bench.run(["--out", "x", *args])
         assert word in capsys.readouterr().err

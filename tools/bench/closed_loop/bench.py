@@ -71,14 +71,16 @@ def _options(args: list[str]) -> argparse.Namespace:
     add("--methods", type=names(protocol.METHODS), default=["native", "full"])
     add("--controller", type=names(protocol.CONTROLLERS), default=["policy"])
     add("--colliders", type=names(protocol.COLLIDERS), default=["all"])
-    add("--policy", default="", help="folder of the learnt policy")
+    add(
+        "--policy",
+        default="",
+        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
+    )
     add("--draws", type=int, default=5, help="frictions and start offsets per query")
     add("--queries", type=int, default=protocol.QUERIES, help="start-goal pairs per scene, at most 10")
     add("--workers", type=int, default=1, help="processes on this machine; 0: this one")
     add("--scheduler", default="", help="address of a dask scheduler: spread the work there")
     options = parser.parse_args(args)
-    if "policy" in options.controller and not options.policy:
-        parser.error("the learnt policy needs --policy FOLDER")
     if not 1 <= options.queries <= protocol.QUERIES:
         parser.error(f"--queries must lie in 1..{protocol.QUERIES}")
     return options

@@ -24,7 +24,11 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--seeds", default="0-39", help="such as 0-39 or 3,7,12")
     parser.add_argument("--levels", default="1-5")
     parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
-    parser.add_argument("--policy", default="", help="folder of the learnt policy")
+    parser.add_argument(
+        "--policy",
+        default="",
+        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
+    )
     parser.add_argument("--map", default="prior", help="prior, seen or both: prior,seen")
     parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
     parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
@@ -37,8 +41,6 @@ def run(args: list[str]) -> Report:
         "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
     )
     options = parser.parse_args(args)
-    if "policy" in options.controller and not options.policy:
-        parser.error("the learnt policy needs --policy FOLDER")
     for folder in (options.logs, options.pictures):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)

@@ -1,0 +1,34 @@
+"""`policy`."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+policy_app = typer.Typer(help="Learnt locomotion policies of others.", no_args_is_help=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.add_typer(policy_app, name="policy")
+
+
+@policy_app.command("get")
+def policy_get(
+    name: Annotated[str, typer.Argument(help="Of the policy: go2w_rl_sar.")],
+    source: Annotated[
+        str,
+        typer.Option(help="Another URL that holds the repository's files; they are checked all the same."),
+    ] = "",
+) -> None:
+    """Fetch a public policy, check it, keep it in the data folder; `--controller policy` then needs no --policy."""
+    from hal.locomotion import public
+
+    policy = public.published(name)
+    print(f"{name} from {source or policy.source}")
+    print(f"licence: {policy.licence}")
+    folder, fetched = public.get(name, source)
+    print(
+        f"{folder}: {'fetched and checked' if fetched else 'already there, checked'}; the licence is in LICENSE"
+    )

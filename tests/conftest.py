@@ -8,16 +8,19 @@ import pytest
 
 LONGEST_FIRST = (
     "rbtrg_robot/process/test_live.py",
+    "rbtrg_robot/hosts/test_lockstep.py",
     "rbtrg_robot/hosts/test_explore.py",
     "hal/unitree/test_dds.py",
-    "rbtrg_robot/hosts/test_lockstep.py",
+    "rbtrg_robot/hosts/test_guard.py",
+    "rbtrg_robot/process/test_cable.py",
+    "rbtrg_robot/process/test_latch.py",
     "rbtrg_robot/stages/test_warm_up.py",
-    "rbtrg_robot/cli/test_cli.py",
+    "rbtrg_robot/hosts/test_mission.py",
     "rbtrg_robot/hosts/test_unitree.py",
     "hal/locomotion/test_vmc.py",
-    "planning/graph/test_update.py",
-    "mapping/odometry/test_pipeline.py",
     "rbtrg_robot/hosts/test_restart.py",
+    "rbtrg_robot/cli/test_cli.py",
+    "mapping/odometry/test_pipeline.py",
 )
 """More than 15 s each on two cores; the rest follows in the order of collection."""
 

@@ -32,6 +32,7 @@ from hal.types import NS, Capabilities
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import GuardConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -238,6 +239,6 @@ class GuardStage:
         return ""
 
 
-def build(config: Any) -> GuardStage:
+def build(config: StackConfig) -> GuardStage:
     """From the stack's configuration."""
     return GuardStage(config.guard, config.capabilities())

@@ -14,6 +14,7 @@ from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -196,7 +197,7 @@ def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:
     return transform_msg(now, BASE, frame, mount.translation, rpy_quaternion(mount.rpy))
 
 
-def build(config: Any) -> OdometryStage:
+def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
     odometry = LidarInertialOdometry(config.odometry, {lidar.name: lidar.mount for lidar in lidars})

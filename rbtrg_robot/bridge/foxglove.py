@@ -21,7 +21,10 @@ from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
 from hal.errors import OperatorError
+from hal.types import NS
+from hal.urdf import urdf
 from rbtrg_robot import topics as t
+from rbtrg_robot.bridge.legs import Legs
 from rbtrg_robot.msg import RobotCommand
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire import messages
@@ -35,6 +38,8 @@ BACK: tuple[Topic, ...] = tuple(t.BY_NAME[n] for n in ("/goal_pose", "/initialpo
 """What clients may publish beside the stop."""
 MESSAGE_DATA, TIME = 1, 2
 """Opcodes of binary frames from the server; MESSAGE_DATA is that of a client's, too."""
+LEGS_PERIOD = NS // 20
+"""Between two frames of the legs [ns]."""
 CLOCK = -1
 """In the place of a subscription's number."""
 WARNING, ERROR = 1, 2
@@ -115,6 +120,8 @@ class Foxglove:
         self._outbox: queue.SimpleQueue[tuple[Topic, Any]] = queue.SimpleQueue()
         self._newest: dict[Topic, Received[Any]] = {}
         self._clients: list[Client] = []
+        self._legs = Legs(urdf())
+        self._legs_due = 0
         self._lock = threading.Lock()
         self._stop: tuple[float, RobotCommand] | None = None
         """A stop that the robot has not confirmed, and until when it is sent."""
@@ -184,6 +191,8 @@ class Foxglove:
             self._newest[received.topic] = received
         for client in self._clients:
             _give(client, received)
+        if received.topic is t.JOINTS:
+            self._show_legs(received)
         if received.topic is t.ROBOT_STATE:
             for client in self._clients:
                 client.put(CLOCK, struct.pack("<BQ", TIME, max(received.stamp, 0)), 1)
@@ -192,6 +201,16 @@ class Foxglove:
                 if state is not None and state.estop:
                     self._say(f"stopped: {state.estop_cause}")
                     self._stop = None
+
+    def _show_legs(self, joints: Received[Any]) -> None:
+        """The app has no `robot_state_publisher`: its clients get the frames of the links here. The bus does not."""
+        state = self._bus.open(joints)
+        if state is None or 0 <= joints.stamp - self._legs_due < LEGS_PERIOD:
+            return
+        self._legs_due = joints.stamp
+        frames = Received(t.TF, messages.encode(self._legs.frames(state)), joints.stamp, 0)
+        for client in self._clients:
+            _give(client, frames)
 
     # --- a connection, in its own thread ----------------------------------------------------------------------
 
@@ -253,6 +272,8 @@ class Foxglove:
             if topic in self._newest:  # a later client asks for what the bus tells once
                 _give(client, self._newest[topic], number)
         self._wanted.put(topic)
+        if topic is t.TF:
+            self._wanted.put(t.JOINTS)
         self._bus.wake()
 
     def _publish(self, client: Client, data: bytes) -> None:

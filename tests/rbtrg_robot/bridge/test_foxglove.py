@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import socket
 import struct
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
@@ -16,13 +17,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.foxglove import BACK, BridgeError, Foxglove
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg
-from rbtrg_robot.wire.messages import encode, header
+from rbtrg_robot.wire.messages import array, decode, encode, header
 
 LIMIT = 20.0
 
@@ -147,6 +149,23 @@ def test_a_client_gets_the_bytes_of_the_bus_and_can_read_their_types(door: Door)
     finally:
         done.set()
         thread.join()
+
+
+def test_the_app_sees_the_legs_move(door: Door) -> None:
+    client = door.enter()
+    client.subscribe(1, t.TF)
+    state = msg.JointState(header=header(NS, "base_link"), name=["FL_hip"], position=array([0.4], "float64"))
+    door.bus.publish(t.TF, msg.TFMessage(), 1)
+    end = time.monotonic() + LIMIT
+    payload = b""
+    while b"FL_hip" not in payload:
+        assert time.monotonic() < end
+        door.bus.publish(t.JOINTS, state, NS)
+        with suppress(TimeoutError):
+            _, payload = client.data(1, 0.2)
+    frames = {x.child_frame_id: x for x in decode(payload, msg.TFMessage).transforms}
+    assert frames["FL_hip"].transform.rotation.x == pytest.approx(math.sin(0.2))
+    assert frames["FL_hip"].header.frame_id == "base_link"
 
 
 def test_who_comes_late_gets_what_is_told_once(door: Door) -> None:

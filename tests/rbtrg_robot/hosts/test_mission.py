@@ -1,4 +1,4 @@
-"""A mission in the closed loop on flat ground: the process dies on the way, the robot is stopped, and it comes home."""
+"""A mission in the closed loop on flat ground: the process dies on the way, and the robot is stopped."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Out and back with a posture between, the mission process killed on the first way, the robot stopped on the second."""
+    """Down, up and to a place; on the way there the mission process is killed and the robot is stopped."""
     path = tmp_path_factory.mktemp("mission") / "log_0.mcap"
     config = load(None, [], scene="flat")
     with Lockstep(config, Lockstep.open_log(config, path)) as stack:
@@ -65,28 +65,18 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         run = Run(stack)
         stack.run(1.1)
         x, y, yaw = run.truth
-        ahead = (x + 0.8 * math.cos(yaw), y + 0.8 * math.sin(yaw))
-        run.ask(
-            "run",
-            order=order(
-                goto(ahead[0], y=ahead[1]),
-                step("sit"),
-                step("wait", duration=0.5),
-                step("stand"),
-                goto(x, y=y),
-            ),
-        )
-        stack.run_until(lambda: run.speed > 0.25, 10.0, "motion")
+        ahead = (x + 1.0 * math.cos(yaw), y + 1.0 * math.sin(yaw))
+        run.ask("run", order=order(step("sit"), step("stand"), goto(ahead[0], y=ahead[1])))
+        stack.run_until(lambda: stack.newest[t.ROBOT_STATE].phase == "sitting", 10.0, "sitting")
+        stack.run_until(lambda: run.speed > 0.2, 20.0, "motion")
         goal = stack.newest[t.GOAL_STATUS].id
         stack.kill("mission")
         stack.run(0.3)
         assert run.speed > 0.1  # the navigator has the goal
         stack.restart("mission")
-        stack.run_until(lambda: run.state.step == 2, 20.0, "the end of the first way")
+        stack.run(0.2)
         assert stack.newest[t.GOAL_STATUS].id == goal
-        assert math.dist(run.truth[:2], ahead) < 0.25
-        stack.run_until(lambda: stack.newest[t.ROBOT_STATE].phase == "sitting", 10.0, "sitting")
-        stack.run_until(lambda: run.state.step == 5 and run.speed > 0.25, 20.0, "the way back")
+        assert run.state.phase == "running"
         stack.command("stop", "test")
         run.until("paused", 0.1)
         assert "emergency stop" in run.state.reason
@@ -97,8 +87,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         assert run.speed < 0.05
         run.ask("resume")
         run.until("finished")
-        assert math.dist(run.truth[:2], (x, y)) < 0.25
-        assert run.state.action_status == ["FINISHED"] * 5
+        assert math.dist(run.truth[:2], ahead) < 0.25
+        assert run.state.action_status == ["FINISHED"] * 3
         stack.run(0.3)
     return path
 
@@ -115,5 +105,5 @@ def test_a_mission_goes_on_through_a_death_and_only_on_command_after_a_stop(log:
 def test_the_mission_can_be_run_again_from_the_log(log: Path, tmp_path: Path) -> None:
     rerun(log, ["mission"], tmp_path / "again.mcap")
     again = [decode(data, msg.MissionState) for data in states(tmp_path / "again.mcap")]
-    assert again[-1].action_status == ["FINISHED"] * 5
+    assert again[-1].action_status == ["FINISHED"] * 3
     assert [s.phase for s in again].count("paused") >= 1

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,15 +46,9 @@ def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimi
         pieces, raw = [np.array([[*vertices[0], stand]])], 0
     else:
         pieces, raw = _pieces(vertices, back, terrain, body, limits)
-    profile = [_profile(piece, terrain, body, limits) for piece in pieces]
     # Where the direction changes the last point of one piece is the first of the next, which tells the heading from there on.
-    keep = [slice(None, -1)] * (len(pieces) - 1) + [slice(None)]
-    poses = np.concatenate([piece[k] for piece, k in zip(pieces, keep, strict=True)])
-    speed, least = (
-        np.concatenate([p[part][k] for p, k in zip(profile, keep, strict=True)]) for part in (0, 1)
-    )
-    turns = np.cumsum([len(piece) - 1 for piece in pieces[:-1]], dtype=np.int64)
-    speed[turns] = least[turns] = 0.0
+    poses = np.concatenate([*(piece[:-1] for piece in pieces[:-1]), pieces[-1]])
+    speed, least = _profile(poses, terrain, body, limits)
     xy, yaw = poses[:, :2], poses[:, 2]
     sparse = _thin(poses, 0.05)
     features = terrain_features(terrain, poses[sparse], body)
@@ -89,7 +86,46 @@ def _pieces(
     return out, sharp
 
 
+def rest_of(path: Path, pose: tuple[float, float, float], grid: ElevationGrid, body: BodyModel) -> Path:
+    """What is left of `path` for a robot at `pose` x, y [m], yaw [rad] on it: the same way, with the speeds of the map of now."""
+    x, y, yaw = pose
+    k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (path.points, path.watched))
+    ahead = path.ahead(x, y)
+    assert ahead is not None, "the robot is on the path"
+    poses = np.column_stack([path.points[k:, :2], path.yaw[k:]])
+    terrain = terrain_around(grid, poses[:, :2], body)
+    speed, least = _profile(poses, terrain, body, path.limits)
+    return replace(
+        path,
+        points=path.points[k:],
+        yaw=path.yaw[k:],
+        speed=speed,
+        least=least,
+        s=path.s[k:] - path.s[k],
+        route=np.concatenate([[(x, y)], ahead[0]]),
+        back=ahead[1],
+        initial_turn=float(turn_angle(yaw, float(path.yaw[k]))),
+        watched=path.watched[w:],
+        faces=path.faces[w:],
+    )
+
+
 def _profile(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, Array]:
+    """(n,) speed and least speed along poses x, y, yaw of the body; 0 where it turns from forward to backward or back."""
+    chord = np.diff(poses[:, :2], axis=0)
+    back = np.cos(poses[:-1, 2] - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0
+    ends = [0, *(np.flatnonzero(back[1:] != back[:-1]) + 1).tolist(), max(len(poses) - 1, 1)]
+    speed, least = np.zeros(len(poses)), np.zeros(len(poses))
+    for first, last in pairwise(ends):
+        piece = poses[first : last + 1].copy()
+        if last < len(poses) - 1:
+            piece[-1, 2] = piece[-2, 2]
+        speed[first : last + 1], least[first : last + 1] = _one_way(piece, terrain, body, limits)
+    speed[ends[1:-1]] = least[ends[1:-1]] = 0.0
+    return speed, least
+
+
+def _one_way(poses: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, Array]:
     """Speed and least speed of a stretch in one direction."""
     s = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     sparse = _thin(poses, 0.05)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
-
-from planning.risk.pose_sets import turn_angle
 
 Array = NDArray[np.float64]
 
@@ -79,19 +77,3 @@ class Path:
         off = np.hypot(*(rel - t[:, None] * leg).T)
         k = int(np.argmin(off))
         return (self.route[k + 1 :], self.back[k:]) if off[k] <= 2.0 * self.limits.corridor else None
-
-    def rest(self, x: float, y: float, yaw: float) -> Path:
-        """From the point nearest to the robot's pose x, y [m], yaw [rad] on."""
-        k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (self.points, self.watched))
-        ahead = self.ahead(x, y)
-        assert ahead is not None, "the robot is on the path"
-        return replace(
-            self,
-            **{name: getattr(self, name)[k:] for name in ("points", "yaw", "speed", "least")},
-            s=self.s[k:] - self.s[k],
-            route=np.concatenate([[(x, y)], ahead[0]]),
-            back=ahead[1],
-            initial_turn=float(turn_angle(yaw, self.yaw[k])),
-            watched=self.watched[w:],
-            faces=self.faces[w:],
-        )

@@ -14,7 +14,7 @@ from mapping.grid import ElevationGrid
 from planning.baselines import t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path import Path, PathLimits, face_in_the_way, make_path, still_safe
+from planning.path import Path, PathLimits, face_in_the_way, make_path, rest_of, still_safe
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory
@@ -297,7 +297,8 @@ class PlannerStage:
             self._table = RiskTable(graph, self._grid, self._body, self._table)
         found = plan(graph, self._grid, request, self._body, self._table)
         if found.kept and driven is not None:
-            return found, driven.rest(message.start_x, message.start_y, message.start_yaw)
+            pose = (message.start_x, message.start_y, message.start_yaw)
+            return found, rest_of(driven, pose, self._grid, self._body)
         return found, make_path(found, self._grid, self._body, self._limits)
 
 

@@ -10,7 +10,7 @@ import pytest
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path import make_path
+from planning.path import make_path, rest_of
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search import Driven, DriveRules, Plan, PlanRequest, plan
@@ -92,8 +92,14 @@ def test_the_rest_of_a_path_begins_at_the_robot(open_ground):
     path = make_path(plan(graph, grid, PlanRequest((1.0, 1.0), (6.5, 3.6), 0.4), BODY), grid, BODY)
     k = len(path.s) // 3
     x, y, _ = path.points[k]
-    rest = path.rest(x, y, path.yaw[k])
+    rest = rest_of(path, (x, y, path.yaw[k]), grid, BODY)
     np.testing.assert_array_equal(rest.points, path.points[k:])
+    np.testing.assert_allclose(rest.speed[40:], path.speed[k + 40 :], atol=0.01)
+    rough = ElevationGrid(grid.height.copy(), grid.trusted, grid.origin, grid.resolution)
+    rough.height[:, 100:] += 0.08
+    slower = rest_of(path, (x, y, path.yaw[k]), rough, BODY)
+    edge = np.abs(slower.points[:, 0] - 4.975) < 0.2
+    assert slower.speed[edge].max() < 0.85 * rest.speed[edge].max(), "a kerb that was not known before"
     assert rest.length == pytest.approx(path.length - path.s[k])
     assert rest.initial_turn == pytest.approx(0.0, abs=1e-9)
     assert len(rest.back) == len(rest.route) - 1 < len(path.back)

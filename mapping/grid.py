@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+FARTHEST = 100_000.0
+"""[m] from the origin of `map`: single precision resolves 8 mm there, and half a metre at the 5000 km of UTM."""
+
 
 class GridError(ValueError):
     """The grid's arrays do not fit together; the message names the array and what was expected."""
@@ -40,10 +43,16 @@ class ElevationGrid:
         origin = (float(self.origin[0]), float(self.origin[1]))
         if not np.isfinite(origin).all():
             raise GridError(f"origin must be finite, got {origin}")
+        if max(map(abs, origin)) > FARTHEST:
+            raise GridError(
+                f"origin {origin} is more than {FARTHEST / 1000:.0f} km away, where heights of single precision blur: "
+                "subtract the coordinates of a place nearby (UTM does not fit)"
+            )
         if not (np.isfinite(self.resolution) and self.resolution > 0.0):
             raise GridError(f"resolution must be a positive number of metres, got {self.resolution}")
         object.__setattr__(self, "height", height)
-        object.__setattr__(self, "trusted", trusted)
+        # A height that is not finite is no ground, whatever the flag says.
+        object.__setattr__(self, "trusted", trusted & np.isfinite(height))
         object.__setattr__(self, "origin", origin)
         object.__setattr__(self, "resolution", float(self.resolution))
 

@@ -24,6 +24,7 @@ from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
+from mapping.grid import FARTHEST
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
@@ -121,6 +122,15 @@ class StackConfig(BaseModel):
         if "main" not in names or len(set(names)) < len(names):
             raise ValueError("one LiDAR is `main`, another may be `head`, no name comes twice")
         return value
+
+    @field_validator("origin")
+    @classmethod
+    def _near_enough(cls, origin: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+        if origin is not None and not max(map(abs, origin)) < 0.5 * FARTHEST:
+            raise ValueError(
+                f"`map` reaches {FARTHEST / 1000:.0f} km: subtract the coordinates of a place nearby"
+            )
+        return origin
 
     @property
     def simulated(self) -> bool:

@@ -37,9 +37,9 @@ ROOMS: dict[str, str] = {
     "planning.baselines": "mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
-    "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping.elevation mapping.odometry "
+    "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
-    "rbtrg_robot.wire": "hal mapping.elevation rbtrg_robot",
+    "rbtrg_robot.wire": "hal mapping mapping.elevation rbtrg_robot",
     "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",

@@ -6,6 +6,7 @@ a per-point time (`time` or `t` relative, `timestamp` absolute) are taken where 
 
 from __future__ import annotations
 
+import math
 import struct
 from dataclasses import dataclass, field
 
@@ -20,6 +21,10 @@ from hal.unitree.layout import CDR_HEADER
 _DATATYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
 """sensor_msgs/PointField datatype codes."""
 _CODES = {np.dtype(v): k for k, v in _DATATYPES.items()}
+LONGEST_SWEEP = 10.0
+"""[s]: times of one cloud that spread further are nanoseconds."""
+RELATIVE = 1e3
+"""[s]: times below are relative to the header, unless the header is that early too."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
 
 
@@ -88,6 +93,8 @@ def decode_cloud(data: bytes) -> RawCloud:
     if step < 1 or n * step > size or r.at + size > len(data):
         raise WireError(f"cloud of {height} x {width} points of {step} bytes has {size} bytes of data")
     used = [(name, fmt, offset) for name, fmt, offset, number in fields if number == 1]
+    if len({name for name, _, _ in used}) < len(used):
+        raise WireError(f"a point field comes twice: {[name for name, *_ in fields]}")
     if any(offset + np.dtype(fmt).itemsize > step for _, fmt, offset in used):
         raise WireError("a point field lies outside the point")
     if not {"x", "y", "z"} <= {name for name, _, _ in used}:
@@ -181,12 +188,20 @@ def _times(cloud: RawCloud) -> tuple[int, NDArray[np.float32]]:
     time = raw[name].astype(np.float64)
     if raw.dtype[name].kind in "ui":
         time *= 1e-9
-    first = float(time.min())
-    if not np.isfinite(first):
+    first, last = float(time.min()), float(time.max())
+    if not (math.isfinite(first) and math.isfinite(last)):
         raise WireError(f"point field {name!r} is not finite")
-    # Absolute stamps come in seconds or in nanoseconds; what is within a sweep is relative to the header.
-    unit = 1e-9 if first > 1e14 else 1.0
-    start = cloud.stamp + round(first * NS) if first < 1e3 else round(first * unit * NS)
+    # Seconds or nanoseconds: a sweep lasts a tenth of a second, so its own spread tells, whatever the clock says. A field of one
+    # value is told by its size: no clock counts 1e14 s.
+    unit = 1e-9 if last - first > LONGEST_SWEEP or first > 1e14 else 1.0
+    seconds = first * unit
+    if not (last - first) * unit <= LONGEST_SWEEP or not abs(seconds) < 2.0**33:
+        raise WireError(
+            f"point field {name!r} runs from {first:g} to {last:g}: neither seconds nor nanoseconds of a sweep"
+        )
+    # Relative to the header, or the LiDAR's own clock, which may have booted in 1970.
+    relative = seconds < RELATIVE and not abs(seconds - cloud.stamp / NS) < abs(seconds)
+    start = (cloud.stamp if relative else 0) + round(seconds * NS)
     return start, ((time - first) * unit).astype(np.float32)
 
 

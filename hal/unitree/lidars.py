@@ -27,6 +27,10 @@ class LidarInput:
         """Clouds without a point that can be used."""
         self.missed = 0
         """Sweeps that never came, by the gaps between the stamps of those that did."""
+        self.frozen = 0
+        """Clouds with the stamp of the one before: a publisher that repeats itself is silent."""
+        self.untimed = 0
+        """Clouds without a time per point: they cannot be deskewed."""
         self._start: int | None = None
         self._offset = round(lidar.time_offset * NS)
         self._last: int | None = None
@@ -41,9 +45,13 @@ class LidarInput:
         if not len(points):
             self.empty += 1
             return []
+        if start == self._start:
+            self.frozen += 1
+            return []
         self.heard_at = now
         # The end of the sweep is what was just received; its start lies a sweep earlier.
-        duration = round(float(points["time"].max()) * NS)
+        duration = round(float(points["time"].max(initial=0.0, where=np.isfinite(points["time"]))) * NS)
+        self.untimed += duration == 0
         self._count_missed(start, duration)
         self.clock.observe(start + duration, now)
         end = min(self.clock.convert(start + duration, now) + self._offset, now)

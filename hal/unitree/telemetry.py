@@ -63,6 +63,7 @@ class Telemetry:
         self._sport_at: int | None = None
         self._raw = ""
         self._sport_stamp: tuple[int, int] | None = None
+        self._l1_stamp: int | None = None
         self._tick: int | None = None
         self._sampled = self._elapsed = 0
         """Tick of the last LowState that was looked at for samples, and [ms] up to it, which never start over."""
@@ -72,7 +73,7 @@ class Telemetry:
         """Unreadable messages by topic."""
         self.low_unread = ""
         """Why the newest LowState was not believed; empty when it was."""
-        self._gravity = np.zeros(3)
+        self._gravity, self._own_gravity = np.zeros(3), np.zeros(3)
         self._gravity_count = 0
         self.mount_error: float | None = None
         """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
@@ -188,6 +189,9 @@ class Telemetry:
     def _take_l1_imu(self, data: bytes, now: int) -> list[ImuSample | JointSample | LidarScan]:
         assert self._l1 is not None
         raw = decode_imu(data, self._options.l1_imu_wxyz)
+        if raw.stamp == self._l1_stamp:
+            return []  # frozen publisher: nothing new
+        self._l1_stamp = raw.stamp
         self._l1.clock.observe(raw.stamp, now)
         rotation = self._l1.mount.rotation
         gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
@@ -200,15 +204,18 @@ class Telemetry:
         """Compare gravity through the configured mount with the trunk's own, at rest."""
         if self.low is None or not np.abs(gyro).max() < 0.1 or not np.isfinite(accel).all():
             return
+        own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
+        if not np.isfinite(own).all():
+            return
         self._gravity += accel
+        self._own_gravity += own  # as many samples as of the L1: a jolt is in both or in neither
         self._gravity_count += 1
         if self._gravity_count < MOUNT_SAMPLES:
             return
-        own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
-        error = _angle(own, self._gravity)
+        error = _angle(self._own_gravity, self._gravity)
         self.mount_error = error if math.isfinite(error) else self.mount_error
         self._judge_order(raw)
-        self._gravity, self._gravity_count = np.zeros(3), 0
+        self._gravity, self._own_gravity, self._gravity_count = np.zeros(3), np.zeros(3), 0
 
     def _judge_order(self, raw: RawImu) -> None:
         """Whether the quaternion tells the gravity that the accelerometer feels only in the other order."""
@@ -236,6 +243,8 @@ class Telemetry:
             "robot_restarts": self.reboots,
             **{f"lidar_{lidar.name}_empty": lidar.empty for lidar in self.lidars},
             **{f"lidar_{lidar.name}_missed": lidar.missed for lidar in self.lidars},
+            **{f"lidar_{lidar.name}_frozen": lidar.frozen for lidar in self.lidars},
+            **{f"lidar_{lidar.name}_untimed": lidar.untimed for lidar in self.lidars},
             **{f"unreadable {topic}": count for topic, count in self.bad.items()},
         }
 

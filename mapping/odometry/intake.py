@@ -109,6 +109,11 @@ class Sweep:
     """Plain words; empty when the scan is sound."""
     name: LidarName = "main"
 
+    @property
+    def untimed(self) -> bool:
+        """All points have one time, which no LiDAR that turns gives."""
+        return len(self.time) > 1 and float(self.time.min()) == float(self.time.max())
+
 
 def clean_scan(
     scan: LidarScan,
@@ -132,7 +137,8 @@ def clean_scan(
         counters["scan_too_many_points"] += 1
         points = points[:: -(-len(points) // max_points)]
     xyz = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float32, copy=False)
-    time = points["time"].astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        time = points["time"].astype(np.float64)
     finite = np.isfinite(xyz).all(axis=1) & np.isfinite(time)
     if not finite.all():
         counters["scan_points_not_finite"] += int(len(finite) - finite.sum())

@@ -139,6 +139,10 @@ class LidarInertialOdometry:
         others = self._others(sweep, stamps, track)
         if sweep.problem:
             return self._dead_reckoned(sweep.problem)
+        if sweep.untimed:
+            self._notes.append(
+                f"the points of the {sweep.name} LiDAR carry no time: motion during a sweep stays in them"
+            )
         cloud = self._deskewed(sweep, stamps, track)
 
         predicted = self._filter.pose()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hal.go2w import MOTORS
 from hal.types import POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarName, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.grid import FARTHEST
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import header, stamp_of
 
@@ -23,8 +24,8 @@ IMU = "imu"
 
 _names = POINT_DTYPE.names or ()
 _offsets: dict[str, int] = {name: entry[1] for name, entry in (POINT_DTYPE.fields or {}).items()}
-FARTHEST = 2**31
-"""Cells from the origin of `map` to the farthest one that is addressed."""
+MIN_CELL, MAX_CELL = 1e-3, 10.0
+"""Cells that a map may have [m]."""
 _FIELD_TYPES = {"f4": 7, "u2": 4}
 _FIELDS: list[msg.PointField] = [
     msg.PointField(
@@ -257,11 +258,10 @@ def _layer_msg(layer: NDArray[np.float32]) -> msg.Float32MultiArray:
 def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     """The patch in a GridMap made by `patch_msg`; GridMap has no place for the epoch. Raises LayoutError."""
     info = message.info
-    numbers = (info.length_x, info.length_y, info.pose.position.x, info.pose.position.y)
-    if not (0.0 < info.resolution < math.inf and all(abs(v) < info.resolution * FARTHEST for v in numbers)):
-        raise LayoutError(
-            f"a map of {info.length_x} x {info.length_y} m at ({numbers[2]}, {numbers[3]}) in cells of {info.resolution} m"
-        )
+    sides, place = (info.length_x, info.length_y), (info.pose.position.x, info.pose.position.y)
+    within = all(abs(x) + abs(side) < 0.9 * FARTHEST for x, side in zip(place, sides, strict=True))
+    if not (MIN_CELL <= info.resolution <= MAX_CELL and within):
+        raise LayoutError(f"a map of {sides} m at {place} in cells of {info.resolution} m")
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
     if cols < 1 or rows < 1:
         raise LayoutError(f"a map of {rows} x {cols} cells")

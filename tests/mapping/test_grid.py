@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mapping.grid import ElevationGrid
+from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.grid import ElevationGrid, GridError
+from rbtrg_robot.config import ConfigError, load
+from rbtrg_robot.wire.convert import LayoutError, map_patch, patch_msg
 
 
 @settings(max_examples=80, deadline=None)
@@ -32,3 +36,25 @@ def test_what_lies_around_points_keeps_its_place(
         centre = grid.origin[k] + 0.1 * np.arange(whole)
         near = np.flatnonzero((centre >= xy[:, k].min() - margin) & (centre <= xy[:, k].max() + margin))
         assert all(first <= cell < first + count for cell in near)
+
+
+@pytest.mark.parametrize("hole", [np.nan, np.inf, -np.inf])
+def test_a_cell_without_a_height_is_not_trusted_whatever_its_flag_says(hole: float) -> None:
+    height = np.zeros((3, 4), np.float32)
+    height[1, 2] = hole
+    grid = ElevationGrid(height, np.ones((3, 4), np.bool_), (0.0, 0.0), 0.1)
+    assert not grid.trusted[1, 2]
+    assert grid.trusted.sum() == 11
+
+
+@pytest.mark.parametrize("origin", [(5e6, 0.0), (0.0, -5e6), (4.5e5, 5.4e6)])
+def test_coordinates_of_utm_are_refused_with_what_to_do(origin: tuple[float, float]) -> None:
+    """Heights and places of single precision would be half a metre off there, in silence."""
+    flat = np.zeros((3, 3), np.float32)
+    with pytest.raises(GridError, match="subtract"):
+        ElevationGrid(flat, np.ones((3, 3), np.bool_), origin, 0.04)
+    with pytest.raises(ConfigError, match="subtract"):
+        load(None, [], origin=(*origin, 0.0))
+    layers = dict.fromkeys(PATCH_LAYERS, flat)
+    with pytest.raises(LayoutError):
+        map_patch(patch_msg(MapPatch(origin, 0.04, 1, 0, layers)), 0)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hal.lidar.config import DEFAULT_LIDARS
+from hal.lidar.config import DEFAULT_LIDARS, only
+from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, LidarScan
-from hal.unitree.cloud import encode_cloud
+from hal.unitree.cloud import RawImu, encode_cloud, encode_imu
 from hal.unitree.config import UnitreeConfig
+from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR
+from hal.unitree.link import L1_IMU, LOW_STATE
 from hal.unitree.telemetry import Telemetry
 
 HOST = 10**18
@@ -53,3 +56,44 @@ def test_each_lidar_keeps_its_name_and_clock_and_a_silent_one_is_named() -> None
         assert (np.diff(stamp) == NS // 10).all()
         assert abs(stamp[0] - HOST) < 1000
     assert [round(float(lidar.mount.translation[0]), 3) for lidar in telemetry.lidars] == [0.163, 0.289]
+
+
+def test_a_lidar_whose_stamps_stand_still_is_silent_though_clouds_keep_coming() -> None:
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("xt16")))  # type: ignore[arg-type]
+    scans = 0
+    for k in range(1, 50):
+        now = k * NS // 10
+        wire.sweep("rt/lidar_points", min(now, NS))
+        scans += sum(isinstance(s, LidarScan) for s in telemetry.read(HOST + now))
+    assert scans == 10
+    assert telemetry.silence(HOST + now) == "the main LiDAR is silent on rt/lidar_points"
+    assert telemetry.figures()["lidar_main_frozen"] == 39
+
+
+def test_clouds_without_times_are_counted() -> None:
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("xt16")))  # type: ignore[arg-type]
+    points = np.zeros(100, POINT_DTYPE)
+    points["x"] = 5.0
+    wire.inbox["rt/lidar_points"] = [encode_cloud(k, "lidar", points) for k in (1, 2, 3)]
+    telemetry.read(HOST)
+    assert telemetry.figures()["lidar_main_untimed"] == 3
+
+
+def test_a_jolt_is_no_wrong_mount() -> None:
+    """The trunk's accelerometer feels 6 m/s2 to the side in the sample at which the mount is judged."""
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("l1")))  # type: ignore[arg-type]
+    turn = rotation_rpy(*only("l1")[0].mounted().mount.rpy)
+    upright = np.array([1.0, 0.0, 0.0, 0.0])
+    for k in range(1, 201):
+        low = np.zeros(1, LOW_STATE_CDR)
+        low[0]["tick"] = 2 * k
+        low[0]["imu_state"]["accelerometer"] = (0.0, 6.0 if k > 198 else 0.0, 9.81)
+        wire.inbox[LOW_STATE] = [CDR_HEADER + low.tobytes()]
+        imu = RawImu(k * NS // 200, upright, np.zeros(3), turn.T @ np.array([0.0, 0.0, 9.81]))
+        wire.inbox[L1_IMU] = [encode_imu(imu, "utlidar_imu")]
+        telemetry.read(HOST + k * NS // 200)
+    assert telemetry.mount_error is not None
+    assert telemetry.mount_error < 0.02

@@ -261,6 +261,40 @@ def test_absolute_times_give_the_start_of_the_sweep(dtype: np.dtype, scale: floa
     assert out["time"][-1] == pytest.approx(0.1, abs=1e-6)
 
 
+@pytest.mark.parametrize("boot", [0.3, 5.0, 900.0, 5000.0, 200_000.0])
+def test_nanoseconds_of_a_clock_that_booted_in_1970_are_no_seconds(boot: float):
+    points = _filled(LIVOX_DTYPE)
+    points["timestamp"] = (boot + np.linspace(0.0, 0.1, 500)) * 1e9
+    start, out = cloud.sweep(
+        cloud.decode_cloud(cloud.encode_cloud(round((boot + 0.1) * NS), "l", points)), OPEN
+    )
+    assert start == pytest.approx(boot * NS, abs=1000)
+    assert out["time"][-1] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_relative_nanoseconds_count_from_the_header_stamp():
+    points = _filled(LIVOX_DTYPE)
+    points["timestamp"] = np.linspace(0.0, 1e8, 500)
+    start, out = cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(9 * NS, "l", points)), OPEN)
+    assert start == 9 * NS
+    assert out["time"][-1] == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_time_that_is_none_is_an_error_not_a_crash(wrong: float):
+    points = _filled(XT16_DTYPE)
+    points["timestamp"] = 1_700_000_000.25 + np.linspace(0.0, 0.1, 500)
+    points["timestamp"][7] = wrong
+    with pytest.raises(api.WireError, match="timestamp"):
+        cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), OPEN)
+
+
+def test_a_doubled_field_name_is_an_error_not_a_crash():
+    data = cloud.encode_cloud(0, "l", _filled(XT16_DTYPE))
+    with pytest.raises(api.WireError, match="comes twice"):
+        cloud.decode_cloud(data.replace(b"\x02\0\0\0y\0", b"\x02\0\0\0x\0"))
+
+
 def test_invalid_far_and_body_returns_are_dropped():
     points = np.zeros(6, POINT_DTYPE)
     xyz = [(2, 0, 0), (math.nan, 0, 0), (0, 0, 0.05), (40, 0, 0), (0.2, 0.1, 0.0), (0, 0, -0.5)]

@@ -146,6 +146,21 @@ def test_equal_point_times_never_reach_the_library(samples: list[Sample], time: 
     pipeline.well()
 
 
+def test_clouds_without_a_time_per_point_are_told(samples: list[Sample]) -> None:
+    pipeline = Pipeline()
+    pipeline.feed(spoil(samples, lambda s: [edited(s, "time", 0.0)]))
+    told = [reason for reason in pipeline.reasons if "carry no time" in reason]
+    assert len(told) == len(BAD)
+    pipeline.well()
+
+
+def test_a_time_that_is_not_a_number_costs_its_points(samples: list[Sample]) -> None:
+    pipeline = Pipeline()
+    pipeline.feed(spoil(samples, lambda s: [edited(s, "time", np.nan, 3)]))
+    assert pipeline.counters["scan_points_not_finite"] > 100
+    pipeline.well()
+
+
 def test_a_cut_off_cloud_counts_as_far_as_it_goes(samples: list[Sample]) -> None:
     pipeline = Pipeline()
     pipeline.feed(spoil(samples, lambda s: [laid_out(s, data=scan_msg(s).data[:20_001])]))

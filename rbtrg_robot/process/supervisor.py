@@ -78,9 +78,8 @@ class Supervisor:
         self._ready = False
         self._usage_due = 0.0
         self._refused = 0
-        self._goal_said = ""
         self._estop_said = self._away_said = False
-        self._map_said = ""
+        self._said: dict[Topic, str] = {}
         self._mission: MissionFile | None = None
         self._notifier = Notifier()
         self._diagnosis = Diagnosis(config.robot)
@@ -297,13 +296,13 @@ class Supervisor:
                     child.cpu = child.memory = 0.0
 
     def _narrate(self, topic: Topic, message: Any) -> None:
-        if topic is t.GOAL_STATUS:
-            text = f"goal {message.id[:8]} {message.state}" if message.id else ""
-            if message.reason:
-                text += f": {message.reason}" + (f" ({message.detail})" if message.detail else "")
-            if text and text != self._goal_said and message.state not in ("accepted", "idle"):
-                self._say(text)
-            self._goal_said = text
+        if topic is t.GOAL_STATUS and message.state not in ("accepted", "idle"):
+            detail = f" ({message.detail})" if message.detail else ""
+            why = f": {message.reason}{detail}" if message.reason else ""
+            self._say_once(topic, f"goal {message.id[:8]} {message.state}{why}" if message.id else "")
+        elif topic is t.MISSION_STATE and message.order_id:
+            why = message.question or message.reason
+            self._say_once(topic, f"mission {message.name} {message.phase}" + (f": {why}" if why else ""))
         elif topic is t.ROBOT_STATE:
             if bool(message.estop) != self._estop_said:
                 self._latch.write(self._kept[t.ROBOT_STATE] if message.estop else b"")
@@ -313,9 +312,14 @@ class Supervisor:
             if away != self._away_said:
                 self._away_said = away
                 self._say(f"robot {message.phase}: {message.cause}" if away else "robot is back")
-        elif topic is t.MAP_STATUS and message.warning != self._map_said:
-            self._map_said = message.warning
-            self._say(f"map: {message.warning or 'well again'}")
+        elif topic is t.MAP_STATUS and (message.warning or topic in self._said):
+            self._say_once(topic, f"map: {message.warning or 'well again'}")
+
+    def _say_once(self, topic: Topic, text: str) -> None:
+        """What is new on a topic."""
+        if text and text != self._said.get(topic):
+            self._say(text)
+        self._said[topic] = text
 
     def _summary(self) -> str:
         """One line for the service manager."""

@@ -98,3 +98,31 @@ def test_before_the_stack_was_ready_the_first_word_ends_it(tmp_path: Path, end: 
     with pytest.raises(StartFailed, match=end[1].replace("?", r"\?")):
         mend(supervisor)
     assert zygote.started == 1
+
+
+def test_what_happens_is_said_once(tmp_path: Path) -> None:
+    supervisor, _, said = supervised(tmp_path, [])
+    goal, mission, elevation = t.GOAL_STATUS.kind, t.MISSION_STATE.kind, t.MAP_STATUS.kind
+    for topic, message in (
+        (t.MAP_STATUS, elevation()),
+        (t.GOAL_STATUS, goal(id="g", state="accepted")),
+        (t.GOAL_STATUS, goal(id="g", state="moving")),
+        (t.GOAL_STATUS, goal(id="g", state="moving", distance_left=1.0)),
+        (t.MISSION_STATE, mission()),
+        (t.MISSION_STATE, mission(order_id="o", name="round", phase="running", step=1)),
+        (t.MISSION_STATE, mission(order_id="o", name="round", phase="running", step=2)),
+        (t.MISSION_STATE, mission(order_id="o", name="round", phase="running", question="open?")),
+        (t.MAP_STATUS, elevation(warning="it does not fit")),
+        (t.MAP_STATUS, elevation()),
+        (t.MAP_STATUS, elevation()),
+        (t.GOAL_STATUS, goal(id="g", state="aborted", reason="stuck", detail="here")),
+    ):
+        supervisor._narrate(topic, message)
+    assert said == [
+        "goal g moving",
+        "mission round running",
+        "mission round running: open?",
+        "map: it does not fit",
+        "map: well again",
+        "goal g aborted: stuck (here)",
+    ]

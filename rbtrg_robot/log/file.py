@@ -138,7 +138,9 @@ class LogWriter:
     def _add(self, name: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
         self._since_flush += 1
         self.messages += 1
-        self._writer.add_message(self._channels[name], log_time, data, publish_time, sequence % 2**32)
+        # Whatever an attachment says: MCAP holds no time before 1970 and none after 2554.
+        stamp = min(max(publish_time, 0), 2**64 - 1)
+        self._writer.add_message(self._channels[name], log_time, data, stamp, sequence % 2**32)
 
     def _channel(self, topic: Topic) -> None:
         if topic.name in self._channels:

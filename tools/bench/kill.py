@@ -1,4 +1,5 @@
-"""`kill -9` of every process in turn while the robot drives: when it stands, when the process is back, what the goal does.
+"""`kill -9` of every process in turn while the robot drives, or a signal that makes it hang: when the robot stands, when the process
+is back, what the goal does.
 
 Rest is judged by the simulator's truth and clock; it is asked of the processes whose loss matters for motion.
 The killed robot process is the simulator itself here, so its body is gone until it is back.
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.processes import PROCESSES, Process
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import stamp_of
@@ -38,6 +39,12 @@ def run(args: list[str]) -> Report:
     names = [row.name for row in PROCESSES]
     parser = argparse.ArgumentParser(prog="python -m tools.bench kill", description=__doc__)
     parser.add_argument("--only", nargs="*", choices=names, default=names, metavar="PROCESS")
+    parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed")
+    parser.add_argument(
+        "--hang",
+        action="store_true",
+        help="SIGSTOP instead of SIGKILL: it lives, holds its token and says nothing",
+    )
     parser.add_argument("--scene", default="flat")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
@@ -46,9 +53,10 @@ def run(args: list[str]) -> Report:
         logs = options.keep or Path(scratch) / "logs"
         with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
             watch = Watch(bus)
-            for row in PROCESSES:
-                if row.name in options.only:
-                    _kill(watch, row.name, row.stops_motion, report)
+            for turn in range(options.rounds):
+                for row in PROCESSES:
+                    if row.name in options.only:
+                        _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
     return report
 
 
@@ -100,11 +108,12 @@ class Watch:
         return goal
 
 
-def _kill(watch: Watch, name: str, stops_motion: bool, report: Report) -> None:
-    goal = watch.drive(f"kill-{name}")
+def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) -> None:
+    name = row.name
+    goal = watch.drive(f"kill-{label}")
     pid = watch.process(name)["pid"]
     watch.turn()
-    os.kill(pid, signal.SIGKILL)
+    os.kill(pid, signal.SIGSTOP if hang else signal.SIGKILL)
     killed, stamp = time.monotonic(), watch.stamp
     speed, rest, back = watch.speed, math.nan, math.nan
     look = killed
@@ -114,18 +123,19 @@ def _kill(watch: Watch, name: str, stops_motion: bool, report: Report) -> None:
             rest = (watch.stamp - stamp) / 1e9
         if math.isnan(back) and time.monotonic() > look:
             look = time.monotonic() + 0.1
-            row = watch.process(name)
-            if row.get("state") == "ready" and row["pid"] != pid:
+            told = watch.process(name)
+            if told.get("state") == "ready" and told["pid"] != pid:
                 back = time.monotonic() - killed
         if watch.goal.state in ENDED and not math.isnan(back):
             break
-    report.add(f"speed.{name}", speed, "m/s")
-    if stops_motion:
-        report.add(f"rest_s.{name}", rest, "s", 0.3)
-    report.add(f"back_s.{name}", back, "s", 5.0)
+    report.add(f"speed.{label}", speed, "m/s")
+    if row.stops_motion:
+        report.add(f"rest_s.{label}", rest, "s", 1.3 if hang else 0.3)
+    # A process that hangs is ended when its heartbeat is that old.
+    report.add(f"back_s.{label}", back, "s", 5.0 + (row.hang if hang else 0.0))
     reached = watch.goal.state == "reached"
-    told = reached or (watch.goal.state == "aborted" and watch.goal.reason != "")
-    report.add(f"reached.{name}", float(reached), "bool")
-    report.add(f"goal_ended.{name}", float(told), "bool", 1.0, at_least=True)
+    ended = reached or (watch.goal.state == "aborted" and watch.goal.reason != "")
+    report.add(f"reached.{label}", float(reached), "bool")
+    report.add(f"goal_ended.{label}", float(ended), "bool", 1.0, at_least=True)
     if reached:
-        report.add(f"error_m.{name}", math.dist(watch.place, goal), "m", 0.25)
+        report.add(f"error_m.{label}", math.dist(watch.place, goal), "m", 0.25)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 import zenoh
 from typer.testing import CliRunner
 
 from hal.safety.gate import SafetyGate
 from hal.types import NS
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.access import rules
 from rbtrg_robot.access.certificates import KeysError
@@ -20,11 +23,16 @@ from rbtrg_robot.access.identity import CONNECT, NAME, client_tls, server_tls
 from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.stop import stop
+from rbtrg_robot.config import load
+from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.bus import Bus, BusError, Security
+from rbtrg_robot.wire.convert import odometry_msg
+from rbtrg_robot.wire.messages import header
 from tests.hal.unitree.world import World
+from tests.rbtrg_robot.hearsay import map_offset
 from tools.bench import access
 from tools.bench.access import NOBODY, Site, free_port, site
 
@@ -209,8 +217,83 @@ def test_commands_work_from_another_computer(place: Site, monkeypatch: pytest.Mo
 
 def test_up_refuses_to_listen_without_keys(monkeypatch: pytest.MonkeyPatch, tmp_path: object) -> None:
     from rbtrg_robot.cli.stack import _check
-    from rbtrg_robot.config import load
 
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     with pytest.raises(KeysError, match="keys init"):
         _check(load(network={"listen": ["tls/0.0.0.0:7448"]}))
+
+
+def test_an_operator_resumes_sends_and_cancels_from_another_computer(
+    place: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The commands, TLS, the router's rules, the navigator and the gate's latch, end to end."""
+    monkeypatch.setenv(CONNECT, place.endpoint)
+    monkeypatch.setenv(NAME, str(place.folders["operator"]))
+    end = threading.Event()
+    latched = RobotLatch()
+    states: list[str] = []
+
+    def serve() -> None:
+        stage = navigator.build(load(None, [], scene="flat"))
+        stage.on(t.TF_STATIC, map_offset(0.0, 0.0, 0.0))
+        with Bus(place.local, "navigator") as bus:
+            bus.subscribe([t.GOAL_REQUEST, t.ROBOT_COMMAND])
+            while not end.is_set():
+                stamp = header(now := bus.clock(), "map")
+                still = odometry_msg(now, np.zeros(3), (0, 0, 0, 1), np.zeros(3), np.zeros(3))
+                stage.on(t.ODOM, still)
+                stage.on(t.ODOM_HEALTH, msg.OdometryHealth(header=stamp, health="good"))
+                stage.on(t.MAP_STATUS, msg.MapStatus(header=stamp, trusted_cells=9))
+                stage.on(t.TRACKER_STATE, msg.TrackerState(header=stamp))
+                outputs = stage.tick(bus.clock())
+                for received in bus.take(0.05):
+                    message = received.decode()
+                    if received.topic is t.ROBOT_COMMAND:
+                        latched.take(message)
+                    else:
+                        outputs += stage.on(received.topic, message)
+                stage.on(t.ROBOT_STATE, latched.state())
+                bus.publish(t.ROBOT_STATE, latched.state(), bus.clock())
+                for topic, message in outputs:
+                    bus.publish(topic, message, bus.clock())
+                    if topic is t.PLAN_REQUEST:
+                        line = {name: np.linspace(0.0, 0.5, 11) for name in ("x", "y", "z", "yaw", "speed")}
+                        whose = {"goal_id": message.goal_id, "sequence": message.sequence}
+                        plan = msg.Plan(header=stamp, ok=True, reaches_goal=True, length=0.7, **whose, **line)
+                        stage.on(t.PLAN, plan)
+                    if topic is t.GOAL_STATUS and message.id:
+                        states.append(message.state)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        with place.enter("operator") as bus:
+            deadline = time.monotonic() + 20.0
+            while not latched.released and time.monotonic() < deadline:
+                bus.publish(t.ROBOT_COMMAND, msg.RobotCommand(mode="resume", latch=7), bus.clock())
+                bus.take(0.05)
+        assert latched.released[:1] == [7]
+        for words in (("goal", "1", "0.5"), ("cancel",)):
+            done = CliRunner().invoke(app, words, catch_exceptions=False)
+            assert done.exit_code == 0, (words, done.output)
+    finally:
+        end.set()
+        thread.join()
+    assert "cancelled" in states
+    assert states[0] in ("accepted", "planning")
+
+
+class RobotLatch:
+    """An emergency stop with a name, as the robot process keeps it."""
+
+    def __init__(self) -> None:
+        self.name = 7
+        self.released: list[int] = []
+
+    def take(self, message: msg.RobotCommand) -> None:
+        if message.mode == "resume" and message.latch == self.name:
+            self.released.append(self.name)
+            self.name = 0
+
+    def state(self) -> msg.RobotState:
+        return msg.RobotState(phase="ready", estop=bool(self.name), latch=self.name)

@@ -163,3 +163,12 @@ def test_a_full_disk_is_told_in_one_line_and_may_have_room_later(tmp_path: Path)
     with pytest.raises(LogError, match="choose another --log-dir") as raised:
         LogWriter(tmp_path / "file" / "log.mcap", {})
     assert not raised.value.retry
+
+
+@pytest.mark.parametrize("stamp", [-1, -(2**63), 2**63 - 1, 2**64])
+def test_a_stamp_that_no_log_can_hold_does_not_end_the_recording(tmp_path: Path, stamp: int) -> None:
+    """An attachment says what its sender wants."""
+    with LogWriter(tmp_path / "log.mcap", {}) as writer:
+        writer.write(t.CLOCK, encode(t.CLOCK.kind()), 5, stamp, -7)
+    (entry,) = read_run(tmp_path / "log.mcap")
+    assert entry.publish_time == min(max(stamp, 0), 2**64 - 1)

@@ -6,7 +6,6 @@ What is expected stands here once more, in names of topics: the rules under test
 from __future__ import annotations
 
 import argparse
-import socket
 import tempfile
 import threading
 import time
@@ -26,6 +25,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.topics import Role, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.bus import Bus, BusError, Security
+from tools.bench.ports import free_port
 from tools.bench.report import Report
 
 OBSERVER_MAY = {"/robot/stop"}
@@ -147,13 +147,6 @@ def site() -> Iterator[Site]:
             yield made
         finally:
             made.close()
-
-
-def free_port() -> int:
-    """A free port of loopback."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def run(args: list[str]) -> Report:

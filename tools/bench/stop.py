@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import statistics
 import subprocess
 import sys
@@ -16,6 +15,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.msg import RobotState
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.wire.bus import Bus
+from tools.bench.ports import free_endpoint
 from tools.bench.report import Report
 
 LIMIT = 0.25
@@ -30,10 +30,8 @@ def run(args: list[str]) -> Report:
     report = Report("stop")
     took: list[float] = []
     empty: list[float] = []
-    with tempfile.TemporaryDirectory() as folder, socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-        probe.close()
+    with tempfile.TemporaryDirectory() as folder:
+        endpoint = free_endpoint()
         os.environ["XDG_RUNTIME_DIR"] = folder
         (Path(folder) / "rbtrg").mkdir()
         with Bus(endpoint, "robot", router=True) as bus:

@@ -34,7 +34,8 @@ from rbtrg_robot.wire.messages import header
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.hearsay import map_offset
 from tools.bench import access
-from tools.bench.access import NOBODY, Site, free_port, site
+from tools.bench.access import NOBODY, Site, site
+from tools.bench.ports import free_port
 
 
 @pytest.fixture(scope="module")

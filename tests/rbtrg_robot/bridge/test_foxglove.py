@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import struct
 import threading
 import time
@@ -25,6 +24,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg
 from rbtrg_robot.wire.messages import array, decode, encode, header
+from tools.bench.ports import free_endpoint
 
 LIMIT = 20.0
 
@@ -33,9 +33,7 @@ class Door:
     """A bus with the server on it."""
 
     def __init__(self, commands: bool) -> None:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+        endpoint = free_endpoint()
         self.said: list[str] = []
         self._entered = ExitStack()
         self.bus = Bus(endpoint, "stack", router=True)

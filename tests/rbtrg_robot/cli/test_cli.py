@@ -20,6 +20,7 @@ from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import encode, header, time_msg
+from tools.bench.ports import free_port
 
 
 def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
@@ -58,14 +59,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureF
         return subprocess.CompletedProcess(arguments, code, said.out, said.err)
 
     return call
-
-
-def free_port() -> int:
-    """A port nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 BAD = [

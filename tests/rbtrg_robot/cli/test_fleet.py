@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +18,7 @@ from rbtrg_robot.cli.table import mission_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.runfiles import NotRunning, RunLock
 from rbtrg_robot.wire.bus import Bus
+from tools.bench.ports import free_port
 
 
 def robot_row(**mission: Any) -> dict[str, Any]:
@@ -35,9 +35,7 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     ports = []
     for _ in range(2):
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            ports.append(probe.getsockname()[1])
+        ports.append(free_port())
     process = {"process": "robot", "pid": 1, "state": "ready", "restarts": 0}
     answer = json.dumps({"processes": [process], "robot": robot_row()}).encode()
     with ExitStack() as held:

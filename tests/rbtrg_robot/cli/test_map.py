@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import patch_msg
+from tools.bench.ports import free_endpoint
 
 
 def seen_map() -> ElevationMap:
@@ -30,9 +30,7 @@ def seen_map() -> ElevationMap:
 @pytest.fixture
 def endpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return free_endpoint()
 
 
 def test_the_map_is_asked_for_and_saved(endpoint: str, tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -27,6 +26,7 @@ from rbtrg_robot.stages.mission.executor import MissionStage
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from tests.rbtrg_robot.hearsay import map_offset
+from tools.bench.ports import free_endpoint
 
 LIMIT = 30.0
 
@@ -35,9 +35,7 @@ LIMIT = 30.0
 def bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
     """The bus of a stack that is one mission process, where the commands find it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     lock, done = RunLock("go2w"), threading.Event()
     with Bus(endpoint, "stack", router=True) as router, Bus(endpoint, "mission") as own:
         lock.write_state(endpoint=endpoint, domain=0, ready=True, backend="sim", scene="flat")

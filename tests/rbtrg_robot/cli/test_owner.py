@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -18,6 +17,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.messages import header
+from tools.bench.ports import free_endpoint
 
 LIMIT = 60.0
 """[s] until a command must have ended."""
@@ -60,9 +60,7 @@ class Stack:
 @pytest.fixture
 def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Stack]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     lock = RunLock("go2w")
     try:
         with Bus(endpoint, "stack", router=True) as bus:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +13,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import header
+from tools.bench.ports import free_endpoint
 
 
 @pytest.mark.parametrize(
@@ -41,9 +41,7 @@ def test_posture_orders_shows_the_progress_and_ends(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     phase, cause, estop = answer
     ordered = set()
     lock = RunLock("go2w")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import subprocess
 import sys
 import threading
@@ -21,6 +20,7 @@ from rbtrg_robot.wire import keys
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import encode, header
 from tests.places import ROOT
+from tools.bench.ports import free_endpoint
 
 HEAVY = {"numpy", "rosbags", "typer", "pydantic", "numba", "yaml", "rich", "rbtrg_robot.topics"}
 
@@ -95,9 +95,7 @@ class Robot:
 def endpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A free one, and a run folder of one's own."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -17,6 +16,7 @@ import pytest
 
 from rbtrg_robot.processes import PROCESSES
 from tests.hal.unitree.peer_process import PeerProcess
+from tools.bench.ports import free_port
 
 pytest.importorskip("cyclonedds")
 pytestmark = pytest.mark.timeout(300)
@@ -24,9 +24,7 @@ DOMAIN = 100 + os.getpid() % 100
 
 
 def test_a_robot_process_that_dies_while_the_cable_is_out_comes_back_with_the_robot(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
 
     def command(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -28,6 +27,7 @@ from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
+from tools.bench.ports import free_port
 
 pytestmark = pytest.mark.timeout(420)
 START_LIMIT = 240.0
@@ -40,9 +40,7 @@ class Stack:
         self.folder = folder
         self.logs = folder / "logs"
         self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
 
     def run(self, *arguments: str, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
         return subprocess.run(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.zygote import Forked, Zygote
 from rbtrg_robot.wire.bus import Bus
+from tools.bench.ports import free_port
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +54,7 @@ def test_exit_status_and_last_words_arrive(zygote: Zygote, tmp_path: Path) -> No
 
 
 def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     alone = zygote.fork(tracker(port=port), tmp_path / "alone.log")
     assert alone.wait(60.0) == PASSING
     assert "nothing answers" in (tmp_path / "alone.log").read_text().splitlines()[-1]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 from collections.abc import Iterator
 
@@ -11,14 +10,13 @@ import pytest
 from rbtrg_robot import topics as t
 from rbtrg_robot.wire.bus import Bus, BusError, Received, stack_id
 from rbtrg_robot.wire.messages import header, stamp_of
+from tools.bench.ports import free_endpoint
 
 
 @pytest.fixture
 def endpoint() -> str:
     """A free loopback endpoint."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

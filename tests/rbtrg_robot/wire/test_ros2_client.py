@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import socket
 import subprocess
 import threading
 from pathlib import Path
@@ -22,6 +21,7 @@ from rbtrg_robot.wire.bus import Bus, session_config
 from rbtrg_robot.wire.convert import BASE, IMU, LIDAR, imu_msg, odometry_msg, scan_msg, transform_msg
 from rbtrg_robot.wire.keys import key
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
+from tools.bench.ports import free_endpoint
 
 pytest.importorskip("zenoh_ros2_sdk")
 STILL = (0.0, 0.0, 0.0)
@@ -31,9 +31,7 @@ LEVEL = (0.0, 0.0, 0.0, 1.0)
 @pytest.fixture
 def endpoint() -> str:
     """A free loopback endpoint."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return free_endpoint()
 
 
 @pytest.fixture

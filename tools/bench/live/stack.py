@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rbtrg_robot.wire.bus import Bus
+from tools.bench.ports import free_port
 from tools.bench.report import Report
 
 
@@ -43,10 +43,3 @@ def _command(arguments: list[str], environment: dict[str, str]) -> None:
     )
     if done.returncode:
         raise SystemExit(f"{' '.join(arguments)} failed: {done.stderr.strip()}")
-
-
-def free_port() -> int:
-    """A loopback port nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])

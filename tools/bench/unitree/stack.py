@@ -21,7 +21,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from tests.hal.unitree.peer_process import PeerProcess
-from tools.bench.live.stack import free_port
+from tools.bench.ports import free_port
 
 CRUISE = 0.45
 """[m/s] for `STEADY` [s]; the stack drives 0.5 m/s."""

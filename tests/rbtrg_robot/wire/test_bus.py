@@ -121,6 +121,31 @@ def test_a_foreign_node_of_the_same_name_changes_nothing(endpoint: str) -> None:
             foreign.close()
 
 
+def test_two_robots_with_domains_of_their_own_share_a_router_and_hear_nothing_of_each_other(
+    router: Bus, endpoint: str
+) -> None:
+    stack = stack_id()
+    with Bus(endpoint, "tracker", 1, stack=stack) as a, Bus(endpoint, "tracker", 2, stack=stack) as b:
+        heard: list[tuple[str, bool]] = []
+        b.watch_processes(lambda process, alive: heard.append((process, alive)))
+        topics = [topic for topic in t.TOPICS if topic is not t.CLOCK]
+        b.subscribe(topics)
+        a.subscribe(topics)
+        a.serve("status", lambda _: b"of a")
+        for topic in topics:
+            a.publish(topic, topic.kind(), 1)
+        assert {r.topic for r in collect(a, len(topics))} == set(topics), "its own robot hears everything"
+        b.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="b"), 1)
+        (own,) = collect(b, 1)
+        assert own.decode().id == "b"
+        assert b.ask("status", timeout=0.3) is None
+        assert b.processes() == {"tracker"}
+        a.close()
+        assert b.take(0.3) == []
+    assert heard[0] == ("tracker", True)
+    assert ("tracker", False) not in heard, "the other robot's tracker is none of ours"
+
+
 def test_queries_are_answered_and_time_out(router: Bus, endpoint: str) -> None:
     router.serve("status", lambda question: b"re: " + question)
     with Bus(endpoint, "cli") as cli:

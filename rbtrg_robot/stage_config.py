@@ -113,8 +113,8 @@ class PlannerConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["rb_trg", "t_hybrid"] = Field(
-        "rb_trg", description="rb_trg: the project's planner; t_hybrid: a baseline, for comparison"
+    method: Literal["rb_trg", "t_hybrid", "art"] = Field(
+        "rb_trg", description="rb_trg: the project's planner; t_hybrid, art: baselines, for comparison"
     )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="rb_trg: cost variant of the search"

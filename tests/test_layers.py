@@ -36,6 +36,7 @@ ROOMS: dict[str, str] = {
     "planning.path": "hal mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
+    "planning.baselines.art": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
@@ -44,7 +45,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
-    "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.baselines.t_hybrid planning.graph planning.path "
+    "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry planning planning.baselines.art planning.baselines.t_hybrid planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",

@@ -35,6 +35,7 @@ def as_plan(
     for p in xy[1:]:
         if np.hypot(*(p - keep[-1])) > 1e-3:
             keep.append(p)
+    keep[-1] = xy[-1]
     line = np.array(keep)
     length = float(np.hypot(*np.diff(line, axis=0).T).sum())
     z = heights_at(Terrain.from_grid(grid, 0.5), line)

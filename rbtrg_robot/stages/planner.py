@@ -11,7 +11,7 @@ import numpy as np
 from hal.types import NS
 from mapping.elevation.exchange import MapError, MapMirror, MapPatch
 from mapping.grid import ElevationGrid
-from planning.baselines import t_hybrid
+from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import Path, PathLimits, face_in_the_way, make_path, rest_of, still_safe
@@ -39,7 +39,10 @@ REASONS = {
     NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
     NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
 }
-BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {"t_hybrid": t_hybrid.plan}
+BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
+    "t_hybrid": t_hybrid.plan,
+    "art": art.plan,
+}
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
 Box = tuple[int, int, int, int]

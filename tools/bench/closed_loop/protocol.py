@@ -16,8 +16,8 @@ SHARED = ("native", "edge-only", "mean-only", "full", "refined")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")
 """`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
-BASELINES = ("t_hybrid",)
-"""Planners of others between the same snapped endpoints; their lines are driven as they are."""
+BASELINES = ("t_hybrid", "art")
+"""Planners of others between the same snapped endpoints. T-Hybrid's line is driven as it is, ART's is smoothed like the graphs'."""
 METHODS = (*SHARED, *OWN, *BASELINES)
 CONTROLLERS = ("policy", "vmc")
 COLLIDERS = ("all", "vendor")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
-from planning.baselines import t_hybrid
+from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
@@ -27,7 +27,10 @@ from tools.bench.closed_loop.protocol import FACE, SHARED, SPEED
 from tools.bench.static.study import survey_grid
 
 Array = NDArray[np.float64]
-BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {"t_hybrid": t_hybrid.plan}
+BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
+    "t_hybrid": t_hybrid.plan,
+    "art": art.plan,
+}
 
 
 @dataclass(frozen=True, slots=True)

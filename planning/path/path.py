@@ -140,7 +140,8 @@ def _vertices(plan: Plan) -> tuple[Array, NDArray[np.bool_]]:
     A plan on a graph that does not know its map is led to the requested ends unchecked.
     """
     xy = [*plan.points[:, :2]]
-    back = [t.backward for t in plan.transitions]
+    # The route of a baseline has no transitions: it is driven forward.
+    back = [t.backward for t in plan.transitions] or [False] * (len(xy) - 1)
     ends = (plan.request.start, plan.request.goal)
     start, goal = (None if isinstance(end, (int, np.integer)) else np.array(end, np.float64) for end in ends)
     if start is not None and not plan.exact:

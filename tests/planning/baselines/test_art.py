@@ -80,10 +80,10 @@ def test_a_pose_stands_where_its_legs_reach_and_its_torso_is_free() -> None:
     masked = height.copy()
     masked[:, 32:40] = np.nan
     assert not valid(height, masked, *at, pose(1.5, 1.5, 0.0, 0.0)), "no foothold in front"
-    slope = 0.5 * np.arange(60) * RES * np.ones((60, 1))
-    uphill = pose(1.5, 1.5, 0.75, 0.0, -math.atan(0.5))
+    slope = 0.7 * np.arange(60) * RES * np.ones((60, 1))
+    uphill = pose(1.5, 1.5, 1.05, 0.0, -math.atan(0.7))
     assert valid(slope, slope, *at, uphill)
-    assert not valid(slope, slope, *at, pose(1.5, 1.5, 0.75, 0.0))
+    assert not valid(slope, slope, *at, pose(1.5, 1.5, 1.05, 0.0))
 
 
 def test_a_way_is_tested_between_its_ends() -> None:

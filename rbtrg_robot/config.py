@@ -31,6 +31,7 @@ from planning.risk.body import BodyModel
 from planning.tracking.tracker import TrackerConfig
 from rbtrg_robot import __version__
 from rbtrg_robot.stage_config import (
+    ConsoleConfig,
     ElevationStageConfig,
     FreshnessConfig,
     GraphConfig,
@@ -107,6 +108,7 @@ class StackConfig(BaseModel):
     freshness: FreshnessConfig = FreshnessConfig()
     guard: GuardConfig = GuardConfig()
     recorder: RecorderConfig = RecorderConfig()
+    console: ConsoleConfig = ConsoleConfig()
 
     @field_validator("unitree")
     @classmethod

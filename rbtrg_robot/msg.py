@@ -564,6 +564,69 @@ class RobotState(Message):
 
 
 @dataclass(slots=True, eq=False)
+class RouteQuestion(Message):
+    """rbtrg_msgs/msg/RouteQuestion."""
+
+    __msgtype__ = "rbtrg_msgs/msg/RouteQuestion"
+    header: Header = field(default_factory=Header)
+    id: str = ""
+    start_x: float = 0.0
+    start_y: float = 0.0
+    start_yaw: float = 0.0
+    goal_x: float = 0.0
+    goal_y: float = 0.0
+    goal_yaw: float = 0.0
+    has_goal_yaw: bool = False
+    graph: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class RouteReport(Message):
+    """rbtrg_msgs/msg/RouteReport."""
+
+    __msgtype__ = "rbtrg_msgs/msg/RouteReport"
+    header: Header = field(default_factory=Header)
+    id: str = ""
+    question: bool = False
+    ok: bool = False
+    reason: str = ""
+    detail: str = ""
+    reaches_goal: bool = False
+    cost: float = 0.0
+    length: float = 0.0
+    duration: float = 0.0
+    x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    z: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    node_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    node_y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    node_z: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_length: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_cost: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_turn: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_risk: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_body: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_unknown: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    d_fb: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    a_lr: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    p_int: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    worst_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    worst_y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    worst_yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    native_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    native_y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    native_length: float = 0.0
+    native_body: float = 0.0
+    graph_x: NDArray[np.float32] = field(default_factory=lambda: _zeros("float32", 0))
+    graph_y: NDArray[np.float32] = field(default_factory=lambda: _zeros("float32", 0))
+    graph_z: NDArray[np.float32] = field(default_factory=lambda: _zeros("float32", 0))
+    graph_from: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
+    graph_to: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
+    graph_risk: NDArray[np.float32] = field(default_factory=lambda: _zeros("float32", 0))
+
+
+@dataclass(slots=True, eq=False)
 class RouteStatus(Message):
     """rbtrg_msgs/msg/RouteStatus."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hal.types import Capabilities
 from planning.graph.params import GraphParams, GraphSettings
@@ -145,3 +145,25 @@ class RecorderConfig(BaseModel):
         ge=0,
         description="free space below which clouds are not recorded; below a tenth of it, nothing is [GB]",
     )
+
+
+class ConsoleConfig(BaseModel):
+    """Where the page for operators is served."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    address: str = Field(
+        "127.0.0.1",
+        pattern=r"^([0-9]{1,3}(\.[0-9]{1,3}){3}|[0-9a-fA-F:]+|[A-Za-z][A-Za-z0-9.-]*)$",
+        description="address of this computer to serve on; any but 127.0.0.1 needs the keys of `keys init`",
+    )
+    port: int = Field(
+        7480, ge=0, le=65535, description="TCP port; another free one where it is taken on 127.0.0.1; 0 = any"
+    )
+
+    @field_validator("address")
+    @classmethod
+    def _one_address(cls, value: str) -> str:
+        if value in ("0.0.0.0", "::"):
+            raise ValueError("name one address of this computer: browsers must say which they mean")
+        return value

@@ -114,6 +114,8 @@ PLAN_REQUEST   = Topic("/plan/request",          msg.PlanRequest,      0, Qos.ST
 PLAN           = Topic("/plan",                  msg.Plan,             0, Qos.STATE,     4, "planner",   "route, path and their risks")
 ROUTE          = Topic("/plan/path",             msg.Path,             0, Qos.LATCHED,   1, "planner",   "the path, for RViz and Foxglove")
 ROUTE_STATUS   = Topic("/plan/status",           msg.RouteStatus,      2, Qos.STATE,     1, "planner",   "route still good? graph size")
+ROUTE_QUESTION = Topic("/plan/question",         msg.RouteQuestion,    0, Qos.STATE,     2, "",          "how would a route to a place go? nothing moves", publish_by=Role.OPERATOR)
+ROUTE_REPORT   = Topic("/plan/report",           msg.RouteReport,      0, Qos.LATCHED,   4, "planner",   "the route that is driven, or the answer to a question, and why", recorded="full standard")
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)

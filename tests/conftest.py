@@ -14,6 +14,7 @@ LONGEST_FIRST = (
     "rbtrg_robot/hosts/test_guard.py",
     "rbtrg_robot/process/test_cable.py",
     "rbtrg_robot/process/test_latch.py",
+    "rbtrg_robot/console/test_browser.py",
     "rbtrg_robot/stages/test_warm_up.py",
     "rbtrg_robot/hosts/test_mission.py",
     "rbtrg_robot/hosts/test_unitree.py",

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import getpass
 import math
-import socket
 import sys
-import time
 import uuid
-from collections.abc import Iterator
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
@@ -22,20 +18,6 @@ EXIT = {
     "cancelled": CANCELLED,
     "preempted": CANCELLED,
 }
-POSTURES = {
-    "stand": ("ready", "moving", "stopped"),
-    "sit": ("sitting",),
-    "damp": ("damped",),
-    "recover": ("ready", "moving", "stopped"),
-}
-"""What may be asked for, and the phases that mean it is done."""
-SETTLE = 1.0
-"""Seconds until an answer counts as one to the order and not as the state before."""
-RESEND = 0.5
-REPEAT_ORDER = 0.1
-"""Seconds between two sendings of a goal, of an order to the robot."""
-ANSWER_LIMIT = 3.0
-"""Seconds without any answer from the navigator."""
 
 
 def register(app: typer.Typer) -> None:
@@ -57,8 +39,12 @@ def goal(
     robot: Robot = "go2w",
 ) -> None:
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
-    from rbtrg_robot import topics as t
+    import time
+
     from rbtrg_robot.cli.link import connect, scene
+    from rbtrg_robot.orders.goal import CancelGoal
+    from rbtrg_robot.orders.order import follow
+    from rbtrg_robot.orders.who import me
     from rbtrg_robot.stages.navigation.goal import goal_request
 
     x, y, goal_yaw, name = _target(target, scene(robot))
@@ -69,22 +55,16 @@ def goal(
         raise typer.Exit(REJECTED)
     goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
-        bus.subscribe([t.GOAL_STATUS])
         request = goal_request(
             time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=me()
         )
         try:
-            code = _follow(bus, goal_id, request, wait=wait, timeout=timeout)
+            code = _follow(bus, request, wait=wait)
         except KeyboardInterrupt:
             print("cancelling the goal", file=sys.stderr)
-            _cancel(bus, goal_id)
+            print(follow(bus, CancelGoal(goal_id)).words)
             code = CANCELLED
         raise typer.Exit(code)
-
-
-def me() -> str:
-    """Who gives orders here, for whoever else is at the robot."""
-    return f"{getpass.getuser()}@{socket.gethostname()}"
 
 
 def _target(words: list[str], scene: str) -> tuple[float, float, float | None, str]:
@@ -108,103 +88,54 @@ def _target(words: list[str], scene: str) -> tuple[float, float, float | None, s
     return x, y, yaw, words[0]
 
 
-def _follow(bus: Any, goal_id: str, request: Any, *, wait: bool, timeout: float) -> int:
+def _follow(bus: Any, request: Any, *, wait: bool) -> int:
     """Send until answered, then watch. Returns the exit status."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import see_also
-    from rbtrg_robot.stages.navigation.reasons import words
+    from rbtrg_robot.orders.goal import SendGoal
+    from rbtrg_robot.orders.order import follow
 
     console = Console(stderr=True)
-    began = time.monotonic()
-    sent = heard = -math.inf
-    farthest = 0.0
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.fields[left]}"),
         TimeElapsedColumn(),
     )
+    order = SendGoal(request, wait=wait)
+    farthest = 0.0
     with Progress(
         *columns, console=console, transient=True, disable=not (wait and console.is_terminal)
     ) as bar:
         task = bar.add_task("goal", total=1.0, left="")
-        while True:
-            now = time.monotonic()
-            if heard < began and now - sent > RESEND:
-                sent = now
-                bus.publish(t.GOAL_REQUEST, request, time.time_ns())
-            if now - max(heard, began) > ANSWER_LIMIT + (10.0 if heard >= began else 0.0):
-                print(f"rbtrg-robot: the navigator does not answer; {see_also()}", file=sys.stderr)
-                return ABORTED
-            if timeout and now - began > timeout + 10.0:
-                print("rbtrg-robot: goal timed out", file=sys.stderr)
-                return TIMED_OUT
-            for received in bus.take(0.1):
-                status = bus.open(received)
-                if status is None or status.id != goal_id:
-                    continue
-                heard = time.monotonic()
+
+        def show(_: Any) -> None:
+            nonlocal farthest
+            if (status := order.status) is not None:
                 farthest = max(farthest, status.distance_left)
                 done = 1.0 - status.distance_left / farthest if farthest else 0.0
-                bar.update(
-                    task, description=status.state, completed=done, left=f"{status.distance_left:.1f} m"
-                )
-                if status.state in EXIT:
-                    why = words(status.reason, status.detail)
-                    code = TIMED_OUT if status.reason == "timeout" else EXIT[status.state]
-                    bar.stop()
-                    print(
-                        f"goal {status.state}" + (f": {why}" if why else ""),
-                        file=sys.stderr if code else sys.stdout,
-                    )
-                    return code
-                if not wait and status.state not in ("accepted", "planning"):
-                    print(f"goal {status.state}")
-                    return 0
+                left = f"{status.distance_left:.1f} m"
+                bar.update(task, description=status.state, completed=done, left=left)
+
+        end = follow(bus, order, show)
+    if not end.state:
+        print(f"rbtrg-robot: {end.words}; {see_also()}", file=sys.stderr)
+        return ABORTED
+    code = TIMED_OUT if end.reason == "timeout" else EXIT.get(end.state, REACHED)
+    print(end.words, file=sys.stderr if code else sys.stdout)
+    return code
 
 
 def cancel(robot: Robot = "go2w") -> None:
     """Cancel the present goal, whoever sent it; the robot stops."""
-    from rbtrg_robot import topics as t
-    from rbtrg_robot.cli.link import connect, see_also
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.orders.goal import CancelGoal
+    from rbtrg_robot.orders.order import follow
 
     with connect(robot) as bus:
-        bus.subscribe([t.GOAL_STATUS])
-        if not _cancel(bus, ""):
-            _fail(f"the navigator does not answer; {see_also()}")
-
-
-def _cancel(bus: Any, goal_id: str) -> bool:
-    """Cancel this goal, or the present one where the id is empty, and say what became of it; False without an answer."""
-    from rbtrg_robot import msg
-    from rbtrg_robot import topics as t
-    from rbtrg_robot.wire.messages import header
-
-    deadline = time.monotonic() + ANSWER_LIMIT
-    sent = -math.inf
-    while time.monotonic() < deadline:
-        if time.monotonic() - sent > RESEND:
-            sent = time.monotonic()
-            request = msg.GoalRequest(header=header(time.time_ns(), "map"), action=1, id=goal_id, owner=me())
-            bus.publish(t.GOAL_REQUEST, request, time.time_ns())
-        for received in bus.take(0.1):
-            status = bus.open(received)
-            if status is None or goal_id not in ("", status.id):
-                continue
-            if status.state == "cancelled":
-                whose = f" of {status.owner}" if status.owner not in ("", me()) else ""
-                print(f"goal{whose} cancelled")
-                return True
-            if status.state == "idle" or status.state in EXIT:
-                print(
-                    "no goal to cancel"
-                    + (f"; the last one was {status.state}" if status.state in EXIT else "")
-                )
-                return True
-    return False
+        _tell(follow(bus, CancelGoal()))
 
 
 def stop(robot: Robot = "go2w") -> None:
@@ -216,17 +147,12 @@ def stop(robot: Robot = "go2w") -> None:
 
 def resume(robot: Robot = "go2w") -> None:
     """Release the emergency stop, and give the motion back to the stack after driving by hand."""
-    latch = 0
-    for state in _order(robot, "resume", ANSWER_LIMIT, named=True):
-        if state.latch == 0:
-            print("resumed" if latch else "nothing to resume")
-            return
-        latch = latch or state.latch
-        if state.latch != latch:  # a stop that came after this order stays
-            _fail(f"stopped again: {state.estop_cause or state.taken}; `rbtrg-robot resume` once more")
-    from rbtrg_robot.cli.link import see_also
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.orders.order import follow
+    from rbtrg_robot.orders.robot import Resume
 
-    _fail(f"the robot does not confirm `resume`; {see_also()}")
+    with connect(robot) as bus:
+        _tell(follow(bus, Resume()))
 
 
 def posture(
@@ -235,56 +161,36 @@ def posture(
     robot: Robot = "go2w",
 ) -> None:
     """Stand up, sit down, go soft (damp), or recover from a fall or a fault."""
-    start = time.monotonic()
-    shown = ""
-    for state in _order(robot, what, timeout):
-        cause = f"{state.phase}: {state.cause}"
-        if cause != shown:
-            shown = cause
-            print(cause)
-        waited = time.monotonic() - start
-        if waited < SETTLE:
-            continue
-        if f"{what} refused" in state.cause:
-            _fail(state.cause)
-        if state.cause.startswith("dry run"):  # the robot does not do it, and says so
-            return
-        if state.phase in POSTURES[what]:
-            if state.phase == "stopped":
-                print(f"it stands; `rbtrg-robot resume` lets it drive ({state.estop_cause})")
-            return
-        if state.phase == "fault" and waited > 4 * SETTLE:
-            raise typer.Exit(1)
-    _fail(f"no `{what}` within {timeout:.0f} s ({shown or 'the robot does not answer'})")
-
-
-def _order(robot: str, mode: str, limit: float, *, named: bool = False) -> Iterator[Any]:
-    """Repeat the order for `limit` seconds; what the robot says meanwhile (rbtrg_msgs/RobotState).
-
-    `named`: for what is latched in the first state that is heard, and for nothing that comes later.
-    """
-    from rbtrg_robot import msg
-    from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.messages import header
+    from rbtrg_robot.orders.order import follow
+    from rbtrg_robot.orders.robot import Posture
+
+    order = Posture(what, timeout)
+    shown = ""
+
+    def show(_: Any) -> None:
+        nonlocal shown
+        if order.said != shown:
+            shown = order.said
+            print(shown)
 
     with connect(robot) as bus:
-        bus.subscribe([t.ROBOT_STATE])
-        bus.advertise(t.ROBOT_COMMAND)
-        deadline = time.monotonic() + limit
-        sent = -math.inf
-        latch = None if named else 0
-        while time.monotonic() < deadline:
-            if time.monotonic() - sent > REPEAT_ORDER and latch is not None:
-                sent = time.monotonic()
-                stamp = header(time.time_ns(), "")
-                order = msg.RobotCommand(header=stamp, mode=mode, cause="operator", latch=latch)
-                bus.publish(t.ROBOT_COMMAND, order, time.time_ns())
-            for received in bus.take(0.05):
-                state = bus.open(received)
-                if state is not None:
-                    latch = state.latch if latch is None else latch
-                    yield state
+        end = follow(bus, order, show)
+    if not end.ok:
+        if not end.words:
+            raise typer.Exit(1)
+        _fail(end.words)
+    if end.words:
+        print(end.words)
+
+
+def _tell(end: Any) -> None:
+    """Say how an order ended; exit status 1 where it failed."""
+    from rbtrg_robot.cli.link import see_also
+
+    if not end.ok:
+        _fail(f"{end.words}; {see_also()}" if "answer" in end.words or "confirm" in end.words else end.words)
+    print(end.words)
 
 
 def _fail(text: str) -> NoReturn:

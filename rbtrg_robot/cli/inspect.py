@@ -15,11 +15,6 @@ scene_app = typer.Typer(help="Built-in scenes and terrain files.", no_args_is_he
 config_app = typer.Typer(help="Configuration of the stack.", no_args_is_help=True)
 map_app = typer.Typer(help="The elevation map of the running stack.", no_args_is_help=True)
 
-MAP_LIMIT = 15.0
-"""Longest wait [s] for the whole map."""
-MAP_AGAIN = 3.0
-"""[s] until it is asked for again."""
-
 
 def register(app: typer.Typer) -> None:
     """Add the commands."""
@@ -106,36 +101,19 @@ def config_schema() -> None:
 @map_app.command("save")
 def map_save(file: Path, robot: Robot = "go2w") -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
-    from mapping.elevation import ElevationConfig, ElevationMap, MapError
-    from rbtrg_robot import msg
-    from rbtrg_robot import topics as t
+    from mapping.elevation import MapError
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.wire.convert import map_patch
-    from rbtrg_robot.wire.messages import header
+    from rbtrg_robot.orders.map import FetchMap, save
+    from rbtrg_robot.orders.order import follow
 
     if not file.resolve().parent.is_dir():
         raise MapError(f"there is no folder {file.resolve().parent}")
+    order = FetchMap()
     with connect(robot) as bus:
-        bus.subscribe([t.MAP_FULL])
-        bus.advertise(t.MAP_REQUEST)
-        deadline = time.monotonic() + MAP_LIMIT
-        asked = 0.0
-        while time.monotonic() < deadline:
-            if time.monotonic() >= asked + MAP_AGAIN:
-                asked = time.monotonic()
-                request = msg.MapRequest(header=header(time.time_ns(), ""), action="full")
-                bus.publish(t.MAP_REQUEST, request, time.time_ns())
-            for received in bus.take(0.2):
-                message = bus.open(received)
-                if message is None:
-                    continue
-                patch = map_patch(message, 0)
-                elevation = ElevationMap(ElevationConfig(resolution=patch.resolution))
-                known = elevation.restore(patch)
-                elevation.save(file)
-                print(f"{known} known cells -> {file}")
-                return
-    raise MapError("the elevation process sends no map; see `rbtrg-robot status`")
+        end = follow(bus, order)
+    if order.patch is None:
+        raise MapError(end.words)
+    print(f"{save(order.patch, file)} known cells -> {file}")
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:

@@ -8,7 +8,19 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot import __version__
-from rbtrg_robot.cli import drive, foxglove, inspect, keys, logs, mission, policy, service, stack, topic
+from rbtrg_robot.cli import (
+    drive,
+    foxglove,
+    inspect,
+    keys,
+    logs,
+    mission,
+    policy,
+    service,
+    stack,
+    teleop,
+    topic,
+)
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -39,6 +51,7 @@ def _options(
 stack.register(app)
 drive.register(app)
 mission.register(app)
+teleop.register(app)
 logs.register(app)
 foxglove.register(app)
 topic.register(app)

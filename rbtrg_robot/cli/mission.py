@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from rbtrg_robot.cli.drive import Robot, me
+from rbtrg_robot.cli.drive import Robot
+from rbtrg_robot.orders.who import me
 
 if TYPE_CHECKING:
     from rbtrg_robot.missions.geojson import Origin

@@ -1,4 +1,4 @@
-"""`up`, `down`, `status`."""
+"""`up`, `down`, `status`, `console`."""
 
 from __future__ import annotations
 
@@ -30,6 +30,7 @@ def register(app: typer.Typer) -> None:
     app.command()(up)
     app.command()(down)
     app.command()(status)
+    app.command()(console)
 
 
 def up(
@@ -43,6 +44,8 @@ def up(
     ] = False,
     map_file: Annotated[Path | None, typer.Option("--map", help="Prior map: .npz, .pcd or .ply.")] = None,
     without: Annotated[list[str] | None, typer.Option(help="Process not to start; may be repeated.")] = None,
+    no_console: Annotated[bool, typer.Option("--no-console", help="Serve no page.")] = False,
+    console_port: Annotated[int | None, typer.Option(help="TCP port of the page; 0 = any.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
     log_dir: Annotated[Path, typer.Option(help="Where runs are logged.")] = Path("logs"),
     no_record: Annotated[bool, typer.Option("--no-record", help="Write no MCAP log.")] = False,
@@ -71,7 +74,8 @@ def up(
         from rbtrg_robot.log.keep import prune
         from rbtrg_robot.processes import BY_NAME
 
-        for name in without or []:
+        without = [*(without or []), *(["console"] if no_console else [])]
+        for name in without:
             if name not in BY_NAME:
                 raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
         options: dict[str, Any] = {}
@@ -83,7 +87,7 @@ def up(
             controller = "policy"
         loaded = load(
             config,
-            set_ or (),
+            [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],
             backend=backend,
             scene=scene,
             controller=controller,
@@ -305,3 +309,20 @@ def _everybody() -> dict[str, dict[str, Any] | None]:
     if not found:
         raise NotRunning("no stack is running on this computer; start one with `rbtrg-robot up`")
     return found
+
+
+def console(
+    observer: Annotated[
+        bool, typer.Option("--observer", help="For somebody who looks, and may stop.")
+    ] = False,
+    robot: Robot = ROBOT,
+) -> None:
+    """Print the address that lets one browser into the console of the running stack."""
+    from rbtrg_robot.process.runfiles import console_address, read_state
+
+    read_state(robot)
+    address = console_address(robot, "observer" if observer else "operator")
+    if not address:
+        print("rbtrg-robot: no console runs; was the stack started with --no-console?", file=sys.stderr)
+        raise typer.Exit(1)
+    print(address)

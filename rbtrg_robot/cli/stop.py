@@ -1,6 +1,6 @@
 """`stop`: the emergency stop on the bus as fast as a process can start.
 
-It imports the standard library and zenoh only (`access.identity` keeps to that too): the command's key and bytes are made by hand here, and a test compares
+It imports the standard library and zenoh only (`access.identity` and `orders.limits` keep to that too): the command's key and bytes are made by hand here, and a test compares
 them with those of `wire`. It needs no run folder: where there is none, or nobody answers there, it tries the default port. It sends
 until the robot says that it is stopped. With RBTRG_CONNECT it stops the robot of that computer and no other: another one's
 answer would be taken for this one's.
@@ -20,19 +20,13 @@ import zenoh
 from zenoh.handlers import Callback
 
 from rbtrg_robot.access.identity import client_tls, problem, remote
+from rbtrg_robot.orders.limits import PATIENCE, REPEAT, USE_HARDWARE, WORRY
 
 DEFAULT = ("tcp/127.0.0.1:7447", 0)
 """Endpoint and domain of a stack that was given no others."""
 STOP_KEY = "robot/stop/rbtrg_msgs::msg::dds_::RobotCommand_/"
 STOP_HASH = "RIHS01_4796778b41b2cd20cd02d5d4330de2a265dd8ca80c524e4b029d547a33025ca2"
 STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
-REPEAT = 0.1
-"""Seconds between two sendings."""
-WORRY = 1.0
-"""Seconds without an answer after which the operator is told."""
-PATIENCE = 30.0
-"""Seconds until it gives up."""
-USE_HARDWARE = "use the hardware stop"
 
 
 def command(words: list[str]) -> int:

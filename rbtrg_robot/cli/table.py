@@ -11,9 +11,9 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from rbtrg_robot.orders.words import goal_line, mission_line, robot_line
+
 REFRESH = 0.5
-POSE_AGE = 1.0
-"""A pose older than this [s] is of the past, and its speed is not told any more."""
 
 
 def render(status: dict[str, Any], *, topics: bool = False) -> Group:
@@ -64,55 +64,6 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
             )
         parts.append(table)
     return Group(*parts)
-
-
-def robot_line(robot: dict[str, Any]) -> str:
-    """The robot in one line."""
-    if "mode" not in robot:
-        return "robot: not heard yet"
-    words = [f"robot: {robot['mode']}"]
-    if robot["estop"]:
-        words.append(f"E-STOP ({robot['estop_cause']})")
-    elif robot["hold"] and robot["hold"] != "no command":
-        words.append(f"held ({robot['hold']})")
-    if robot["cause"] and not any(robot["cause"] in word for word in words):
-        words[0] += f" ({robot['cause']})"
-    if "x" in robot:
-        place = f"at {robot['x']:.2f} {robot['y']:.2f} yaw {robot['yaw'] * 57.29578:.0f} deg"
-        old = robot["pose_age"] > POSE_AGE
-        words += [f"{robot['pose_age']:.0f} s ago {place}"] if old else [place, f"{robot['speed']:.2f} m/s"]
-    if robot.get("localization", "good") != "good":
-        words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
-    if robot.get("map_warning"):
-        words.append(f"MAP: {robot['map_warning']}")
-    words.append(f"real-time factor {robot['realtime_factor']:.2f}")
-    return ", ".join(words)
-
-
-def goal_line(robot: dict[str, Any]) -> str:
-    """The goal in one line."""
-    goal = robot.get("goal")
-    if not goal or not goal["id"]:
-        return "goal: none"
-    from rbtrg_robot.stages.navigation.reasons import words
-
-    text = f"goal: {goal['state']} ({goal['x']:.2f}, {goal['y']:.2f})"
-    if goal["state"] == "moving" and not goal["detail"]:
-        text += f", {goal['distance_left']:.1f} m left, {goal['replans']} replans"
-    why = words(goal["reason"], goal["detail"])
-    return f"{text}: {why}" if why else text
-
-
-def mission_line(robot: dict[str, Any]) -> str:
-    """The mission in one line; empty where there was none."""
-    mission = robot.get("mission")
-    if not mission:
-        return ""
-    text = f"mission {mission['name']}".strip() + f": {mission['phase']}"
-    if mission["phase"] != "finished":
-        text += f", step {mission['step']} of {mission['steps']}"
-    why = mission["question"] or mission["reason"]
-    return f"{text}: {why}" if why else text
 
 
 def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:

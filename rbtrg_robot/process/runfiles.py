@@ -15,6 +15,7 @@ from typing import Any
 
 from hal.errors import OperatorError
 
+CONSOLE_ENTER = "/enter"
 LOOKING = 0.2
 """Longest time [s] for which the lock may be held by processes that only look."""
 
@@ -147,3 +148,18 @@ def read_state(robot: str) -> dict[str, Any]:
     except OSError:
         pass
     raise NotRunning(f"no stack for robot {robot!r} is running; start it with `rbtrg-robot up`")
+
+
+def console_file(robot: str) -> Path:
+    """Where the console of a robot leaves its address and its tokens, for the user who runs `up` alone."""
+    return run_dir() / f"{robot}.console"
+
+
+def console_address(robot: str, role: str = "operator", *, token: bool = True) -> str:
+    """Where a browser comes in, once; without the token, where `rbtrg-robot console` leads. Empty where there is none."""
+    try:
+        found: dict[str, str] = json.loads(console_file(robot).read_text())
+        enter = f"{CONSOLE_ENTER}?token={found[role]}"
+        return found["address"] + (enter if token else " (`rbtrg-robot console` lets a browser in)")
+    except (OSError, KeyError, json.JSONDecodeError):
+        return ""

@@ -29,7 +29,7 @@ from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.notify import Notifier
-from rbtrg_robot.process.runfiles import RunLock, take_interface
+from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
 from rbtrg_robot.process.supervised import Child, end
 from rbtrg_robot.process.zygote import Zygote
 from rbtrg_robot.processes import PROCESSES
@@ -161,6 +161,9 @@ class Supervisor:
         if not self._ready and self._well():
             self._ready = True
             self._say(f"ready after {time.monotonic() - self.began:.1f} s")
+            if "console" in self._children:
+                place = console_address(self._config.robot, token=not self._notifier.wanted)
+                self._say(f"console: {place}")
             state = self._health.newest.get(t.ROBOT_STATE)
             if state is not None and state.phase in LYING:
                 self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")

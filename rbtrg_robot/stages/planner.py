@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,11 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.navigation.reasons import Reason
+from rbtrg_robot.stages.route_report import RouteBase, path_msg, plan_fields
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg, point, yaw_quaternion
-from rbtrg_robot.wire.messages import array, header
+from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg
+from rbtrg_robot.wire.messages import header
 
 REASONS = {
     NoRouteReason.BAD_INPUT: Reason.INVALID,
@@ -51,14 +53,14 @@ Box = tuple[int, int, int, int]
 
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
-    In: changed blocks and the window of the map, plan requests. Out: plans and paths, whether the present
-    path still holds, a copy of the map for a restarted elevation process. It decides the route on the map
+    In: changed blocks and the window of the map, plan requests, people's questions. Out: plans and paths,
+    why they are so, whether the present path still holds, a copy of the map for a restarted elevation process. It decides the route on the map
     of now, and keeps one graph that it rebuilds only where cells changed. It never owns a goal and never
     commands motion.
     """
 
-    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST)
-    outputs = (t.PLAN, t.ROUTE, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
+    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST, t.ROUTE_QUESTION)
+    outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
 
     def __init__(
         self,
@@ -109,6 +111,7 @@ class PlannerStage:
         for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
             stage._refresh((2.0, 2.0), stage._grid, [changed])
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
+        stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
 
     def close(self) -> None:
         """Nothing to release."""
@@ -125,6 +128,8 @@ class PlannerStage:
                 return [(t.MAP_MIRROR, patch_msg(self._mirror.patch()))]
         elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
+        elif t.ROUTE_QUESTION.carried(message, topic):
+            return self._question(message)
         return []
 
     def _take_patch(self, message: msg.GridMap) -> None:
@@ -272,8 +277,42 @@ class PlannerStage:
         self._path, self._retries = path, 0
         self._checked_version = -1
         self._memory.chosen = found.frontier
-        answer = msg.Plan(**base, **_plan_fields(found, path, message))
-        return [(t.PLAN, answer), (t.ROUTE, _path_msg(path, self._now))]
+        outputs: Outputs = [
+            (t.PLAN, msg.Plan(**base, **plan_fields(found, path, message))),
+            (t.ROUTE, path_msg(path, self._now)),
+        ]
+        if self._table is not None and self._params.method == "rb_trg":
+            report = RouteBase(base["header"], message.goal_id).report(found, path, self._table)
+            outputs.append((t.ROUTE_REPORT, report))
+        return outputs
+
+    def _question(self, message: msg.RouteQuestion) -> Outputs:
+        """How a route would go. The plan that is driven, and what it is watched by, stay as they are."""
+        start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
+        self._start = self._start or start
+        if self._changed or self._graph is None:
+            self._sync()
+        base = RouteBase(header(self._now, MAP), message.id, question=True)
+        graph = self._graph if message.graph else None
+        yaw = message.goal_yaw if message.has_goal_yaw else None
+        native: Plan | None = None
+        rules = DriveRules(backward=self._params.backward, straight=True)
+        variant = self._params.variant
+        wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
+        try:
+            found = self._search(wanted)
+            assert self._grid is not None
+            path = make_path(found, self._grid, self._body, self._limits)
+        except NoRoute as none:
+            return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], str(none), graph))]
+        except PlanningError as error:
+            return [(t.ROUTE_REPORT, base.refused(Reason.INVALID, str(error), graph))]
+        try:
+            native = self._search(replace(wanted, variant="native", rules=DriveRules()))
+        except PlanningError:
+            native = None
+        assert self._table is not None
+        return [(t.ROUTE_REPORT, base.report(found, path, self._table, native, graph))]
 
     def _plan(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
         """The route, and its path. What is left of the path that is driven, if any, is kept unless another is clearly better."""
@@ -295,47 +334,20 @@ class PlannerStage:
         if self._params.method != "rb_trg":
             found = BASELINES[self._params.method](self._grid, request)
             return found, make_path(found, self._grid, self._body, self._limits)
-        graph = self._graph.avoiding(message.avoid.reshape(-1, 3)) if len(message.avoid) else self._graph
-        if self._table is None or not self._table.fits(graph, self._grid, self._body):
-            self._table = RiskTable(graph, self._grid, self._body, self._table)
-        found = plan(graph, self._grid, request, self._body, self._table)
+        found = self._search(request, message.avoid.reshape(-1, 3))
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)
             return found, rest_of(driven, pose, self._grid, self._body)
         return found, make_path(found, self._grid, self._body, self._limits)
 
-
-def _plan_fields(found: Plan, path: Path, message: msg.PlanRequest) -> dict[str, Any]:
-    f64 = "float64"
-    return {
-        "ok": True,
-        "reaches_goal": found.reaches_goal,
-        "cost": found.cost,
-        "length": found.length,
-        "x": array(path.points[:, 0], f64),
-        "y": array(path.points[:, 1], f64),
-        "z": array(path.points[:, 2], f64),
-        "yaw": array(path.yaw, f64),
-        "speed": array(path.speed, f64),
-        "least_speed": array(path.least, f64),
-        "has_goal_yaw": message.has_goal_yaw,
-        "goal_yaw": message.goal_yaw,
-        "node_x": array(found.points[:, 0], f64),
-        "node_y": array(found.points[:, 1], f64),
-        "transition_length": array([x.length for x in found.transitions], f64),
-        "transition_risk": array([x.risk for x in found.transitions], f64),
-        "transition_body": array([x.body for x in found.transitions], f64),
-        "transition_unknown": array([x.unknown for x in found.transitions], f64),
-    }
-
-
-def _path_msg(path: Path, now: int) -> msg.Path:
-    stamp = header(now, MAP)
-    poses = [
-        msg.PoseStamped(stamp, msg.Pose(point(p), yaw_quaternion(yaw)))
-        for p, yaw in zip(path.points[::10], path.yaw[::10], strict=True)
-    ]
-    return msg.Path(header=stamp, poses=poses)
+    def _search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
+        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]. Raises PlanningError."""
+        if self._graph is None or self._grid is None:
+            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
+        graph = self._graph if avoid is None or not len(avoid) else self._graph.avoiding(avoid)
+        if self._table is None or not self._table.fits(graph, self._grid, self._body):
+            self._table = RiskTable(graph, self._grid, self._body, self._table)
+        return plan(graph, self._grid, request, self._body, self._table)
 
 
 def build(config: StackConfig) -> PlannerStage:

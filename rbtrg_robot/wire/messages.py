@@ -45,6 +45,17 @@ PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
         ("transition_length", "transition_risk", "transition_body", "transition_unknown"),
     ),
     msg.RobotState: (("refused_reason", "refused_count"),),
+    msg.RouteReport: (
+        ("x", "y", "z", "yaw"),
+        ("node_x", "node_y", "node_z"),
+        (
+            *(f"transition_{name}" for name in ("length", "cost", "turn", "risk", "body", "unknown")),
+            *("d_fb", "a_lr", "p_int", "worst_x", "worst_y", "worst_yaw"),
+        ),
+        ("native_x", "native_y"),
+        ("graph_x", "graph_y", "graph_z"),
+        ("graph_from", "graph_to", "graph_risk"),
+    ),
 }
 """Lists of a message that run side by side; unequal ones are as broken as broken bytes."""
 

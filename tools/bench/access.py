@@ -37,6 +37,7 @@ OPERATOR_MAY = OBSERVER_MAY | {
     "/teleop/cmd_vel",
     "/mission/request",
     "/operator/presence",
+    "/plan/question",
 }
 """Topics that each may publish; whatever else the table has or will have, nobody from outside may."""
 NOBODY = "nobody"

@@ -20,7 +20,7 @@ from hal.scenes import Scene
 from hal.types import NS, ImuSample, LidarScan, ModeRequest, Phase, RobotState, Sample
 from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
-from rbtrg_robot.cli.table import robot_line
+from rbtrg_robot.orders.words import robot_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.wire.messages import decode, encode, header

@@ -13,10 +13,10 @@ from hal.lidar.config import only
 from hal.types import ModeRequest, PostureCommand, RobotState, Sample, VelocityCommand
 from hal.unitree.config import UnitreeConfig
 from rbtrg_robot import topics as t
-from rbtrg_robot.cli.table import goal_line, robot_line
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import robot as robot_process
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.orders.words import goal_line, robot_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.wire.messages import decode
 from tests.hal.unitree.robot import MujocoBody

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.cli.table import robot_line
 from rbtrg_robot.config import load
+from rbtrg_robot.orders.words import robot_line
 from rbtrg_robot.process import health as module
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor

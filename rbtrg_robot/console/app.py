@@ -1,0 +1,177 @@
+"""What the server answers: the page, its socket, the stop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import logging
+import time
+from pathlib import Path
+from typing import Any
+
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.types import ASGIApp
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from hal.errors import OperatorError
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console import frames
+from rbtrg_robot.console.archive import Archive
+from rbtrg_robot.console.desk import Desk, Page
+from rbtrg_robot.console.door import OUTSIDE, VALID, WHO, Door, Guard
+from rbtrg_robot.console.feed import Feed, Slots
+from rbtrg_robot.process.runfiles import CONSOLE_ENTER
+
+log = logging.getLogger(__name__)
+
+PAGE = Path(__file__).parent / "page"
+BEAT = 0.25
+"""[s] between two heartbeats of the server to its pages."""
+
+
+class Site:
+    """The routes. Everything here runs in the server's thread."""
+
+    def __init__(self, config: StackConfig, door: Door, desk: Desk, feed: Feed) -> None:
+        self._config = config
+        self._door = door
+        self._desk = desk
+        self._feed = feed
+        self._numbers = itertools.count(1)
+        self.frames = self.bytes = 0
+        """Sent so far."""
+
+    def app(self) -> ASGIApp:
+        """With the guard around it."""
+        routes = [
+            Route(CONSOLE_ENTER, self._enter),
+            Route("/", self._index),
+            Route("/about", self._about),
+            Route("/stop", self._stop, methods=["POST"]),
+            WebSocketRoute("/live", self._live),
+            *Archive(self._config, self._desk).routes(),
+            Mount("/page", StaticFiles(directory=PAGE)),
+        ]
+        return Guard(Starlette(routes=routes), self._door)
+
+    async def beat(self) -> None:
+        """Until cancelled: tell all pages four times a second how old what they see is."""
+        while True:
+            now = time.monotonic()
+            self._desk.watch_stop(now)
+            holder = self._desk.lease.holder(now)
+            content = {"ages": self._feed.ages(), "operator": holder, "pages": self._feed.pages}
+            self._feed.tell("beat", content, keep=False)
+            await asyncio.sleep(BEAT)
+
+    async def _enter(self, request: Request) -> Response:
+        cookie = self._door.enter(request.query_params.get("token", ""))
+        if cookie is None:
+            return PlainTextResponse(f"This address was used before. {OUTSIDE}", 401)
+        answer = RedirectResponse("/", 303)
+        answer.set_cookie(
+            self._door.cookie,
+            cookie,
+            max_age=VALID,
+            path="/",
+            secure=self._door.secure,
+            httponly=True,
+            samesite="strict",
+        )
+        return answer
+
+    async def _index(self, _request: Request) -> Response:
+        return FileResponse(PAGE / "index.html")
+
+    async def _about(self, request: Request) -> Response:
+        config = self._config
+        robot = config.capabilities()
+        scene = config.load_scene() if config.simulated else None
+        return JSONResponse(
+            {
+                "robot": config.robot,
+                "backend": config.backend,
+                "scene": config.scene if scene else "",
+                "role": request.scope[WHO].role.value,
+                "goals": {name: list(goal) for name, goal in scene.goals.items()} if scene else {},
+                "area": config.allowed_area(),
+                "body": [config.body.length, config.body.width],
+                "max_vx": robot.max_vx,
+                "max_wz": robot.max_wz,
+                "max_step": robot.max_step,
+                "recording": config.record,
+            }
+        )
+
+    async def _stop(self, _request: Request) -> Response:
+        self._desk.stop()
+        return JSONResponse(self._desk.stop_state, 202)
+
+    # --- a page -----------------------------------------------------------------------------------------------
+
+    async def _live(self, socket: WebSocket) -> None:
+        await socket.accept()
+        page = Page(next(self._numbers), socket.scope[WHO].role)
+        slots = Slots()
+        self._desk.alive(page, time.monotonic())
+        slots.put("welcome", frames.pack("welcome", {"page": page.number, "role": page.role.value}))
+        sender = asyncio.create_task(self._send(socket, slots))
+        try:
+            while True:
+                self._hear(page, slots, await socket.receive_text())
+        except (WebSocketDisconnect, RuntimeError, KeyError):
+            pass  # closed, or a message that was no text
+        finally:
+            self._feed.leave(slots)
+            self._desk.leave(page)
+            sender.cancel()
+            with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
+                await sender
+
+    async def _send(self, socket: WebSocket, slots: Slots) -> None:
+        """One frame after the other; while the page is slow, newer frames take the places of older ones."""
+        while True:
+            self._feed.terrain_for(slots)
+            entry = slots.take()
+            if entry is None:
+                await slots.wake.wait()
+                continue
+            await socket.send_bytes(entry[1])
+            self.frames += 1
+            self.bytes += len(entry[1])
+
+    def _hear(self, page: Page, slots: Slots, text: str) -> None:
+        number: Any = None
+
+        def reply(ok: bool, words: str, found: dict[str, Any] | None = None) -> None:
+            content = {"n": number, "ok": ok, "words": words, "found": found}
+            slots.put(f"answer {number}", frames.pack("answer", content))
+
+        try:
+            wish = json.loads(text)
+            if not isinstance(wish, dict):
+                raise ValueError("not an object")
+            number = wish.get("n")
+            what = wish.get("do")
+            if what == "alive":
+                self._desk.alive(page, time.monotonic())
+            elif what == "take over":
+                self._desk.take_over(page, time.monotonic())
+                reply(True, "this page operates")
+            elif what == "see":  # from now on: before, nobody there was ready to take it
+                slots.cloud = bool(wish.get("cloud"))
+                if not slots.seeing:
+                    self._feed.join(slots)
+                    slots.put("stop", frames.pack("stop", self._desk.stop_state))
+            else:
+                self._desk.do(page, wish, reply)
+        except OperatorError as error:
+            reply(False, str(error))
+        except ValueError:
+            reply(False, "not a message of this console")

@@ -1,0 +1,278 @@
+"""What pages ask for: who may ask, and the orders that are under way. Orders are the commands' own (`rbtrg_robot.orders`)."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from hal.errors import OperatorError
+from hal.go2w import BODY_WIDTH
+from hal.safety.geofence import Geofence
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.feed import Feed
+from rbtrg_robot.console.frames import route
+from rbtrg_robot.console.lease import Lease
+from rbtrg_robot.orders.goal import AskRoute, CancelGoal, SendGoal
+from rbtrg_robot.orders.limits import USE_HARDWARE
+from rbtrg_robot.orders.map import LIMIT, FetchMap, save
+from rbtrg_robot.orders.order import Order, Outcome
+from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
+from rbtrg_robot.orders.who import me
+from rbtrg_robot.stages.navigation.goal import Goal, goal_request
+from rbtrg_robot.stages.navigation.reasons import words
+from rbtrg_robot.topics import Role, Topic
+from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.convert import BASE, vector
+from rbtrg_robot.wire.messages import header
+
+POSTURE_LIMIT = 30.0
+LATE = 0.2
+"""[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
+Reply = Callable[[bool, str, dict[str, Any] | None], None]
+"""Whether it was done, why not, and what was found out."""
+TAKEN = "another page operates; take over first"
+ONLY_SEE = "this page may look and stop; an operator's address lets it do more"
+
+
+class Refused(OperatorError):
+    """What was asked for is not done; the message tells why."""
+
+
+class Page:
+    """One open page, as the desk knows it."""
+
+    def __init__(self, number: int, role: Role) -> None:
+        self.number = number
+        self.role = role
+        self.driving = False
+        self.quickest = math.inf
+        """Least difference of the clocks here and there that a velocity showed [s]."""
+
+
+class Desk:
+    """Orders begin in the server's thread and go on in that of the bus."""
+
+    SENDS = (t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION)
+    HEARS = (t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL)
+
+    def __init__(self, config: StackConfig, bus: Bus, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:
+        self._bus = bus
+        self._feed = feed
+        self._loop = loop
+        self._lock = threading.Lock()
+        self._orders: dict[Order, Callable[[Outcome], None]] = {}
+        self.lease = Lease()
+        self._stop: Stop | None = None
+        self.stop_state = {"state": "none", "words": ""}
+        area = config.allowed_area()
+        self._area = Geofence.of(area) if area else None
+        self._room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+        self._capabilities = config.capabilities()
+        for topic in self.SENDS:
+            bus.advertise(topic)
+
+    # --- the server's thread ----------------------------------------------------------------------------------
+
+    def do(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
+        """One wish of a page. Raises Refused."""
+        what = wish.get("do")
+        if what == "stop":
+            self.stop()
+            return
+        known = {
+            "goal": self._goal,
+            "cancel": self._cancel,
+            "resume": self._resume,
+            "posture": self._posture,
+            "drive": self._drive,
+            "ask": self._ask,
+        }
+        if what not in known:
+            raise Refused(f"unknown wish {str(what)[:40]!r}")
+        if page.role is not Role.OPERATOR:
+            raise Refused(ONLY_SEE)
+        if what != "ask" and not self.lease.take(page.number, time.monotonic()):
+            raise Refused(TAKEN)
+        known[what](page, wish, reply)
+
+    def alive(self, page: Page, now: float) -> None:
+        """The page says that it is there: it keeps the lease, or takes it where nobody has it."""
+        if page.role is Role.OPERATOR:
+            self.lease.take(page.number, now)
+
+    def take_over(self, page: Page, now: float) -> None:
+        """Whoever operates now does so no longer. Raises Refused."""
+        if page.role is not Role.OPERATOR:
+            raise Refused(ONLY_SEE)
+        self.lease.take(page.number, now, confirmed=True)
+
+    def leave(self, page: Page) -> None:
+        """It was closed: what it drove stands."""
+        if page.driving:
+            self._velocity(0.0, 0.0)
+        self.lease.give_back(page.number)
+
+    def stop(self) -> None:
+        """The emergency stop: needs no lease. Sent at once, and repeated until the robot says it."""
+        if self._stop is not None and self._stop.outcome is None:
+            return  # it is being repeated already
+        order = self._stop = Stop("console")
+        self.stop_state = {"state": "sending", "words": "STOP sent, waiting for the robot"}
+        self._begin(order, lambda outcome: self._stopped(outcome))
+        self._feed.tell("stop", self.stop_state)
+
+    def watch_stop(self, now: float) -> None:
+        """Say that nobody confirms."""
+        if self._stop is not None and self._stop.worried(now) and self.stop_state["state"] == "sending":
+            self.stop_state = {"state": "unconfirmed", "words": f"STOP NOT CONFIRMED: {USE_HARDWARE}"}
+            self._feed.tell("stop", self.stop_state)
+
+    def _stopped(self, outcome: Outcome) -> None:
+        state = "confirmed" if outcome.ok else "unconfirmed"
+        self.stop_state = {
+            "state": state,
+            "words": outcome.words if outcome.ok else f"STOP NOT CONFIRMED: {USE_HARDWARE}",
+        }
+        self._feed.tell("stop", self.stop_state)
+
+    def place_of(self, wish: dict[str, Any]) -> tuple[float, float, float | None]:
+        """x, y [m], heading [rad] in `map` of a wish. Raises Refused, in the navigator's words."""
+        try:
+            x, y = float(wish["x"]), float(wish["y"])
+            yaw = None if wish.get("yaw") is None else float(wish["yaw"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise Refused("a goal is x and y in metres") from error
+        wrong = Goal("", x, y, yaw, 0).misplaced(self._area, self._room)
+        if wrong is not None:
+            raise Refused(words(wrong[0], wrong[1]))
+        return x, y, yaw
+
+    def _goal(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
+        x, y, yaw = self.place_of(wish)
+        goal_id = uuid.uuid4().hex[:12]
+        name = str(wish.get("name", ""))[:64]
+        request = goal_request(time.time_ns(), goal_id, x, y, yaw, name=name, owner=self._owner(page))
+        self._begin(SendGoal(request, wait=False), lambda outcome: reply(outcome.ok, outcome.words, None))
+
+    def _cancel(self, page: Page, _wish: dict[str, Any], reply: Reply) -> None:
+        order = CancelGoal(owner=self._owner(page))
+        self._begin(order, lambda outcome: reply(outcome.ok, outcome.words, None))
+
+    def _resume(self, _page: Page, _wish: dict[str, Any], reply: Reply) -> None:
+        self._begin(Resume(), lambda outcome: reply(outcome.ok, outcome.words, None))
+        self.stop_state = {"state": "none", "words": ""}
+        self._feed.tell("stop", self.stop_state)
+
+    def _posture(self, _page: Page, wish: dict[str, Any], reply: Reply) -> None:
+        what = str(wish.get("what"))
+        if what not in POSTURES:
+            raise Refused(f"there is no posture {what[:20]!r}")
+        order = Posture(what, POSTURE_LIMIT)
+        self._begin(order, lambda outcome: reply(outcome.ok, outcome.words or order.said, None))
+
+    def _ask(self, _page: Page, wish: dict[str, Any], reply: Reply) -> None:
+        """How would it go? The planner answers; nothing moves."""
+        x, y, yaw = self.place_of(wish)
+        if not self._feed.located:
+            raise Refused("where the robot is is not known yet")
+        x0, y0, yaw0 = self._feed.place
+        order = AskRoute(
+            msg.RouteQuestion(
+                header=header(time.time_ns(), "map"),
+                id=uuid.uuid4().hex[:12],
+                start_x=x0,
+                start_y=y0,
+                start_yaw=yaw0,
+                goal_x=x,
+                goal_y=y,
+                goal_yaw=yaw or 0.0,
+                has_goal_yaw=yaw is not None,
+                graph=bool(wish.get("graph")),
+            )
+        )
+
+        def done(outcome: Outcome) -> None:
+            found = None if order.report is None else route(order.report)
+            reply(outcome.ok, outcome.words, found)
+
+        self._begin(order, done)
+
+    def save_map(self, file: Path) -> int:
+        """Fetch the map and write it; returns the number of known cells. Blocks: for a worker thread. Raises Refused."""
+        order, ended = FetchMap(), threading.Event()
+        self._begin(order, lambda _: ended.set())
+        if not ended.wait(LIMIT + 1.0) or order.patch is None:
+            raise Refused("the elevation process sends no map")
+        return save(order.patch, file)
+
+    def _drive(self, page: Page, wish: dict[str, Any], _reply: Reply) -> None:
+        try:
+            v, w, at = float(wish["v"]), float(wish["w"]), float(wish["t"]) / 1000.0
+        except (KeyError, TypeError, ValueError) as error:
+            raise Refused("a velocity is v, w and t") from error
+        if not all(map(math.isfinite, (v, w, at))):
+            raise Refused("a velocity is finite")
+        delay = time.monotonic() - at
+        page.quickest = min(page.quickest, delay)
+        if delay - page.quickest > LATE:
+            return
+        robot = self._capabilities
+        v = max(-robot.max_vx, min(robot.max_vx, v))
+        w = max(-robot.max_wz, min(robot.max_wz, w))
+        page.driving = bool(v or w)
+        self._velocity(v, w)
+
+    def _velocity(self, v: float, w: float) -> None:
+        stamp = time.time_ns()
+        message = msg.TwistStamped(header=header(stamp, BASE))
+        message.twist.linear = vector((v, 0.0, 0.0))
+        message.twist.angular = vector((0.0, 0.0, w))
+        self._send(t.TELEOP, message)
+
+    def _owner(self, page: Page) -> str:
+        return f"{me()} (page {page.number})"
+
+    def _begin(self, order: Order, done: Callable[[Outcome], None]) -> None:
+        """Send at once; the thread of the bus goes on with it."""
+        with self._lock:
+            self._orders[order] = done
+            self._tick(order)
+        self._bus.wake()
+
+    # --- both threads -----------------------------------------------------------------------------------------
+
+    def _send(self, topic: Topic, message: msg.Message) -> None:
+        self._bus.publish(topic, message, time.time_ns())
+
+    def _tick(self, order: Order) -> None:
+        for topic, message in order.tick(time.monotonic()):
+            self._send(topic, message)
+
+    # --- the bus' thread --------------------------------------------------------------------------------------
+
+    def take(self, received: Received[Any]) -> None:
+        """An answer to orders."""
+        with self._lock:
+            waiting = [order for order in self._orders if received.topic in order.hears]
+            if not waiting or (message := self._bus.open(received)) is None:
+                return
+            for order in waiting:
+                order.take(received.topic, message)
+        self.tick()
+
+    def tick(self) -> None:
+        """Repeat what was not answered; end what was."""
+        with self._lock:
+            for order, done in list(self._orders.items()):
+                self._tick(order)
+                if order.outcome is not None:
+                    del self._orders[order]
+                    self._loop.call_soon_threadsafe(done, order.outcome)

@@ -1,0 +1,164 @@
+"""Who comes in: one-time tokens, signed cookies, and one guard over everything that is served.
+
+The tokens lie in the run folder, which only the user who runs `up` can read. Whoever opens an address with a token gets a cookie,
+and the token is replaced. Cookies are signed and outlive a restart of the process: a page that is open can still stop the robot.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import cookie_parser
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from rbtrg_robot.process.runfiles import CONSOLE_ENTER, console_file
+from rbtrg_robot.topics import Role
+
+VALID = 12 * 3600
+"""[s] a cookie counts."""
+WHO = "rbtrg.who"
+"""Key of the visitor in an ASGI scope."""
+HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
+    "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+}
+OUTSIDE = (
+    "Open the address that `rbtrg-robot console` prints on the robot's computer: it lets this browser in.\n"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Visitor:
+    """Who a cookie was given to."""
+
+    role: Role
+
+
+class Door:
+    """Tokens and cookies of one console."""
+
+    def __init__(self, robot: str, address: str) -> None:
+        """`address`: scheme://host:port that browsers use. The secret of a console that was killed is taken over."""
+        self.address = address
+        self.secure = address.startswith("https")
+        self.host = address.partition("://")[2]
+        self.cookie = f"rbtrg_{self.host.rpartition(':')[2]}"
+        self._file = console_file(robot)
+        self._secret = self._kept() or secrets.token_hex(32)
+        self._tokens = {role: secrets.token_urlsafe(24) for role in Role}
+        self._write()
+
+    def _kept(self) -> str:
+        try:
+            return str(json.loads(self._file.read_text())["secret"])
+        except (OSError, KeyError, json.JSONDecodeError):
+            return ""
+
+    def _write(self) -> None:
+        tokens = {role.value: token for role, token in self._tokens.items()}
+        content = json.dumps({"address": self.address, "secret": self._secret, **tokens})
+        fresh = self._file.with_name(f"{self._file.name}.new")
+        fresh.unlink(missing_ok=True)
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
+            file.write(content)
+        fresh.replace(self._file)
+
+    def enter(self, token: str) -> str | None:
+        """The cookie for a token, which counts no second time; None for a wrong one."""
+        for role, good in self._tokens.items():
+            if hmac.compare_digest(token.encode(), good.encode()):
+                self._tokens[role] = secrets.token_urlsafe(24)
+                self._write()
+                return self._signed(f"{role.value}.{int(time.time()) + VALID}")
+        return None
+
+    def _signed(self, text: str) -> str:
+        return f"{text}.{hmac.new(self._secret.encode(), text.encode(), hashlib.sha256).hexdigest()}"
+
+    def visitor(self, cookie: str) -> Visitor | None:
+        """Whose cookie it is; None where it is not ours or has ended."""
+        role, _, rest = cookie.partition(".")
+        until = rest.partition(".")[0]
+        if role not in list(Role) or not until.isdecimal():
+            return None
+        if not hmac.compare_digest(self._signed(f"{role}.{until}").encode(), cookie.encode()):
+            return None
+        return Visitor(Role(role)) if int(until) > time.time() else None
+
+    @property
+    def hosts(self) -> tuple[str, ...]:
+        """What a browser that means us names in `Host`: a name that was bent to this computer is none of them."""
+        if self.host.startswith("127.0.0.1:"):
+            return self.host, self.host.replace("127.0.0.1", "localhost")
+        return (self.host,)
+
+    @property
+    def origins(self) -> tuple[str, ...]:
+        """Pages that may ask us for something."""
+        scheme = self.address.partition("://")[0]
+        return tuple(f"{scheme}://{host}" for host in self.hosts)
+
+
+class Guard:
+    """ASGI: lets through whoever names this host, comes from this page and shows a cookie, over HTTP and WebSocket alike."""
+
+    def __init__(self, app: ASGIApp, door: Door) -> None:
+        self._app = app
+        self._door = door
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One request or connection."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        status, why = self._refusal(scope)
+        if not status:
+            await self._app(scope, receive, _with_headers(send))
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 4000 + status, "reason": why.strip()})
+        else:
+            await PlainTextResponse(why, status)(scope, receive, _with_headers(send))
+
+    def _refusal(self, scope: Scope) -> tuple[int, str]:
+        """HTTP status and words; 0 where it may pass."""
+        headers = Headers(scope=scope)
+        if headers.get("host", "") not in self._door.hosts:
+            return 421, "This console has another name.\n"
+        origin = headers.get("origin")
+        must = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        if origin not in self._door.origins and (must or origin is not None):
+            return 403, "This came from another page.\n"
+        if scope["type"] == "http" and scope["path"] == CONSOLE_ENTER and not must:
+            return 0, ""
+        cookies = cookie_parser(headers.get("cookie", ""))
+        who = self._door.visitor(cookies.get(self._door.cookie, ""))
+        if who is None:
+            return 401, OUTSIDE
+        scope[WHO] = who
+        return 0, ""
+
+
+def _with_headers(send: Send) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers: Any = MutableHeaders(scope=message)
+            for name, value in HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sending

@@ -1,0 +1,233 @@
+"""What pages see: the newest of every kind, and how old each topic is. A slow page misses what was overtaken, and delays nobody."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import threading
+import time
+from typing import Any
+
+from hal.types import Capabilities
+from mapping.elevation.exchange import MapError
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.console import frames
+from rbtrg_robot.console.terrain import Key, Terrain
+from rbtrg_robot.orders.words import goal_line, robot_line
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.convert import LayoutError, map_patch
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import header, stamp_of
+
+log = logging.getLogger(__name__)
+
+TERRAIN_PERIOD = 0.5
+"""[s] between two terrain frames of a page."""
+ASK_AGAIN = 3.0
+"""[s] until the whole map is asked for again."""
+HEARD: tuple[Topic, ...] = (
+    t.ODOM,
+    t.TF_STATIC,
+    t.CLOUD,
+    t.MAP_UPDATE,
+    t.MAP_FULL,
+    t.ROUTE_REPORT,
+    *frames.PLAIN,
+)
+
+KEPT = (t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT)
+"""Decoded while nobody looks, too: they come once, or orders need them."""
+
+
+class Slots:
+    """What one page has still to get, the newest of each kind. Belongs to the server's thread."""
+
+    def __init__(self) -> None:
+        self.seeing = False
+        """The page takes what comes."""
+        self.cloud = False
+        """It draws points."""
+        self.waiting: dict[str, bytes] = {}
+        self.wake = asyncio.Event()
+        self.tiles: dict[Key, int] = {}
+        self.terrain_due = 0.0
+
+    def put(self, kind: str, frame: bytes) -> None:
+        """A newer frame of a kind."""
+        if kind == "points" and not self.cloud:
+            return
+        self.waiting.pop(kind, None)
+        self.waiting[kind] = frame
+        self.wake.set()
+
+    def take(self) -> tuple[str, bytes] | None:
+        """The one that waits longest."""
+        for kind in self.waiting:
+            return kind, self.waiting.pop(kind)
+        self.wake.clear()
+        return None
+
+
+class Feed:
+    """`take` runs in the bus' thread; pages join and leave in the server's. Decodes nothing while nobody looks."""
+
+    def __init__(self, bus: Bus, robot: Capabilities, loop: asyncio.AbstractEventLoop) -> None:
+        self._bus = bus
+        self._loop = loop
+        self._pages: frozenset[Slots] = frozenset()  # replaced, never changed: two threads read it
+        self._frame = MapFrame()
+        self._arrived: dict[Topic, float] = {}
+        self._told: dict[Topic, float] = {}
+        self._frames: dict[str, bytes] = {}
+        self._epoch, self._correction = 0, 0.0
+        self._asked = -ASK_AGAIN
+        self._odom: msg.Odometry | None = None
+        self._phase: Any = None
+        self.place = (0.0, 0.0, 0.0)
+        """x, y [m], heading [rad] of the robot in `map`, once `located`."""
+        self.located = False
+        self.state: msg.RobotState | None = None
+        self.terrain = Terrain(robot)
+        self.terrain_lock = threading.Lock()
+
+    # --- the server's thread ----------------------------------------------------------------------------------
+
+    def join(self, page: Slots) -> None:
+        """A page wants to see; it gets the newest of all kinds at once."""
+        if not self._pages:
+            with self.terrain_lock:
+                self.terrain.forget()
+            self._asked = -ASK_AGAIN
+        page.seeing = True
+        self._pages |= {page}
+        for kind, frame in self._frames.items():
+            page.put(kind, frame)
+        self._bus.wake()
+
+    def leave(self, page: Slots) -> None:
+        """It was closed."""
+        self._pages -= {page}
+
+    @property
+    def pages(self) -> int:
+        """How many look."""
+        return len(self._pages)
+
+    def tell(self, kind: str, content: dict[str, Any], *, keep: bool = True) -> None:
+        """A frame for all pages, and for those that come later."""
+        frame = frames.pack(kind, content)
+        if keep:
+            self._frames[kind] = frame
+        for page in self._pages:
+            page.put(kind, frame)
+
+    def ages(self) -> dict[str, float]:
+        """Seconds since the newest message of each steady topic."""
+        now = time.monotonic()
+        return {topic.name: round(now - at, 2) for topic, at in list(self._arrived.items()) if topic.rate}
+
+    def terrain_for(self, page: Slots) -> None:
+        """Put what changed of the map, at its pace."""
+        now = time.monotonic()
+        if not page.seeing or now < page.terrain_due or "terrain" in page.waiting:
+            return
+        page.terrain_due = now + TERRAIN_PERIOD
+        with self.terrain_lock:
+            tiles = self.terrain.newer(page.tiles, *self.place[:2])
+        if tiles:
+            page.put("terrain", frames.terrain(tiles))
+
+    # --- the bus' thread --------------------------------------------------------------------------------------
+
+    def take(self, received: Received[Any]) -> None:
+        """One message of HEARD."""
+        now = time.monotonic()
+        topic = received.topic
+        self._arrived[topic] = now
+        if topic in KEPT or self._pages:
+            message = self._bus.open(received)
+            if message is not None:
+                self._show(topic, message, now)
+
+    def status(self, answer: bytes) -> None:
+        """What the supervisor says, with its lines in words."""
+        status = json.loads(answer)
+        if "robot" in status:
+            status["lines"] = [robot_line(status["robot"]), goal_line(status["robot"])]
+        self._loop.call_soon_threadsafe(self._hand_out, "status", frames.pack("status", status), True)
+
+    def tick(self, now: float) -> None:
+        """Ask for the map while pages look and none came; make what came ready."""
+        with self.terrain_lock:
+            self.terrain.prepare()
+        if self._pages and self.terrain.empty and now - self._asked > ASK_AGAIN:
+            self._asked = now
+            stamp = time.time_ns()
+            self._bus.publish(t.MAP_REQUEST, msg.MapRequest(header=header(stamp, ""), action="full"), stamp)
+
+    def _show(self, topic: Topic, message: Any, now: float) -> None:
+        if t.TF_STATIC.carried(message, topic):
+            self._frame.take(message)
+        elif t.ODOM.carried(message, topic):
+            self._odom = message
+            if self._frame.known:
+                content = frames.pose(message, self._frame, self._correction)
+                self.place = (content["x"], content["y"], content["yaw"])
+                self.located = True
+                self._put(topic, "pose", content, now)
+        elif topic in (t.MAP_UPDATE, t.MAP_FULL):
+            self._map(topic, message)
+        elif t.CLOUD.carried(message, topic):
+            self._cloud(message, now)
+        elif t.ROUTE_REPORT.carried(message, topic):
+            if not message.question:
+                self._put(topic, "route", frames.route(message), now)
+        else:
+            kind, make = frames.PLAIN[topic]
+            if t.ROBOT_STATE.carried(message, topic):
+                self.state = message
+            elif t.MAP_STATUS.carried(message, topic):
+                self._epoch, self._correction = int(message.epoch), message.height_correction
+            self._put(topic, kind, make(message), now)
+
+    def _put(self, topic: Topic, kind: str, content: dict[str, Any], now: float) -> None:
+        changed = kind == "robot" and (content["phase"], content["estop"], content["taken"]) != self._phase
+        if changed:
+            self._phase = (content["phase"], content["estop"], content["taken"])
+        if not changed and now - self._told.get(topic, 0.0) < frames.LEAST.get(topic, 0.0):
+            return
+        self._told[topic] = now
+        self._loop.call_soon_threadsafe(self._hand_out, kind, frames.pack(kind, content), True)
+
+    def _hand_out(self, kind: str, frame: bytes, keep: bool) -> None:
+        if keep:
+            self._frames[kind] = frame
+        for page in self._pages:
+            page.put(kind, frame)
+
+    def _map(self, topic: Topic, message: msg.GridMap) -> None:
+        with self.terrain_lock:
+            if topic is t.MAP_UPDATE and self.terrain.empty:
+                return  # the whole map is under way
+            try:
+                self.terrain.take(map_patch(message, self._epoch))
+            except (LayoutError, MapError) as error:
+                log.warning("%s: %s", topic.name, error)
+
+    def _cloud(self, message: msg.PointCloud2, now: float) -> None:
+        odom = self._odom
+        wanted = any(page.cloud for page in self._pages)
+        if not wanted or odom is None or not self._frame.known or stamp_of(odom) != stamp_of(message):
+            return
+        if now - self._told.get(t.CLOUD, 0.0) < frames.LEAST[t.CLOUD]:
+            return
+        self._told[t.CLOUD] = now
+        try:
+            frame = frames.points(message, odom, self._frame, self._correction)
+        except LayoutError as error:
+            log.warning("%s: %s", t.CLOUD.name, error)
+            return
+        self._loop.call_soon_threadsafe(self._hand_out, "points", frame, False)

@@ -1,0 +1,185 @@
+"""Messages as the page reads them: JSON for what is small, bytes for terrain and points. Pure.
+
+A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS), three of zero, the content.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.reasons import hindrance, words
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import cloud_points, xyz, xyzw, yaw_of
+from rbtrg_robot.wire.frames import MapFrame
+
+JSON, TERRAIN, POINTS = 1, 2, 3
+POINTS_MOST = 6000
+"""Of one frame."""
+
+
+def pack(kind: str, content: dict[str, Any]) -> bytes:
+    """A JSON frame; numbers that are not finite become null."""
+    text = json.dumps({"kind": kind, **_finite(content)}, separators=(",", ":"), allow_nan=False)
+    return bytes((JSON, 0, 0, 0)) + text.encode()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _finite(value.tolist())
+    if isinstance(value, float | np.floating):
+        return round(float(value), 4) if math.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def pose(message: msg.Odometry, frame: MapFrame, correction: float) -> dict[str, Any]:
+    """base_link in `map`: x, y, z [m], quaternion, heading [rad], speed [m/s, rad/s]. `correction` as in MapStatus [m]."""
+    place, turn = frame.pose3(xyz(message.pose.pose.position), xyzw(message.pose.pose.orientation))
+    twist = message.twist.twist
+    yaw = math.remainder(yaw_of(message.pose.pose.orientation) + frame.yaw, 2 * math.pi)
+    x, y, z = place
+    return {
+        "x": x,
+        "y": y,
+        "z": z + correction,
+        "q": turn.tolist(),
+        "yaw": yaw,
+        "v": twist.linear.x,
+        "w": twist.angular.z,
+    }
+
+
+def robot(message: msg.RobotState) -> dict[str, Any]:
+    """State, stop, battery and why it does not move, in the words of the commands."""
+    why = hindrance(message)
+    return {
+        "phase": message.phase,
+        "cause": message.cause,
+        "estop": bool(message.estop),
+        "estop_cause": message.estop_cause,
+        "latch": str(message.latch),
+        "taken": message.taken,
+        "hold": message.hold,
+        "hindrance": words(*why) if why else "",
+        "battery": message.battery,
+        "motor_temperature": message.motor_temperature,
+        "contact": [bool(x) for x in message.contact],
+        "vx": message.vx,
+        "wz": message.wz,
+        "refused": dict(zip(message.refused_reason, message.refused_count.tolist(), strict=True)),
+        "realtime_factor": message.realtime_factor,
+    }
+
+
+def goal(message: msg.GoalStatus) -> dict[str, Any]:
+    """The newest goal and how it stands."""
+    return {
+        "id": message.id,
+        "owner": message.owner,
+        "state": message.state,
+        "words": words(message.reason, message.detail),
+        "x": message.x,
+        "y": message.y,
+        "yaw": message.yaw if message.has_yaw else None,
+        "left": message.distance_left,
+        "replans": int(message.replans),
+        "recoveries": int(message.recoveries),
+        "risk": message.risk,
+        "frontier": bool(message.frontier),
+    }
+
+
+def route(message: msg.RouteReport) -> dict[str, Any]:
+    """A route and why it is this one; the arrays as they are named in the message."""
+    names = (
+        *(
+            "id",
+            "ok",
+            "reaches_goal",
+            "cost",
+            "length",
+            "duration",
+            "x",
+            "y",
+            "z",
+            "yaw",
+            "node_x",
+            "node_y",
+            "node_z",
+        ),
+        *(f"transition_{name}" for name in ("length", "cost", "turn", "risk", "body", "unknown")),
+        *(
+            "d_fb",
+            "a_lr",
+            "p_int",
+            "worst_x",
+            "worst_y",
+            "worst_yaw",
+            "native_x",
+            "native_y",
+            "native_length",
+        ),
+        *("native_body", "graph_x", "graph_y", "graph_z", "graph_from", "graph_to", "graph_risk"),
+    )
+    return {
+        "words": words(message.reason, message.detail),
+        **{name: getattr(message, name) for name in names},
+    }
+
+
+def plain(*names: str) -> Callable[[Any], dict[str, Any]]:
+    """The named fields as they are."""
+    return lambda message: {name: getattr(message, name) for name in names}
+
+
+PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
+    t.ROBOT_STATE: ("robot", robot),
+    t.GOAL_STATUS: ("goal", goal),
+    t.ODOM_HEALTH: ("odometry", plain("health", "reason", "overlap", "inliers", "residual", "degeneracy")),
+    t.MAP_STATUS: (
+        "map",
+        plain("epoch", "known_cells", "trusted_cells", "resolution", "restoring", "warning", "detail"),
+    ),
+    t.TRACKER_STATE: ("tracker", plain("phase", "hold", "distance_left", "cross_track", "heading_error")),
+    t.MOTION_LIMITS: ("limits", plain("forward", "backward", "left", "right", "reason")),
+    t.ROUTE_STATUS: ("route_status", plain("valid", "detail", "nodes", "edges", "map_version")),
+}
+"""Topics of which a page gets one kind of JSON frame each."""
+LEAST: dict[Topic, float] = {
+    t.ODOM: 0.08,
+    t.ROBOT_STATE: 0.08,
+    t.GOAL_STATUS: 0.0,
+    t.ODOM_HEALTH: 0.4,
+    t.MAP_STATUS: 0.4,
+    t.TRACKER_STATE: 0.2,
+    t.MOTION_LIMITS: 0.2,
+    t.ROUTE_STATUS: 0.4,
+    t.CLOUD: 0.19,
+}
+"""Seconds between two frames of a topic; a change of the robot's state is told at once all the same."""
+
+
+def points(cloud: msg.PointCloud2, odom: msg.Odometry, frame: MapFrame, correction: float) -> bytes:
+    """float32[7] position and quaternion of base_link in `map`, then int16[n, 3] points in base_link [mm]. Raises LayoutError."""
+    xyz_m = cloud_points(cloud)
+    chosen = xyz_m[:: max(1, len(xyz_m) // POINTS_MOST + (len(xyz_m) % POINTS_MOST > 0))]
+    chosen = chosen[np.isfinite(chosen).all(axis=1) & (np.abs(chosen) < 32.0).all(axis=1)]
+    place, turn = frame.pose3(xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation))
+    place[2] += correction
+    head = np.concatenate([place, turn]).astype("<f4").tobytes()
+    return bytes((POINTS, 0, 0, 0)) + head + (chosen * 1000.0).astype("<i2").tobytes()
+
+
+def terrain(content: bytes) -> bytes:
+    """A frame of `Terrain.newer`."""
+    return bytes((TERRAIN, 0, 0, 0)) + content

@@ -1,0 +1,136 @@
+// The robot in words, the goal, and what would become of it.
+import { $, button, degrees, figure, list, put, twice } from "./tell.js";
+
+export function makeDrive(link, view, about, free) {
+  const { world } = view;
+  let asked = 0;
+
+  // --- the robot ------------------------------------------------------------------------------------------
+  function showRobot() {
+    const { robot, pose, goal, odometry, map } = link.newest;
+    if (!robot) return;
+    put("phase", robot.phase);
+    put("said", robot.estop ? `Stopped: ${robot.estop_cause}` : robot.taken ? "Driven by hand" : goal && ["moving", "recovering", "planning", "accepted"].includes(goal.state) ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m left` : ""}` : `Robot ${robot.phase}`);
+    const still = robot.hindrance || (robot.hold && robot.hold !== "no command" ? `held: ${robot.hold}` : "");
+    put("why-still", [still, goal?.state === "paused" ? "The goal waits. Resume lets it go on." : goal && !["idle", "moving"].includes(goal.state) ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}` : ""].filter(Boolean).join(" · "));
+    const rows = [["Battery", robot.battery === null ? "unknown" : `${Math.round(robot.battery * 100)} %`]];
+    if (pose) rows.unshift(["Place", `x ${figure(pose.x)} y ${figure(pose.y)} m, heading ${figure(degrees(pose.yaw), 0)}°`], ["Speed", `${figure(pose.v)} m/s, ${figure(pose.w)} rad/s`]);
+    if (odometry) rows.push(["Localization", odometry.health + (odometry.reason ? `: ${odometry.reason}` : ""), odometry.health === "good" ? "word-good" : "word-bad"]);
+    if (map?.warning) rows.push(["Map", map.warning, "word-warn"]);
+    list($("figures"), rows);
+    $("resume").hidden = robot.latch === "0";
+    put("resume", robot.estop ? "Release the stop" : goal?.state === "paused" ? "Continue the goal" : "Give motion back");
+    $("cancel").hidden = !goal || !["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state);
+  }
+  async function tell(content) {
+    try {
+      const answer = await link.wish(content);
+      if (answer.words) free.say(answer.words, answer.ok ? "" : "bad");
+      return answer;
+    } catch (error) { free.say(error.message, "bad"); return { ok: false }; }
+  }
+  $("resume").onclick = () => tell({ do: "resume" });
+  $("cancel").onclick = () => tell({ do: "cancel" });
+  for (const made of document.querySelectorAll("[data-posture]")) {
+    const act = () => tell({ do: "posture", what: made.dataset.posture });
+    if (made.dataset.posture === "damp") twice(made, () => "It sinks to the ground. Really?", act);
+    else made.onclick = act;
+  }
+
+  // --- the goal -------------------------------------------------------------------------------------------
+  for (const [name, [x, y, yaw]] of Object.entries(about.goals)) $("names").append(button(name, () => choose(x, y, yaw)));
+
+  function number(id) {
+    const words = $(id).value.trim().replace(",", ".");
+    return words === "" ? null : Number(words);
+  }
+  function wanted() {
+    const [x, y, yaw] = [number("gx"), number("gy"), number("gyaw")];
+    if (x === null || y === null || [x, y, yaw ?? 0].some((v) => !Number.isFinite(v))) return null;
+    return { x, y, yaw: yaw === null ? null : (yaw * Math.PI) / 180 };
+  }
+  function choose(x, y, yaw) {
+    $("gx").value = figure(x); $("gy").value = figure(y); $("gyaw").value = yaw === null || yaw === undefined ? "" : figure(degrees(yaw), 0);
+    ask();
+  }
+  async function ask() {
+    const goal = wanted(), mine = ++asked;
+    forget(false);
+    if (!goal) return verdict("A goal is x and y in metres.", false);
+    world.goal = goal; $("clear").hidden = false; view.show();
+    verdict("Asking the planner…");
+    let answer;
+    try { answer = await link.wish({ do: "ask", ...goal }); } catch (error) { answer = { ok: false, words: error.message }; }
+    if (mine !== asked) return;
+    if (!answer.ok) return verdict(`It would not go: ${answer.words}`, false);
+    const plan = readPlan(answer.found);
+    world.preview = plan; world.shown = plan; world.chosen = null;
+    const box = verdict(plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.", true);
+    const facts = document.createElement("dl");
+    list(facts, facts_of(plan));
+    box.append(facts);
+    $("go").hidden = false;
+    $("go").setAttribute("aria-label", `Go to x ${figure(goal.x)}, y ${figure(goal.y)}`);
+    $("go").scrollIntoView({ block: "nearest" });
+    view.show(); free.plan(plan, "preview");
+  }
+  function verdict(words, good) {
+    const box = document.createElement("div");
+    box.className = `verdict${good === false ? " no" : ""}`;
+    const line = document.createElement("strong");
+    line.textContent = words; box.append(line);
+    $("answer").replaceChildren(box);
+    return box;
+  }
+  function forget(all = true) {
+    if (all) { asked++; world.goal = null; for (const id of ["gx", "gy", "gyaw"]) $(id).value = ""; $("clear").hidden = true; }
+    if (world.shown === world.preview) world.shown = world.route;
+    world.preview = null; world.chosen = null; $("go").hidden = true; $("answer").replaceChildren();
+    view.show();
+  }
+  $("goal").onsubmit = (event) => { event.preventDefault(); ask(); };
+  $("clear").onclick = () => forget();
+  for (const id of ["gx", "gy", "gyaw"]) $(id).oninput = () => { $("go").hidden = true; };  // what was asked for is not what stands there now
+  $("go").onclick = async () => {
+    const goal = wanted();
+    if (!goal) return;
+    $("go").disabled = true;
+    const answer = await tell({ do: "goal", ...goal });
+    $("go").disabled = locked();
+    if (answer.ok) { forget(false); }
+  };
+
+  const locked = () => link.fresh === "stale" || !free.operating();
+  function lock() {
+    for (const id of ["ask", "go", "resume", "cancel"]) $(id).disabled = locked();
+    for (const made of document.querySelectorAll("[data-posture], #names button")) made.disabled = locked();
+  }
+
+  link.on("robot", showRobot);
+  link.on("goal", (goal) => {
+    showRobot();
+    if (!world.preview) world.goal = ["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state) ? goal : null;
+    if (!world.goal && world.route) { world.route = null; free.plan(null); }
+    view.show();
+  });
+  link.on("route", (found) => {
+    world.route = readPlan(found);
+    if (!world.preview) { world.shown = world.route; free.plan(world.route, "driven"); }
+    view.show();
+  });
+  return { choose, lock, showRobot };
+}
+
+// The worst transition is the one with the highest body risk B.
+export function readPlan(found) {
+  const body = found.transition_body;
+  return { ...found, worst: body.length ? body.indexOf(Math.max(...body)) : -1 };
+}
+
+export function facts_of(plan) {
+  const worst = plan.worst;
+  const rows = [["Length", `${figure(plan.length, 1)} m`], ["Time", `about ${figure(plan.duration, 0)} s`], ["Cost", `${figure(plan.cost, 1)} m`]];
+  if (worst >= 0) rows.push(["Worst place", `x ${figure(plan.worst_x[worst])} y ${figure(plan.worst_y[worst])} m`], ["Body risk there", `${figure(plan.transition_body[worst])} (${grade(plan.transition_body[worst])})`], ["Unseen there", `${Math.round(100 * plan.transition_unknown[worst])} %`]);
+  return rows;
+}
+export const grade = (risk) => (risk < 0.3 ? "easy" : risk < 0.7 ? "rough" : "hard");

@@ -1,0 +1,169 @@
+"""The console's process: one thread for the bus, one for the server. Its loss stops nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+
+from hal.errors import OperatorError
+from rbtrg_robot.access.certificates import check
+from rbtrg_robot.access.identity import CERTIFICATE, KEY, ROBOT, keys_dir
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.app import Site
+from rbtrg_robot.console.desk import Desk
+from rbtrg_robot.console.door import Door
+from rbtrg_robot.console.feed import HEARD, Feed
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.heart import Heart
+
+log = logging.getLogger(__name__)
+
+LARGEST = 16_384
+"""Bytes of a message from a page."""
+LOOPBACK = "127.0.0.1"
+STATUS_PERIOD, TURN = 1.0, 0.05
+"""[s]"""
+
+
+class ConsoleError(OperatorError):
+    """The console cannot serve; the message tells what to do."""
+
+
+def listening(host: str, port: int) -> socket.socket:
+    """A socket on this address; on any free port where that one is taken. Raises ConsoleError."""
+    for wanted in (port, 0):
+        found = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((host, wanted))
+            found.listen(64)
+        except OSError as error:
+            found.close()
+            if wanted == 0 or host != LOOPBACK:  # elsewhere people wrote the address down
+                raise ConsoleError(
+                    f"cannot serve on {host} port {wanted}: {error.strerror}; see `console.address`"
+                ) from error
+            continue
+        return found
+    raise AssertionError
+
+
+def main(
+    config: StackConfig, bus: Bus, stopping: Callable[[], bool], _restored: dict[Topic, bytes] | None = None
+) -> None:
+    """The process, until told to stop. Raises ConsoleError, KeysError."""
+    with serving(config, bus) as serve:
+        heart = Heart(bus, "console")
+        while not stopping() and serve.worker.is_alive():
+            heart.beat()
+            serve.turn(bus)
+
+
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """The parts of a console that serves."""
+
+    desk: Desk
+    feed: Feed
+    site: Site
+    door: Door
+    worker: threading.Thread
+    """Of the server."""
+
+    def turn(self, bus: Bus) -> None:
+        """Hand on what came, repeat what is due."""
+        for received in bus.take(TURN):
+            if received.topic in self.desk.HEARS:
+                self.desk.take(received)
+            self.feed.take(received)
+        self.desk.tick()
+        self.feed.tick(time.monotonic())
+
+
+@contextlib.contextmanager
+def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
+    """The server in a thread of its own; its door's address is in the run folder."""
+    host, port = config.console.address, config.console.port
+    tls: dict[str, Any] = {}
+    if host != LOOPBACK:
+        folder = Path(config.network.keys or keys_dir() / ROBOT)
+        check(folder)
+        tls = {
+            "ssl_certfile": folder / CERTIFICATE,
+            "ssl_keyfile": folder / KEY,
+            "ssl_version": ssl.PROTOCOL_TLS_SERVER,
+        }
+    listener = listening(host, port)
+    name = f"[{host}]" if ":" in host else host
+    door = Door(config.robot, f"{'https' if tls else 'http'}://{name}:{listener.getsockname()[1]}")
+    loop = asyncio.new_event_loop()
+    feed = Feed(bus, config.capabilities(), loop)
+    desk = Desk(config, bus, feed, loop)
+    site = Site(config, door, desk, feed)
+    bus.subscribe(HEARD)
+    server = uvicorn.Server(
+        uvicorn.Config(
+            site.app(),
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            proxy_headers=False,
+            server_header=False,
+            ws_per_message_deflate=False,
+            ws_max_size=LARGEST,
+            timeout_graceful_shutdown=1,
+            **tls,
+        )
+    )
+
+    async def serve() -> None:
+        beat = asyncio.create_task(site.beat())
+        try:
+            await server.serve([listener])
+        finally:
+            beat.cancel()
+
+    ended = threading.Event()
+
+    def ask() -> None:
+        """The supervisor, once a second while somebody looks. It may be slow: nobody waits for it."""
+        while not ended.wait(STATUS_PERIOD):
+            answer = bus.ask("status", timeout=STATUS_PERIOD) if feed.pages else None
+            if answer is not None:
+                feed.status(answer)
+
+    asker = threading.Thread(target=ask, name="status", daemon=True)
+    asker.start()
+    failed: list[BaseException] = []
+
+    def thread() -> None:
+        try:
+            loop.run_until_complete(serve())
+        except BaseException as error:  # noqa: BLE001  the other thread ends the process with it
+            failed.append(error)
+
+    worker = threading.Thread(target=thread, name="server", daemon=True)
+    worker.start()
+    log.info("serving %s", door.address)
+    try:
+        yield Serving(desk, feed, site, door, worker)
+    finally:
+        ended.set()
+        asker.join(2 * STATUS_PERIOD)
+        server.should_exit = True
+        worker.join()  # it ends within a second; closing its sockets under it would hit whoever gets their numbers next
+        listener.close()
+    if failed:
+        raise failed[0]

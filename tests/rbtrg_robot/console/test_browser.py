@@ -1,0 +1,452 @@
+"""The page in a real browser (Debian's chromium), on a made-up stack: what people see, and above all that STOP works."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+
+from tools.bench.console.stack import Console, Robot
+
+LIMIT = 20.0
+"""[s] until what must happen has happened, on a busy machine."""
+ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+DESK, PHONE = {"width": 1000, "height": 640}, {"width": 360, "height": 740}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """It must be there: `apt-get install chromium`."""
+    with sync_playwright() as play:
+        found = play.chromium.launch(executable_path="/usr/bin/chromium", args=ARGUMENTS)
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        made = Robot()
+        yield made
+        made.close()
+
+
+@pytest.fixture(scope="module")
+def console(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    made = Console(robot, tmp_path_factory.mktemp("console"))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable[..., Page]]:
+    """A page of its own, once it shows the robot."""
+    robot.reset()
+    contexts: list[BrowserContext] = []
+
+    def enter(
+        role: str = "operator", size: Any = DESK, *, wait: bool = True, path: str = "", **options: Any
+    ) -> Page:
+        context = browser.new_context(viewport=size, reduced_motion="reduce", **options)
+        context.set_default_timeout(1000 * LIMIT)
+        contexts.append(context)
+        page = context.new_page()
+        page.goto(console.address(role))
+        if path:
+            page.goto(console.address(role).partition("/enter")[0] + path)
+        if wait:
+            until(
+                page,
+                "!!window.consoleView && consoleView.ground.tiles.size > 10 && document.body.dataset.fresh === 'live'",
+            )
+        return page
+
+    yield enter
+    for context in contexts:
+        context.close()
+
+
+def until(page: Page, expression: str) -> Any:
+    """The value of an expression once it is true. (The page's own policy forbids playwright's waiting for one.)"""
+    end = time.monotonic() + LIMIT
+    while not (value := page.evaluate(expression)):
+        assert time.monotonic() < end, f"{expression} never came true"
+        page.wait_for_timeout(20)
+    return value
+
+
+def soon(page: Page, condition: Callable[[], bool]) -> None:
+    """Wait for something outside the page."""
+    end = time.monotonic() + LIMIT
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        page.wait_for_timeout(20)
+
+
+def on_screen(page: Page, x: float, y: float) -> tuple[float, float]:
+    """Where on the page a place on the ground is drawn [px]."""
+    script = "([x, y]) => consoleView.camera.project([x, y, consoleView.ground.height(x, y)])"
+    at = page.evaluate(script, [x, y])
+    box = page.locator("#view canvas").bounding_box()
+    assert at is not None
+    assert box is not None
+    return box["x"] + at[0], box["y"] + at[1]
+
+
+def said(page: Page) -> str:
+    return page.inner_text("#stop-said")
+
+
+# --- goals --------------------------------------------------------------------------------------------------
+
+
+def test_a_goal_by_mouse_is_shown_before_it_is_sent(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.mouse.move(*on_screen(page, 2.4, 0.6))
+    page.mouse.down()
+    page.mouse.move(*on_screen(page, 2.4, 1.4), steps=4)
+    page.mouse.up()
+    page.wait_for_selector("#go:not([hidden])")
+    assert "It would go" in page.inner_text("#answer")
+    assert "Worst place" in page.inner_text("#answer")
+    assert robot.goals == []
+    assert float(page.input_value("#gyaw")) == pytest.approx(90.0, abs=12.0)
+    yaw = page.evaluate("consoleView.world.goal.yaw")
+    page.click("#go")
+    soon(page, lambda: bool(robot.goals))
+    goal = robot.goals[0]
+    assert (goal.x, goal.y) == pytest.approx((2.4, 0.6), abs=0.1)
+    assert goal.yaw == pytest.approx(yaw, abs=0.02)
+    soon(page, lambda: robot.state == "reached")
+    until(page, "document.querySelector('#why-still').textContent.includes('reached')")
+
+
+def test_a_goal_by_touch_on_a_phone(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit(size=PHONE, has_touch=True, is_mobile=True)
+    page.touchscreen.tap(*on_screen(page, 1.6, 0.2))
+    page.locator("#go").tap()
+    soon(page, lambda: bool(robot.goals))
+    assert (robot.goals[0].x, robot.goals[0].y) == pytest.approx((1.6, 0.2), abs=0.15)
+    assert not robot.goals[0].has_yaw
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    small = page.evaluate(
+        "[...document.querySelectorAll('button, select, input, summary')].filter(x => x.offsetParent && "
+        "(x.getBoundingClientRect().height < 43.5 || x.getBoundingClientRect().width < 43.5)).map(x => x.id || x.textContent)"
+    )
+    assert small == []
+
+
+def test_a_place_where_no_route_leads_is_not_offered(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.fill("#gx", "5.1")
+    page.fill("#gy", "1")
+    page.click("#ask")
+    until(page, "document.querySelector('#answer').textContent.includes('no route to the goal')")
+    assert page.is_hidden("#go")
+    page.fill("#gx", "99")
+    page.click("#ask")
+    until(page, "document.querySelector('#answer').textContent.includes('outside the allowed area')")
+    assert robot.goals == []
+
+
+def test_everything_by_keyboard_alone(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.focus("#gx")
+    page.keyboard.type("1.5")
+    page.keyboard.press("Tab")
+    page.keyboard.type("0 ")  # a space is typed here, and stops nothing
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#go:not([hidden])")
+    assert robot.stops == 0
+    page.focus("#go")
+    page.keyboard.press("Enter")
+    soon(page, lambda: bool(robot.goals))
+    page.focus("nav button:nth-child(2)")
+    page.keyboard.press("Enter")
+    assert page.is_visible("#why")
+    page.keyboard.press("Space")  # on a button that has the focus
+    soon(page, lambda: bool(robot.cause))
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    assert page.get_attribute("#live", "aria-live") == "assertive"
+    until(page, "document.querySelector('#live').textContent.includes('Emergency stop')")
+
+
+def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
+    page = visit()
+    page.fill("#gx", "3")
+    page.fill("#gy", "0")
+    page.click("#ask")
+    page.wait_for_selector("#go:not([hidden])")
+    page.click("nav button:nth-child(2)")
+    assert page.locator("#steps tbody tr").count() == 5
+    assert page.inner_text("#steps tr.worst td:nth-child(4)") == "0.60"
+    page.click("#steps tbody tr:nth-child(3) button")
+    words = page.inner_text("#step")
+    assert "Front to back\n12 cm" in words
+    assert "Left to right\n6°" in words
+    assert "The native cost alone would have gone 3.1 m" in page.inner_text("#why-sum")
+    assert page.evaluate("consoleView.world.chosen") == 2
+
+
+# --- stop ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", ["press", "Escape", "observer"])
+def test_stop(visit: Callable[..., Page], robot: Robot, how: str) -> None:
+    page = visit("observer" if how == "observer" else "operator")
+    for view in range(1, 6):
+        page.click(f"nav button:nth-child({view})")
+        box = page.locator("#halt").bounding_box()
+        assert box is not None
+        assert box["height"] >= 72
+        assert box["width"] >= 72
+    if how == "Escape":
+        page.keyboard.press("Escape")
+    else:
+        page.hover("#halt")
+        page.mouse.down()  # the finger is still on it
+    soon(page, lambda: bool(robot.cause))
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+
+
+def test_stop_is_repeated_and_not_called_done_until_the_robot_says_so(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    robot.deaf = True
+    page.keyboard.press("Escape")
+    until(page, "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')")
+    heard = robot.stops
+    soon(page, lambda: robot.stops > heard + 3)
+    robot.deaf = False
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+
+
+def test_stop_with_a_frozen_feed_and_what_is_old_is_grey_and_locked(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    robot.frozen = True
+    until(page, "document.body.dataset.fresh === 'stale'")
+    assert page.is_disabled("#ask")
+    assert "grayscale" in page.evaluate("getComputedStyle(document.querySelector('#view')).filter")
+    until(page, "document.querySelector('#banner').textContent.includes('locked')")
+    page.focus("#stick")
+    page.keyboard.down("ArrowUp")
+    page.wait_for_timeout(200)
+    page.keyboard.up("ArrowUp")
+    assert robot.driven == []
+    page.keyboard.press("Escape")
+    soon(page, lambda: robot.stops > 0)
+    robot.frozen = False
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.body.dataset.fresh === 'live'")
+
+
+def test_stop_from_a_page_that_draws_too_slowly(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.evaluate(
+        "() => { const view = consoleView, end = performance.now() + 4000; view.ground.hit = view.ground.height;"
+        "const busy = () => { const t = performance.now() + 250; while (performance.now() < t); if (performance.now() < end) setTimeout(busy, 0); }; busy(); }"
+    )
+    page.keyboard.press("Escape")
+    soon(page, lambda: bool(robot.cause))
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+
+
+def test_a_server_that_is_gone_is_seen_and_comes_back(browser: Browser, robot: Robot, tmp_path: Path) -> None:
+    robot.reset()
+    first = Console(robot, tmp_path, "other")
+    assert first.serve is not None
+    port = int(first.serve.door.host.rpartition(":")[2])
+    context = browser.new_context(viewport=DESK)
+    try:
+        page = context.new_page()
+        page.goto(first.address())
+        until(page, "!!window.consoleView && document.body.dataset.fresh === 'live'")
+        first.close()
+        until(page, "document.body.dataset.fresh === 'stale'")
+        page.keyboard.press("Escape")
+        until(
+            page, "document.querySelector('#stop-said').textContent.includes('the console does not answer')"
+        )
+        assert robot.stops == 0
+        # The cookie of before still counts, and the stop goes on.
+        second = Console(robot, tmp_path, "other", port=port)
+        try:
+            soon(page, lambda: bool(robot.cause))
+            until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+            until(page, "document.body.dataset.fresh === 'live'")
+        finally:
+            second.close()
+    finally:
+        context.close()
+
+
+# --- who operates -------------------------------------------------------------------------------------------
+
+
+def test_two_pages_and_one_operator(visit: Callable[..., Page], robot: Robot) -> None:
+    first = visit()
+    until(first, "document.querySelector('#lease').textContent === 'you operate'")
+    second = visit()
+    until(second, "document.querySelector('#lease').textContent.includes('operates')")
+    assert second.is_disabled("#ask")
+    answer = second.evaluate("() => fetch('/about').then(x => x.json()).then(x => x.role)")
+    assert answer == "operator"
+    second.click("#take")
+    assert second.inner_text("#take").endswith("Really take over?")
+    second.click("#take")
+    until(second, "document.querySelector('#lease').textContent === 'you operate'")
+    until(first, "document.querySelector('#lease').textContent.includes('operates')")
+    assert first.is_disabled("#ask")
+    first.keyboard.press("Escape")  # without the lease
+    soon(first, lambda: bool(robot.cause))
+    second.close()
+    until(first, "document.querySelector('#lease').textContent === 'you operate'")
+
+
+def test_an_observer_looks_and_commands_nothing(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit("observer")
+    until(page, "document.querySelector('#lease').textContent.includes('observer')")
+    assert page.is_disabled("#ask")
+    words = page.evaluate(
+        "() => new Promise(yes => { const s = new WebSocket(`ws://${location.host}/live`); s.binaryType = 'arraybuffer';"
+        "s.onopen = () => s.send(JSON.stringify({do: 'goal', x: 1, y: 0, n: 7}));"
+        "s.onmessage = ({data}) => { const t = new TextDecoder().decode(data.slice(4)); if (t.includes('\"answer\"')) yes(t); } })"
+    )
+    assert "may look and stop" in words
+    assert robot.goals == []
+
+
+# --- by hand ------------------------------------------------------------------------------------------------
+
+
+def test_the_stick_drives_while_it_is_held(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.evaluate("() => document.querySelector('#stick').scrollIntoView({ block: 'center' })")
+    box = page.locator("#stick").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def hold() -> bool:
+        """Press, and again where a busy machine let the picture grow old: then hands let go by themselves."""
+        if "held" not in (page.get_attribute("#stick", "class") or ""):
+            page.mouse.up()
+            page.mouse.move(x, y)
+            page.mouse.down()
+            page.mouse.move(x, y - 40)
+        return len(robot.driven) > 15
+
+    soon(page, hold)
+    until(page, "consoleView.world.arc && consoleView.world.arc.length === 4")
+    page.mouse.up()
+    soon(page, lambda: robot.driven[-1][1:] == (0.0, 0.0))
+    assert {round(v, 2) for _, v, _ in robot.driven} <= {0.0, 0.46, 0.47}  # 40 of 52 px, at 0.6 of 1 m/s
+    count = len(robot.driven)
+    page.wait_for_timeout(300)
+    assert len(robot.driven) == count
+
+
+@pytest.mark.parametrize("end", ["blur", "hidden", "key up", "closed"])
+def test_hands_let_go(visit: Callable[..., Page], robot: Robot, end: str) -> None:
+    page = visit()
+    page.fill("#gx", "4.5")
+    page.fill("#gy", "0")
+    page.click("#ask")
+    page.click("#go")
+    soon(page, lambda: robot.state == "moving")
+
+    def hold() -> bool:
+        page.focus("#stick")
+        page.keyboard.down("ArrowUp")
+        return len(robot.driven) > 5
+
+    soon(page, hold)
+    if end == "key up":
+        page.keyboard.up("ArrowUp")
+    elif end == "closed":
+        page.close()
+    elif end == "blur":
+        page.evaluate("() => window.dispatchEvent(new Event('blur'))")
+    else:
+        page.evaluate(
+            "() => { Object.defineProperty(document, 'hidden', { value: true }); document.dispatchEvent(new Event('visibilitychange')); }"
+        )
+    clock = time.monotonic() + LIMIT
+    while robot.driven[-1][1:] != (0.0, 0.0):
+        assert time.monotonic() < clock
+        time.sleep(0.02)
+    assert robot.state == "paused"  # the goal goes on only when told to
+    if end == "key up":
+        until(page, "document.querySelector('#resume').textContent === 'Continue the goal'")
+        page.click("#resume")
+        soon(page, lambda: robot.state in ("moving", "reached"))
+
+
+# --- the picture --------------------------------------------------------------------------------------------
+
+
+def test_a_lost_context_comes_back(visit: Callable[..., Page]) -> None:
+    page = visit()
+    assert page.evaluate("consoleView.kind") == "3D"
+    page.evaluate(
+        "() => { const gl = document.querySelector('#view canvas').getContext('webgl2'); window.lost = gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }"
+    )
+    until(page, "document.querySelector('#hint').textContent.includes('made again')")
+    page.evaluate("() => lost.restoreContext()")
+    until(page, "document.querySelector('#hint').textContent.includes('Tap the ground')")
+    until(page, SEEN)
+
+
+SEEN = """(() => {
+  consoleView.show();
+  const canvas = document.querySelector('#view canvas'), copy = document.createElement('canvas');
+  copy.width = 80; copy.height = 50;
+  const context = copy.getContext('2d');
+  return new Promise(yes => requestAnimationFrame(() => requestAnimationFrame(() => {
+    context.drawImage(canvas, 0, 0, 80, 50);
+    yes(new Set(new Uint32Array(context.getImageData(0, 0, 80, 50).data.buffer)).size > 60);
+  })));
+})()"""
+"""Many colours: terrain is drawn, and not one colour."""
+
+
+def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_from_above(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    page.evaluate(
+        "() => document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
+    )
+    until(page, "consoleView.kind === '2D'")
+    page = visit(path="/?flat")
+    assert page.evaluate("consoleView.kind") == "2D"
+    until(page, SEEN)
+    box = page.locator("#view canvas").bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + box["width"] / 2 + 60, box["y"] + box["height"] / 2)
+    page.wait_for_selector("#go:not([hidden])")
+    assert float(page.input_value("#gx")) > 0.3
+    assert abs(float(page.input_value("#gy"))) < 0.05
+
+
+def test_the_body_on_the_arc_is_scored_as_the_planner_scores_it(visit: Callable[..., Page]) -> None:
+    import numpy as np
+
+    from planning.risk.body import BodyModel, pose_features
+    from tools.bench.console.stack import ground
+
+    page = visit()
+    poses = np.array([[1.0, 0.0, 0.0], [2.1, 0.3, 0.2], [3.0, 0.9, 1.0], [4.0, -1.0, 0.5], [1.0, -2.1, 0.7]])
+    body = BodyModel()
+    features = pose_features(ground().grid(filled=True), poses, body)
+    want = np.minimum(features / body.scales, 3.0)[:, :3].sum(axis=1)
+    got = page.evaluate("poses => poses.map(p => consoleView.ground.body(...p, 0.7, 0.43))", poses.tolist())
+    assert got == pytest.approx(want.tolist(), abs=0.06)
+    assert want.max() > 0.3

@@ -1,0 +1,270 @@
+"""The console without a browser: the guard, the lease, terrain as it is sent, the planner's answer to a question."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from hal.types import Capabilities
+from mapping.elevation.exchange import MapPatch
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import ConfigError, load
+from rbtrg_robot.console.lease import VALID, Lease
+from rbtrg_robot.console.server import ConsoleError, listening
+from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk
+from rbtrg_robot.process.runfiles import console_file
+from rbtrg_robot.stages.planner import build
+from rbtrg_robot.wire.convert import patch_msg
+from rbtrg_robot.wire.messages import decode, encode
+from tools.bench.console.stack import Console, Robot, ground
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
+        robot = Robot()
+        made = Console(robot, tmp_path_factory.mktemp("console"))
+        yield made
+        made.close()
+        robot.close()
+
+
+def get(
+    console: Console, path: str, method: str = "GET", **headers: str
+) -> tuple[int, dict[str, str], bytes]:
+    host = console.address().split("/")[2]
+    client = http.client.HTTPConnection(host, timeout=20)
+    client.request(method, path, headers={"Host": host, **headers})
+    answer = client.getresponse()
+    found = answer.status, dict(answer.getheaders()), answer.read()
+    client.close()
+    return found
+
+
+def cookie(console: Console, role: str = "operator") -> str:
+    status, headers, _ = get(console, "/enter" + console.address(role).partition("/enter")[2])
+    assert status == 303
+    words = headers["set-cookie"]
+    assert "HttpOnly" in words
+    assert "SameSite=strict" in words
+    return words.partition(";")[0]
+
+
+def test_an_address_lets_in_once_and_nobody_else_reads_it(console: Console) -> None:
+    assert console_file(console.config.robot).stat().st_mode & 0o077 == 0
+    path = "/enter" + console.address().partition("/enter")[2]
+    assert get(console, path)[0] == 303
+    status, _, words = get(console, path)
+    assert status == 401
+    assert b"was used before" in words
+    assert get(console, "/enter?token=")[0] == 401
+
+
+def test_nothing_is_served_to_who_has_no_cookie(console: Console) -> None:
+    for path in ("/", "/about", "/page/main.js", "/runs", "/maps", "/nowhere"):
+        status, headers, words = get(console, path)
+        assert status == 401, path
+        assert b"rbtrg-robot console" in words
+        assert "script-src 'self'" in headers["content-security-policy"]
+    good = cookie(console)
+    assert get(console, "/about", Cookie=good)[0] == 200
+    for bad in (good[:-1] + ("0" if good[-1] != "0" else "1"), good.replace("operator", "observer"), "x=y"):
+        assert get(console, "/about", Cookie=bad)[0] == 401
+    late = good.partition("=")[0] + "=operator.1.00"
+    assert get(console, "/about", Cookie=late)[0] == 401
+
+
+def test_another_page_or_another_name_gets_nothing(console: Console) -> None:
+    good = cookie(console)
+    host = console.address().split("/")[2]
+    ours = f"http://{host}"
+    assert get(console, "/stop", "POST", Cookie=good)[0] == 403
+    assert get(console, "/stop", "POST", Cookie=good, Origin="http://evil.example")[0] == 403
+    assert get(console, "/about", Cookie=good, Origin="null")[0] == 403
+    assert get(console, "/about", Cookie=good, Host="evil.example")[0] == 421
+    assert get(console, "/stop", "POST", Cookie=good, Origin=ours)[0] == 202
+    for headers, origin in (({"Cookie": good}, "http://evil.example"), ({}, ours), ({"Cookie": good}, None)):
+        with (
+            pytest.raises(InvalidStatus) as refused,
+            connect(
+                f"ws://{host}/live",
+                origin=origin,
+                additional_headers=headers,  # type: ignore[arg-type]
+            ),
+        ):
+            pass
+        assert refused.value.response.status_code == 403
+    with connect(f"ws://{host}/live", origin=ours, additional_headers={"Cookie": good}) as socket:  # type: ignore[arg-type]
+        assert json.loads(socket.recv()[4:])["role"] == "operator"
+        socket.send("not json")
+        assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
+
+
+def test_an_observer_changes_nothing_on_the_disk(console: Console) -> None:
+    who = {"Cookie": cookie(console, "observer"), "Origin": f"http://{console.address().split('/')[2]}"}
+    assert get(console, "/maps/yard", "POST", **who)[0] == 403
+    assert get(console, "/stop", "POST", **who)[0] == 202
+
+
+@pytest.mark.parametrize("name", ["..", "%2e%2e%2fsecret", ".hidden", "a/b"])
+def test_no_path_leads_out_of_the_folder(console: Console, name: str) -> None:
+    good = cookie(console)
+    for path in (f"/runs/{name}/config.yaml", f"/maps/{name}", f"/page/../{name}"):
+        assert get(console, path, Cookie=good)[0] in (404, 405)
+
+
+def test_a_map_is_saved_and_listed(console: Console) -> None:
+    who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}
+    status, _, words = get(console, "/maps/yard_1", "POST", **who)
+    assert status == 200, words
+    assert b"known cells" in words
+    assert get(console, "/maps/yard_1", "POST", **who)[0] == 403
+    (row,) = json.loads(get(console, "/maps", **who)[2])
+    assert row["name"] == "yard_1.npz"
+    assert len(get(console, "/maps/yard_1.npz", **who)[2]) > 1000
+
+
+def test_another_address_needs_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for address in ("0.0.0.0", "::"):
+        with pytest.raises(ConfigError, match="name one address"):
+            load(None, [f"console.address={address!r}"])
+    with pytest.raises(ConsoleError, match=r"console\.address"):
+        listening("192.0.2.1", 7480)
+    with listening("127.0.0.1", 0) as first, listening("127.0.0.1", first.getsockname()[1]) as second:
+        assert second.getsockname()[1] != first.getsockname()[1]
+
+
+def test_the_lease_ends_by_itself_and_is_taken_over_only_on_purpose() -> None:
+    lease = Lease()
+    assert lease.holder(0.0) == 0
+    assert lease.take(1, 10.0)
+    assert not lease.take(2, 10.0 + 0.9 * VALID)
+    assert lease.take(1, 10.0 + 0.9 * VALID)
+    assert lease.holder(10.0 + 1.8 * VALID) == 1
+    assert lease.take(2, 11.0, confirmed=True)
+    assert not lease.take(1, 11.1)
+    lease.give_back(1)
+    assert lease.holder(11.2) == 2
+    lease.give_back(2)
+    assert lease.take(1, 11.3)
+    assert lease.holder(11.3 + 1.01 * VALID) == 0
+
+
+def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """By row and column: heights [mm], risk, trust."""
+    size = HEADER.size + 4 * SIDE * SIDE
+    found = {}
+    for at in range(8, len(data), size):
+        row, col, _, _ = HEADER.unpack_from(data, at)
+        body = data[at + HEADER.size : at + size]
+        layers = np.frombuffer(body, np.uint8)[2 * SIDE * SIDE :].reshape(2, SIDE, SIDE)
+        found[row, col] = (np.frombuffer(body, "<i2", SIDE * SIDE).reshape(SIDE, SIDE), layers[0], layers[1])
+    return found
+
+
+def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:
+    terrain = Terrain(Capabilities("test"))
+    patch = ground()
+    terrain.take(patch)
+    sent: dict[tuple[int, int], int] = {}
+    assert terrain.newer(sent, 0.0, 0.0) == b""
+    terrain.prepare()
+    tiles = tiles_of(terrain.newer(sent, 0.0, 0.0))
+    assert terrain.newer(sent, 0.0, 0.0) == b""
+    row, col = patch.cell
+    height = patch.layers["elevation"]
+    for (r, c), (millimetres, _, trust) in tiles.items():
+        for dr, dc in ((0, 0), (17, 40), (63, 63)):
+            at = (r + dr - row, c + dc - col)
+            inside = 0 <= at[0] < height.shape[0] and 0 <= at[1] < height.shape[1]
+            want = height[at] if inside else np.nan
+            assert millimetres[dr, dc] == (-32768 if np.isnan(want) else pytest.approx(1000 * want, abs=1.0))
+            assert (trust[dr, dc] == 0) == np.isnan(want)
+    small = {name: layer[:5, :5] for name, layer in patch.layers.items()}
+    terrain.take(MapPatch(patch.origin, patch.resolution, 2, 1, small))
+    terrain.prepare()
+    again = tiles_of(terrain.newer(sent, 0.0, 0.0))
+    assert list(again) == [(row // SIDE * SIDE, col // SIDE * SIDE)]
+    terrain.take(MapPatch(patch.origin, patch.resolution, 3, 2, small))
+    terrain.prepare()
+    anew = terrain.newer(sent, 0.0, 0.0)
+    assert struct.unpack_from("<fI", anew) == (pytest.approx(0.04), 1)
+
+
+def test_ground_risk_is_the_share_of_what_the_robot_drives_over() -> None:
+    slope = np.array([0.0, 0.2, 0.4, 0.9, np.nan], np.float32)
+    step = np.array([0.0, 0.01, 0.02, 0.05, np.nan], np.float32)
+    risk = ground_risk(slope, step, 0.04, 0.4, 0.1)
+    assert risk.tolist() == [0, LIMIT // 2, LIMIT, LIMIT // 2, 255]
+
+
+@pytest.fixture(scope="module")
+def planner() -> Any:
+    stage = build(load())
+    stage.on(t.MAP_STATUS, msg.MapStatus(epoch=1))
+    stage.on(t.MAP_FULL, patch_msg(ground()))
+    return stage
+
+
+def asked(planner: Any, **goal: Any) -> msg.RouteReport:
+    ((topic, report),) = planner.on(t.ROUTE_QUESTION, msg.RouteQuestion(id="q", **goal))
+    assert topic is t.ROUTE_REPORT
+    again: msg.RouteReport = decode(encode(report), msg.RouteReport)
+    return again
+
+
+def test_a_question_is_answered_with_the_route_and_why(planner: Any) -> None:
+    report = asked(planner, goal_x=5.0, goal_y=0.0)
+    assert report.ok
+    assert report.question
+    assert report.length == pytest.approx(5.1, abs=0.3)
+    assert report.duration > report.length / 0.6
+    assert report.transition_length.sum() == pytest.approx(report.length)
+    assert report.transition_cost.sum() == pytest.approx(report.cost)
+    worst = int(report.transition_body.argmax())
+    assert 1.5 < report.worst_x[worst] < 4.5  # on the ramp or at its edges
+    assert report.d_fb[worst] == pytest.approx(0.14, abs=0.04)  # 0.25 of the slope over 0.55 m of the body
+    assert np.hypot(report.x[-1] - 5.0, report.y[-1]) < 0.3
+    assert np.hypot(np.diff(report.x), np.diff(report.y)).max() < 0.12
+    assert report.native_length > 0
+
+
+def test_a_question_that_has_no_answer_says_why(planner: Any) -> None:
+    report = asked(planner, goal_x=3.0, goal_y=2.5)
+    assert not report.ok
+    assert report.reason == "goal_in_obstacle"
+
+
+def test_a_question_changes_nothing_of_the_plan_that_is_driven(planner: Any) -> None:
+    outputs = dict(
+        planner.on(t.PLAN_REQUEST, msg.PlanRequest(goal_id="g", sequence=3, goal_x=1.5, goal_y=0.5))
+    )
+    assert outputs[t.PLAN].ok
+    assert outputs[t.ROUTE_REPORT].id == "g"
+    assert not outputs[t.ROUTE_REPORT].question
+    path = planner._path
+    asked(planner, goal_x=5.0, goal_y=0.0, graph=True)
+    asked(planner, goal_x=3.0, goal_y=2.5)
+    assert planner._path is path
+    (status,) = [m for x, m in planner.tick(10**9) if x is t.ROUTE_STATUS]
+    assert (status.goal_id, status.sequence, status.valid) == ("g", 3, True)
+
+
+def test_the_graph_comes_with_the_answer_when_asked_for(planner: Any) -> None:
+    report = asked(planner, goal_x=2.0, goal_y=0.0, graph=True)
+    assert len(report.graph_x) > 100
+    assert len(report.graph_from) == len(report.graph_to) == len(report.graph_risk)
+    assert report.graph_from.max() < len(report.graph_x)
+    assert (report.graph_from < report.graph_to).all()
+    assert len(asked(planner, goal_x=2.0, goal_y=0.0).graph_x) == 0

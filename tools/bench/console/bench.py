@@ -1,0 +1,201 @@
+"""The console's process beside a made-up robot: CPU and bytes with 0, 1 and 3 pages, the stop's round trip, when old is called old."""
+
+from __future__ import annotations
+
+import argparse
+import http.client
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+from websockets.sync.client import connect
+
+from rbtrg_robot.config import load
+from rbtrg_robot.process.runfiles import console_address
+from tools.bench.console.stack import Robot
+from tools.bench.report import Report
+
+CPU_PER_PAGE = 5.0
+"""[% of a core] a page may cost."""
+STOP_LIMIT = 0.3
+"""[s] until the robot's answer to a stop is on the page, 99 of 100 times: the robot tells its state ten times a second."""
+STALE_LIMIT = 1.0
+"""[s]"""
+CHILD = "import json, sys; from rbtrg_robot.process.child import run; sys.exit(run(json.loads(sys.stdin.readline())))"
+
+
+class Client:
+    """A page that draws nothing."""
+
+    def __init__(self, address: str) -> None:
+        self.host = address.split("/")[2]
+        web = http.client.HTTPConnection(self.host, timeout=10)
+        web.request("GET", address.partition(self.host)[2])
+        answer = web.getresponse()
+        self.headers = {
+            "Cookie": answer.headers["set-cookie"].partition(";")[0],
+            "Origin": f"http://{self.host}",
+        }
+        answer.read()
+        self._web = web
+        self._socket = connect(
+            f"ws://{self.host}/live",
+            origin=self.headers["Origin"],  # type: ignore[arg-type]
+            additional_headers={"Cookie": self.headers["Cookie"]},
+            compression=None,
+            max_size=None,
+        )
+        self.bytes = 0
+        self.confirmed = threading.Event()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        self.send(do="see", cloud=True)
+
+    def send(self, **wish: Any) -> None:
+        """A wish."""
+        self._socket.send(json.dumps(wish))
+
+    def _read(self) -> None:
+        for frame in self._socket:
+            self.bytes += len(frame)
+            if (
+                isinstance(frame, bytes)
+                and frame[0] == 1
+                and b'"kind":"stop"' in frame
+                and b"confirmed" in frame
+            ):
+                self.confirmed.set()
+
+    def stop(self) -> float:
+        """Seconds until the robot's answer is on the page."""
+        self.confirmed.clear()
+        began = time.perf_counter()
+        self._web.request("POST", "/stop", headers=self.headers)
+        self._web.getresponse().read()
+        if not self.confirmed.wait(10.0):
+            raise RuntimeError("the stop was not confirmed")
+        return time.perf_counter() - began
+
+    def close(self) -> None:
+        """Leave."""
+        self._socket.close()
+        self._thread.join(5.0)
+
+
+@contextmanager
+def process(robot: Robot, folder: Path) -> Iterator[psutil.Process]:
+    """The console as `up` runs it, in a process of its own."""
+    config = load(None, ["console.port=0"], robot="bench", scene="yard", port=robot.port, log_dir=str(folder))
+    spec = {
+        "process": "console",
+        "config": config.model_dump(mode="json"),
+        "clock": 0,
+        "stack": "",
+        "restored": {},
+    }
+    child = subprocess.Popen(
+        [sys.executable, "-c", CHILD], stdin=subprocess.PIPE, text=True, stderr=subprocess.DEVNULL
+    )
+    try:
+        assert child.stdin is not None
+        child.stdin.write(json.dumps(spec) + "\n")
+        child.stdin.flush()
+        end = time.monotonic() + 60.0
+        while not console_address("bench"):
+            if child.poll() is not None or time.monotonic() > end:
+                raise RuntimeError("the console did not start")
+            time.sleep(0.05)
+        yield psutil.Process(child.pid)
+    finally:
+        child.terminate()
+        child.wait(10.0)
+
+
+def run(args: list[str]) -> Report:
+    """Run this bench with the arguments of its command line; returns its rows."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench console", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each measurement of CPU")
+    parser.add_argument("--stops", type=int, default=100)
+    options = parser.parse_args(args)
+    report = Report("console")
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        robot = Robot(busy=True)
+        try:
+            with process(robot, Path(folder) / "logs" / "now") as console:
+                _measure(report, robot, console, options.seconds, options.stops)
+        finally:
+            robot.close()
+    return report
+
+
+def _measure(report: Report, robot: Robot, console: psutil.Process, seconds: float, stops: int) -> None:
+    clients: list[Client] = []
+    used: dict[int, float] = {}
+    for count in (0, 1, 3):
+        while len(clients) < count:
+            clients.append(Client(console_address("bench")))
+        time.sleep(2.0)  # the whole map comes first
+        before, sent, began = console.cpu_times(), sum(c.bytes for c in clients), time.monotonic()
+        time.sleep(seconds)
+        after, took = console.cpu_times(), time.monotonic() - began
+        used[count] = 100.0 * (after.user + after.system - before.user - before.system) / took
+        report.add(f"console.cpu.pages_{count}", used[count], "% of a core")
+        if count:
+            rate = (sum(c.bytes for c in clients) - sent) / took / count / 1000
+            report.add(f"console.bytes.pages_{count}", rate, "kB/s a page")
+    report.add("console.cpu.a_page", (used[3] - used[0]) / 3, "% of a core", CPU_PER_PAGE)
+    times = []
+    for _ in range(stops):
+        times.append(clients[0].stop())
+        robot.reset()
+        time.sleep(0.12)  # its state is said again
+    report.add("console.stop.p50", statistics.median(times), "s")
+    report.add("console.stop.p99", float(np.percentile(times, 99)), "s", STOP_LIMIT)
+    for client in clients:
+        client.close()
+    report.add("console.stale_shown", _stale(robot), "s", STALE_LIMIT)
+
+
+def _stale(robot: Robot) -> float:
+    """Seconds from the robot's last word to a grey page, as the page's own clock saw it."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(
+            executable_path="/usr/bin/chromium",
+            args=["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+        )
+        page = browser.new_page(viewport={"width": 800, "height": 600})
+        page.goto(console_address("bench"))
+        _until(page, "document.body.dataset.fresh === 'live'")
+        page.evaluate(
+            "() => new MutationObserver(() => { if (document.body.dataset.fresh === 'stale') window.staleAt ??= Date.now(); })"
+            ".observe(document.body, { attributes: true })"
+        )
+        with robot.lock:
+            robot.frozen = True
+            last = robot.said
+        shown = _until(page, "window.staleAt ?? 0") / 1000.0
+        browser.close()
+    return float(shown - last)
+
+
+def _until(page: Any, expression: str) -> Any:
+    end = time.monotonic() + 30.0
+    while not (value := page.evaluate(expression)):
+        if time.monotonic() > end:
+            raise RuntimeError(f"{expression} never came true")
+        page.wait_for_timeout(20)
+    return value

@@ -1,0 +1,293 @@
+"""A cheap stack for the console: a made-up robot on made-up ground that answers as the real one does, and the console beside it."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mapping.elevation.exchange import MapPatch
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.console.server import Serving, serving
+from rbtrg_robot.process.runfiles import console_address
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.convert import (
+    MAP,
+    ODOM,
+    cloud_msg,
+    odometry_msg,
+    patch_msg,
+    rpy_quaternion,
+    transform_msg,
+)
+from rbtrg_robot.wire.messages import header
+
+PERIOD = 0.1
+"""[s]"""
+
+
+def ground() -> MapPatch:
+    """12 x 9 m: a ramp, a platform, a kerb, a wall, a hole that nobody saw."""
+    res = 0.04
+    y, x = np.meshgrid(np.arange(-112, 112) * res, np.arange(-80, 220) * res, indexing="ij")
+    height = np.zeros(x.shape, np.float32)
+    height += 0.03 * np.sin(x * 1.3) * np.cos(y * 0.9)
+    ramp = (x > 2.0) & (x < 4.0) & (abs(y) < 1.2)
+    height[ramp] = 0.25 * (x[ramp] - 2.0)
+    height[(x >= 4.0) & (x < 6.0) & (abs(y) < 1.6)] = 0.5
+    height[(y > 2.4) & (y < 2.6) & (x < 5.0)] = 0.9
+    height[(y < -2.0) & (y > -2.3)] += 0.06
+    hole = (x - 6.8) ** 2 + (y + 2.6) ** 2 < 0.8
+    height[hole] = np.nan
+    trusted = (np.isfinite(height) & (x < 7.6)).astype(np.float32)
+    source = np.where(np.isfinite(height), 2.0, 0.0).astype(np.float32)
+    layers = {
+        "elevation": height.astype(np.float32),
+        "variance": np.where(np.isfinite(height), 1e-4, np.nan).astype(np.float32),
+        "trusted": trusted,
+        "upper_bound": np.full_like(height, np.nan),
+        "source": source,
+    }
+    return MapPatch((float(x[0, 0]), float(y[0, 0])), res, 1, 1, layers)
+
+
+class Robot:
+    """Everything but the console, in one thread. It drives straight to its goal."""
+
+    def __init__(self, *, busy: bool = False) -> None:
+        """`busy`: points with every state, and the map again twice a second."""
+        self._busy = busy
+        self.said = 0.0
+        """Wall clock [s] of its last word."""
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self.port = probe.getsockname()[1]
+        self.bus = Bus(f"tcp/127.0.0.1:{self.port}", "supervisor", router=True)
+        self.bus.subscribe(
+            [t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION]
+        )
+        self.bus.serve("status", lambda _: b"{}")
+        self.lock = threading.Lock()
+        self.reset()
+        self._turns = 0
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        for topic in (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_STATUS):
+            self.bus.advertise(topic)
+        self._thread.start()
+
+    def reset(self) -> None:
+        """As it was at the start."""
+        with self.lock:
+            self.x = self.y = self.yaw = 0.0
+            self.deaf = self.frozen = False
+            """It hears no stop; it says nothing."""
+            self.latch = 0
+            self.cause = ""
+            self.taken = ""
+            self.goal: msg.GoalRequest | None = None
+            self.state = "idle"
+            self.stops = 0
+            self.goals: list[msg.GoalRequest] = []
+            self.driven: list[tuple[float, float, float]] = []
+            """Time [s], v, w of each command by hand."""
+
+    def close(self) -> None:
+        """End."""
+        self._end.set()
+        self._thread.join()
+        self.bus.close()
+
+    def _run(self) -> None:
+        due = 0.0
+        turn = rpy_quaternion((0.0, 0.0, 0.0))
+        stamp = time.time_ns()
+        offset = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, np.zeros(3), turn)])
+        self.bus.publish(t.TF_STATIC, offset, stamp)
+        while not self._end.is_set():
+            for received in self.bus.take(0.02):
+                with self.lock:
+                    self._hear(received.topic, received.decode())
+            if time.monotonic() >= due:
+                due = time.monotonic() + PERIOD
+                with self.lock:
+                    if not self.frozen:
+                        self._say()
+
+    def _hear(self, topic: t.Topic, message: Any) -> None:
+        if topic is t.ROBOT_STOP:
+            self.stops += 1
+            if not self.deaf:
+                self.latch, self.cause = self.latch or time.monotonic_ns(), message.cause
+                if self.state == "moving":
+                    self.state = "aborted"
+        elif topic is t.ROBOT_COMMAND and message.mode == "resume" and message.latch == self.latch:
+            self.latch, self.cause, self.taken = 0, "", ""
+            self.state = "moving" if self.state == "paused" else self.state
+        elif topic is t.GOAL_REQUEST:
+            if message.action == 1:
+                self.state = "cancelled" if self.state in ("moving", "paused") else self.state
+            elif self.goal is None or message.id != self.goal.id:
+                self.goal = message
+                self.goals.append(message)
+                self.state = "rejected" if self.latch else "moving"
+        elif topic is t.MAP_REQUEST:
+            self.bus.publish(t.MAP_FULL, patch_msg(ground()), 1)
+        elif topic is t.TELEOP:
+            twist = message.twist
+            self.driven.append((time.monotonic(), twist.linear.x, twist.angular.z))
+            if not self.taken:
+                self.taken, self.latch = "teleop has the motion", time.monotonic_ns()
+                self.state = "paused" if self.state == "moving" else self.state
+            self.x += 0.05 * twist.linear.x * math.cos(self.yaw)
+            self.y += 0.05 * twist.linear.x * math.sin(self.yaw)
+            self.yaw += 0.05 * twist.angular.z
+        elif topic is t.ROUTE_QUESTION:
+            self._answer(message)
+
+    def _answer(self, message: Any) -> None:
+        self.bus.publish(t.ROUTE_REPORT, report(message), 1)
+
+    def _say(self) -> None:
+        stamp = time.time_ns()
+        if self.goal is not None and self.state == "moving":
+            dx, dy = self.goal.x - self.x, self.goal.y - self.y
+            left = math.hypot(dx, dy)
+            if left < 0.1:
+                self.state = "reached"
+            else:
+                self.yaw = math.atan2(dy, dx)
+                step = min(0.05, left)
+                self.x, self.y = self.x + step * dx / left, self.y + step * dy / left
+        quaternion = rpy_quaternion((0.0, 0.0, self.yaw))
+        speed = (0.5 if self.state == "moving" else 0.0, 0.0, 0.0)
+        odom = odometry_msg(stamp, (self.x, self.y, 0.45), quaternion, speed, np.zeros(3))
+        self.bus.publish(t.ODOM, odom, stamp)
+        self._turns += 1
+        if self._busy or self._turns % 10 == 0:
+            self.bus.publish(t.CLOUD, cloud_msg(stamp, "base_link", POINTS), stamp)
+        if self._busy and self._turns % 5 == 0:
+            self.bus.publish(t.MAP_UPDATE, patch_msg(ground()), stamp)
+        self.said = time.time()
+        state = msg.RobotState(
+            header=header(stamp, "base_link"),
+            phase="stopped" if self.cause else "moving" if self.state == "moving" else "ready",
+            cause="standing",
+            estop=bool(self.cause),
+            estop_cause=self.cause,
+            latch=self.latch,
+            taken=self.taken,
+            battery=0.8,
+            realtime_factor=1.0,
+        )
+        self.bus.publish(t.ROBOT_STATE, state, stamp)
+        health = msg.OdometryHealth(header=header(stamp, ODOM), health="good", overlap=0.9, inliers=0.95)
+        self.bus.publish(t.ODOM_HEALTH, health, stamp)
+        limits = msg.MotionLimits(
+            header=header(stamp, "base_link"), forward=1.0, backward=1.0, left=1.0, right=1.0
+        )
+        self.bus.publish(t.MOTION_LIMITS, limits, stamp)
+        status = msg.MapStatus(
+            header=header(stamp, MAP), epoch=1, known_cells=60000, trusted_cells=55000, resolution=0.04
+        )
+        self.bus.publish(t.MAP_STATUS, status, stamp)
+        told = msg.GoalStatus(header=header(stamp, MAP), state=self.state)
+        if self.goal is not None:
+            told.id, told.x, told.y, told.owner = self.goal.id, self.goal.x, self.goal.y, self.goal.owner
+            told.has_yaw, told.yaw = self.goal.has_yaw, self.goal.yaw
+            told.distance_left = math.hypot(self.goal.x - self.x, self.goal.y - self.y)
+        self.bus.publish(t.GOAL_STATUS, told, stamp)
+
+
+_angle = np.linspace(-math.pi, math.pi, 720)
+_range = np.minimum(6.0, 2.4 / np.maximum(np.abs(np.sin(_angle)), 0.05))
+POINTS = np.column_stack(
+    [_range * np.cos(_angle), _range * np.sin(_angle), 0.2 * np.ones_like(_angle)]
+).astype(np.float32)
+
+
+def report(question: msg.RouteQuestion) -> msg.RouteReport:
+    """A straight route in five transitions, the third the worst."""
+    n = 6
+    share = np.linspace(0.0, 1.0, n)
+    x = question.start_x + share * (question.goal_x - question.start_x)
+    y = question.start_y + share * (question.goal_y - question.start_y)
+    yaw = np.full(n - 1, math.atan2(question.goal_y - question.start_y, question.goal_x - question.start_x))
+    length = math.hypot(question.goal_x - question.start_x, question.goal_y - question.start_y)
+    body = np.array([0.05, 0.1, 0.6, 0.2, 0.05])
+    ok = question.goal_x < 5.0
+    if not ok:
+        return msg.RouteReport(
+            id=question.id, question=True, ok=False, reason="no_route", detail="nothing leads there"
+        )
+    return msg.RouteReport(
+        id=question.id,
+        question=True,
+        ok=True,
+        reaches_goal=True,
+        cost=1.4 * length,
+        length=length,
+        duration=length / 0.5,
+        x=x,
+        y=y,
+        z=np.zeros(n),
+        yaw=np.full(n, yaw[0]),
+        node_x=x,
+        node_y=y,
+        node_z=np.zeros(n),
+        transition_length=np.full(n - 1, length / (n - 1)),
+        transition_cost=np.full(n - 1, 1.4 * length / (n - 1)),
+        transition_turn=np.zeros(n - 1),
+        transition_risk=np.full(n - 1, 0.1),
+        transition_body=body,
+        transition_unknown=np.zeros(n - 1),
+        d_fb=body * 0.2,
+        a_lr=body * 10.0,
+        p_int=body * 0.05,
+        worst_x=(x[:-1] + x[1:]) / 2,
+        worst_y=(y[:-1] + y[1:]) / 2,
+        worst_yaw=yaw,
+        native_x=x,
+        native_y=y + 0.3,
+        native_length=1.02 * length,
+        native_body=0.9,
+    )
+
+
+class Console:
+    """The console's process, as a thread of this one."""
+
+    def __init__(self, robot: Robot, folder: Path, name: str = "go2w", **settings: Any) -> None:
+        """`folder`: of logs; `name` of the robot. The run folder is that of the environment."""
+        sets = ["console.port=0", *(f"console.{key}={value}" for key, value in settings.items())]
+        self.config = load(
+            None, sets, robot=name, scene="yard", port=robot.port, log_dir=str(folder / "logs" / "now")
+        )
+        self._end = threading.Event()
+        self._up = threading.Event()
+        self.serve: Serving | None = None
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+        assert self._up.wait(20.0)
+
+    def _run(self) -> None:
+        with Bus(self.config.endpoint, "console") as bus, serving(self.config, bus) as self.serve:
+            self._up.set()
+            while not self._end.is_set():
+                self.serve.turn(bus)
+
+    def address(self, role: str = "operator") -> str:
+        """Where a browser comes in."""
+        return console_address(self.config.robot, role)
+
+    def close(self) -> None:
+        """As `up` ends it."""
+        self._end.set()
+        self._thread.join()

@@ -132,9 +132,13 @@ class Ground:
             self.headings(xy),
         )
 
+    def allows(self, a: XY, b: XY) -> bool:
+        """Whether a straight move a -> b touches nothing that is to be avoided."""
+        return self._graph.allows(a, b)
+
     def joined(self, a: XY, b: XY) -> bool:
         """Whether one straight move leads from a to b."""
-        return SAME < math.dist(a, b) <= self.reach and self._graph.allows(a, b) and self.share(a, b) >= 0.0
+        return SAME < math.dist(a, b) <= self.reach and self.allows(a, b) and self.share(a, b) >= 0.0
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.

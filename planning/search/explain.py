@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import wrap
 from planning.risk.body import FEATURES, BodyModel, weights_of
 from planning.risk.cost import Weights, transition_cost
-from planning.risk.pose_sets import route_moments, turn_angle
+from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
-from planning.risk.turns import edge_turn_cost
+from planning.risk.turns import FREE_TURN
 from planning.search.request import SETS, Plan, PlanRequest, Transition
 
 
@@ -101,12 +102,8 @@ class Route:
         if len(self.xy) < 2:
             return np.zeros(0)
         yaw = np.concatenate([[self.start_yaw], self.heading, [self.goal_yaw]])
-        cost = np.array(
-            [
-                0.0 if np.isnan(a) or np.isnan(b) else edge_turn_cost(rate, turn_angle(a, b))
-                for rate, a, b in zip(self.turn_rate, yaw[:-1], yaw[1:], strict=True)
-            ]
-        )
+        turn = np.abs(wrap(np.diff(yaw)))  # NaN where no heading was asked for
+        cost = np.where(turn > FREE_TURN, self.turn_rate * np.nan_to_num(turn), 0.0)
         cost[-2] += cost[-1]
         return cost[:-1]
 

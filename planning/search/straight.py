@@ -19,11 +19,11 @@ from planning.risk.table import RiskTable
 from planning.search.attach import SAME, Ground
 from planning.search.explain import Route
 
-LONGEST = 24
-"""Edges of a route that one chord may replace: about 10 m."""
+LONGEST = 16
+"""Edges of a route that one chord may replace: about 7 m."""
 SLACK = 0.02
 """Share of a feature's scale by which a chord may exceed the route's largest value: the height noise of one cell."""
-PASSES = 3
+PASSES = 2
 
 
 def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
@@ -39,7 +39,7 @@ def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
             same = np.flatnonzero(route.back[i:] != route.back[i])
             span = min(int(same[0]) if len(same) else n - 1 - i, LONGEST)
             while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
-                span = span - 1 if span <= 4 else span * 3 // 4
+                span = span * 2 // 3
             changed |= span >= 2
             i += max(span, 1)
         if not changed:
@@ -57,12 +57,17 @@ def _chord(
     places = [(float(x), float(y)) for x, y in points]
     if not SAME < math.dist(places[0], places[1]) <= ground.reach:
         return False
-    if not all(ground.joined(a, b) for a, b in pairwise(places)):
-        return False
+    risk = np.full(j - i, -1.0)
+    for k, (a, b) in enumerate(pairwise(places)):
+        if not ground.allows(a, b):
+            return False
+        risk[k] = ground.risk(a, b)
+        if risk[k] < 0.0:
+            return False
     before = route.xy[i : j + 1].copy(), route.risk[i:j].copy(), route.moments[i:last].copy()
     route.xy[i : j + 1] = points
-    route.risk[i:j] = [ground.risk(a, b) for a, b in pairwise(places)]
-    if (route.risk[i:j] >= 0.0).all() and has_room(ground, route, i) and has_room(ground, route, j):
+    route.risk[i:j] = risk
+    if has_room(ground, route, i) and has_room(ground, route, j):
         route.evaluate(table.sampler, w, i, last)
         new = route.cost(w)[i:last]
         if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():

@@ -32,7 +32,7 @@ ROOMS: dict[str, str] = {
     "planning": "hal",
     "planning.graph": "mapping planning",
     "planning.risk": "hal mapping planning planning.graph",
-    "planning.search": "mapping planning planning.graph planning.risk",
+    "planning.search": "hal mapping planning planning.graph planning.risk",
     "planning.path": "hal mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",

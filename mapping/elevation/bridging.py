@@ -12,9 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-WHEELS, OVER, BESIDE = 1, 3, 4
-"""`source` of cells that wheels stood on, of bridged ones, and of bridged ones beside the wheels: no ray comes low there, so
-what goes on from them keeps the looser rule."""
+WHEELS, OVER, BESIDE, ASSUMED = 1, 3, 4, 5
+"""`source` of cells that wheels stood on, of bridged ones, of bridged ones beside the wheels (no ray comes low there, so
+what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
 
@@ -85,7 +85,8 @@ def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes
         rk, ck = ra + k * dr, ca + k * dc
         if d < gap[rk, ck]:
             gap[rk, ck] = d
-            kind[rk, ck] = BESIDE if blind else OVER
+            hides = source[ra, ca] == ASSUMED or source[r, c] == ASSUMED or d > rule[7]
+            kind[rk, ck] = BESIDE if blind else (ASSUMED if hides else OVER)
             out[rk, ck] = ha + slope * k * step
 
 
@@ -191,10 +192,11 @@ def _drop_rims(height, source, trusted, level, depth):  # pragma: no cover
 
 @njit(cache=True)
 def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no cover
-    """Bridge in place: height, source (OVER or BESIDE) and trusted of bridged cells.
+    """Bridge in place: height, source (OVER, BESIDE or ASSUMED) and trusted of bridged cells.
 
     height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
-    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (all metres).
+    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell, widest gap that is trusted
+    (all metres): a wider one, over which rays pass low but into which none fell, has a height and no trust.
     out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch. Of several bridges over a cell the shortest wins;
     a bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged
     cells closes what the eight directions left open.
@@ -223,10 +225,21 @@ def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no
                     trusted[r, c] = True
         level[:] = holes
         _drop_rims(height, source, trusted, level, int(RIM / rule[0]))
+    for r in range(rows):
+        for c in range(cols):
+            if source[r, c] == ASSUMED:
+                trusted[r, c] = False
 
 
 def bridge_rule(
-    resolution: float, gap: float, step: float, slope: float, bound: float, hole: float, blind: float
+    resolution: float,
+    gap: float,
+    step: float,
+    slope: float,
+    bound: float,
+    hole: float,
+    blind: float,
+    trusted: float,
 ) -> NDArray[np.float64]:
     """The `rule` array of `bridge`."""
-    return np.array([resolution, gap, step, slope, bound, hole, blind], dtype=np.float64)
+    return np.array([resolution, gap, step, slope, bound, hole, blind, trusted], dtype=np.float64)

@@ -81,6 +81,10 @@ class ElevationConfig(BaseModel):
     )
     # --- bridging of the gaps between LiDAR rings
     bridge_gap: float = Field(default=0.64, description="widest gap filled between two trusted cells [m]")
+    bridge_trust: float = Field(
+        default=0.2,
+        description="wider gaps are filled but not trusted: a pit may hide there, a wheel is 0.18 m [m]",
+    )
     bridge_step: float = Field(
         default=0.03, description="height difference across a bridged gap off the local slope [m]"
     )

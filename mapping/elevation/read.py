@@ -9,10 +9,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from mapping.elevation.tiles import BRIDGED, Layers, TileStore
+from mapping.elevation.tiles import ASSUMED, BRIDGED, Layers, TileStore
 
 _BLOCK = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
@@ -29,8 +30,9 @@ class MapReader:
         self.store = store
         self.params = p = params
         self._rule = bridge_rule(
-            p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap
-        )
+            p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap,
+            p.bridge_trust,
+        )  # fmt: skip
         self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
         self._result = _Scratch(np.float32)
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
@@ -120,4 +122,4 @@ def _compose(height, variance, upper, source, trusted, pad, sigma2, out):  # pra
             out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
             out[2, r, c] = trusted[a, b]
             out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
-            out[4, r, c] = s if s < OVER else BRIDGED
+            out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)

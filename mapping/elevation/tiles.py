@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-UNKNOWN, CONTACT, LIDAR, BRIDGED = 0, 1, 2, 3
-"""Where a height comes from. `BRIDGED` exists in read-outs only, never in the store."""
+UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
+"""Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store."""
 
 CELL = np.dtype(
     [

@@ -42,7 +42,7 @@ def bridged(height, upper, *, source=None):
     height = np.asarray(height, np.float32)
     known = np.isfinite(height)
     source = np.where(known, LIDAR, UNKNOWN).astype(np.uint8) if source is None else source
-    rule = bridge_rule(0.04, 0.64, 0.03, 0.47, 0.12, 0.04, 1.4)
+    rule = bridge_rule(0.04, 0.64, 0.03, 0.47, 0.12, 0.04, 1.4, 0.3)
     filled, kind = height.copy(), source.copy()
     scratch = np.empty((2, *height.shape), np.float32), np.empty((3, *height.shape), np.uint8)
     bridge(filled, kind, known.copy(), np.asarray(upper, np.float32), rule, *scratch[0], scratch[1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import shutil
 import sys
 import time
 from typing import Annotated, Any
@@ -97,7 +98,7 @@ def _drive(bus: Any, speed: float) -> None:
         words = _words(state, limits, speed, active, now)
         if words != said:
             said = words
-            print(f"\r\x1b[K{words[: os.get_terminal_size().columns - 1]}", end="", flush=True)
+            print(f"\r\x1b[K{words[: shutil.get_terminal_size().columns - 1]}", end="", flush=True)
         if active is not None and active.outcome is not None:
             print(f"\r\x1b[K{active.outcome.words}")
             active = None

@@ -409,10 +409,10 @@ SEEN = """(() => {
   const canvas = document.querySelector('#view canvas'), copy = document.createElement('canvas');
   copy.width = 80; copy.height = 50;
   const context = copy.getContext('2d');
-  return new Promise(yes => requestAnimationFrame(() => requestAnimationFrame(() => {
+  return new Promise(yes => requestAnimationFrame(() => {  // right behind the one that draws: later the picture is handed over
     context.drawImage(canvas, 0, 0, 80, 50);
     yes(new Set(new Uint32Array(context.getImageData(0, 0, 80, 50).data.buffer)).size > 60);
-  })));
+  }));
 })()"""
 """Many colours: terrain is drawn, and not one colour."""
 

@@ -226,11 +226,14 @@ def test_a_dead_worker_costs_no_trial_an_error_is_told_at_the_end_and_two_worker
     assert sorted(got) == alone == [0, 1, 4, 9, 16, 36]
 
 
-def test_wrong_names_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_names_are_refused(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     for args, word in (
         (["--methods", "best"], "best"),
-        (["--draws", "1"], "--policy"),
-        (["--queries", "11"], "1..10"),
+        (["--draws", "1"], "policy get go2w_rl_sar"),
+        (["--controller", "vmc", "--queries", "11"], "1..10"),
     ):
         with pytest.raises(SystemExit):
             bench.run(["--out", "x", *args])

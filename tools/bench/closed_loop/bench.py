@@ -15,6 +15,8 @@ from typing import Any
 
 from rich.progress import track
 
+from hal.locomotion.public import stored
+from hal.locomotion.torchfile import PolicyError
 from tools.bench.closed_loop import protocol
 from tools.bench.closed_loop.routes import Route, routes
 from tools.bench.closed_loop.tables import markdown, report
@@ -81,6 +83,11 @@ def _options(args: list[str]) -> argparse.Namespace:
     add("--workers", type=int, default=1, help="processes on this machine; 0: this one")
     add("--scheduler", default="", help="address of a dask scheduler: spread the work there")
     options = parser.parse_args(args)
+    if "policy" in options.controller and not options.policy:
+        try:
+            options.policy = str(stored())
+        except PolicyError as error:
+            parser.error(str(error))
     if not 1 <= options.queries <= protocol.QUERIES:
         parser.error(f"--queries must lie in 1..{protocol.QUERIES}")
     return options

@@ -2,9 +2,8 @@
 
 Every point of the body's rim that leads a motion draws a track over the height map. It begins on the ground that the robot
 stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
-may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins where the LiDAR last measured
-ground, or at the body: ground that the map fills in between, or takes for granted around the wheels, may be the air over the
-edge. A drive goes on ground that the map knows alone; the corners of a turn may sweep ground that nobody saw. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
+may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
+ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
 be as wide as a wheel crosses. What lies under the body now, a kerb or an edge, is no obstacle.
 """
 
@@ -190,28 +189,24 @@ def nearest_obstacle(
     ground = np.empty(samples)
     low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
     felt = np.empty(samples, np.bool_)
-    seen = np.empty(samples, np.bool_)
     busy = np.empty(samples, np.bool_)
     for k in range(count):
         for i in range(samples):
             u, v = tracks[k, i, 0], tracks[k, i, 1]
             col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
             row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
-            ground[i], low[i], busy[i], felt[i], seen[i] = np.nan, False, False, False, False
+            ground[i], low[i], busy[i], felt[i] = np.nan, False, False, False
             if 0 <= row < rows and 0 <= col < cols:
                 ground[i] = height[row, col]
                 busy[i] = occupied[row, col] > 0
                 felt[i] = source[row, col] == WHEELS
-                seen[i] = source[row, col] == LIDAR
                 if math.isnan(ground[i]):
                     ground[i] = bound[row, col]
                     low[i] = True
         # The newest sample whose ground is believed, and its height: first the plane that the robot stands on.
         last = 0
         level = stand[0] + stand[1] * tracks[k, 0, 0] + stand[2] * tracks[k, 0, 1]
-        known = measured = (
-            BEFORE  # newest sample the map knows, and newest that was measured; both are true of what is under the body
-        )
+        known = BEFORE  # newest sample the map knows; what is under the body counts
         landed = 0  # behind a gap: what lies in it is not driven on
         end, what, much = samples, CLEAR, 0.0
         i = 0
@@ -256,15 +251,13 @@ def nearest_obstacle(
                 if across >= 0:
                     last, level, landed, known, i = across, ground[across], across, across, across + 1
                     continue
-                at = i if worst > 0.0 else min(i, measured + 1)
+                at = i if worst > 0.0 else min(i, known + 1)
                 if at <= end:
                     end, what, much = at, FACE if worst > 0.0 else DROP, abs(worst)
                 break
             if not low[i]:
                 last, level = i, ground[i]
                 known = max(known, i)
-                if seen[i]:
-                    measured = max(measured, i)
             i += 1
         if end < first:
             first, kind, size = end, what, much

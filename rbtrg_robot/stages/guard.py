@@ -195,7 +195,7 @@ class GuardStage:
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
         speeds, words = [], []
         for k, (where, tracks, step) in enumerate(self._ways):
-            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k < 2)
+            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k == 1)
             speed = self._speed(reach, turning=k > 1)
             most = self._robot.max_wz if k > 1 else self._robot.max_vx
             speeds.append(min(speed, most))

@@ -142,23 +142,11 @@ def test_it_drives_on_ground_that_the_map_knows_alone(side: float) -> None:
     assert nothing[name].free < RES
 
 
-@pytest.mark.parametrize("filled_in", [WHEELS, 3])
-def test_a_drop_begins_where_ground_was_measured_last(filled_in: int) -> None:
-    height = np.where(X > 1.0, -0.5, 0.0)
-    source = np.where(np.abs(X - 0.85) < 0.20, filled_in, LIDAR)
-    found = look(ground(height, source=source))["ahead"]
+def test_a_drop_begins_behind_the_last_ground_that_the_map_knows() -> None:
+    height = np.where(X > 1.0, -0.5, np.where(X > 0.65, np.nan, 0.0))
+    found = look(ground(height))["ahead"]
     assert found.kind == DROP
     assert found.free == pytest.approx(0.65 - FRONT, abs=RES)
-    all_felt = look(ground(height, source=np.where(X > 1.0, LIDAR, filled_in)))["ahead"]
-    assert (all_felt.kind, all_felt.free) == (DROP, 0.0)
-
-
-def test_a_drop_far_away_counts_from_where_ground_was_measured_though_a_wall_is_nearer() -> None:
-    height = np.where(X > 0.95, -0.5, 0.0) + np.where((X > 0.8) & (Y > 0.1), 0.5, 0.0)
-    source = np.where(X > 0.5, np.where(X > 0.95, LIDAR, 3), LIDAR)
-    found = look(ground(height, source=source))["ahead"]
-    assert found.kind == DROP
-    assert found.free == pytest.approx(0.5 - FRONT, abs=RES)
 
 
 def test_what_a_lifted_wheel_felt_is_neither_face_nor_drop() -> None:
@@ -263,7 +251,6 @@ def _walk(
 ) -> list[tuple[int, int]]:
     stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
     sure = [BEFORE]  # samples that the map knows
-    measured = [BEFORE]
     ends = [(len(known), CLEAR)]
     last, i = 0, 0
     while i < len(known):
@@ -298,7 +285,7 @@ def _walk(
                 if source[j] != WHEELS and not math.isnan(known[j]) and abs(known[j] - level) <= limit
             ]
             if not landing:
-                return [(min(i, max(measured) + 1), DROP), *ends]
+                return [(min(i, max(sure) + 1), DROP), *ends]
             last, level = landing[0], known[landing[0]]
             stood = [(last, level)]
             sure.append(last)
@@ -306,7 +293,6 @@ def _walk(
         elif not below:
             stood.append((i, height))
             sure.append(i)
-            measured += [i] if source[i] == LIDAR else []
             last, level = i, height
         i += 1
     return ends

@@ -83,6 +83,8 @@ def tags(machine: str, glibc: int, python: str) -> frozenset[Tag]:
     version = tuple(int(part) for part in python.split("."))
     platforms = [f"manylinux_2_{minor}_{machine}" for minor in range(glibc, 4, -1)]
     platforms += [f"manylinux2014_{machine}", f"linux_{machine}"]
+    if machine == "x86_64":  # the old names of glibc 2.12 and 2.5 (PEP 600)
+        platforms += ["manylinux2010_x86_64", "manylinux1_x86_64"]
     interpreter = f"cp{python.replace('.', '')}"
     return frozenset(cpython_tags(version, platforms=platforms)) | frozenset(
         compatible_tags(version, interpreter=interpreter, platforms=platforms)

@@ -80,6 +80,7 @@ class Client:
     def stop(self) -> float:
         """Seconds until the robot's answer is on the page."""
         self.confirmed.clear()
+        self._web.close()  # the server ends connections that idle: the request opens its own
         began = time.perf_counter()
         self._web.request("POST", "/stop", headers=self.headers)
         self._web.getresponse().read()

@@ -34,7 +34,7 @@ from mapping.odometry.inertial import InertialFilter
 from mapping.odometry.inertial_kernels import SILENCE
 from mapping.odometry.intake import Sweep
 from mapping.odometry.pose_stream import PoseStream
-from mapping.odometry.registration.engines import Engine, GicpEngine, KissEngine, Match
+from mapping.odometry.registration.engines import Match, make_engine
 from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
@@ -57,7 +57,7 @@ class LidarInertialOdometry:
         self.params = params
         self.counters: Counter[str] = Counter()
         self.initialised = False
-        self._engine = make_engine(params)
+        self._engine = make_engine(params.engine, params.kiss_icp, params.small_gicp, params.max_range)
         self._filter = InertialFilter(params.inertial)
         self._monitor = HealthMonitor(params.health)
         self._mounts = {name: mount_matrix(mount) for name, mount in mounts.items()}
@@ -336,13 +336,6 @@ class LidarInertialOdometry:
                 other.add_imu(ImuSample(stamp, imu[0, :3], imu[0, 3:]))
                 other.add_joints(JointSample(stamp, np.zeros(16), np.zeros(16), np.zeros(16)))
             other.poll()
-
-
-def make_engine(params: OdometryConfig) -> Engine:
-    """The engine that `params.engine` names."""
-    if params.engine == "kiss_icp":
-        return KissEngine(params.kiss_icp, params.max_range)
-    return GicpEngine(params.small_gicp, params.max_range)
 
 
 def _rotation_to_body(covariance: Array, pose: Array) -> Array:

@@ -8,6 +8,7 @@ import itertools
 import json
 import logging
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,16 @@ log = logging.getLogger(__name__)
 PAGE = Path(__file__).parent / "page"
 BEAT = 0.25
 """[s] between two heartbeats of the server to its pages."""
+
+
+async def texts(socket: WebSocket) -> AsyncIterator[str]:
+    """What a page says, until it closes or sends what is no text."""
+    while True:
+        event = await socket.receive()
+        text = event.get("text")
+        if event["type"] != "websocket.receive" or text is None:
+            return
+        yield text
 
 
 class Site:
@@ -123,10 +134,8 @@ class Site:
         slots.put("welcome", frames.pack("welcome", {"page": page.number, "role": page.role.value}))
         sender = asyncio.create_task(self._send(socket, slots))
         try:
-            while True:
-                self._hear(page, slots, await socket.receive_text())
-        except (WebSocketDisconnect, RuntimeError, KeyError):
-            pass  # closed, or a message that was no text
+            async for text in texts(socket):
+                self._hear(page, slots, text)
         finally:
             self._feed.leave(slots)
             self._desk.leave(page)

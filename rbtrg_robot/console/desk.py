@@ -23,12 +23,12 @@ from rbtrg_robot.console.lease import Lease
 from rbtrg_robot.orders.goal import AskRoute, CancelGoal, SendGoal
 from rbtrg_robot.orders.limits import USE_HARDWARE
 from rbtrg_robot.orders.map import LIMIT, FetchMap, save
-from rbtrg_robot.orders.order import Order, Outcome
+from rbtrg_robot.orders.order import Order, Outcome, send
 from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.stages.navigation.goal import Goal, goal_request
 from rbtrg_robot.stages.navigation.reasons import words
-from rbtrg_robot.topics import Role, Topic
+from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import BASE, vector
 from rbtrg_robot.wire.messages import header
@@ -39,6 +39,7 @@ LATE = 0.2
 Reply = Callable[[bool, str, dict[str, Any] | None], None]
 """Whether it was done, why not, and what was found out."""
 TAKEN = "another page operates; take over first"
+UNCONFIRMED = f"STOP NOT CONFIRMED: {USE_HARDWARE}"
 ONLY_SEE = "this page may look and stop; an operator's address lets it do more"
 
 
@@ -125,22 +126,22 @@ class Desk:
         if self._stop is not None and self._stop.outcome is None:
             return  # it is being repeated already
         order = self._stop = Stop("console")
-        self.stop_state = {"state": "sending", "words": "STOP sent, waiting for the robot"}
-        self._begin(order, lambda outcome: self._stopped(outcome))
-        self._feed.tell("stop", self.stop_state)
+        self._say_stop("sending", "STOP sent, waiting for the robot")
+        self._begin(order, self._stopped)
 
     def watch_stop(self, now: float) -> None:
         """Say that nobody confirms."""
         if self._stop is not None and self._stop.worried(now) and self.stop_state["state"] == "sending":
-            self.stop_state = {"state": "unconfirmed", "words": f"STOP NOT CONFIRMED: {USE_HARDWARE}"}
-            self._feed.tell("stop", self.stop_state)
+            self._say_stop("unconfirmed", UNCONFIRMED)
 
     def _stopped(self, outcome: Outcome) -> None:
-        state = "confirmed" if outcome.ok else "unconfirmed"
-        self.stop_state = {
-            "state": state,
-            "words": outcome.words if outcome.ok else f"STOP NOT CONFIRMED: {USE_HARDWARE}",
-        }
+        if outcome.ok:
+            self._say_stop("confirmed", outcome.words)
+        else:
+            self._say_stop("unconfirmed", UNCONFIRMED)
+
+    def _say_stop(self, state: str, text: str) -> None:
+        self.stop_state = {"state": state, "words": text}
         self._feed.tell("stop", self.stop_state)
 
     def place_of(self, wish: dict[str, Any]) -> tuple[float, float, float | None]:
@@ -167,9 +168,12 @@ class Desk:
         self._begin(order, lambda outcome: reply(outcome.ok, outcome.words, None))
 
     def _resume(self, _page: Page, _wish: dict[str, Any], reply: Reply) -> None:
-        self._begin(Resume(), lambda outcome: reply(outcome.ok, outcome.words, None))
-        self.stop_state = {"state": "none", "words": ""}
-        self._feed.tell("stop", self.stop_state)
+        def done(outcome: Outcome) -> None:
+            if outcome.ok:
+                self._say_stop("none", "")
+            reply(outcome.ok, outcome.words, None)
+
+        self._begin(Resume(), done)
 
     def _posture(self, _page: Page, wish: dict[str, Any], reply: Reply) -> None:
         what = str(wish.get("what"))
@@ -235,7 +239,7 @@ class Desk:
         message = msg.TwistStamped(header=header(stamp, BASE))
         message.twist.linear = vector((v, 0.0, 0.0))
         message.twist.angular = vector((0.0, 0.0, w))
-        self._send(t.TELEOP, message)
+        self._bus.publish(t.TELEOP, message, stamp)
 
     def _owner(self, page: Page) -> str:
         return f"{me()} (page {page.number})"
@@ -244,17 +248,8 @@ class Desk:
         """Send at once; the thread of the bus goes on with it."""
         with self._lock:
             self._orders[order] = done
-            self._tick(order)
+            send(self._bus, order)
         self._bus.wake()
-
-    # --- both threads -----------------------------------------------------------------------------------------
-
-    def _send(self, topic: Topic, message: msg.Message) -> None:
-        self._bus.publish(topic, message, time.time_ns())
-
-    def _tick(self, order: Order) -> None:
-        for topic, message in order.tick(time.monotonic()):
-            self._send(topic, message)
 
     # --- the bus' thread --------------------------------------------------------------------------------------
 
@@ -272,7 +267,7 @@ class Desk:
         """Repeat what was not answered; end what was."""
         with self._lock:
             for order, done in list(self._orders.items()):
-                self._tick(order)
+                send(self._bus, order)
                 if order.outcome is not None:
                     del self._orders[order]
                     self._loop.call_soon_threadsafe(done, order.outcome)

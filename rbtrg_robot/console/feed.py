@@ -118,7 +118,9 @@ class Feed:
 
     def tell(self, kind: str, content: dict[str, Any], *, keep: bool = True) -> None:
         """A frame for all pages, and for those that come later."""
-        frame = frames.pack(kind, content)
+        self._hand_out(kind, frames.pack(kind, content), keep)
+
+    def _hand_out(self, kind: str, frame: bytes, keep: bool) -> None:
         if keep:
             self._frames[kind] = frame
         for page in self._pages:
@@ -201,12 +203,6 @@ class Feed:
             return
         self._told[topic] = now
         self._loop.call_soon_threadsafe(self._hand_out, kind, frames.pack(kind, content), True)
-
-    def _hand_out(self, kind: str, frame: bytes, keep: bool) -> None:
-        if keep:
-            self._frames[kind] = frame
-        for page in self._pages:
-            page.put(kind, frame)
 
     def _map(self, topic: Topic, message: msg.GridMap) -> None:
         with self.terrain_lock:

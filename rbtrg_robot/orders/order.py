@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +29,7 @@ class Outcome:
     """Of a goal: enum value of `Reason`."""
 
 
-class Order:
+class Order(ABC):
     """Subclasses say what is sent and what the answers mean. Times in s of a clock that never goes back."""
 
     hears: tuple[Topic, ...] = ()
@@ -42,17 +43,17 @@ class Order:
         self._limit = limit
         self._sent = -math.inf
 
+    @abstractmethod
     def message(self) -> tuple[Topic, Message] | None:
         """What is to be sent now; None where nothing is."""
-        raise NotImplementedError
 
+    @abstractmethod
     def take(self, topic: Topic, message: Any) -> None:
         """Hear one message of `hears`; may set `outcome`."""
-        raise NotImplementedError
 
+    @abstractmethod
     def silence(self) -> Outcome:
         """The outcome where nobody answered in time."""
-        raise NotImplementedError
 
     def tick(self, now: float) -> list[tuple[Topic, Message]]:
         """What is due."""

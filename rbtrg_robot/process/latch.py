@@ -16,6 +16,7 @@ class LatchFile:
 
     def __init__(self, robot: str) -> None:
         self._path = run_dir() / f"{robot}.estop"
+        self._latched = False
 
     def read(self) -> bytes:
         """A RobotState with a latched stop, on the wire; empty when nothing is latched. A broken file counts as latched."""
@@ -30,11 +31,14 @@ class LatchFile:
             log.warning("%s is broken; the emergency stop is taken as latched", self._path)
         return encode(RobotState(estop=True, estop_cause="latched before this start"))
 
-    def write(self, payload: bytes) -> None:
-        """Latched, or released with empty bytes."""
-        if payload:
+    def follow(self, state: bytes, *, latched: bool) -> None:
+        """Write at every change. `state`: the newest RobotState on the wire."""
+        if latched == self._latched:
+            return
+        self._latched = latched
+        if latched:
             fresh = self._path.with_suffix(".new")
-            fresh.write_bytes(payload)
+            fresh.write_bytes(state)
             fresh.replace(self._path)
         else:
             self._path.unlink(missing_ok=True)

@@ -17,7 +17,7 @@ from typing import Any
 import psutil
 
 from hal.errors import OperatorError
-from hal.types import LYING, Phase
+from hal.types import LYING
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.access.serve import security
@@ -28,6 +28,7 @@ from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
+from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
 from rbtrg_robot.process.supervised import Child, end
@@ -78,8 +79,7 @@ class Supervisor:
         self._ready = False
         self._usage_due = 0.0
         self._refused = 0
-        self._estop_said = self._away_said = False
-        self._said: dict[Topic, str] = {}
+        self._narrator = Narrator(say)
         self._mission: MissionFile | None = None
         self._notifier = Notifier()
         self._diagnosis = Diagnosis(config.robot)
@@ -147,7 +147,9 @@ class Supervisor:
                 self._mission.write(self._kept, message)
             if received.topic in Health.WATCHED:
                 self._health.take(received.topic, message)
-                self._narrate(received.topic, message)
+                self._narrator.take(received.topic, message)
+            if t.ROBOT_STATE.carried(message, received.topic):
+                self._latch.follow(received.payload, latched=message.estop)
         self._mend()
         self._measure()
         self._notifier.alive()
@@ -297,32 +299,6 @@ class Supervisor:
                     child.memory = child.usage.memory_info().rss / 1e6
                 except psutil.Error:
                     child.cpu = child.memory = 0.0
-
-    def _narrate(self, topic: Topic, message: Any) -> None:
-        if topic is t.GOAL_STATUS and message.state not in ("accepted", "idle"):
-            detail = f" ({message.detail})" if message.detail else ""
-            why = f": {message.reason}{detail}" if message.reason else ""
-            self._say_once(topic, f"goal {message.id[:8]} {message.state}{why}" if message.id else "")
-        elif topic is t.MISSION_STATE and message.order_id:
-            why = message.question or message.reason
-            self._say_once(topic, f"mission {message.name} {message.phase}" + (f": {why}" if why else ""))
-        elif topic is t.ROBOT_STATE:
-            if bool(message.estop) != self._estop_said:
-                self._latch.write(self._kept[t.ROBOT_STATE] if message.estop else b"")
-                self._estop_said = bool(message.estop)
-                self._say(f"e-stop: {message.estop_cause}" if message.estop else "e-stop released")
-            away = message.phase == Phase.DISCONNECTED
-            if away != self._away_said:
-                self._away_said = away
-                self._say(f"robot {message.phase}: {message.cause}" if away else "robot is back")
-        elif topic is t.MAP_STATUS and (message.warning or topic in self._said):
-            self._say_once(topic, f"map: {message.warning or 'well again'}")
-
-    def _say_once(self, topic: Topic, text: str) -> None:
-        """What is new on a topic."""
-        if text and text != self._said.get(topic):
-            self._say(text)
-        self._said[topic] = text
 
     def _summary(self) -> str:
         """One line for the service manager."""

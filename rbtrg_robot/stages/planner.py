@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from mapping.elevation.exchange import MapError, MapMirror, MapPatch
+from mapping.elevation.exchange import MapError
 from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
-from planning.graph.graph import GraphParams, TraversalGraph
+from planning.graph.graph import GraphParams
 from planning.path import Path, PathLimits, face_in_the_way, make_path, rest_of, still_safe
 from planning.risk.body import BodyModel
-from planning.risk.table import RiskTable
 from planning.search.frontier import FrontierMemory
-from planning.search.plan import Driven, DriveRules, Plan, PlanRequest, plan
+from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import PlannerConfig
+from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.route_report import RouteBase, path_msg, plan_fields
 from rbtrg_robot.stages.stage import Outputs
@@ -47,9 +47,6 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 }
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
-Box = tuple[int, int, int, int]
-"""Lattice cells: first row, first column, row and column after the last."""
-
 
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
@@ -72,25 +69,12 @@ class PlannerStage:
     ) -> None:
         """`seed` of the graph's samples."""
         self._params = params
-        self._graph_params = graph_params
         self._body = body
         self._limits = limits
-        self._seed = seed
-        self._mirror = MapMirror()
-        self._window: MapPatch | None = None
-        """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
-        self._overlaid: Box | None = None
-        """Part of the newest grid where the window lies over the mirror."""
+        self._map = MapGraph(graph_params, body, seed)
         self._epoch = 0
-        self._graph: TraversalGraph | None = None
-        self._grid: ElevationGrid | None = None
-        self._table: RiskTable | None = None
-        self._changed: list[Box] = []
         self._updated = 0
         self._start: tuple[float, float] | None = None
-        self._first: tuple[float, float] | None = None
-        """Start of the first graph: only around it unseen ground is assumed drivable."""
-        self._retries = 0
         self._now = 0
         self._status_due = 0
         self._answered: tuple[str, int] = ("", 0)
@@ -103,13 +87,13 @@ class PlannerStage:
 
     def warm_up(self) -> None:
         """Plan on made-up ground."""
-        stage = PlannerStage(self._params, self._graph_params, self._body, self._limits, self._seed)
+        stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
-        stage._grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
+        grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
         # A goal on the map, then one off it: the second carries evaluations over and looks for a frontier.
         for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
-            stage._refresh((2.0, 2.0), stage._grid, [changed])
+            stage._map.refresh((2.0, 2.0), grid, [changed])
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
 
@@ -124,8 +108,8 @@ class PlannerStage:
             return self._watch(message)
         elif t.MAP_STATUS.carried(message, topic):
             self._epoch = int(message.epoch)
-            if message.restoring and self._mirror.layers:
-                return [(t.MAP_MIRROR, patch_msg(self._mirror.patch()))]
+            if message.restoring and self._map.known:
+                return [(t.MAP_MIRROR, patch_msg(self._map.mirror.patch()))]
         elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
         elif t.ROUTE_QUESTION.carried(message, topic):
@@ -134,33 +118,28 @@ class PlannerStage:
 
     def _take_patch(self, message: msg.GridMap) -> None:
         try:
-            window = self._mirror.apply(map_patch(message, max(self._epoch, self._mirror.epoch)))
+            self._map.apply(map_patch(message, max(self._epoch, self._map.mirror.epoch)))
         except (LayoutError, MapError):
             self._malformed += 1
-            return
-        if window.rows and window.cols:
-            self._changed.append((window.row, window.col, window.row + window.rows, window.col + window.cols))
-        if self._window is not None and self._mirror.stamp >= self._window.stamp:
-            self._window = None
 
     def _watch(self, message: msg.GridMap) -> Outputs:
         """Look whether something came into the way of the path, at the rate of the scans."""
         watching = self._path is not None and self._verdict[0]
-        if not watching and self._window is None:
+        if not watching and self._map.window is None:
             return []
         try:
-            window = map_patch(message, self._mirror.epoch)
+            window = map_patch(message, self._map.mirror.epoch)
         except LayoutError:
             self._malformed += 1
             return []
-        if self._window is not None:
-            self._window = window
+        if self._map.window is not None:
+            self._map.window = window
         if self._path is None or not watching:
             return []
         face = face_in_the_way(self._path, window.grid(filled=True), self._body)
         if not face:
             return []
-        self._window = window
+        self._map.window = window
         self._verdict = (False, face)
         return [(t.ROUTE_STATUS, self._status(self._now))]
 
@@ -170,64 +149,29 @@ class PlannerStage:
         """Keep the graph up to date; report twice a second."""
         self._now = now
         due = now - self._updated >= self._params.update_period * NS or now < self._updated
-        if self._changed and self._start is not None and due:
+        if self._map.stale and self._start is not None and due:
             self._updated = now
-            self._sync()
+            self._sync(self._start)
         if now < self._status_due and now > self._status_due - NS:
             return []
         self._status_due = now + NS // 2
         outputs: Outputs = [(t.ROUTE_STATUS, self._status(now))]
-        if not self._mirror.layers:  # just started: what was published before must be asked for
+        if not self._map.known:  # just started: what was published before must be asked for
             outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")))
         return outputs
 
-    def _sync(self) -> None:
-        """Bring grid and graph to the newest map."""
-        if not self._mirror.layers:
-            return
-        mirror, changed = self._mirror, self._changed
-        if self._overlaid is not None:
-            changed.append(self._overlaid)
-            self._overlaid = None
-        if self._window is not None:
-            try:
-                mirror = mirror.overlaid(self._window)
-                (row, col), (rows, cols) = self._window.cell, self._window.shape
-                self._overlaid = (row, col, row + rows, col + cols)
-                changed.append(self._overlaid)
-            except MapError:
-                self._malformed += 1
-                self._window = None
-        grid = mirror.grid()
-        windows = [
-            (r0 - mirror.row, c0 - mirror.col, r1 - mirror.row, c1 - mirror.col) for r0, c0, r1, c1 in changed
-        ]
-        self._changed = []
-        if self._start is not None:
-            self._refresh(self._start, grid, windows)
-
-    def _refresh(self, start: tuple[float, float], grid: ElevationGrid, windows: list[Box]) -> None:
-        self._grid = grid
-        try:
-            if self._graph is None:
-                seed = self._seed + self._retries
-                self._graph = TraversalGraph.build(grid, start, self._graph_params, seed, self._first)
-                self._first = self._graph.first_xy
-            else:
-                self._graph.update(grid, windows, start)
-        except PlanningError:
-            # No ground under the robot in this map (yet), or its cells moved: the next update or request begins anew.
-            self._graph = None
+    def _sync(self, start: tuple[float, float]) -> None:
+        self._malformed += not self._map.sync(start)
 
     def _status(self, now: int) -> msg.RouteStatus:
-        graph = self._graph
+        graph, grid = self._map.graph, self._map.grid
         if graph is not None and self._path is not None and graph.version != self._checked_version:
             self._checked_version = graph.version
-            assert self._grid is not None
+            assert grid is not None
             if self._params.method == "rb_trg":
-                self._verdict = still_safe(self._path, graph, self._grid, self._body)
+                self._verdict = still_safe(self._path, graph, grid, self._body)
             else:  # its routes keep to no graph
-                face = face_in_the_way(self._path, self._grid, self._body)
+                face = face_in_the_way(self._path, grid, self._body)
                 self._verdict = (not face, face)
         valid, detail = self._verdict
         return msg.RouteStatus(
@@ -256,8 +200,8 @@ class PlannerStage:
         if message.goal_id != self._memory_goal:
             self._memory, self._memory_goal = FrontierMemory(), message.goal_id
         self._memory.at(self._start)
-        if self._changed or self._window is not None or self._graph is None:
-            self._sync()
+        if self._map.stale or self._map.window is not None or self._map.graph is None:
+            self._sync(self._start)
         base: dict[str, Any] = {
             "header": header(self._now, MAP),
             "goal_id": message.goal_id,
@@ -267,22 +211,21 @@ class PlannerStage:
             found, path = self._plan(message, driven)
         except NoRoute as none:
             reason = REASONS[none.reason]
-            if reason is Reason.NO_ROUTE and self._graph is not None:
-                # A passage hardly wider than the robot may hold no edge of this graph: the next try samples anew.
-                self._graph, self._retries = None, self._retries + 1
+            if reason is Reason.NO_ROUTE:
+                self._map.sample_anew()
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(none)))]
         except PlanningError as error:
             reason = Reason.INVALID
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
-        self._path, self._retries = path, 0
+        self._path = path
         self._checked_version = -1
         self._memory.chosen = found.frontier
         outputs: Outputs = [
             (t.PLAN, msg.Plan(**base, **plan_fields(found, path, message))),
             (t.ROUTE, path_msg(path, self._now)),
         ]
-        if self._table is not None and self._params.method == "rb_trg":
-            report = RouteBase(base["header"], message.goal_id).report(found, path, self._table)
+        if self._map.table is not None and self._params.method == "rb_trg":
+            report = RouteBase(base["header"], message.goal_id).report(found, path, self._map.table)
             outputs.append((t.ROUTE_REPORT, report))
         return outputs
 
@@ -290,34 +233,31 @@ class PlannerStage:
         """How a route would go. The plan that is driven, and what it is watched by, stay as they are."""
         start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
         self._start = self._start or start
-        if self._changed or self._graph is None:
-            self._sync()
+        if self._map.stale or self._map.graph is None:
+            self._sync(self._start)
         base = RouteBase(header(self._now, MAP), message.id, question=True)
-        graph = self._graph if message.graph else None
+        graph = self._map.graph if message.graph else None
         yaw = message.goal_yaw if message.has_goal_yaw else None
         native: Plan | None = None
         rules = DriveRules(backward=self._params.backward, straight=True)
         variant = self._params.variant
         wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
         try:
-            found = self._search(wanted)
-            assert self._grid is not None
-            path = make_path(found, self._grid, self._body, self._limits)
+            found = self._map.search(wanted)
+            path = self._path_of(found)
         except NoRoute as none:
             return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], str(none), graph))]
         except PlanningError as error:
             return [(t.ROUTE_REPORT, base.refused(Reason.INVALID, str(error), graph))]
         try:
-            native = self._search(replace(wanted, variant="native", rules=DriveRules()))
+            native = self._map.search(replace(wanted, variant="native", rules=DriveRules()))
         except PlanningError:
             native = None
-        assert self._table is not None
-        return [(t.ROUTE_REPORT, base.report(found, path, self._table, native, graph))]
+        assert self._map.table is not None
+        return [(t.ROUTE_REPORT, base.report(found, path, self._map.table, native, graph))]
 
     def _plan(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
         """The route, and its path. What is left of the path that is driven, if any, is kept unless another is clearly better."""
-        if self._graph is None or self._grid is None:
-            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
         ahead = driven.ahead(message.start_x, message.start_y) if driven is not None else None
         request = PlanRequest(
             start=(message.start_x, message.start_y),
@@ -332,22 +272,16 @@ class PlannerStage:
             seen_frontiers=tuple(self._memory.seen),
         )
         if self._params.method != "rb_trg":
-            found = BASELINES[self._params.method](self._grid, request)
-            return found, make_path(found, self._grid, self._body, self._limits)
-        found = self._search(request, message.avoid.reshape(-1, 3))
+            found = BASELINES[self._params.method](self._map.ground(), request)
+            return found, self._path_of(found)
+        found = self._map.search(request, message.avoid.reshape(-1, 3))
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)
-            return found, rest_of(driven, pose, self._grid, self._body)
-        return found, make_path(found, self._grid, self._body, self._limits)
+            return found, rest_of(driven, pose, self._map.ground(), self._body)
+        return found, self._path_of(found)
 
-    def _search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
-        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]. Raises PlanningError."""
-        if self._graph is None or self._grid is None:
-            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
-        graph = self._graph if avoid is None or not len(avoid) else self._graph.avoiding(avoid)
-        if self._table is None or not self._table.fits(graph, self._grid, self._body):
-            self._table = RiskTable(graph, self._grid, self._body, self._table)
-        return plan(graph, self._grid, request, self._body, self._table)
+    def _path_of(self, found: Plan) -> Path:
+        return make_path(found, self._map.ground(), self._body, self._limits)
 
 
 def build(config: StackConfig) -> PlannerStage:

@@ -232,3 +232,8 @@ def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
         residual=float(np.sqrt(total / max(inliers, 1))),
         information=h / max(inliers, FEW_PLANES),
     )
+
+
+def make_engine(name: EngineName, kiss: KissConfig, gicp: GicpConfig, max_range: float) -> Engine:
+    """The engine of that name; `max_range` of the points [m]."""
+    return KissEngine(kiss, max_range) if name == "kiss_icp" else GicpEngine(gicp, max_range)

@@ -107,7 +107,7 @@ class Attempt:
         if state is GoalState.REACHED:
             return DONE
         why = words(goal.reason, goal.detail)
-        known = goal.reason in Reason._value2member_map_ and Reason(goal.reason) in OF_THE_STEP
+        known = Reason.of(goal.reason) in OF_THE_STEP
         return Verdict(Outcome.FAILED if known else Outcome.NEEDS_OPERATOR, why)
 
     def _of_answer(self, age: float) -> Verdict:

@@ -171,7 +171,7 @@ class NavigatorStage:
             self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
             self._status()
             return
-        reason = Reason(message.reason)
+        reason = Reason.of(message.reason) or Reason.NO_ROUTE
         measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
         if measure is Measure.LOOK:  # noise can close a passage for a moment
             self._stand(goal, message.detail)

@@ -30,6 +30,11 @@ class Reason(StrEnum):
     CANCELLED = "cancelled"
     PREEMPTED = "preempted"
 
+    @classmethod
+    def of(cls, word: str) -> Reason | None:
+        """The reason in a message; None for a word that is none."""
+        return cls(word) if word in cls._value2member_map_ else None
+
 
 WORDS: dict[Reason, str] = {
     Reason.NONE: "",
@@ -59,7 +64,8 @@ for longer drives on only when told to: whoever plugged the cable in may stand i
 
 def words(reason: str, detail: str = "") -> str:
     """The reason in plain words, with its detail."""
-    text = WORDS.get(Reason(reason), reason) if reason in Reason._value2member_map_ else reason
+    known = Reason.of(reason)
+    text = reason if known is None else WORDS[known]
     return f"{text}: {detail}" if detail and text else text or detail
 
 

@@ -75,22 +75,3 @@ def test_without_a_prior_map_slopes_stay_zero() -> None:
         elevation.fuse(flat_scan(rng), tilt @ (0.1 * k, 0.0, HEIGHT), quaternion(tilt), 10**9 + k * 10**8)
     assert not elevation.alignment.active
     assert not elevation.alignment.slopes.any()
-
-
-def test_of_a_finer_prior_map_a_cell_is_wall_from_half_on(tmp_path: Path) -> None:
-    height = np.zeros((40, 40), np.float32)
-    height[21:, :] = 0.5  # cells of 0.02 m, rows 20 and 21 fall into row 10 of the map
-    height[:, 11:] += 0.5
-    height[31:, 31:] = 9.0  # a quarter of cell (15, 15)
-    path = tmp_path / "prior.npz"
-    np.savez(path, height=height, resolution=0.02, origin=(-0.01, -0.01))
-    elevation = ElevationMap()
-    elevation.load_prior(path)
-    patch = elevation.full()
-    known = patch.layers["elevation"]
-    r, c = -patch.cell[0], -patch.cell[1]
-    assert known[r + 9, c] == 0.0
-    assert known[r + 10, c] == 0.5
-    assert known[r, c + 4] == 0.0
-    assert known[r, c + 5] == 0.5
-    assert known[r + 15, c + 15] == 1.0

@@ -14,6 +14,7 @@ from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, Lida
 from mapping.odometry.health import Health
 from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
+from mapping.odometry.types import ScanOdometry
 from tools.synthetic import arena_run
 
 
@@ -24,7 +25,7 @@ def samples() -> list[Sample]:
     return [s for s in run.samples() if not isinstance(s, GroundTruth)]
 
 
-def feed(odometry: LidarInertialOdometry, samples: list[Sample]) -> list:
+def feed(odometry: LidarInertialOdometry, samples: list[Sample]) -> list[ScanOdometry]:
     out = []
     for sample in samples:
         if isinstance(sample, ImuSample):

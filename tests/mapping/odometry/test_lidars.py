@@ -14,6 +14,7 @@ from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import ScanOdometry
+from tests.mapping.odometry.test_intake import feed
 from tools.synthetic import SyntheticRun, arena_run
 
 SECONDS = 6.0
@@ -39,17 +40,7 @@ def in_order(samples: list[Sample], head_late: int = 0) -> list[Sample]:
 
 
 def driven(samples: list[Sample]) -> list[ScanOdometry]:
-    odometry = LidarInertialOdometry(mounts={"main": XT16_MOUNT, "head": L1_MOUNT})
-    out = []
-    for sample in samples:
-        if isinstance(sample, ImuSample):
-            odometry.add_imu(sample)
-        elif isinstance(sample, JointSample):
-            odometry.add_joints(sample)
-        elif isinstance(sample, LidarScan):
-            odometry.add_scan(sample)
-        out += odometry.poll()
-    return out
+    return feed(LidarInertialOdometry(mounts={"main": XT16_MOUNT, "head": L1_MOUNT}), samples)
 
 
 def off(run: SyntheticRun, scan: ScanOdometry) -> float:

@@ -13,6 +13,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.orders.words import robot_line
 from rbtrg_robot.process import health as module
 from rbtrg_robot.process.health import Health
+from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg
 from rbtrg_robot.wire.messages import array, decode, encode, header
@@ -115,10 +116,10 @@ def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(pha
 
 def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
     said: list[str] = []
-    supervisor = Supervisor(load(None, []), None, said.append)  # type: ignore[arg-type]
+    narrator = Narrator(said.append)
     for phase in ("ready", "disconnected", "disconnected", "ready", "moving"):
         state = t.ROBOT_STATE.kind(header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
-        supervisor._narrate(t.ROBOT_STATE, state)
+        narrator.take(t.ROBOT_STATE, state)
     assert said == ["robot disconnected: no LowState for 0.2 s", "robot is back"]
 
 

@@ -121,12 +121,12 @@ def test_a_latch_is_written_and_taken_back_and_a_broken_one_counts(
     latch = LatchFile("a")
     assert latch.read() == b""
     latched = encode(msg.RobotState(estop=True, estop_cause="operator"))
-    latch.write(latched)
+    latch.follow(latched, latched=True)
     assert LatchFile("a").read() == latched
     assert LatchFile("b").read() == b""
     for payload in (b"\0\1\0\0", latched[:9], encode(msg.RobotState(estop=False))):
-        latch.write(payload)
+        (tmp_path / "rbtrg" / "a.estop").write_bytes(payload)
         assert decode(latch.read(), msg.RobotState).estop
-    latch.write(b"")
-    latch.write(b"")
+    latch.follow(b"", latched=False)
+    latch.follow(b"", latched=False)
     assert latch.read() == b""

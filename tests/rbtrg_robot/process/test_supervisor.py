@@ -11,6 +11,7 @@ import pytest
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.process.child import FATAL, PASSING
+from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import array, header
@@ -100,8 +101,9 @@ def test_before_the_stack_was_ready_the_first_word_ends_it(tmp_path: Path, end: 
     assert zygote.started == 1
 
 
-def test_what_happens_is_said_once(tmp_path: Path) -> None:
-    supervisor, _, said = supervised(tmp_path, [])
+def test_what_happens_is_said_once() -> None:
+    said: list[str] = []
+    narrator = Narrator(said.append)
     goal, mission, elevation = t.GOAL_STATUS.kind, t.MISSION_STATE.kind, t.MAP_STATUS.kind
     for topic, message in (
         (t.MAP_STATUS, elevation()),
@@ -117,7 +119,7 @@ def test_what_happens_is_said_once(tmp_path: Path) -> None:
         (t.MAP_STATUS, elevation()),
         (t.GOAL_STATUS, goal(id="g", state="aborted", reason="stuck", detail="here")),
     ):
-        supervisor._narrate(topic, message)
+        narrator.take(topic, message)
     assert said == [
         "goal g moving",
         "mission round running",

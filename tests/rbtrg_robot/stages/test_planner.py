@@ -9,8 +9,12 @@ import numpy as np
 
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.grid import ElevationGrid
+from planning.graph import GraphParams
+from planning.risk import BodyModel
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.planner import PlannerStage, build
 from rbtrg_robot.wire.convert import patch_msg
 
@@ -181,6 +185,22 @@ def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
             break
     assert again > found
     assert again >= 0.7 * stages
+
+
+def test_a_sample_that_held_no_route_is_not_drawn_again_and_one_that_did_is_kept() -> None:
+    z = np.zeros((75, 150))
+    kept = MapGraph(GraphParams(), BodyModel(), 5)
+    z[30:45, 60:75] = 1.0
+    grid = ElevationGrid(z.astype(np.float32), np.ones_like(z, bool), (0.0, 0.0), RES)
+    drawn = []
+    for fails in (True, False, True, True):
+        kept.refresh((1.5, 1.5), grid, [])
+        assert kept.graph is not None
+        drawn.append(np.array(kept.graph.nodes[:, :2]))
+        if fails:
+            kept.sample_anew()
+    assert np.array_equal(drawn[1], drawn[2]), "the one that held a route"
+    assert not any(np.array_equal(drawn[a], drawn[b]) for a, b in ((0, 1), (0, 3), (1, 3)))
 
 
 def test_a_passage_of_054_is_found_at_once() -> None:

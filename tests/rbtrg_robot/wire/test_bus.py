@@ -83,9 +83,9 @@ def test_the_death_of_a_process_is_seen(router: Bus, endpoint: str) -> None:
             (came if alive else gone).set()
 
     router.watch_processes(changed)
-    with Bus(endpoint, "a"):
+    with Bus(endpoint, "a") as a:
         assert came.wait(10.0)
-        assert "a" in router.processes()
+        assert "a" in a.processes()
         assert not gone.is_set()
     assert gone.wait(10.0)
     assert ("a", True) in changes
@@ -139,7 +139,8 @@ def test_two_robots_with_domains_of_their_own_share_a_router_and_hear_nothing_of
         (own,) = collect(b, 1)
         assert own.decode().id == "b"
         assert b.ask("status", timeout=0.3) is None
-        assert b.processes() == {"tracker"}
+        with Bus(endpoint, "cli", 2) as asker:
+            assert asker.processes() == {"tracker", "cli"}
         a.close()
         assert b.take(0.3) == []
     assert heard[0] == ("tracker", True)

@@ -18,7 +18,7 @@ from tools.bench.fuzz.bench import fuzz, fuzz_config
 from tools.bench.fuzz.mutate import Mutator
 from tools.bench.fuzz.targets import TARGETS, Samples
 
-SMALL = ("navigator", "tracker", "guard", "supervisor", "log_check")
+SMALL = ("console", "navigator", "tracker", "guard", "supervisor", "log_check")
 """Targets whose messages are cheap enough for every run of the tests."""
 
 

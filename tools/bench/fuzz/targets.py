@@ -1,16 +1,22 @@
-"""Who takes messages: every stage, the supervisor, the recorder, replay and `log check`. A console is one more row in TARGETS."""
+"""Who takes messages: every stage, the supervisor, the console, the recorder, replay and `log check`."""
 
 from __future__ import annotations
 
+import asyncio
+import json
 import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, Protocol
 
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
+from rbtrg_robot.console.app import Site
+from rbtrg_robot.console.desk import Desk, Page
+from rbtrg_robot.console.feed import HEARD, Feed, Slots
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.log.file import LogError, LogWriter
@@ -21,7 +27,7 @@ from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.stage import Stage
-from rbtrg_robot.topics import Topic
+from rbtrg_robot.topics import Role, Topic
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.messages import MessageError, decode, encode, stamp_in
 
@@ -109,6 +115,9 @@ class StubBus:
     def put(self, _payload: bytes, _stamp: int) -> None:
         """Away with it."""
 
+    def wake(self) -> None:
+        """It never sleeps."""
+
 
 class TheSupervisor:
     """The supervisor without processes to start."""
@@ -122,7 +131,9 @@ class TheSupervisor:
         made: Any = Supervisor(config, None, lambda _text: None)  # type: ignore[arg-type]
         self._bus = made._bus = StubBus()
         made._mend = made._measure = lambda: None
-        made._latch = made._mission = type("NoFile", (), {"write": lambda self, *data: None})()
+        nothing: Any = lambda *_, **__: None  # noqa: E731 - no file
+        made._latch = SimpleNamespace(follow=nothing)
+        made._mission = SimpleNamespace(write=nothing)
         made._write_state = lambda lock: None
         self._supervisor = made
 
@@ -138,6 +149,64 @@ class TheSupervisor:
 
     def close(self) -> None:
         """Nothing to release."""
+
+
+class TheConsole:
+    """The console with one page that looks, asks, and says what nobody understands."""
+
+    inputs: tuple[Topic, ...] = tuple(dict.fromkeys([*HEARD, *Desk.HEARS]))
+
+    def __init__(self, config: StackConfig, samples: Samples, _folder: Path) -> None:
+        bus: Any = StubBus()
+        self._loop = asyncio.new_event_loop()
+        self._feed = Feed(bus, config.capabilities(), self._loop)
+        self._desk = Desk(config, bus, self._feed, self._loop)
+        door: Any = None  # nobody comes in: the page is there already
+        self._site = Site(config, door, self._desk, self._feed)
+        self._page, self._slots = Page(1, Role.OPERATOR), Slots()
+        self._slots.cloud = True
+        self._feed.join(self._slots)
+        self._wishes = 0
+        for topic in self.inputs:
+            for payload in samples[topic]:
+                self.take(topic, payload)
+
+    def take(self, topic: Topic, payload: bytes) -> None:
+        """One message as `Serving.turn` hands it on."""
+        received = Received(topic, payload, 0, 0)
+        if topic in Desk.HEARS:
+            self._desk.take(received)
+        self._feed.take(received)
+        self._site._hear(self._page, self._slots, payload[:200].decode("latin1"))
+
+    def turn(self, now: int) -> None:
+        """The page asks for something and takes all frames."""
+        self._desk.tick()
+        self._feed.tick(now / NS)
+        self._loop.run_until_complete(asyncio.sleep(0))
+        self._feed.terrain_for(self._slots)
+        while self._slots.take() is not None:
+            pass
+        self._wishes += 1
+        wish = WISHES[self._wishes % len(WISHES)]
+        self._site._hear(self._page, self._slots, json.dumps(wish))
+
+    def close(self) -> None:
+        """End the loop."""
+        self._loop.close()
+
+
+WISHES: tuple[dict[str, Any], ...] = (
+    {"do": "goal", "n": 1, "x": 2.0, "y": 0.5},
+    {"do": "ask", "n": 2, "x": 2.0, "y": 0.5, "graph": True},
+    {"do": "drive", "v": 0.2, "w": -0.1, "t": 0},
+    {"do": "cancel", "n": 3},
+    {"do": "stop"},
+    {"do": "resume", "n": 4},
+    {"do": "posture", "n": 5, "what": "stand"},
+    {"do": "goal", "n": [], "x": None, "y": "1e999"},
+)
+"""What a page says, one each turn."""
 
 
 class TheRecorder:
@@ -235,6 +304,7 @@ def _stage(name: str, config: StackConfig, samples: Samples, _folder: Path) -> T
 TARGETS: dict[str, Callable[[StackConfig, Samples, Path], Target]] = {
     **{row.name: partial(_stage, row.name) for row in PROCESSES if row.hosted or row.name == "robot"},
     "supervisor": TheSupervisor,
+    "console": TheConsole,
     "recorder": TheRecorder,
     "replay": partial(AFile, _play),
     "log_check": partial(AFile, _check),

@@ -190,6 +190,15 @@ def test_a_failed_step_is_treated_as_the_mission_says(
     assert world.state.reason.endswith("; the robot is back") == (policy["on_failure"] == "return")
 
 
+@pytest.mark.parametrize("word", ["", "soon", "MOVING"])
+def test_a_goal_status_that_says_what_no_navigator_says_is_no_answer(world: World, word: str) -> None:
+    world.ends = (word, "")
+    world.start(goto(1.0), goto(2.0))
+    world.until("paused")
+    assert world.goals == [1.0]
+    assert "the navigator does not answer" in world.state.reason
+
+
 def test_a_way_home_that_fails_too_ends_where_it_is(world: World) -> None:
     world.ends = ("aborted", "stuck")
     world.start(goto(1.0, on_failure="return"), has_home=True, home_x=-3.0)

@@ -313,6 +313,14 @@ def test_where_only_the_places_kept_off_are_left_the_way_leads_over_them(world: 
     assert world.status.state == "moving"
 
 
+def test_a_plan_refused_for_a_reason_that_nobody_knows_counts_as_no_route(world: World) -> None:
+    world.goal()
+    for _ in range(4):
+        world.answer(ok=False, reason="a whim")
+        world.run(1.5)
+    assert (world.status.state, world.status.reason) == ("aborted", "no_route")
+
+
 def test_no_route_is_tried_again_before_it_is_final(world: World) -> None:
     world.goal()
     for _ in range(3):

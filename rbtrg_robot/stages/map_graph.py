@@ -1,0 +1,112 @@
+"""The map of now and the one graph on it, as the planner keeps them: a changed block of the map rebuilds only what it touches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mapping.elevation.exchange import MapError, MapMirror, MapPatch
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.plan import Plan, PlanRequest, plan
+
+Box = tuple[int, int, int, int]
+"""Lattice cells: first row, first column, row and column after the last."""
+
+
+class MapGraph:
+    """Patches in, `sync`, routes out."""
+
+    def __init__(self, params: GraphParams, body: BodyModel, seed: int) -> None:
+        """`seed` of the graph's samples."""
+        self.params = params
+        self.seed = seed
+        self.mirror = MapMirror()
+        self.window: MapPatch | None = None
+        """The newest surroundings of the robot, while they are newer than the mirror and block the path."""
+        self.graph: TraversalGraph | None = None
+        self.grid: ElevationGrid | None = None
+        self.table: RiskTable | None = None
+        self._body = body
+        self._overlaid: Box | None = None
+        """Part of the newest grid where the window lies over the mirror."""
+        self._changed: list[Box] = []
+        self._first: tuple[float, float] | None = None
+        """Start of the first graph: only around it unseen ground is assumed drivable."""
+
+    @property
+    def known(self) -> bool:
+        """A map was received."""
+        return bool(self.mirror.layers)
+
+    @property
+    def stale(self) -> bool:
+        """The map has changed since `sync`."""
+        return bool(self._changed)
+
+    def apply(self, patch: MapPatch) -> None:
+        """Take a block. Raises MapError."""
+        window = self.mirror.apply(patch)
+        if window.rows and window.cols:
+            self._changed.append((window.row, window.col, window.row + window.rows, window.col + window.cols))
+        if self.window is not None and self.mirror.stamp >= self.window.stamp:
+            self.window = None
+
+    def sync(self, start: tuple[float, float]) -> bool:
+        """Bring grid and graph to the newest map. False where the window does not lie on it; it is dropped then."""
+        if not self.known:
+            return True
+        mirror, changed = self.mirror, self._changed
+        if self._overlaid is not None:
+            changed.append(self._overlaid)
+            self._overlaid = None
+        fits = True
+        if self.window is not None:
+            try:
+                mirror = mirror.overlaid(self.window)
+                (row, col), (rows, cols) = self.window.cell, self.window.shape
+                self._overlaid = (row, col, row + rows, col + cols)
+                changed.append(self._overlaid)
+            except MapError:
+                self.window, fits = None, False
+        windows = [
+            (r0 - mirror.row, c0 - mirror.col, r1 - mirror.row, c1 - mirror.col) for r0, c0, r1, c1 in changed
+        ]
+        self._changed = []
+        self.refresh(start, mirror.grid(), windows)
+        return fits
+
+    def refresh(self, start: tuple[float, float], grid: ElevationGrid, windows: list[Box]) -> None:
+        """Bring the graph to a grid that differs in `windows` from the one before."""
+        self.grid = grid
+        try:
+            if self.graph is None:
+                self.graph = TraversalGraph.build(grid, start, self.params, self.seed, self._first)
+                self._first = self.graph.first_xy
+            else:
+                self.graph.update(grid, windows, start)
+        except PlanningError:
+            # No ground under the robot in this map (yet), or its cells moved: the next update or request begins anew.
+            self.graph = None
+
+    def sample_anew(self) -> None:
+        """A passage hardly wider than the robot may hold no edge of this graph: the next one has other samples."""
+        if self.graph is not None:
+            self.graph, self.seed = None, self.seed + 1
+
+    def ground(self) -> ElevationGrid:
+        """The grid of the graph. Raises NoRoute."""
+        if self.graph is None or self.grid is None:
+            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
+        return self.grid
+
+    def search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
+        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]. Raises PlanningError."""
+        grid = self.ground()
+        assert self.graph is not None
+        graph = self.graph if avoid is None or not len(avoid) else self.graph.avoiding(avoid)
+        if self.table is None or not self.table.fits(graph, grid, self._body):
+            self.table = RiskTable(graph, grid, self._body, self.table)
+        return plan(graph, grid, request, self._body, self.table)

@@ -49,8 +49,8 @@ ROOMS: dict[str, str] = {
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",
-    "rbtrg_robot.bridge": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.orders": "mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.navigation",
+    "rbtrg_robot.bridge": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.orders",
     "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.hosts": "hal hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",

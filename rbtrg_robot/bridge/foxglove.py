@@ -25,7 +25,8 @@ from hal.types import NS
 from hal.urdf import urdf
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.legs import Legs
-from rbtrg_robot.msg import RobotCommand
+from rbtrg_robot.orders.order import send
+from rbtrg_robot.orders.robot import Stop
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus, Received
@@ -45,8 +46,6 @@ CLOCK = -1
 WARNING, ERROR = 1, 2
 LARGEST = 1 << 20
 """Bytes of a client's message."""
-STOP_LIMIT = 30.0
-"""[s] for which a stop is sent again while the robot does not confirm it."""
 CHANNELS = dict(enumerate(t.TOPICS, 1))
 
 
@@ -123,8 +122,8 @@ class Foxglove:
         self._legs = Legs(urdf())
         self._legs_due = 0
         self._lock = threading.Lock()
-        self._stop: tuple[float, RobotCommand] | None = None
-        """A stop that the robot has not confirmed, and until when it is sent."""
+        self._stop: Stop | None = None
+        """A stop that the robot has not confirmed."""
         allowed: list[Any] = [*ORIGINS, *origins]
         try:
             self._server = serve(
@@ -168,14 +167,11 @@ class Foxglove:
         while not self._outbox.empty():
             topic, message = self._outbox.get()
             if topic in STOP:
-                self._stop = (time.monotonic() + STOP_LIMIT, message)
+                self._stop = self._stop or Stop(message.cause or "Foxglove")
             else:
                 self._bus.publish(topic, message, time.time_ns())
         if self._stop is not None:
-            self._bus.publish(t.ROBOT_STOP, self._stop[1], time.time_ns())
-            if time.monotonic() > self._stop[0]:
-                self._say("the robot does not confirm the stop; use the hardware stop")
-                self._stop = None
+            send(self._bus, self._stop)
         while not self._wanted.empty():
             topic = self._wanted.get()
             if topic not in self._subscribed:
@@ -184,6 +180,9 @@ class Foxglove:
         with self._lock:
             for each in received:
                 self._carry(each)
+        if self._stop is not None and self._stop.outcome is not None:
+            self._say(self._stop.outcome.words)
+            self._stop = None
 
     def _carry(self, received: Received[Any]) -> None:
         """One message to all clients. Called with the lock held."""
@@ -198,9 +197,8 @@ class Foxglove:
                 client.put(CLOCK, struct.pack("<BQ", TIME, max(received.stamp, 0)), 1)
             if self._stop is not None:
                 state = self._bus.open(received)
-                if state is not None and state.estop:
-                    self._say(f"stopped: {state.estop_cause}")
-                    self._stop = None
+                if state is not None:
+                    self._stop.take(received.topic, state)
 
     def _show_legs(self, joints: Received[Any]) -> None:
         """The app has no `robot_state_publisher`: its clients get the frames of the links here. The bus does not."""

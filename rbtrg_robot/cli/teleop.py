@@ -59,17 +59,16 @@ def _drive(bus: Any, speed: float) -> None:
     from rbtrg_robot.orders.robot import Resume, Stop
 
     held, state, limits = HeldKeys(), None, None
-    driving = False
+    driving = leaving = False
     said = ""
     active: Order | None = None
     while True:
         now = time.monotonic()
         for key in _keys():
             if key in QUIT:
-                if driving:
-                    bus.publish(t.TELEOP, _velocity(0.0, 0.0), time.time_ns())
-                return
-            if key in STOP_KEYS:
+                held.clear()
+                leaving = True
+            elif key in STOP_KEYS:
                 held.clear()
                 active = Stop()
             elif key == RESUME:
@@ -102,6 +101,8 @@ def _drive(bus: Any, speed: float) -> None:
         if active is not None and active.outcome is not None:
             print(f"\r\x1b[K{active.outcome.words}")
             active = None
+        if leaving and active is None and not driving:
+            return
         time.sleep(max(0.0, now + PERIOD - time.monotonic()))
 
 

@@ -79,7 +79,9 @@ def test_it_drives_while_a_key_is_held_and_stops(tmp_path: Path, monkeypatch: py
         until(lambda: robot.driven[-1][1:] == (0.0, 0.0))
         os.write(ours, b"r")
         until(b"resumed")
-        os.write(ours, b"q")
+        seen = b""
+        os.write(ours, b" q")  # an order that is under way is carried out before it leaves
+        until(b"stopped: operator")
         until(lambda: child.poll() is not None)
         assert child.returncode == 0
     finally:

@@ -14,7 +14,9 @@ def lines(state: MissionState) -> list[str]:
     if not state.order_id:
         return ["no mission"]
     name = f"mission {state.name}".strip()
-    where = f", step {state.step} of {len(state.action_id)} ({state.action_id[state.step - 1]})"
+    count = len(state.action_id)
+    step = f" ({state.action_id[state.step - 1]})" if 1 <= state.step <= count else ""
+    where = f", step {state.step} of {count}{step}"
     if state.tries:
         where += f", try {state.tries + 1}"
     if len(state.loop_rounds):

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
 from rbtrg_robot import msg
 from rbtrg_robot.missions.words import lines
 
 
-def state(**fields: object) -> msg.MissionState:
+def state(**fields: Any) -> msg.MissionState:
     ids = ["goto-1", "wait-2"]
-    lists = {"action_id": ids, "action_type": ids, "action_status": ["FINISHED", "RUNNING"]}
+    lists: dict[str, Any] = {"action_id": ids, "action_type": ids, "action_status": ["FINISHED", "RUNNING"]}
     return msg.MissionState(
         order_id="o", name="round", phase="running", **lists, result_description=["", ""], **fields
     )

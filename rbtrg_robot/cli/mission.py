@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Missions: steps one after the other.", no_args_is_help=True)
 FINISHED, UNANSWERED, REFUSED, FAILED, STOPPED = 0, 1, 2, 3, 4
 EXIT = {"finished": FINISHED, "failed": FAILED, "stopped": STOPPED}
-RESEND = 0.5
 ANSWER_LIMIT = 3.0
 """Seconds without any answer from the mission process."""
 SILENCE = 15.0
@@ -248,26 +247,16 @@ def _newest(bus: Bus, keep: Any = None) -> Any:
 
 def _ask(bus: Bus, action: str, **fields: Any) -> Any:
     """Send a request until it is answered; the state then. Exits where it is refused or nobody answers."""
-    from rbtrg_robot import msg
-    from rbtrg_robot import topics as t
-    from rbtrg_robot.wire.messages import header
+    from rbtrg_robot.orders.mission import TellMission
+    from rbtrg_robot.orders.order import follow
 
-    request = msg.MissionRequest(
-        header=header(time.time_ns(), "map"), id=uuid.uuid4().hex[:12], owner=me(), action=action, **fields
-    )
-    deadline, sent = time.monotonic() + ANSWER_LIMIT, -math.inf
-    while time.monotonic() < deadline:
-        if time.monotonic() - sent > RESEND:
-            sent = time.monotonic()
-            bus.publish(t.MISSION_REQUEST, request, time.time_ns())
-        for received in bus.take(0.1):
-            state: Any = bus.open(received)
-            if received.topic is not t.MISSION_STATE or state is None or state.request != request.id:
-                continue
-            if state.refused:
-                _fail(f"refused: {state.refused}", REFUSED)
-            return state
-    _silent()
+    order = TellMission(action, **fields)
+    outcome = follow(bus, order)
+    if order.state is None:
+        _silent()
+    if not outcome.ok:
+        _fail(outcome.words, REFUSED)
+    return order.state
 
 
 def _follow(bus: Bus, order_id: str) -> int:

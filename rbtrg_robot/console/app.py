@@ -67,6 +67,7 @@ class Site:
             Route("/stop", self._stop, methods=["POST"]),
             WebSocketRoute("/live", self._live),
             *Archive(self._config, self._desk).routes(),
+            *self._desk.mission_files.routes(),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         return Guard(Starlette(routes=routes), self._door)
@@ -169,7 +170,7 @@ class Site:
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":
-                self._desk.alive(page, time.monotonic())
+                self._desk.alive(page, time.monotonic(), watched=bool(wish.get("watched")))
             elif what == "take over":
                 self._desk.take_over(page, time.monotonic())
                 reply(True, "this page operates")

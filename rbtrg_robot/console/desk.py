@@ -20,9 +20,11 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.feed import Feed
 from rbtrg_robot.console.frames import route
 from rbtrg_robot.console.lease import Lease
+from rbtrg_robot.console.missions import MissionFiles
 from rbtrg_robot.orders.goal import AskRoute, CancelGoal, SendGoal
 from rbtrg_robot.orders.limits import USE_HARDWARE
 from rbtrg_robot.orders.map import LIMIT, FetchMap, save
+from rbtrg_robot.orders.mission import TellMission
 from rbtrg_robot.orders.order import Order, Outcome, send
 from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
 from rbtrg_robot.orders.who import me
@@ -36,6 +38,8 @@ from rbtrg_robot.wire.messages import header
 POSTURE_LIMIT = 30.0
 LATE = 0.2
 """[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
+PRESENCE = 1.0
+"""[s] between two signs that an operator watches."""
 Reply = Callable[[bool, str, dict[str, Any] | None], None]
 """Whether it was done, why not, and what was found out."""
 TAKEN = "another page operates; take over first"
@@ -61,8 +65,11 @@ class Page:
 class Desk:
     """Orders begin in the server's thread and go on in that of the bus."""
 
-    SENDS = (t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION)
-    HEARS = (t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL)
+    SENDS = (
+        *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION),
+        *(t.MISSION_REQUEST, t.PRESENCE),
+    )
+    HEARS = (t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL, t.MISSION_STATE)
 
     def __init__(self, config: StackConfig, bus: Bus, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:
         self._bus = bus
@@ -77,6 +84,8 @@ class Desk:
         self._area = Geofence.of(area) if area else None
         self._room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
         self._capabilities = config.capabilities()
+        self.mission_files = MissionFiles(config)
+        self._present = -math.inf
         for topic in self.SENDS:
             bus.advertise(topic)
 
@@ -95,6 +104,7 @@ class Desk:
             "posture": self._posture,
             "drive": self._drive,
             "ask": self._ask,
+            "mission": self._mission,
         }
         if what not in known:
             raise Refused(f"unknown wish {str(what)[:40]!r}")
@@ -104,10 +114,19 @@ class Desk:
             raise Refused(TAKEN)
         known[what](page, wish, reply)
 
-    def alive(self, page: Page, now: float) -> None:
-        """The page says that it is there: it keeps the lease, or takes it where nobody has it."""
-        if page.role is Role.OPERATOR:
-            self.lease.take(page.number, now)
+    def alive(self, page: Page, now: float, *, watched: bool = False) -> None:
+        """The page says that it is there: it keeps the lease, or takes it where nobody has it.
+
+        `watched`: it is in front of somebody and shows what is. Whoever operates is then in contact with the mission.
+        """
+        if page.role is not Role.OPERATOR or not self.lease.take(page.number, now):
+            return
+        if watched and now - self._present >= PRESENCE:
+            self._present = now
+            stamp = time.time_ns()
+            self._bus.publish(
+                t.PRESENCE, msg.Presence(header=header(stamp, ""), owner=self._owner(page)), stamp
+            )
 
     def take_over(self, page: Page, now: float) -> None:
         """Whoever operates now does so no longer. Raises Refused."""
@@ -208,6 +227,36 @@ class Desk:
             reply(outcome.ok, outcome.words, found)
 
         self._begin(order, done)
+
+    def _mission(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
+        """Run one of the files, or tell the mission that is under way."""
+        what = str(wish.get("what"))
+        try:
+            step = int(wish.get("step") or 0)
+        except (TypeError, ValueError) as error:
+            raise Refused("a step is a number") from error
+        owner = self._owner(page)
+
+        def done(order: TellMission) -> None:
+            self._begin(order, lambda outcome: reply(outcome.ok, outcome.words, None))
+
+        if what != "run":
+            told = {name: str(wish.get(name, ""))[:100] for name in ("order_id", "answer")}
+            done(TellMission(what, owner=owner, step=step, **told))
+            return
+        reading = self._loop.run_in_executor(
+            None, self.mission_files.order, str(wish.get("file")), max(step, 1), owner
+        )
+
+        def read(future: asyncio.Future[msg.MissionOrder]) -> None:
+            try:
+                order = future.result()
+            except OperatorError as error:
+                reply(False, str(error), None)
+            else:
+                done(TellMission(what, owner=owner, order=order))
+
+        reading.add_done_callback(read)
 
     def save_map(self, file: Path) -> int:
         """Fetch the map and write it; returns the number of known cells. Blocks: for a worker thread. Raises Refused."""

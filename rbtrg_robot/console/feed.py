@@ -38,7 +38,10 @@ HEARD: tuple[Topic, ...] = (
     *frames.PLAIN,
 )
 
-KEPT = (t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT)
+KEPT = (
+    *(t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
+    *(t.MISSION_ORDER, t.MISSION_STATE),
+)
 """Decoded while nobody looks, too: they come once, or orders need them."""
 
 

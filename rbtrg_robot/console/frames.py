@@ -14,6 +14,8 @@ import numpy as np
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.missions.file import describe
+from rbtrg_robot.missions.words import line
 from rbtrg_robot.stages.navigation.reasons import hindrance, words
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import cloud_points, xyz, xyzw, yaw_of
@@ -137,6 +139,36 @@ def route(message: msg.RouteReport) -> dict[str, Any]:
     }
 
 
+def mission(message: msg.MissionState) -> dict[str, Any]:
+    """How far the mission is."""
+    names = ("order_id", "name", "phase", "reason", "step", "question", "choices", "action_status")
+    return {
+        "words": line(message),
+        "results": message.result_description,
+        **{name: getattr(message, name) for name in names},
+    }
+
+
+def mission_order(order: msg.MissionOrder) -> dict[str, Any]:
+    """The steps of a mission, as they are drawn and listed."""
+    steps = [
+        {
+            "id": step.id,
+            "step": step.kind,
+            "words": describe(step),
+            **(
+                {"x": step.x, "y": step.y, "yaw": step.yaw if step.has_yaw else None}
+                if step.kind == "goto"
+                else {}
+            ),
+        }
+        for step in order.steps
+    ]
+    loops = [[int(loop.first), int(loop.last), int(loop.times)] for loop in order.loops]
+    names = ("order_id", "name", "on_comms_loss", "comms_timeout")
+    return {"steps": steps, "loops": loops, **{name: getattr(order, name) for name in names}}
+
+
 def plain(*names: str) -> Callable[[Any], dict[str, Any]]:
     """The named fields as they are."""
     return lambda message: {name: getattr(message, name) for name in names}
@@ -145,6 +177,8 @@ def plain(*names: str) -> Callable[[Any], dict[str, Any]]:
 PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
     t.ROBOT_STATE: ("robot", robot),
     t.GOAL_STATUS: ("goal", goal),
+    t.MISSION_STATE: ("mission", mission),
+    t.MISSION_ORDER: ("mission_order", mission_order),
     t.ODOM_HEALTH: ("odometry", plain("health", "reason", "overlap", "inliers", "residual", "degeneracy")),
     t.MAP_STATUS: (
         "map",

@@ -9,10 +9,10 @@ from rbtrg_robot.msg import MissionState
 ENDED = ("finished", "failed", "stopped")
 
 
-def lines(state: MissionState) -> list[str]:
-    """A mission in words: one line, then one for each step."""
+def line(state: MissionState) -> str:
+    """A mission in one line, without its question."""
     if not state.order_id:
-        return ["no mission"]
+        return "no mission"
     name = f"mission {state.name}".strip()
     count = len(state.action_id)
     step = f" ({state.action_id[state.step - 1]})" if 1 <= state.step <= count else ""
@@ -24,8 +24,12 @@ def lines(state: MissionState) -> list[str]:
     text = f"{name} {state.phase}" + ("" if state.phase == "finished" else where)
     if state.returning and state.phase not in ENDED:
         text += f"; on its way home: {state.failure}"
-    if state.reason:
-        text += f": {state.reason}"
+    return f"{text}: {state.reason}" if state.reason else text
+
+
+def lines(state: MissionState) -> list[str]:
+    """A mission in words: one line, then one for each step."""
+    text = line(state)
     if state.question:
         text += f": {state.question} `rbtrg-robot mission answer {'|'.join(state.choices)}`"
     rows = zip(state.action_id, state.action_status, state.result_description, strict=True)

@@ -1,13 +1,5 @@
 // Runs and maps on the robot's disk.
-import { $, anchor, button, figure, list, put, table } from "./tell.js";
-
-async function get(path, options) {
-  const answer = await fetch(path, options);
-  const found = await answer.json();
-  if (!answer.ok) throw new Error(found.words ?? answer.statusText);
-  return found;
-}
-const post = (path, content) => get(path, { method: "POST", body: JSON.stringify(content ?? {}) });
+import { $, anchor, button, figure, get, list, post, put, table } from "./tell.js";
 
 export function makeArchive(free) {
   const say = (error) => free.say(error.message, "bad");

@@ -93,7 +93,7 @@ export function open() {
   }
 
   setInterval(look, 100);
-  setInterval(() => quick({ do: "alive" }), 500);
+  setInterval(() => quick({ do: "alive", watched: !document.hidden && link.fresh !== "stale" }), 500);
   dial();
   return link;
 }

@@ -1,8 +1,9 @@
-// The page: one connection, one picture, five views, and STOP on all of them.
+// The page: one connection, one picture, six views, and STOP on all of them.
 import { makeArchive } from "./archive.js";
 import { makeDrive } from "./drive.js";
 import { makeHealth } from "./health.js";
 import { open } from "./link.js";
+import { makeMissions } from "./missions.js";
 import { makeStick } from "./stick.js";
 import { $, figure, put, twice } from "./tell.js";
 import { makeWhy } from "./why.js";
@@ -12,7 +13,7 @@ const link = open();
 stopping();
 const about = await (await fetch("/about")).json();
 const small = matchMedia("(max-width: 860px)").matches;
-let why, drive, stick, spoken = "", was = "", timer = 0;
+let why, drive, stick, missions, spoken = "", was = "", timer = 0;
 
 const free = {
   operating: () => link.role === "operator" && link.newest.beat?.operator === link.page,
@@ -40,6 +41,7 @@ document.title = `${about.robot} console`;
 why = makeWhy(link, view);
 drive = makeDrive(link, view, about, free);
 stick = makeStick(link, view, about, free);
+missions = makeMissions(link, view, free);
 const health = makeHealth(link), archive = makeArchive(free);
 
 // --- views --------------------------------------------------------------------------------------------------
@@ -47,7 +49,7 @@ function show(name) {
   document.body.dataset.view = name;
   for (const made of document.querySelectorAll("nav button")) made.toggleAttribute("aria-current", made.dataset.view === name), made.dataset.view === name && made.setAttribute("aria-current", "page");
   for (const panel of document.querySelectorAll(".panel")) panel.hidden = panel.id !== name;
-  ({ health: health.show, logs: archive.runs, maps: archive.maps, why: why.gate })[name]?.();
+  ({ health: health.show, logs: archive.runs, maps: archive.maps, missions: missions.show, why: why.gate })[name]?.();
 }
 for (const made of document.querySelectorAll("nav button")) made.onclick = () => show(made.dataset.view);
 show("drive");
@@ -110,7 +112,7 @@ link.on("age", (changed) => {
   if (!changed) return;
   if (link.fresh === "stale") speak(`What you see is old: ${{ console: "the console is silent", robot: "the robot is silent", odometry: "the odometry is silent" }[link.silent] ?? "no data"}. Goals and driving are locked, STOP is not.`);
   if (link.fresh === "live") speak("");
-  drive.lock(); stick.show(); view.show();
+  drive.lock(); missions.lock(); stick.show(); view.show();
 });
 link.on("robot", (robot) => {
   const words = robot.estop ? `Emergency stop: ${robot.estop_cause}` : ["fault", "disconnected"].includes(robot.phase) ? `${robot.phase}: ${robot.cause}` : "";
@@ -125,7 +127,7 @@ function lease() {
   const words = !link.connected() ? "not connected" : link.role === "observer" ? "observer: look and stop" : operating ? "you operate" : beat?.operator ? `page ${beat.operator} operates` : "nobody operates";
   put("lease", words);
   $("take").hidden = operating || link.role !== "operator" || !beat?.operator || !link.connected();
-  if (words !== was) { was = words; drive.lock(); stick.show(); }
+  if (words !== was) { was = words; drive.lock(); missions.lock(); stick.show(); }
 }
 twice($("take"), () => `Page ${link.newest.beat.operator} can then only look and stop. Really take over?`, async () => {
   const answer = await link.wish({ do: "take over" }).catch((error) => ({ words: error.message, ok: false }));

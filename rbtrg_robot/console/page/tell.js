@@ -43,6 +43,15 @@ export function anchor(words, href) {
   return made;
 }
 
+// What the server has on its disk. Throws its words where it refuses.
+export async function get(path, options) {
+  const answer = await fetch(path, options);
+  const found = await answer.json();
+  if (!answer.ok) throw new Error(found.words ?? answer.statusText);
+  return found;
+}
+export const post = (path, content) => get(path, { method: "POST", body: JSON.stringify(content ?? {}) });
+
 // A press that must be meant is pressed twice. No dialog of the browser: it would keep the STOP keys from the page.
 export function twice(made, words, act) {
   const before = made.textContent;

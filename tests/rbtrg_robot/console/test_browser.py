@@ -175,7 +175,7 @@ def test_everything_by_keyboard_alone(visit: Callable[..., Page], robot: Robot) 
     page.focus("#go")
     page.keyboard.press("Enter")
     soon(page, lambda: bool(robot.goals))
-    page.focus("nav button:nth-child(2)")
+    page.focus("nav [data-view=why]")
     page.keyboard.press("Enter")
     assert page.is_visible("#why")
     page.keyboard.press("Space")  # on a button that has the focus
@@ -191,7 +191,7 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
     page.fill("#gy", "0")
     page.click("#ask")
     page.wait_for_selector("#go:not([hidden])")
-    page.click("nav button:nth-child(2)")
+    page.click("nav [data-view=why]")
     assert page.locator("#steps tbody tr").count() == 5
     assert page.inner_text("#steps tr.worst td:nth-child(4)") == "0.60"
     page.click("#steps tbody tr:nth-child(3) button")
@@ -208,7 +208,7 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
 @pytest.mark.parametrize("how", ["press", "Escape", "observer"])
 def test_stop(visit: Callable[..., Page], robot: Robot, how: str) -> None:
     page = visit("observer" if how == "observer" else "operator")
-    for view in range(1, 6):
+    for view in range(1, 7):
         page.click(f"nav button:nth-child({view})")
         box = page.locator("#halt").bounding_box()
         assert box is not None
@@ -393,6 +393,69 @@ def test_hands_let_go(visit: Callable[..., Page], robot: Robot, end: str) -> Non
         until(page, "document.querySelector('#resume').textContent === 'Continue the goal'")
         page.click("#resume")
         soon(page, lambda: robot.state in ("moving", "reached"))
+
+
+# --- missions -----------------------------------------------------------------------------------------------
+
+ROUND = """
+name: round
+on_comms_loss: hold
+comms_timeout: 2
+steps:
+  - goto: {x: 1.5, y: 0.5, yaw_deg: 90}
+  - ask: {question: "Is the valve open?", choices: [yes, no]}
+  - goto: {x: 2.5, y: -0.5}
+  - wait: 1000
+"""
+
+
+def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
+    visit: Callable[..., Page], robot: Robot, console: Console
+) -> None:
+    folder = Path(console.config.log_dir).parent / "missions"
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "round.yaml").write_text(ROUND)
+    (folder / "broken.yaml").write_text("steps: [fly]")
+    page = visit(size=PHONE, has_touch=True, is_mobile=True)
+    page.click("nav [data-view=missions]")
+    until(page, "document.querySelectorAll('#mission-files tbody tr').length === 2")
+    assert "broken.yaml: step 1" in page.inner_text("#mission-files tbody tr:nth-child(1)")
+    page.click("#mission-files tbody tr:nth-child(2) button")
+    until(page, "consoleView.world.mission && consoleView.world.mission.steps.length === 4")
+    assert "stands without an operator in contact for 2 s" in page.inner_text("#file-facts")
+    assert "goto 1.50 0.50 yaw 90 deg" in page.inner_text("#file-steps")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 360
+    page.click("#file-run")
+    until(page, "document.querySelector('#mission-said').textContent.includes('step 1 of 4 (goto-1)')")
+    page.click("[data-mission=pause]")
+    until(page, "document.querySelector('#mission-said').textContent.includes('paused')")
+    soon(page, lambda: robot.state == "cancelled")
+    page.click("[data-mission=resume]")
+    page.click("nav [data-view=drive]")
+    until(page, "document.querySelector('#banner').textContent.includes('Is the valve open?')")
+    assert (robot.x, robot.y) == pytest.approx((1.5, 0.5), abs=0.15)
+    assert page.locator("nav .asks").inner_text() == "Missions"
+    page.click("nav [data-view=missions]")
+    page.click("#choices button:nth-child(1)")
+    until(page, "document.querySelector('#mission-steps').textContent.includes(\"answered 'yes'\")")
+    page.click("[data-mission=skip]")
+    until(page, "document.querySelector('#mission-said').textContent.includes('step 4 of 4')")
+    assert robot.present > 0  # the page is the operator's presence: the mission does not hold
+    page.click("[data-mission=stop]")
+    page.click("[data-mission=stop]")
+    until(page, "document.querySelector('#mission-said').textContent.includes('stopped by')")
+    assert page.is_hidden("#mission-acts")
+
+
+def test_a_page_that_nobody_looks_at_is_no_contact(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    soon(page, lambda: robot.present > 1)
+    page.evaluate("() => Object.defineProperty(document, 'hidden', { value: true })")
+    until(page, "document.querySelector('#lease').textContent === 'you operate'")
+    page.wait_for_timeout(600)  # one that was under way
+    before = robot.present
+    page.wait_for_timeout(1500)
+    assert robot.present == before
 
 
 # --- the picture --------------------------------------------------------------------------------------------

@@ -17,6 +17,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.console.server import Serving, serving
 from rbtrg_robot.process.runfiles import console_address
+from rbtrg_robot.stages.mission.executor import MissionStage
+from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import (
     MAP,
@@ -71,7 +73,10 @@ class Robot:
             self.port = probe.getsockname()[1]
         self.bus = Bus(f"tcp/127.0.0.1:{self.port}", "supervisor", router=True)
         self.bus.subscribe(
-            [t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION]
+            [
+                *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION),
+                *(t.MISSION_REQUEST, t.PRESENCE),
+            ]
         )
         self.bus.serve("status", lambda _: b"{}")
         self.lock = threading.Lock()
@@ -79,7 +84,8 @@ class Robot:
         self._turns = 0
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        for topic in (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_STATUS):
+        told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_STATUS)
+        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE):
             self.bus.advertise(topic)
         self._thread.start()
 
@@ -98,6 +104,9 @@ class Robot:
             self.goals: list[msg.GoalRequest] = []
             self.driven: list[tuple[float, float, float]] = []
             """Time [s], v, w of each command by hand."""
+            self.present = 0
+            """Signs of an operator."""
+            self.mission = MissionStage()
 
     def close(self) -> None:
         """End."""
@@ -115,11 +124,21 @@ class Robot:
             for received in self.bus.take(0.02):
                 with self.lock:
                     self._hear(received.topic, received.decode())
+                    if received.topic in self.mission.inputs:
+                        self._do(self.mission.on(received.topic, received.decode()))
             if time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
                 with self.lock:
                     if not self.frozen:
                         self._say()
+
+    def _do(self, orders: Outputs) -> None:
+        """What the mission wants."""
+        for topic, message in orders:
+            if topic in (t.MISSION_ORDER, t.MISSION_STATE):
+                self.bus.publish(topic, message, time.time_ns())
+            else:
+                self._hear(topic, message)
 
     def _hear(self, topic: t.Topic, message: Any) -> None:
         if topic is t.ROBOT_STOP:
@@ -149,6 +168,8 @@ class Robot:
             self.x += 0.05 * twist.linear.x * math.cos(self.yaw)
             self.y += 0.05 * twist.linear.x * math.sin(self.yaw)
             self.yaw += 0.05 * twist.angular.z
+        elif topic is t.PRESENCE:
+            self.present += 1
         elif topic is t.ROUTE_QUESTION:
             self._answer(message)
 
@@ -204,6 +225,9 @@ class Robot:
             told.has_yaw, told.yaw = self.goal.has_yaw, self.goal.yaw
             told.distance_left = math.hypot(self.goal.x - self.x, self.goal.y - self.y)
         self.bus.publish(t.GOAL_STATUS, told, stamp)
+        for topic, message in ((t.ROBOT_STATE, state), (t.GOAL_STATUS, told)):
+            self._do(self.mission.on(topic, message))
+        self._do(self.mission.tick(stamp))
 
 
 _angle = np.linspace(-math.pi, math.pi, 720)

@@ -1,6 +1,6 @@
 // The same world from above on a 2D canvas, for browsers without WebGL2 and after a context that does not come back.
 import { UNKNOWN } from "./ground.js";
-import { COLOUR, risky } from "./shapes.js";
+import { COLOUR, places, risky } from "./shapes.js";
 
 const css = ([r, g, b, a = 255]) => `rgb(${r} ${g} ${b} / ${a / 255})`;
 
@@ -66,6 +66,17 @@ export function makeFlat(canvas, world, ground, camera) {
       path(plan.x.map((x, k) => [x, plan.y[k]]), 5, paint);
       if (plan.worst >= 0) body(plan.worst_x[plan.worst], plan.worst_y[plan.worst], plan.worst_yaw[plan.worst], COLOUR.worst);
       if (world.shown === plan && world.chosen !== null && world.chosen !== undefined) body(plan.worst_x[world.chosen], plan.worst_y[world.chosen], plan.worst_yaw[world.chosen], COLOUR.chosen);
+    }
+    if (world.mission) {
+      const stops = places(world.mission);
+      path(stops.map((p) => [p.x, p.y]), 2, COLOUR.step, [6, 6]);
+      context.font = "bold 14px system-ui, sans-serif"; context.textAlign = "center"; context.textBaseline = "middle";
+      for (const { x, y, yaw, number, paint } of stops) {
+        if (yaw !== null && yaw !== undefined) path([[x, y], [x + 0.5 * Math.cos(yaw), y + 0.5 * Math.sin(yaw)]], 4, paint);
+        const [px, py] = spot(x, y);
+        context.beginPath(); context.arc(px, py, 11, 0, 7); context.fillStyle = css(paint); context.fill();
+        context.fillStyle = "#fff"; context.fillText(String(number), px, py);
+      }
     }
     for (const arc of world.arc ?? []) body(arc.x, arc.y, arc.yaw, risky(arc.risk));
     for (const goal of [world.goal, world.aim]) if (goal) {

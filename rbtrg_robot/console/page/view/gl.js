@@ -141,7 +141,7 @@ export function makeGl(canvas, world, ground, camera) {
       if (world.graph !== graphShown) { upload(parts.graph, world.graph.at, world.graph.colour); graphShown = world.graph; }
       gl.bindVertexArray(parts.graph.array); gl.drawArrays(gl.LINES, 0, parts.graph.count);
     }
-    const shapes = build(world, ground);
+    const shapes = build(world, ground, camera);
     upload(parts.shapes, new Float32Array(shapes.at), new Uint8Array(shapes.colour));
     gl.drawArrays(gl.TRIANGLES, 0, parts.shapes.count);
     return ground.dirty.size > 0;

@@ -9,8 +9,8 @@ const RESTORE = 3000;  // milliseconds a lost context has to come back
 
 export function mount(element, options) {
   const ground = makeGround(), camera = makeCamera();
-  const world = { pose: null, route: null, preview: null, goal: null, aim: null, arc: null, cloud: null, graph: null, chosen: null, shown: null, layer: 0, points: true, showGraph: false, fresh: "stale", body: [0.7, 0.43], sky: [0.87, 0.9, 0.92] };
-  const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above };
+  const world = { pose: null, route: null, preview: null, goal: null, aim: null, mission: null, arc: null, cloud: null, graph: null, chosen: null, shown: null, layer: 0, points: true, showGraph: false, fresh: "stale", body: [0.7, 0.43], sky: [0.87, 0.9, 0.92] };
+  const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look };
   let canvas, painter, asked = false, handles;
 
   function fresh() {
@@ -65,6 +65,13 @@ export function mount(element, options) {
     });
   }
   function above() { camera.top = !camera.top; camera.elevation = camera.top ? 1.55 : 0.75; if (camera.top) camera.azimuth = -Math.PI / 2; show(); return camera.top; }
+
+  // Turn the picture to a place on the ground.
+  function look(x, y) {
+    const z = ground.height(x, y);
+    camera.at = [x, y, Number.isNaN(z) ? camera.at[2] : z];
+    view.follow = false; options.followed?.(false); show();
+  }
 
   const watch = new ResizeObserver(size);
   fresh();

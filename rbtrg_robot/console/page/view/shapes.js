@@ -1,6 +1,6 @@
 // What stands on the terrain, as triangles for the 3D view: x, y, z, colour. The 2D view draws the same world by itself.
 
-export const COLOUR = { robot: [245, 250, 255, 255], dark: [38, 50, 60, 255], route: [0, 133, 224, 255], preview: [180, 70, 220, 255], native: [60, 66, 74, 255], goal: [255, 140, 0, 255], worst: [225, 40, 40, 255], chosen: [255, 208, 40, 255] };
+export const COLOUR = { step: [20, 130, 120, 255], done: [120, 132, 140, 255], robot: [245, 250, 255, 255], dark: [38, 50, 60, 255], route: [0, 133, 224, 255], preview: [180, 70, 220, 255], native: [60, 66, 74, 255], goal: [255, 140, 0, 255], worst: [225, 40, 40, 255], chosen: [255, 208, 40, 255] };
 
 // From 0 to 1.2: green, amber, red. Also told in words and figures elsewhere.
 export function risky(risk, alpha = 255) {
@@ -65,8 +65,31 @@ export function rotate([x, y, z, w], [a, b, c]) {
   return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx];
 }
 
+const SEGMENTS = [[0, 2, 1, 2], [1, 2, 1, 1], [1, 1, 1, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 2, 0, 1], [0, 1, 1, 1]];
+const DIGITS = ["012345", "12", "01643", "01623", "5612", "05623", "056234", "012", "0123456", "0123565"];
+
+// Places of a mission in their order: { x, y, yaw, number, paint }. One colour for what is done, one for the present step.
+export function places(mission) {
+  return mission.steps.flatMap((step, k) => (step.x === undefined ? [] : [{
+    x: step.x, y: step.y, yaw: step.yaw, number: k + 1,
+    paint: k + 1 === mission.step ? COLOUR.goal : ["FINISHED", "FAILED"].includes(mission.action_status[k]) ? COLOUR.done : COLOUR.step,
+  }]));
+}
+
+// Figures over a place that face the camera.
+function figures(shapes, number, x, y, z, { azimuth, elevation }, paint) {
+  const right = [-Math.sin(azimuth), Math.cos(azimuth)], s = Math.sin(elevation), up = [-s * Math.cos(azimuth), -s * Math.sin(azimuth), Math.cos(elevation)], digits = [...String(number)];
+  digits.forEach((digit, k) => {
+    const from = 0.24 * (k - (digits.length - 1) / 2) - 0.07;
+    for (const segment of DIGITS[digit]) {
+      const [ax, az, bx, bz] = SEGMENTS[segment], at = (u, v) => [0, 1, 2].map((i) => [x, y, z][i] + (right[i] ?? 0) * (from + 0.14 * u) + up[i] * 0.14 * v);
+      shapes.line3(at(ax, az), at(bx, bz), 0.035, paint);
+    }
+  });
+}
+
 // All of the world but terrain, points and graph.
-export function build(world, ground) {
+export function build(world, ground, camera) {
   const shapes = makeShapes();
   const [length, width] = world.body;
   const onGround = (x, y, z) => { const h = ground.height(x, y); return Number.isNaN(h) ? z : h; };
@@ -81,6 +104,16 @@ export function build(world, ground) {
       if (!chosen && !worst) return;
       outline(shapes, x, plan.worst_y[k], onGround(x, plan.worst_y[k], base), plan.worst_yaw[k], length, width, chosen ? COLOUR.chosen : COLOUR.worst);
     });
+  }
+  if (world.mission) {
+    const stops = places(world.mission);
+    shapes.ribbon(stops.length ? dense(stops.map((p) => p.x), stops.map((p) => p.y)).map(([x, y]) => [x, y, onGround(x, y, base)]) : [], 0.05, COLOUR.step, { dash: 0.15 });
+    for (const { x, y, yaw, number, paint } of stops) {
+      const z = onGround(x, y, base);
+      shapes.disc(x, y, z + 0.06, 0.16, paint);
+      figures(shapes, number, x, y, z + 0.3, camera, paint);
+      if (yaw !== null && yaw !== undefined) arrow(shapes, x, y, z + 0.07, yaw, 0.5, paint);
+    }
   }
   for (const arc of world.arc ?? []) outline(shapes, arc.x, arc.y, onGround(arc.x, arc.y, base), arc.yaw, length, width, risky(arc.risk), 0.03);
   for (const [goal, alpha] of [[world.goal, 255], [world.aim, 200]]) {

@@ -1,0 +1,70 @@
+"""Mission files of the robot: list them, look into one, make the order that runs it. All of it reads the disk, so it runs in worker threads."""
+
+from __future__ import annotations
+
+import re
+import uuid
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from rbtrg_robot import msg
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.frames import mission_order
+from rbtrg_robot.missions.file import MissionError, MissionFile, load
+
+FOLDER = "missions"
+"""Beside the runs."""
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]{0,80}\.ya?ml")
+
+
+class MissionFiles:
+    """The YAML files of one folder."""
+
+    def __init__(self, config: StackConfig) -> None:
+        self._folder = Path(config.log_dir).parent / FOLDER
+
+    def routes(self) -> list[Route]:
+        """Of the server."""
+        return [Route("/missions", self._list), Route("/missions/{file}", self._look)]
+
+    def load(self, name: str) -> MissionFile:
+        """A file by its name. Raises MissionError."""
+        path = self._folder / name
+        if not NAME.fullmatch(name) or not path.is_file():
+            raise MissionError(f"there is no mission {name[:80]!r} in {self._folder}")
+        return load(path)
+
+    def order(self, name: str, start: int, owner: str) -> msg.MissionOrder:
+        """The order that runs a file from step `start` on. Raises MissionError."""
+        return self.load(name).order(uuid.uuid4().hex[:12], start=start, owner=owner)
+
+    def _rows(self) -> list[dict[str, Any]]:
+        found = sorted(self._folder.iterdir()) if self._folder.is_dir() else []
+        rows = []
+        for path in found:
+            if not NAME.fullmatch(path.name):
+                continue
+            row: dict[str, Any] = {"file": path.name, "name": "", "steps": 0, "wrong": ""}
+            try:
+                order = self.load(path.name).order("")
+                row |= {"name": order.name, "steps": len(order.steps)}
+            except MissionError as error:
+                row["wrong"] = str(error).replace(f"{self._folder}/", "")
+            rows.append(row)
+        return rows
+
+    async def _list(self, _request: Request) -> Response:
+        rows = await run_in_threadpool(self._rows)
+        return JSONResponse({"folder": str(self._folder), "missions": rows})
+
+    async def _look(self, request: Request) -> Response:
+        try:
+            mission = await run_in_threadpool(self.load, request.path_params["file"])
+        except MissionError as error:
+            return JSONResponse({"words": str(error)}, 404)
+        return JSONResponse(mission_order(mission.order("")))

@@ -62,6 +62,7 @@ export function makeDrive(link, view, about, free) {
     let answer;
     try { answer = await link.wish({ do: "ask", ...goal }); } catch (error) { answer = { ok: false, words: error.message }; }
     if (mine !== asked) return;
+    world.goal = goal;  // the robot has told of its own one meanwhile
     if (!answer.ok) return verdict(`It would not go: ${answer.words}`, false);
     const plan = readPlan(answer.found);
     world.preview = plan; world.shown = plan; world.chosen = null;

@@ -29,6 +29,7 @@ export function makeMissions(link, view, free) {
       put("question-words", mission.question);
       $("choices").replaceChildren(...mission.choices.map((words) => button(words, () => tell({ what: "answer", answer: words, step: link.newest.mission.step, order_id: link.newest.mission.order_id }))));
       $("question").hidden = !asks;
+      if (asks) $("question").scrollIntoView({ block: "nearest" });
       document.querySelector("nav [data-view=missions]").classList.toggle("asks", !!asks);
     }
     put("mission-said", mission.words[0].toUpperCase() + mission.words.slice(1));

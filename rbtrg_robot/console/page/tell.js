@@ -1,7 +1,7 @@
 // Small helpers for text on the page. Nothing that comes from the robot is ever taken for markup.
 
 export const $ = (id) => document.getElementById(id);
-export const figure = (value, digits = 2) => (value === null || value === undefined ? "unknown" : Number(value).toFixed(digits));
+export const figure = (value, digits = 2) => (value === null || value === undefined ? "unknown" : Number(value).toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
 export const degrees = (radians) => (radians * 180) / Math.PI;
 
 export function put(id, words) { const at = $(id); if (at.textContent !== words) at.textContent = words; }

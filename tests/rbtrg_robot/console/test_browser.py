@@ -387,7 +387,8 @@ def test_hands_let_go(visit: Callable[..., Page], robot: Robot, end: str) -> Non
     clock = time.monotonic() + LIMIT
     while robot.driven[-1][1:] != (0.0, 0.0):
         assert time.monotonic() < clock
-        time.sleep(0.02)
+        robot.heard.clear()
+        robot.heard.wait(0.1)
     assert robot.state == "paused"  # the goal goes on only when told to
     if end == "key up":
         until(page, "document.querySelector('#resume').textContent === 'Continue the goal'")

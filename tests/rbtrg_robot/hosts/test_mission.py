@@ -107,3 +107,34 @@ def test_the_mission_can_be_run_again_from_the_log(log: Path, tmp_path: Path) ->
     again = [decode(data, msg.MissionState) for data in states(tmp_path / "again.mcap")]
     assert again[-1].action_status == ["FINISHED"] * 3
     assert [s.phase for s in again].count("paused") >= 1
+
+
+def test_without_an_operator_in_contact_the_robot_stands_or_drives_home() -> None:
+    with Lockstep(load(None, [], scene="flat")) as stack:
+        stack.wait_ready()
+        run = Run(stack)
+        stack.run(1.1)
+        start = run.truth
+        x, y, yaw = start
+        ahead = (x + 2.0 * math.cos(yaw), y + 2.0 * math.sin(yaw))
+
+        def begin(loss: str) -> None:
+            there = goto(ahead[0], y=ahead[1])
+            run.ask("run", order=order(there, order_id=loss, on_comms_loss=loss, comms_timeout=1.0))
+
+        begin("hold")
+        stack.run(0.7)
+        stack.host.inject(t.PRESENCE, msg.Presence(owner="test"))
+        stack.run_until(lambda: run.speed > 0.2, 3.0, "motion")
+        run.until("holding", 1.5)
+        stack.run(0.7)
+        assert run.speed < 0.05
+        stack.host.inject(t.PRESENCE, msg.Presence(owner="test"))
+        stack.run(0.2)
+        assert run.state.phase == "running"  # by itself
+        run.ask("stop")
+        left = run.truth
+        begin("return")
+        run.until("failed")
+        assert "no operator in contact for 1 s; the robot is back" in run.state.reason
+        assert math.dist(run.truth[:2], left[:2]) < 0.3

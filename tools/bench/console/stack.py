@@ -80,6 +80,8 @@ class Robot:
         )
         self.bus.serve("status", lambda _: b"{}")
         self.lock = threading.Lock()
+        self.heard = threading.Event()
+        """Set by every message that comes."""
         self.reset()
         self._turns = 0
         self._end = threading.Event()
@@ -126,6 +128,7 @@ class Robot:
                     self._hear(received.topic, received.decode())
                     if received.topic in self.mission.inputs:
                         self._do(self.mission.on(received.topic, received.decode()))
+                self.heard.set()
             if time.monotonic() >= due:
                 due = time.monotonic() + PERIOD
                 with self.lock:

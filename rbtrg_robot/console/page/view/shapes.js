@@ -83,7 +83,7 @@ function figures(shapes, number, x, y, z, { azimuth, elevation }, paint) {
     const from = 0.24 * (k - (digits.length - 1) / 2) - 0.07;
     for (const segment of DIGITS[digit]) {
       const [ax, az, bx, bz] = SEGMENTS[segment], at = (u, v) => [0, 1, 2].map((i) => [x, y, z][i] + (right[i] ?? 0) * (from + 0.14 * u) + up[i] * 0.14 * v);
-      shapes.line3(at(ax, az), at(bx, bz), 0.035, paint);
+      shapes.line3(at(ax, az), at(bx, bz), 0.05, paint);
     }
   });
 }

@@ -35,6 +35,12 @@ POINT_DTYPE = np.dtype(
 )
 """One LiDAR return: x, y, z [m] in the LiDAR's own frame, intensity [0..255], ring, time [s] since `LidarScan.stamp`."""
 
+POINT_QUANTUM = 2.0**-8
+"""x, y, z are multiples of this [m]: an error of 1.1 mm (1 sigma) beside a sensor noise of 10 to 20 mm. Noise does not compress: finer
+values would only make logs larger."""
+TIME_QUANTUM = 2.0**-14
+"""`time` is a multiple of this [s]: at 10 m and 1 rad/s at most 0.3 mm of deskewing."""
+
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:

@@ -90,7 +90,7 @@ CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.CO
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
 ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
 POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control", recorded="full")
-WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone")
+WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SENSOR,    1, "odometry",  "wheel and leg odometry alone", recorded="full lean")
 ODOM_HEALTH    = Topic("/odom/health",           msg.OdometryHealth,  10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
 CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to the stamp of /odom, base_link", recorded="full")
 HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came", recorded="full")

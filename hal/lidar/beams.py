@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.types import POINT_QUANTUM, TIME_QUANTUM
+
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def moving_rays(
@@ -91,11 +93,10 @@ def measure(
     """Turn true ranges (n,) into what the sensor reports, into `points` (n,) of POINT_DTYPE.
 
     `draw` (3, n) uniform and `noise` (n,) standard normal. `limits`: least and greatest range [m], range sigma [m], dropout share,
-    cosine where returns fade, mixed share, least and greatest depth edge that mixes [m], quantum [m].
-    Returns the number of points.
+    cosine where returns fade, mixed share, least and greatest depth edge that mixes [m].
+    Coordinates and times are rounded to POINT_QUANTUM and TIME_QUANTUM. Returns the number of points.
     """
-    low, high, sigma, dropout, fade, mixed, edge_low, edge_high, quantum = limits
-    per_quantum = 1.0 / quantum
+    low, high, sigma, dropout, fade, mixed, edge_low, edge_high = limits
     n = ranges.shape[0]
     m = 0
     for i in range(n):
@@ -113,12 +114,12 @@ def measure(
         if r < low or r > high:
             continue
         point = points[m]
-        point.x = np.rint(nominal[i, 0] * r * per_quantum) * quantum
-        point.y = np.rint(nominal[i, 1] * r * per_quantum) * quantum
-        point.z = np.rint(nominal[i, 2] * r * per_quantum) * quantum
+        point.x = np.rint(nominal[i, 0] * r / POINT_QUANTUM) * POINT_QUANTUM
+        point.y = np.rint(nominal[i, 1] * r / POINT_QUANTUM) * POINT_QUANTUM
+        point.z = np.rint(nominal[i, 2] * r / POINT_QUANTUM) * POINT_QUANTUM
         point.intensity = np.rint(100.0 * cosine[i])
         point.ring = ring[i]
-        point.time = time[i] * 1e-9
+        point.time = np.rint(time[i] * (1e-9 / TIME_QUANTUM)) * TIME_QUANTUM
         m += 1
     return m
 

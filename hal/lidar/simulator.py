@@ -15,9 +15,6 @@ from hal.lidar.spec import LidarSpec
 from hal.rotation import rotation_rpy
 from hal.types import POINT_DTYPE, Array, Extrinsics, LidarName, LidarScan
 
-QUANTUM = 2.0**-10
-"""Coordinates are multiples of this [m]: a third of the noise bits gone, logs half the size."""
-
 MIXED_GAP = (0.10, 1.0)
 """Depth edges [m] at which one pulse sees both sides; beyond the upper one the echoes separate."""
 
@@ -203,7 +200,7 @@ class LidarSimulator:
         else:
             draw, noise = np.ones((3, n), np.float32), np.zeros(n, np.float32)
             errors = (0.0, 0.0, 0.0, 0.0)
-        limits = np.array([spec.min_range, spec.max_range, *errors, *MIXED_GAP, QUANTUM])
+        limits = np.array([spec.min_range, spec.max_range, *errors, *MIXED_GAP])
         points = np.empty(n, POINT_DTYPE)
         m = measure(
             sweep.ranges, sweep.cosine, sweep.seen, sweep.nominal, sweep.time, sweep.ring, spec.rings, draw, noise, limits, points

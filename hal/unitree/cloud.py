@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.types import NS, POINT_DTYPE, Array
+from hal.types import NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM, Array
 from hal.unitree.api import WireError
 from hal.unitree.layout import CDR_HEADER
 
@@ -112,7 +112,7 @@ def decode_cloud(data: bytes) -> RawCloud:
 
 @njit(cache=True)
 def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body, out):  # type: ignore[no-untyped-def]
-    """Copy the points that are finite, within range and off the body; returns how many."""
+    """Copy the points that are finite, within range and off the body, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
     reach = 0.0  # beyond this distance from the LiDAR nothing can be on the body
     for k in range(3):
         reach += max(abs(body[k] - translation[k]), abs(body[k + 3] - translation[k])) ** 2
@@ -129,8 +129,11 @@ def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body
             if inside:
                 continue
         p = out[n]
-        p.x, p.y, p.z = x[i], y[i], z[i]
-        p.intensity, p.ring, p.time = intensity[i], ring[i], time[i]
+        p.x = np.rint(x[i] / POINT_QUANTUM) * POINT_QUANTUM
+        p.y = np.rint(y[i] / POINT_QUANTUM) * POINT_QUANTUM
+        p.z = np.rint(z[i] / POINT_QUANTUM) * POINT_QUANTUM
+        p.intensity, p.ring = intensity[i], ring[i]
+        p.time = np.rint(time[i] / TIME_QUANTUM) * TIME_QUANTUM
         n += 1
     return n
 

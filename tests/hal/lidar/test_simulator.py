@@ -5,10 +5,10 @@ import pytest
 
 from hal.lidar.beams import measure, moving_rays, turn_beams, unblocked
 from hal.lidar.caster import NumbaCaster, OrientedBox, Surface, cast_onto_boxes, pack_boxes
-from hal.lidar.simulator import GO2W_BODY, QUANTUM, LidarSimulator, LidarTimeError
+from hal.lidar.simulator import GO2W_BODY, LidarSimulator, LidarTimeError
 from hal.lidar.spec import LIDARS
 from hal.rotation import rotation_rpy
-from hal.types import NS, POINT_DTYPE, Extrinsics, LidarScan
+from hal.types import NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM, Extrinsics, LidarScan
 
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
 STEP = 5_000_000
@@ -79,10 +79,10 @@ def test_returns_lie_on_the_terrain(name: str) -> None:
     world = in_base(scan, spec.mount) + np.array([0.0, 0.0, 0.45])
     inside = (np.abs(world[:, :2]) < 5.8).all(axis=1)
     assert inside.sum() > 100
-    assert np.abs(world[inside, 2]).max() < 2e-3
+    assert np.abs(world[inside, 2]).max() < POINT_QUANTUM
     walls = ~inside
     assert walls.sum() > 20 or name == "l1"
-    assert (np.abs(world[:, :2]).max(axis=1) < 6.001).all()
+    assert (np.abs(world[:, :2]).max(axis=1) < 6.0 + POINT_QUANTUM).all()
 
 
 def test_range_noise_has_the_specified_spread() -> None:
@@ -121,7 +121,7 @@ def test_slicing_does_not_matter_at_constant_velocity() -> None:
         assert a.stamp == b.stamp
         assert len(a.points) == pytest.approx(len(b.points), abs=3)
         if len(a.points) == len(b.points):
-            assert np.abs(xyz(a) - xyz(b)).max() <= 2 * QUANTUM
+            assert np.abs(xyz(a) - xyz(b)).max() <= 2 * POINT_QUANTUM
 
 
 def test_a_moving_sensor_distorts_the_scan() -> None:
@@ -135,10 +135,12 @@ def test_a_moving_sensor_distorts_the_scan() -> None:
     assert wall(still) - wall(moving) == pytest.approx(0.05, abs=0.01)
 
 
-def test_coordinates_are_multiples_of_the_quantum() -> None:
+def test_coordinates_and_times_are_multiples_of_their_quantum() -> None:
     spec = LIDARS["xt16"].decimated(8)
-    points = xyz(sweep(LidarSimulator(spec, spec.mount, arena(), seed=3))[0])
-    assert np.array_equal(np.round(points / QUANTUM) * QUANTUM, points)
+    scan = sweep(LidarSimulator(spec, spec.mount, arena(), seed=3))[0]
+    points, time = xyz(scan), scan.points["time"].astype(float)
+    assert np.array_equal(np.round(points / POINT_QUANTUM) * POINT_QUANTUM, points)
+    assert np.array_equal(np.round(time / TIME_QUANTUM) * TIME_QUANTUM, time)
 
 
 def test_no_return_from_the_body_and_the_xt16_sees_the_floor_from_1_7_m() -> None:
@@ -188,7 +190,7 @@ def test_measuring_agrees_with_plain_numpy() -> None:
     cosine, seen = random.random(n, dtype=np.float32), random.random(n) < 0.9
     nominal = random.normal(size=(n, 3)).astype(np.float32)
     draw, noise = random.random((3, n), dtype=np.float32), random.standard_normal(n, dtype=np.float32)
-    limits = np.array([0.1, 40.0, 0.02, 0.1, 0.3, 0.4, 0.1, 1.0, QUANTUM])
+    limits = np.array([0.1, 40.0, 0.02, 0.1, 0.3, 0.4, 0.1, 1.0])
     time, ring = np.sort(random.integers(0, NS // 10, n)), random.integers(0, 16, n).astype(np.uint16)
     got = np.empty(n, POINT_DTYPE)
     m = measure(ranges, cosine, seen, nominal, time, ring, stride, draw, noise, limits, got)
@@ -204,13 +206,13 @@ def test_measuring_agrees_with_plain_numpy() -> None:
     assert mixed.sum() > 10
     assert m == want.sum()
     assert np.array_equal(got["ring"][:m], ring[want])
-    assert np.array_equal(got["time"][:m], (time[want] * 1e-9).astype(np.float32))
+    assert np.array_equal(got["time"][:m], np.round(time[want] * 1e-9 / TIME_QUANTUM) * TIME_QUANTUM)
     assert np.array_equal(
         got["intensity"][:m], np.round(100.0 * cosine[want].astype(float)).astype(np.float32)
     )
     xyz = np.stack([got[axis][:m] for axis in "xyz"], axis=1)
-    points = np.round(nominal[want] * r[want, None] / QUANTUM) * QUANTUM
-    assert np.abs(xyz - points).max() <= 1.01 * QUANTUM
+    points = np.round(nominal[want] * r[want, None] / POINT_QUANTUM) * POINT_QUANTUM
+    assert np.abs(xyz - points).max() <= 1.01 * POINT_QUANTUM
     assert (np.abs(xyz - points) > 1e-6).mean() < 0.01
 
 

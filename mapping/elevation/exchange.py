@@ -14,7 +14,7 @@ from mapping.grid import ElevationGrid
 PATCH_LAYERS = ("elevation", "variance", "trusted", "upper_bound", "source")
 
 LARGEST = 50_000_000
-"""Cells of a mirror: 280 m x 280 m of 4 cm, 1 GB. One patch that lies far off must not fill the memory."""
+"""Cells of a mirror and of a map that is read as a whole: 280 m x 280 m of 4 cm, 1 GB. One patch that lies far off must not fill the memory."""
 
 
 class MapError(OperatorError):

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mapping.elevation.exchange import MapError
+
 UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
 """Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store."""
 
@@ -49,6 +51,9 @@ FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
 
 SAVED = ("height", "variance", "below", "upper", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
+
+WIDEST = 2048
+"""Tile rows or columns that a map may span: 5 km with tiles of 64 cells of 0.04 m. What lies further apart is an error of somebody's."""
 
 
 class Layers(NamedTuple):
@@ -97,7 +102,9 @@ class TileStore:
         self.tiles = np.concatenate([self.tiles, np.zeros((capacity - have, 2), dtype=np.int32)])
 
     def cover(self, row_lo: int, col_lo: int, row_hi: int, col_hi: int) -> None:
-        """Grow the directory so that it holds the tile rows and columns given (both ends in)."""
+        """Grow the directory so that it holds the tile rows and columns given (both ends in). Raises MapError beyond WIDEST."""
+        if not self.used and self.directory.size == 1:  # the map begins where the robot is, not at the origin
+            self.first = np.array([row_lo, col_lo], dtype=np.int64)
         r0, c0 = int(self.first[0]), int(self.first[1])
         r1, c1 = r0 + self.directory.shape[0] - 1, c0 + self.directory.shape[1] - 1
         if row_lo >= r0 and col_lo >= c0 and row_hi <= r1 and col_hi <= c1:
@@ -105,6 +112,10 @@ class TileStore:
         # a margin of 8 tiles each time: a moving robot grows the directory rarely
         nr0, nr1 = (r0 if row_lo >= r0 else row_lo - 8), (r1 if row_hi <= r1 else row_hi + 8)
         nc0, nc1 = (c0 if col_lo >= c0 else col_lo - 8), (c1 if col_hi <= c1 else col_hi + 8)
+        if max(nr1 - nr0, nc1 - nc0) > WIDEST:
+            raise MapError(
+                f"tile ({row_lo}, {col_lo}) is more than {WIDEST} tiles away from what the map holds: is the pose right?"
+            )
         grown = np.full((nr1 - nr0 + 1, nc1 - nc0 + 1), -1, dtype=np.int32)
         grown[r0 - nr0 : r1 - nr0 + 1, c0 - nc0 : c1 - nc0 + 1] = self.directory
         self.directory = grown

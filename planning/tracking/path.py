@@ -17,6 +17,8 @@ from planning.braking import bend_speed, brake
 
 STEP = 0.05
 """Spacing of the resampled path [m]."""
+LONGEST = 10_000.0
+"""[m]: a longer path is an error of somebody's."""
 
 
 class PathError(ValueError):
@@ -159,6 +161,8 @@ def track_path(
     chord = np.diff(xy, axis=0)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(chord[:, 0], chord[:, 1]))])
     length = float(arc[-1])
+    if not length <= LONGEST:
+        raise PathError(f"a path of {length:.3g} m is longer than {LONGEST:.0f} m")
     count = max(2, math.ceil(length / STEP) + 1)
     step = length / (count - 1)
     s = np.arange(count) * step

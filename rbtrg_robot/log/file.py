@@ -68,6 +68,11 @@ class LogError(OperatorError):
 PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
 """Reasons of a failed write that may be gone at the next attempt: what fills a disk is often deleted again."""
 
+BROKEN = (
+    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, struct.error,
+)  # fmt: skip
+"""What reading a damaged file can raise; OverflowError: a length beyond 2^63."""
+
 
 def _cannot_write(path: Path, error: OSError) -> LogError:
     return LogError(
@@ -250,15 +255,7 @@ def read_log(
                     count += 1
                     yield entry, schema, channel
             found.indexed = True
-        except (
-            McapError,
-            zstandard.ZstdError,
-            ValueError,
-            KeyError,
-            EOFError,
-            MemoryError,
-            struct.error,
-        ) as error:
+        except BROKEN as error:
             if not found.channels and not found.metadata:
                 raise LogError(f"{path} is not an MCAP file") from error
             found.damage = f"after {count} messages: {type(error).__name__}"

@@ -207,7 +207,11 @@ class ElevationStage:
 
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
-            return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
+            try:
+                return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
+            except MapError as error:
+                self._detail, self._status_due = str(error), 0
+                raise
         self._detail = f"unknown request {message.action!r}"
         self._status_due = 0
         return []

@@ -340,3 +340,51 @@ def test_ground_on_one_side_of_the_robot_is_continued_up_to_what_stands_there() 
     assert hidden[(patch.i == 5) & (patch.j == -6)].all()
     assert not hidden[patch.j > -5].any()
     assert not behind(patch, np.zeros(25, bool), np.array([0.0, 0.0]), 0.04).any()
+
+
+def square() -> np.ndarray:
+    """A square of ground around the robot, in base_link."""
+    x, y = np.meshgrid(np.linspace(-3.0, 3.0, 150), np.linspace(-3.0, 3.0, 150))
+    return np.stack([x, y, np.full_like(x, -0.4)], -1).reshape(-1, 3).astype(np.float32)
+
+
+@pytest.mark.parametrize("place", [5e6, -1e9, 1e38, 90_000.0])
+def test_a_pose_too_far_from_the_map_is_refused_and_costs_no_memory(place: float) -> None:
+    elevation = ElevationMap()
+    elevation.fuse(square(), (0.0, 0.0, 0.4), LEVEL, 1)
+    before, held = elevation.full(), elevation.store.nbytes
+    with pytest.raises(MapError, match=r"tiles away|km from the origin"):
+        elevation.fuse(square(), (place, 0.0, 0.4), LEVEL, 2)
+    with pytest.raises(MapError, match=r"tiles away|km from the origin"):
+        elevation.fuse_ground(np.full((4, 3), -0.4), (0.0, place, 0.4), LEVEL, 2)
+    assert elevation.store.nbytes == held
+    after = elevation.full()
+    assert after.cell == before.cell
+    np.testing.assert_array_equal(after.layers["elevation"], before.layers["elevation"])
+
+
+def test_a_map_that_begins_far_from_the_origin_is_the_same_map_and_no_larger() -> None:
+    here, there = ElevationMap(), ElevationMap()
+    shift = 48_000.0
+    for elevation, x in ((here, 0.0), (there, shift)):
+        elevation.fuse(square(), (x, -x, 0.4), LEVEL, 1)
+    assert there.store.nbytes <= here.store.nbytes
+    known, heights = zip(*(cells_seen(elevation) for elevation in (here, there)), strict=True)
+    assert known[0] > 1000
+    assert known[1] == pytest.approx(known[0], rel=0.02)
+    assert max(np.abs(h).max() for h in heights) < 0.01
+
+
+def cells_seen(elevation: ElevationMap) -> tuple[int, np.ndarray]:
+    """How many cells the LiDAR has seen, and their heights."""
+    seen = elevation.store.cells[elevation.store.cells["source"] == LIDAR]
+    return len(seen), seen["height"]
+
+
+def test_a_map_too_large_to_be_read_as_a_whole_says_so() -> None:
+    elevation = ElevationMap()
+    for x in (0.0, 1500.0):
+        elevation.fuse(square(), (x, x, 0.4), LEVEL, 1)
+    with pytest.raises(MapError, match="too large"):
+        elevation.full()
+    assert elevation.window(1500.0, 1500.0, 4.0).layers["elevation"].size > 100

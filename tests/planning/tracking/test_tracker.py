@@ -398,6 +398,8 @@ def test_input_that_is_not_finite_gives_zero_and_says_so(index: int):
         ([[0, 0, 0], [1, 0, 0]], None, [0.5] * 3, None, "speed"),
         ([[0, 0, 0], [1, 0, 0]], None, 0.5, math.nan, "goal_yaw"),
         ("abc", None, 0.5, None, "points"),
+        ([[0, 0, 0], [1e7, 0, 0]], None, 0.5, None, "longer"),
+        ([[-1e308, 0, 0], [1e308, 0, 0]], None, 0.5, None, "longer"),
     ],
 )
 def test_malformed_paths_are_refused_and_the_old_one_stays(points, yaw, speed, goal_yaw, word):

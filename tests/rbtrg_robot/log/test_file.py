@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from rosbags.highlevel import AnyReader
 
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import (
     CONFIG,
@@ -172,3 +176,20 @@ def test_a_stamp_that_no_log_can_hold_does_not_end_the_recording(tmp_path: Path,
         writer.write(t.CLOCK, encode(t.CLOCK.kind()), 5, stamp, -7)
     (entry,) = read_run(tmp_path / "log.mcap")
     assert entry.publish_time == min(max(stamp, 0), 2**64 - 1)
+
+
+def test_a_length_that_no_memory_has_is_damage_and_no_crash(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {}) as writer:
+        writer.write(t.HEARTBEAT, encode(msg.Heartbeat()), 1, 1)
+    content = RecordBuilder()
+    broken = bytes([0x7F]) + struct.pack("<Q", 2**63)
+    Chunk("", broken, 0, 0, 0, len(broken)).write(content)
+    whole = path.read_bytes()
+    at = 8  # behind the magic: records of an opcode, a length and so many bytes
+    for _record in ("header", "metadata"):
+        at += 9 + struct.unpack_from("<Q", whole, at + 1)[0]
+    path.write_bytes(whole[:at] + content.end() + whole[at:])
+    contents = LogContents()
+    assert list(read_log(path, contents)) == []
+    assert "OverflowError" in contents.damage

@@ -152,6 +152,11 @@ class SafetyGate:
             self._hold, self._output = "", VelocityCommand(now)
         return self._output
 
+    @property
+    def latched(self) -> bool:
+        """Stopped until `resume`."""
+        return self._cause is not None
+
     def status(self) -> GateStatus:
         """Snapshot after the last call."""
         age = None
@@ -160,13 +165,15 @@ class SafetyGate:
         warn = self._now is not None and self._lasted("not moving", self._now) >= self.params.not_moving_warn
         cause = "" if self._cause is None else self._cause.value
         return GateStatus(
-            latched=self._cause is not None,
+            latched=self.latched,
             cause=f"{cause}: {self._detail}" if self._detail else cause,
             hold=self._hold,
             not_moving=warn,
             motion_unchecked=self._unchecked,
             accepted=self._count,
-            refused={r.value: self._refused[r] for r in RefusalReason if self._refused[r]},
+            refused={r.value: self._refused[r] for r in RefusalReason if r in self._refused}
+            if self._refused
+            else {},
             command_age=age,
         )
 
@@ -291,6 +298,8 @@ class SafetyGate:
         c, s = math.cos(yaw + course), math.sin(yaw + course)
         now, most = self.params.fence_margin, speed
         soon = now + speed * self.params.fence_horizon
+        if fence.outside(x, y) < -(soon + BODY_WIDTH):  # no side is near
+            return most
         for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
             here = fence.outside(x + now * c - side * s, y + now * s + side * c)
             ahead = fence.outside(x + soon * c - side * s, y + soon * s + side * c)

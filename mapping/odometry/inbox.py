@@ -55,7 +55,7 @@ class Inbox:
     @property
     def now(self) -> int:
         """Newest stamp of any topic [ns], 0 before the first."""
-        return max((c.newest for c in self._clocks.values() if c.newest is not None), default=0)
+        return max([c.newest for c in self._clocks.values() if c.newest is not None], default=0)
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -121,6 +121,8 @@ class Inbox:
         """The oldest scan to be registered, once IMU, joints and what is due of other LiDARs have passed its end, or another
         topic is `patience` ahead of it.
         """
+        if not any(self._sweeps.values()):  # most calls: a sample of IMU or joints came
+            return None
         queue = self._sweeps[self.pace]
         if not queue:
             return None

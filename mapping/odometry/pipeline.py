@@ -115,8 +115,8 @@ class LidarInertialOdometry:
                 result = self._process(sweep)
             elif (
                 self.initialised
-                and not self._inbox.waiting
                 and 2 * NS < self._inbox.now - self._filter.stamp < 60 * NS
+                and not self._inbox.waiting
             ):
                 result = self._coast(self._filter.stamp + NS)
             else:

@@ -83,7 +83,9 @@ def update_flags(
             r1, c1 = min(r0 + BLOCK, window[2]), min(c0 + BLOCK, window[3])
             ra, ca = max(0, r0 - pad), max(0, c0 - pad)
             rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
-            ground = height[ra:rb, ca:cb], trusted[ra:rb, ca:cb], res
+            # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
+            piece = np.ascontiguousarray(height[ra:rb, ca:cb]), np.ascontiguousarray(trusted[ra:rb, ca:cb])
+            ground = *piece, res
             rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
             inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
             enter = cell_flags(*ground, max_step, *rest)[inner]

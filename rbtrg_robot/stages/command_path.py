@@ -83,14 +83,14 @@ class CommandPath:
 
     def follow_gate(self, now: int) -> None:
         """Name a stop that the gate latched by itself."""
-        latched = self._gate.status().latched
+        latched = self._gate.latched
         if latched and not self._latched:
             self._renew(now)
         self._latched = latched
 
     def latch(self, now: int) -> int:
         """The number that a `resume` must name; 0 where there is nothing to release."""
-        return self._latch if self._gate.status().latched or self._mux.taken(now)[0] else 0
+        return self._latch if self._gate.latched or self._mux.taken(now)[0] else 0
 
     def taken(self, now: int) -> str:
         """Who took the motion from the stack, in words; empty where nobody did."""

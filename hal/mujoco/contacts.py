@@ -38,13 +38,14 @@ class ContactReader:
         self._model, self._data = model, data
         self._names = {b: model.body(b).name for b in range(model.nbody) if model.body_rootid[b] == base}
         self._parts = np.array([self._part(geom) for geom in range(model.ngeom)])
-        self._robot = np.array(list(self._names))
+        self._robot = np.isin(np.arange(model.nbody), list(self._names))
+        """(nbody,) whether a body is the robot's."""
 
     def all(self) -> Contacts:
         """Every contact."""
         contact = self._data.contact
         bodies = self._model.geom_bodyid[contact.geom]
-        first = np.isin(bodies[:, 0], self._robot)
+        first = self._robot[bodies[:, 0]]
         names = [self._names[b] for b in np.where(first, bodies[:, 0], bodies[:, 1]).tolist()]
         normals = np.where(first, -1.0, 1.0)[:, None] * contact.frame[:, :3]
         parts, forces = self._parts_and_forces()

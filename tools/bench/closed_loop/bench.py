@@ -7,6 +7,7 @@ stands there is not computed again), then `tables.md` and pictures. `docs/evalua
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
@@ -26,7 +27,9 @@ from tools.bench.spread import spread
 
 
 def run(args: list[str]) -> Report:
-    """Run this bench with the arguments of its command line; returns its rows."""
+    """Run this bench with the arguments of its command line; returns its rows. `why ...` and `film ...` look at a study's records."""
+    if args[:1] in (["why"], ["film"]):
+        return importlib.import_module(f"tools.bench.closed_loop.{args[0]}").run(args[1:])  # type: ignore[no-any-return]
     options = _options(args)
     options.out.mkdir(parents=True, exist_ok=True)
     wanted = protocol.trials(
@@ -41,9 +44,9 @@ def run(args: list[str]) -> Report:
     file = options.out / "trials.jsonl"
     done = {r["key"]: r for r in read(file)}
     left = [t for t in wanted if t.key not in done]
-    work = [(t, found[t.scene, t.query, t.method, _planned_for(t)], options.policy) for t in left]
+    work = [(t, found[t.scene, t.query, _line_of(t.method), _planned_for(t)], options.policy) for t in left]
     for record in _written(
-        file, spread(drive, work, options.workers, options.scheduler), len(work), "trials"
+        file, spread(drive_any, work, options.workers, options.scheduler), len(work), "trials"
     ):
         done[record["key"]] = record
     records = [done[t.key] for t in wanted]
@@ -88,13 +91,29 @@ def _options(args: list[str]) -> argparse.Namespace:
             options.policy = str(stored())
         except PolicyError as error:
             parser.error(str(error))
+    if "vendor" in options.colliders and set(options.methods) & set(protocol.PERCEIVED):
+        parser.error(f"{', '.join(protocol.PERCEIVED)} have our colliders: use --colliders all")
     if not 1 <= options.queries <= protocol.QUERIES:
         parser.error(f"--queries must lie in 1..{protocol.QUERIES}")
     return options
 
 
+def drive_any(trial: protocol.Trial, route: Route, policy: str) -> dict[str, Any]:
+    """The record of a trial, with the true pose or with the stack's own."""
+    if trial.method in protocol.PERCEIVED:
+        from tools.bench.closed_loop import stack  # the whole stack takes a second to load
+
+        return stack.drive(trial, route, policy)
+    return drive(trial, route, policy)
+
+
+def _line_of(method: str) -> str:
+    """The method whose line a method is placed along."""
+    return "ours" if method in protocol.PERCEIVED else method
+
+
 def _planned_for(trial: protocol.Trial) -> str:
-    return trial.controller if trial.method == "ours" else ""
+    return trial.controller if _line_of(trial.method) == "ours" else ""
 
 
 Key = tuple[str, int, str, str]
@@ -103,15 +122,14 @@ Key = tuple[str, int, str, str]
 def _routes(options: argparse.Namespace) -> dict[Key, Route]:
     """The routes of all methods: read, or planned and written."""
     file = options.out / "routes.jsonl"
+    planned = list(dict.fromkeys(map(_line_of, options.methods)))
     known = {_key(r): r for r in read(file)}
     work = []
     for scene in options.scenes:
         for query in range(options.queries):
             controllers = [c for c in options.controller if (scene, query, "ours", c) not in known]
             methods = [
-                m
-                for m in options.methods
-                if (controllers if m == "ours" else (scene, query, m, "") not in known)
+                m for m in planned if (controllers if m == "ours" else (scene, query, m, "") not in known)
             ]
             if methods:
                 work.append((scene, query, methods, controllers))

@@ -18,7 +18,9 @@ OWN = ("guarded", "ours")
 """`guarded`: full, smoothed by `planning.path.make_path` between its nodes. `ours`: the planner as it drives, see `routes`."""
 BASELINES = ("t_hybrid", "art")
 """Planners of others between the same snapped endpoints. T-Hybrid's line is driven as it is, ART's is smoothed like the graphs'."""
-METHODS = (*SHARED, *OWN, *BASELINES)
+PERCEIVED = ("ours-mapped", "ours-seen")
+"""The whole stack, which is told its start and nothing else of the truth: with the survey as prior map, or with what it sees on its way."""
+METHODS = (*SHARED, *OWN, *BASELINES, *PERCEIVED)
 CONTROLLERS = ("policy", "vmc")
 COLLIDERS = ("all", "vendor")
 """`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""

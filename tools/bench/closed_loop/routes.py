@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,9 @@ from planning.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search import Plan, PlanRequest, plan
+from planning.search import DriveRules, Plan, PlanRequest, plan
 from planning.search.endpoints import snapped
+from rbtrg_robot.stage_config import GraphConfig, PlannerConfig
 from tools.bench.closed_loop.protocol import FACE, SHARED, SPEED
 from tools.bench.static.study import survey_grid
 
@@ -48,6 +49,10 @@ class Route:
     """x, y [m] of the line driven; its last point is the goal that counts."""
     speed: list[float] = field(default_factory=list)
     """[m/s] per point; empty: `SPEED` everywhere."""
+    least: list[float] = field(default_factory=list)
+    """[m/s] per point, slowest speed that passes the ground there; empty: any."""
+    yaw: list[float] = field(default_factory=list)
+    """[rad] of the body per point; empty: along the line."""
     vertices: list[list[float]] = field(default_factory=list)
     """x, y [m] of the route over the graph."""
     length: float = 0.0
@@ -114,27 +119,31 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
 
 
 def _as_it_drives(name: str, query: int, controller: str) -> Route:
-    """The corrected graph within the controller's limits, real endpoints, the path with its guard and its speeds."""
+    """As the planner process does it: corrected graph within the controller's limits, real endpoints, straight chords, backward where that
+    costs less, the path with its guard, its speeds and its headings.
+    """
     scene = scene_of(name)
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
     robot = CAPABILITIES[controller]
-    params = GraphParams(
-        max_step=robot.max_step,
-        max_slope=robot.max_slope,
-        max_gap=robot.max_gap,
-        max_oblique=robot.max_oblique,
+    params = GraphConfig().params(robot)
+    limits = PathLimits(
+        max_speed=SPEED,
+        max_step=params.max_step,
+        max_slope=params.max_slope,
+        step_speed=min(robot.step_vx, SPEED),
     )
-    limits = PathLimits(max_speed=SPEED, max_step=robot.max_step, max_slope=robot.max_slope)
+    rules = DriveRules(backward=PlannerConfig().backward, straight=True)
     try:
         graph = TraversalGraph.build(grid, start, params, query)
-        found = plan(graph, grid, PlanRequest(start, goal), body)
+        found = plan(graph, grid, PlanRequest(start, goal, rules=rules), body)
     except NoRoute as none:
         return Route(name, query, "ours", controller, str(none))
     path = make_path(found, grid, body, limits)
     if len(path.points) < 2:
         return Route(name, query, "ours", controller, "start and goal are one place")
-    return _route(scene, query, "ours", controller, path.points[:, :2], found, path.speed.tolist())
+    route = _route(scene, query, "ours", controller, path.points[:, :2], found)
+    return replace(route, speed=path.speed.tolist(), least=path.least.tolist(), yaw=path.yaw.tolist())
 
 
 def _route(
@@ -144,7 +153,6 @@ def _route(
     controller: str,
     line: Array,
     found: Plan,
-    speed: list[float] | None = None,
 ) -> Route:
     return Route(
         scene.name,
@@ -152,7 +160,6 @@ def _route(
         method,
         controller,
         line=np.round(line, 5).tolist(),
-        speed=speed or [],
         vertices=np.round(found.points[:, :2], 5).tolist(),
         length=float(np.hypot(*np.diff(line, axis=0).T).sum()),
         wall=crosses_wall(scene, line),

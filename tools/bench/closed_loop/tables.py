@@ -60,10 +60,20 @@ def _rows(out: Report, key: str, mine: Sequence[Record]) -> None:
     out.rate(f"{key}.falls", sum(r.get("cause") in FALLS for r in mine), len(mine), at_least=False)
     for name, (unit, _, _) in MEANS.items():
         if eligible:
-            out.add(f"{key}.{name}", float(np.mean([r[name] for r in eligible])), unit.replace("%", "share"))
+            out.add(f"{key}.{name}", _mean(eligible, name), unit.replace("%", "share"))
 
 
 FALLS = ("fall", "off an edge")
+
+
+def _mean(records: Sequence[Record], name: str) -> float:
+    """NaN for what these trials do not have, such as the distance from a line where the stack makes new ones on its way."""
+    return float(np.mean([_value(r, name) for r in records]))
+
+
+def _value(record: Record, name: str) -> float:
+    value = record[name]
+    return float("nan") if value is None else float(value)
 
 
 def markdown(records: Sequence[Record]) -> str:
@@ -146,13 +156,13 @@ def _differences(group: Sequence[Record]) -> list[str]:
     for method in methods:
         a = difference(group, method, "native")
         b = difference(group, method, "native", counts=lambda r: r["eligible"])
-        c = difference(group, method, "native", lambda r: r["rmse"], lambda r: r["eligible"])
+        c = difference(group, method, "native", lambda r: _value(r, "rmse"), lambda r: r["eligible"])
         lines.append(f"| {method} | {_told(a, 100)} | {_told(b, 100)} | {_told(c, 1000)} |")
     return [*lines, ""]
 
 
 def _told(d: Difference | None, scale: float) -> str:
-    if d is None:
+    if d is None or np.isnan(d.value):
         return "-"
     v, low, high, least = (scale * x for x in (d.value, d.low, d.high, d.least))
     return f"{v:+.1f} [{low:+.1f}, {high:+.1f}], >= {least:+.1f}, {d.trials} trials"
@@ -188,7 +198,8 @@ def _quality(group: Sequence[Record]) -> list[str]:
         mine = [r for r in group if r["method"] == method and r["eligible"]]
         if not mine:
             continue
-        cells = [f"{scale * np.mean([r[n] for r in mine]):.{d}f}" for n, (_, scale, d) in MEANS.items()]
+        means = {n: scale * _mean(mine, n) for n, (_, scale, _) in MEANS.items()}
+        cells = ["-" if np.isnan(v) else f"{v:.{MEANS[n][2]}f}" for n, v in means.items()]
         times = [r["time"] for r in mine if r["success"]]
         cells += [
             f"{np.mean(times):.1f}" if times else "-",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import lru_cache
 from typing import Any
@@ -35,6 +36,7 @@ STEEP = 0.5
 """Vertical part of a contact's normal below which it is on a face."""
 
 Array = NDArray[np.float64]
+See = Callable[[float, Simulation], None]
 
 
 @lru_cache(maxsize=8)
@@ -66,8 +68,8 @@ def tracker_of(trial: p.Trial) -> PathTracker:
     return PathTracker(config)
 
 
-def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
-    """The record of a trial. Depends on its arguments alone."""
+def drive(trial: p.Trial, route: Route, policy: str = "", see: See | None = None) -> dict[str, Any]:
+    """The record of a trial. Depends on its arguments alone. `see(t, simulation)` is called at 50 Hz, `t` [s] after driving off."""
     began = time.process_time()
     given = p.conditions(trial)
     record: dict[str, Any] = {"key": trial.key, **asdict(trial), **given, "wall": route.wall}
@@ -78,20 +80,26 @@ def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
     sim = simulation(trial.scene, trial.colliders)
     sim.set_friction(given["friction"])
     driver = Driver(sim, controller_of(trial.controller, policy))
-    line = np.array(route.line)
-    record |= place(driver, line, trial.scene, given)
+    record |= place(driver, route, trial.scene, given)
     if record["eligible"]:
-        record |= _follow(driver, tracker_of(trial), line, route.speed or p.SPEED)
+        record |= _follow(driver, tracker_of(trial), route, see)
     else:
         record |= {"success": False, "end": "not eligible"}
     return record | {"cpu": time.process_time() - began, "simulated": sim.time}
 
 
-def place(driver: Driver, line: Array, scene: str, given: dict[str, float]) -> dict[str, Any]:
+def heading(route: Route) -> float:
+    """Of the body at the start of a line [rad]: along its tangent, unless the route says another."""
+    if route.yaw:
+        return route.yaw[0]
+    ahead = np.subtract(route.line[min(5, len(route.line) - 1)], route.line[0])
+    return math.atan2(ahead[1], ahead[0])
+
+
+def place(driver: Driver, route: Route, scene: str, given: dict[str, float]) -> dict[str, Any]:
     """Stand at the start of the line, along its tangent, and settle; what speaks against driving off."""
-    sim = driver.simulation
-    ahead = line[min(5, len(line) - 1)] - line[0]
-    yaw = math.atan2(ahead[1], ahead[0]) + given["dyaw"]
+    sim, line = driver.simulation, np.array(route.line)
+    yaw = heading(route) + given["dyaw"]
     sim.reset(line[0, 0] + given["dx"], line[0, 1] + given["dy"], yaw, q=go2w.STAND, settle=0.0)
     lift = sim.lift_clear()
     driver.restart()
@@ -110,10 +118,10 @@ def place(driver: Driver, line: Array, scene: str, given: dict[str, float]) -> d
     return {"eligible": not why, "why": why, "roll0": roll, "pitch0": pitch, "wheels0": wheels, "lift": lift}
 
 
-def _follow(driver: Driver, tracker: PathTracker, line: Array, speed: list[float] | float) -> dict[str, Any]:
+def _follow(driver: Driver, tracker: PathTracker, route: Route, see: See | None) -> dict[str, Any]:
     """Drive the line; how it ended and what the simulator saw."""
-    sim = driver.simulation
-    tracker.set_path(line, None, speed)
+    sim, line = driver.simulation, np.array(route.line)
+    tracker.set_path(line, route.yaw or None, route.speed or p.SPEED, least=route.least or 0.0)
     watch = Watch(sim, line)
     begin = sim.time
     arrived = strict = slow_since = fallen_since = None
@@ -128,6 +136,8 @@ def _follow(driver: Driver, tracker: PathTracker, line: Array, speed: list[float
         tilt = math.degrees(math.acos(min(1.0, max(-1.0, float(rotation[2, 2])))))
         if arrived is None:
             watch.look(t, out.vx)
+        if see is not None:
+            see(t, sim)
         if sim.diverged:
             end = "diverged"
             break

@@ -9,8 +9,9 @@ import pytest
 
 from hal.scenes import load_scene
 from tools.bench.closed_loop import protocol, stack
+from tools.bench.closed_loop.cases import cases, end_of
 from tools.bench.closed_loop.routes import Route
-from tools.bench.closed_loop.why import cases, costs, end_of, markdown
+from tools.bench.closed_loop.why import costs, markdown
 
 SCENE = "rescue_platform"
 

@@ -18,10 +18,10 @@ from hal.mujoco.view.render import Film, View
 from hal.types import NS
 from tools.bench.closed_loop import protocol
 from tools.bench.closed_loop.bench import read
+from tools.bench.closed_loop.cases import Case, end_of
 from tools.bench.closed_loop.pictures import COLOURS
 from tools.bench.closed_loop.routes import Route, scene_of
 from tools.bench.closed_loop.trial import drive
-from tools.bench.closed_loop.why import Case, end_of
 from tools.bench.report import Report
 
 SHOTS = 5

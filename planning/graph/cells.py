@@ -19,7 +19,7 @@ class Cells:
     """Flags of every map cell; node and edges of every lattice cell, squares of `side` [m] fixed to the ground.
 
     Attributes:
-        flags: (rows, cols) uint8 of the map's cells, see `planning.graph.flags`.
+        flags: (rows, cols) uint16 of the map's cells, see `planning.graph.flags`.
         faces: (rows, cols, 2) int16 rise along x and y [mm], see `planning.graph.faces`.
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
@@ -50,7 +50,7 @@ class Cells:
 
     def _allocate(self, shape: tuple[int, int], cells: tuple[int, int]) -> None:
         ny, nx = cells
-        self.flags = np.zeros(shape, dtype=np.uint8)
+        self.flags = np.zeros(shape, dtype=np.uint16)
         self.faces = np.zeros((*shape, 2), dtype=np.int16)
         self.chosen = np.full((ny, nx), -1, dtype=np.int8)
         self.where = np.zeros((ny, nx, 2))

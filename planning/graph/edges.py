@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from planning.graph.faces import BASE, OBLIQUE_RISK, is_oblique
-from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
+from planning.graph.flags import ASSUMED, FACE, HOLE, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
@@ -21,6 +21,9 @@ SLOPE_BASE = 0.42
 """Slope is taken over this length, the wheelbase [m]."""
 SLOPE_TOLERANCE = 1.05
 """Factor on the tangent of the slope limit, for map noise."""
+VIRTUAL_RISK = 4.0 / 3.0
+"""Added to the native risk of an edge whose whole corridor is virtual: with sigma = 3 a metre of it costs as much as five metres of
+seen ground."""
 
 
 @njit(cache=True)
@@ -67,8 +70,9 @@ def corridor(
     max_oblique,
     sums,
 ):
-    """-1 if the footprint (length x width) cannot be moved straight from a to b, else how much of its width [0..1]
-    meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`).
+    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for the
+    share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), and for
+    the share of virtual ground.
 
     Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
@@ -101,6 +105,8 @@ def corridor(
     sides = 0
     holes = False
     oblique = 0
+    virtual = 0
+    cells = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -114,6 +120,8 @@ def corridor(
             if flag & TIP:
                 return -1.0
             holes |= flag & HOLE > 0
+            cells += 1
+            virtual += flag & (VIRTUAL | ASSUMED) == VIRTUAL
             face_x = faces[r, c, 0]
             face_y = faces[r, c, 1]
             if (face_x != 0 or face_y != 0) and is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
@@ -145,7 +153,8 @@ def corridor(
         return -1.0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip):
         return -1.0
-    return min(1.0, oblique * res * res / (BASE * width))
+    share = min(1.0, oblique * res * res / (BASE * width))
+    return OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / max(cells, 1)
 
 
 @njit(cache=True)
@@ -255,13 +264,13 @@ def connect(
                 revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
-                share = corridor(
+                added = corridor(
                     height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
                     min_coverage, faces, max_step, max_oblique, sums,
                 )  # fmt: skip
-                if share >= 0.0:
+                if added >= 0.0:
                     found = edge_risk(
                         height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
                     )
                     if found >= 0.0:
-                        risk[j, i, o] = found + F32(OBLIQUE_RISK * share)
+                        risk[j, i, o] = found + F32(added)

@@ -31,6 +31,9 @@ TIP = 64
 """Bridged, but the tip of a wide pit's corner: nothing of the robot goes over it."""
 JUDGED = 128
 """The cell was trusted when it was looked at last: what it was found to be counts (`keep_step`)."""
+VIRTUAL = 256
+"""Part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`): planned over at a
+price, driven on only when it was seen."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
@@ -61,9 +64,10 @@ def _gap_cells(res: float, max_gap: float) -> int:
 
 
 def update_flags(
-    flags: NDArray[np.uint8],
+    flags: NDArray[np.uint16],
     height: NDArray[np.float32],
     trusted: NDArray[np.bool_],
+    virtual: NDArray[np.bool_],
     res: float,
     window: tuple[int, int, int, int],
     max_step: float,
@@ -84,7 +88,7 @@ def update_flags(
             ra, ca = max(0, r0 - pad), max(0, c0 - pad)
             rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
             # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
-            piece = np.ascontiguousarray(height[ra:rb, ca:cb]), np.ascontiguousarray(trusted[ra:rb, ca:cb])
+            piece = (np.ascontiguousarray(layer[ra:rb, ca:cb]) for layer in (height, trusted, virtual))
             ground = *piece, res
             rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
             inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
@@ -154,15 +158,18 @@ def _unseen(trusted, m):
 
 
 @njit(cache=True)
-def cell_flags(height, trusted, res, max_step, max_tan, gap, pit):
-    """Flags (rows, cols) uint8 of a map or a piece of one. Cells nearer than `halo` to a cut border are not reliable."""
+def cell_flags(height, trusted, virtual, res, max_step, max_tan, gap, pit):
+    """Flags (rows, cols) uint16 of a map or a piece of one. Cells nearer than `halo` to a cut border are not reliable."""
     rows, cols = height.shape
-    flags = np.zeros((rows, cols), np.uint8)
-    unseen = _unseen(trusted, gap)
+    flags = np.zeros((rows, cols), np.uint16)
+    unmeasured = _unseen(trusted, gap)
+    unseen = _unseen(trusted | virtual, gap)
     for r in range(rows):
         for c in range(cols):
             if unseen[r, c]:
                 flags[r, c] = UNSEEN
+            elif unmeasured[r, c]:
+                flags[r, c] = VIRTUAL
     # Closing: what is narrower than the gap limit is bridged.
     z = _running(_running(height, gap, True, True), gap, False, False)
     limit = max_step + STEP_TOLERANCE
@@ -315,7 +322,7 @@ def _complete_corners(z, trusted, flags, limit):
                 jump = z[rb, cb] - z[r, c]
                 if not abs(jump) > limit or not (trusted[r, c] or trusted[rb, cb] or abs(jump) > UNSEEN_STEP):
                     continue
-                near = np.uint8(0)
+                near = np.uint16(0)
                 for i in range(r - 1, rb + 2):
                     for j in range(c - 1, cb + 2):
                         near |= marked[i, j]

@@ -61,6 +61,7 @@ class Lattice:
         """Step 1: what is a face, what was not seen. -> (k, 4) boxes x0, y0, x1, y1 [m] in which flags may have changed."""
         p, cells, (rows, cols) = self.params, self.cells, grid.shape
         pad = halo(cells.res, p.max_gap)
+        virtual = np.zeros(grid.shape, np.bool_) if grid.virtual is None else grid.virtual
         touched: list[Window] = []
         for r0, c0, r1, c1 in merge_windows(windows, pad + 8):
             grown = (max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad))
@@ -68,6 +69,7 @@ class Lattice:
                 cells.flags,
                 grid.height,
                 grid.trusted,
+                virtual,
                 cells.res,
                 grown,
                 p.max_step,

@@ -18,8 +18,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_edge
 from planning.graph.edges import MARGIN, SECTION, corridor
-from planning.graph.faces import OBLIQUE_RISK
-from planning.graph.flags import FACE, HOLE, TIP, UNSEEN
+from planning.graph.flags import FACE, HOLE, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
@@ -82,11 +81,12 @@ class Ground:
         under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
-        self._flags[r0:r1, c0:c1][under] &= ~np.uint8(FACE | UNSEEN | HOLE | TIP)
+        self._flags[r0:r1, c0:c1][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | VIRTUAL)
         self._faces[r0:r1, c0:c1][under] = 0
 
-    def share(self, a: XY, b: XY) -> float:
-        """`corridor` of a straight move from a to b, at most `reach` apart: negative where it cannot be driven."""
+    def added_risk(self, a: XY, b: XY) -> float:
+        """`corridor` of a straight move from a to b, at most `reach` apart: negative where it cannot be driven, else what it adds to the
+        native risk."""
         p, c, grid = self._graph.params, self._cells, self._grid
         (x0, y0), where = c.origin, (*a, *b)
         ground = (grid.height, self._flags, x0, y0, c.res)
@@ -95,15 +95,15 @@ class Ground:
 
     def risk(self, a: XY, b: XY) -> np.float32:
         """Native risk of that move, as of an edge; negative where it cannot be driven."""
-        share = self.share(a, b)
-        if share < 0.0:
+        added = self.added_risk(a, b)
+        if added < 0.0:
             return np.float32(-1.0)
         c, grid = self._cells, self._grid
         ends = (F32(a[0]), F32(a[1]), F32(b[0]), F32(b[1]))
         radius = F32(self._graph.params.robot_size)
         (x0, y0), xs, ys = c.origin, self._xs, self._ys
         found = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
-        return np.float32(-1.0) if found < 0.0 else np.float32(found + F32(OBLIQUE_RISK * share))
+        return np.float32(-1.0) if found < 0.0 else np.float32(found + F32(added))
 
     def headings(self, xy: XY) -> np.uint64:
         """`TraversalGraph.free_headings` at x, y."""
@@ -138,7 +138,7 @@ class Ground:
 
     def joined(self, a: XY, b: XY) -> bool:
         """Whether one straight move leads from a to b."""
-        return SAME < math.dist(a, b) <= self.reach and self.allows(a, b) and self.share(a, b) >= 0.0
+        return SAME < math.dist(a, b) <= self.reach and self.allows(a, b) and self.added_risk(a, b) >= 0.0
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.
@@ -156,7 +156,7 @@ class Ground:
             low, high = 0.0, 1.0
             for _ in range(5):
                 t = 0.5 * (low + high)
-                low, high = (t, high) if self.share(a, _along(a, xy, t)) >= 0.0 else (low, t)
+                low, high = (t, high) if self.added_risk(a, _along(a, xy, t)) >= 0.0 else (low, t)
             here = _along(a, xy, low)
             if best is None or math.dist(here, xy) < math.dist(best, xy):
                 best = here

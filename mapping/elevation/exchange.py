@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import OperatorError
+from mapping.elevation.virtual import virtual_ground
 from mapping.filling import fill_unknown, slope_and_step
 from mapping.grid import ElevationGrid
 
@@ -80,11 +81,13 @@ class MapPatch:
         return replace(self, layers=self.layers | {"filled": filled, "slope": slope, "step": step})
 
     def grid(self, *, filled: bool = False) -> ElevationGrid:
-        """As an `ElevationGrid`; `filled`: unknown heights take the nearest known one and stay untrusted."""
-        height = self.layers["elevation"]
+        """As an `ElevationGrid`; `filled`: unknown heights take the nearest known one and stay untrusted, and some are virtual ground."""
+        height, trusted, virtual = self.layers["elevation"], self.layers["trusted"] > 0.5, None
         if filled:
-            height = fill_unknown(height, self.layers["upper_bound"])
-        return ElevationGrid(height, self.layers["trusted"] > 0.5, self.origin, self.resolution)
+            upper = self.layers["upper_bound"]
+            height = fill_unknown(height, upper)
+            virtual = virtual_ground(height, trusted, upper, self.resolution)
+        return ElevationGrid(height, trusted, self.origin, self.resolution, virtual)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,5 +178,5 @@ class MapMirror:
         return MapPatch(origin, self.resolution, self.stamp, self.epoch, layers)
 
     def grid(self, *, filled: bool = True) -> ElevationGrid:
-        """The map for planning: unknown heights filled from the nearest known cell, untrusted."""
+        """The map for planning: unknown heights filled from the nearest known cell, untrusted; some are virtual ground."""
         return self.patch().grid(filled=filled)

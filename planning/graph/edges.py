@@ -134,6 +134,8 @@ def corridor(
             if flag & UNSEEN:
                 sums[i, 1] += 1.0
                 continue
+            if flag & VIRTUAL:
+                continue  # only faces tell of it: filled from a wall beside it, it looks steep
             z = height[r, c]
             if z != z:
                 continue

@@ -1,8 +1,18 @@
 """From a route over the graph to a path the robot can follow."""
 
+from planning.path.confirmed import confirmed
 from planning.path.path import make_path, rest_of
 from planning.path.spline import smooth_route
 from planning.path.types import Path, PathLimits
 from planning.path.watch import face_in_the_way, still_safe
 
-__all__ = ["Path", "PathLimits", "face_in_the_way", "make_path", "rest_of", "smooth_route", "still_safe"]
+__all__ = [
+    "Path",
+    "PathLimits",
+    "confirmed",
+    "face_in_the_way",
+    "make_path",
+    "rest_of",
+    "smooth_route",
+    "still_safe",
+]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
+
+from planning.braking import brake
 
 Array = NDArray[np.float64]
 
@@ -67,6 +69,30 @@ class Path:
         """[m]"""
         return float(self.s[-1])
 
+    def until(self, last: int) -> Path:
+        """The path up to point `last`, where it comes to rest."""
+        last = max(last, 0)
+        x, y = self.points[last, :2].tolist()
+        speed = self.speed[: last + 1].copy()
+        speed[last] = 0.0
+        brake(speed, np.diff(self.s[: last + 1]), self.limits.max_accel)
+        # Corners of the route lie beside the path, poses that are watched on it.
+        corners = _passed(self.route, self.points[:, :2], last)
+        watched = max(1, _passed(self.watched[:, :2], self.points[:, :2], last))
+        return replace(
+            self,
+            points=self.points[: last + 1],
+            yaw=self.yaw[: last + 1],
+            speed=speed,
+            least=np.minimum(self.least[: last + 1], speed),
+            s=self.s[: last + 1],
+            route=np.vstack([self.route[:corners], (x, y)]),
+            back=self.back[: max(corners, 1)],
+            goal_yaw=None,
+            watched=self.watched[:watched],
+            faces=self.faces[:watched],
+        )
+
     def ahead(self, x: float, y: float) -> tuple[Array, NDArray[np.bool_]] | None:
         """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off the route."""
         if len(self.route) < 2:
@@ -77,3 +103,14 @@ class Path:
         off = np.hypot(*(rel - t[:, None] * leg).T)
         k = int(np.argmin(off))
         return (self.route[k + 1 :], self.back[k:]) if off[k] <= 2.0 * self.limits.corridor else None
+
+
+def _passed(places: Array, points: Array, last: int) -> int:
+    """How many of `places` (n, 2), which follow the line `points` (m, 2), come before its point `last`."""
+    at, n = 0, 0
+    for place in places:
+        at += int(np.argmin(np.hypot(*(points[at:] - place).T)))
+        if at > last:
+            break
+        n += 1
+    return n

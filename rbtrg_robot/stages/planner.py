@@ -15,7 +15,7 @@ from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
-from planning.path import Path, PathLimits, face_in_the_way, make_path, rest_of, still_safe
+from planning.path import Path, PathLimits, confirmed, face_in_the_way, make_path, rest_of, still_safe
 from planning.risk.body import BodyModel
 from planning.search.frontier import FrontierMemory
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
@@ -48,6 +48,12 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
 
+LEAST = 0.06
+"""A path to ground that nobody saw that is shorter [m] leads nowhere ..."""
+TURN = 0.3
+"""... unless the robot turns that much [rad] first, and looks there."""
+
+
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
     In: changed blocks and the window of the map, plan requests, people's questions. Out: plans and paths,
@@ -78,7 +84,10 @@ class PlannerStage:
         self._now = 0
         self._status_due = 0
         self._answered: tuple[str, int] = ("", 0)
+        self._whole: Path | None = None
+        """The newest path, over virtual ground too."""
         self._path: Path | None = None
+        """The part of it that is driven."""
         self._memory = FrontierMemory()
         self._memory_goal = ""
         self._malformed = 0
@@ -194,9 +203,9 @@ class PlannerStage:
             self._malformed += 1
             return []
         self._start = (message.start_x, message.start_y)
-        driven = self._path if self._verdict[0] and message.goal_id == self._answered[0] else None
+        driven = self._whole if self._verdict[0] and message.goal_id == self._answered[0] else None
         self._answered = (message.goal_id, int(message.sequence))
-        self._path, self._verdict = None, (True, "")
+        self._path, self._whole, self._verdict = None, None, (True, "")
         if message.goal_id != self._memory_goal:
             self._memory, self._memory_goal = FrontierMemory(), message.goal_id
         self._memory.at(self._start)
@@ -208,7 +217,8 @@ class PlannerStage:
             "sequence": message.sequence,
         }
         try:
-            found, path = self._plan(message, driven)
+            found, self._whole = self._plan(message, driven)
+            found, path = self._drivable(found, self._whole)
         except NoRoute as none:
             reason = REASONS[none.reason]
             if reason is Reason.NO_ROUTE:
@@ -279,6 +289,24 @@ class PlannerStage:
             pose = (message.start_x, message.start_y, message.start_yaw)
             return found, rest_of(driven, pose, self._map.ground(), self._body)
         return found, self._path_of(found)
+
+    def _drivable(self, found: Plan, whole: Path) -> tuple[Plan, Path]:
+        """The plan and the path up to ground that nobody saw. Raises NoRoute where that begins under the robot."""
+        graph = self._map.graph
+        if self._params.method != "rb_trg" or graph is None:
+            return found, whole
+        path = confirmed(whole, graph, self._body.width, self._body.length)
+        if path is whole:
+            return found, whole
+        if path.length < LEAST:
+            if abs(whole.initial_turn or 0.0) < TURN:
+                x, y = path.points[-1, :2].tolist()
+                raise NoRoute(
+                    NoRouteReason.NO_ROUTE,
+                    f"the way leads over ground that the robot cannot see from ({x:.2f}, {y:.2f}): it looks again from elsewhere",
+                )
+            path = whole.until(int(np.searchsorted(whole.s, LEAST)))
+        return replace(found, reaches_goal=False), path
 
     def _path_of(self, found: Plan) -> Path:
         return make_path(found, self._map.ground(), self._body, self._limits)

@@ -29,6 +29,8 @@ REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
+NEAR_END, NEAR_PERIOD = 0.6, 0.5
+"""So near to the end of a path into unseen ground [m] the robot asks for its continuation this often [s]: it need not stop there."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -251,7 +253,9 @@ class NavigatorStage:
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             self._recover(goal)
             return
-        look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > p.replan_period
+        ahead = self._tracker.distance_left if on_path and self._tracker is not None else math.inf
+        period = min(p.replan_period, NEAR_PERIOD) if ahead < NEAR_END else p.replan_period
+        look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > period
         if look and not self._route.over_edge(self._plan, self._pose):
             self._replan(goal)  # on an edge it could not turn into another route
 

@@ -254,3 +254,49 @@ def test_a_baseline_plans_in_the_planners_place_and_its_path_is_watched() -> Non
     assert "face" in status.detail
     refused = ask(stage, (1.0, 1.0), (4.0, 1.0), sequence=2, now=7 * NS)
     assert (refused.ok, refused.reason) == (False, "no_route")
+
+
+def hidden(ground: np.ndarray, bound: np.ndarray) -> Any:
+    """Map message of `ground` (cols,) [m] along x in a lane 1.2 m wide; NaN: not seen, but known to be below `bound` (cols,) [m]."""
+    layers = {name: np.zeros((60, len(ground)), np.float32) for name in PATCH_LAYERS}
+    layers["elevation"][:] = ground
+    layers["elevation"][:15], layers["elevation"][45:] = 0.8, 0.8
+    layers["trusted"][:] = np.isfinite(layers["elevation"])
+    layers["upper_bound"][:] = np.where(np.isfinite(layers["elevation"]), layers["elevation"], bound)
+    return patch_msg(MapPatch((0.0, 0.0), RES, NS, 0, layers))
+
+
+def test_a_way_leads_over_ground_behind_a_crest_and_is_driven_as_far_as_it_was_seen() -> None:
+    x = np.arange(150) * RES
+    ridge = np.maximum(0.0, 0.16 - 0.27 * np.abs(x - 2.6))
+    seen = np.where((x > 2.64) & (x < 3.6), np.nan, ridge)
+    stage = planner()
+    stage.on(t.MAP_UPDATE, hidden(seen, 0.16 - 0.12 * (x - 2.6)))
+    answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
+    assert answer.ok
+    assert not answer.reaches_goal, "not yet"
+    front_wheels = answer.x[-1] + 0.21
+    assert 2.4 < front_wheels < 2.64, "they stay on what was seen"
+    assert answer.speed[-1] == 0.0
+    stage.on(t.MAP_UPDATE, hidden(ridge, ridge))
+    assert ask(stage, (float(answer.x[-1]), 1.2), (5.0, 1.2), sequence=2, now=4 * NS).reaches_goal
+
+
+def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:
+    x = np.arange(150) * RES
+    pit = (x > 2.6) & (x < 3.6)
+    for slope in (0.6, 1.0, 3.0):  # of the rays that fell into it: from near they are steep
+        stage = planner()
+        stage.on(t.MAP_UPDATE, hidden(np.where(pit, np.nan, 0.0), -slope * (x - 2.6)))
+        answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
+        assert not (answer.ok and answer.reaches_goal)
+        assert not answer.ok or answer.x[-1] + 0.21 < 2.6
+
+
+def test_a_way_that_only_leads_over_unseen_ground_at_the_feet_is_none() -> None:
+    x = np.arange(150) * RES
+    stage = planner()
+    stage.on(t.MAP_UPDATE, hidden(np.where((x > 1.5) & (x < 2.2), np.nan, 0.0), np.full(150, 0.05)))
+    answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
+    assert (answer.ok, answer.reason) == (False, "no_route")
+    assert "cannot see" in answer.detail

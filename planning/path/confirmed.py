@@ -1,0 +1,61 @@
+"""How far a path may be driven by now: as long as the wheels roll on ground that was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planning.graph.flags import ASSUMED, VIRTUAL
+from planning.graph.graph import TraversalGraph
+from planning.path.types import Path
+
+LEAD = (0.15, 0.30)
+"""Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
+SPACING = 0.04
+STAND = 0.05
+"""[m] beside the body at the start that count as seen: the robot stands there."""
+
+
+def confirmed(path: Path, graph: TraversalGraph, width: float, length: float) -> Path:
+    """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
+    (`width`, `length` [m]) was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
+    """
+    cells = graph.cells
+    if cells is None or len(path.points) < 2:
+        return path
+    virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
+    if not virtual.any():
+        return path
+    chord = np.diff(path.points[:, :2], axis=0)
+    chord = np.vstack([chord, chord[-1:]])
+    sign = np.where(np.cos(path.yaw - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0, -1.0, 1.0)
+    along = np.arange(LEAD[0], LEAD[1] + 1e-9, SPACING)
+    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
+    u, v = (a.ravel() for a in np.meshgrid(along, across))
+    c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
+    x = path.points[:, :1] + sign[:, None] * u * c - v * s
+    y = path.points[:, 1:2] + sign[:, None] * u * s + v * c
+    hidden = _at(virtual, x, y, cells.origin, cells.res)
+    c0, s0 = c[0, 0], s[0, 0]
+    dx, dy = x - path.points[0, 0], y - path.points[0, 1]
+    under = (np.abs(c0 * dx + s0 * dy) <= length / 2 + STAND) & (
+        np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND
+    )
+    share = (hidden & ~under).mean(axis=1)
+    blocked = share > 1.0 - graph.params.min_coverage
+    return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
+
+
+def _at(
+    mask: NDArray[np.bool_],
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    origin: tuple[float, float],
+    resolution: float,
+) -> NDArray[np.bool_]:
+    """`mask` (rows, cols) at places; False beyond it."""
+    col = np.floor((x - origin[0]) / resolution + 0.5).astype(np.int64)
+    row = np.floor((y - origin[1]) / resolution + 0.5).astype(np.int64)
+    rows, cols = mask.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    return inside & mask[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]

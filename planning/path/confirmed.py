@@ -13,12 +13,12 @@ LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
 SPACING = 0.04
 STAND = 0.05
-"""[m] beside the body at the start that count as seen: the robot stands there."""
+"""[m] beside the body at the start that count as seen: its wheels stand there. What lies under its nose does not."""
 
 
-def confirmed(path: Path, graph: TraversalGraph, width: float, length: float) -> Path:
+def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
     """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
-    (`width`, `length` [m]) was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
+    `width` [m] wide was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
     """
     cells = graph.cells
     if cells is None or len(path.points) < 2:
@@ -38,9 +38,7 @@ def confirmed(path: Path, graph: TraversalGraph, width: float, length: float) ->
     hidden = _at(virtual, x, y, cells.origin, cells.res)
     c0, s0 = c[0, 0], s[0, 0]
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c0 * dx + s0 * dy) <= length / 2 + STAND) & (
-        np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND
-    )
+    under = (np.abs(c0 * dx + s0 * dy) <= LEAD[1]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND)
     share = (hidden & ~under).mean(axis=1)
     blocked = share > 1.0 - graph.params.min_coverage
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path

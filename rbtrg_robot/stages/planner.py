@@ -295,7 +295,7 @@ class PlannerStage:
         graph = self._map.graph
         if self._params.method != "rb_trg" or graph is None:
             return found, whole
-        path = confirmed(whole, graph, self._body.width, self._body.length)
+        path = confirmed(whole, graph, self._body.width)
         if path is whole:
             return found, whole
         if path.length < LEAST:

@@ -12,8 +12,9 @@ from planning.path.types import Path
 LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
 SPACING = 0.04
-STAND = 0.05
-"""[m] beside the body at the start that count as seen: its wheels stand there. What lies under its nose does not."""
+STAND = (0.25, 0.05)
+"""[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
+not."""
 
 
 def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
@@ -38,7 +39,7 @@ def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
     hidden = _at(virtual, x, y, cells.origin, cells.res)
     c0, s0 = c[0, 0], s[0, 0]
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c0 * dx + s0 * dy) <= LEAD[1]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND)
+    under = (np.abs(c0 * dx + s0 * dy) <= STAND[0]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND[1])
     share = (hidden & ~under).mean(axis=1)
     blocked = share > 1.0 - graph.params.min_coverage
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path

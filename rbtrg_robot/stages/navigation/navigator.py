@@ -29,8 +29,6 @@ REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
-NEAR_END, NEAR_PERIOD = 0.6, 0.5
-"""So near to the end of a path into unseen ground [m] the robot asks for its continuation this often [s]: it need not stop there."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -71,7 +69,7 @@ class NavigatorStage:
         self._health: msg.OdometryHealth | None = None
         self._robot: msg.RobotState | None = None
         self._tracker: msg.TrackerState | None = None
-        self._query = PlanQuery()
+        self._query = PlanQuery(params.replan_period)
         self._plan: msg.Plan | None = None
         self._route = RouteWatch()
         self._short = 0
@@ -253,9 +251,7 @@ class NavigatorStage:
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             self._recover(goal)
             return
-        ahead = self._tracker.distance_left if on_path and self._tracker is not None else math.inf
-        period = min(p.replan_period, NEAR_PERIOD) if ahead < NEAR_END else p.replan_period
-        look = goal.state is GoalState.MOVING and goal.frontier and self._query.age(now) > period
+        look = goal.state is GoalState.MOVING and goal.frontier and self._query.due(now, self._tracker)
         if look and not self._route.over_edge(self._plan, self._pose):
             self._replan(goal)  # on an edge it could not turn into another route
 

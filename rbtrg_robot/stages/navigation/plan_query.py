@@ -10,11 +10,16 @@ from rbtrg_robot.stages.navigation.goal import Goal
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
+NEAR_END, NEAR_PERIOD = 0.6, 0.5
+"""So near to the end of a path into unseen ground [m] the robot asks for its continuation this often [s]: it need not stop there."""
+
 
 class PlanQuery:
     """Numbers the questions, knows whether one is open, and which answer belongs to it. Times in ns."""
 
-    def __init__(self) -> None:
+    def __init__(self, period: float) -> None:
+        """`period` [s] between two questions on the way into unseen ground."""
+        self._period = period
         self.open = False
         self._sequence = 0
         self._asked = 0
@@ -60,6 +65,11 @@ class PlanQuery:
     def is_about_route(self, message: msg.RouteStatus) -> bool:
         """Whether a RouteStatus speaks of the newest route, and no newer one is asked for."""
         return not self.open and message.sequence == self._sequence
+
+    def due(self, now: int, tracker: msg.TrackerState | None) -> bool:
+        """Whether to ask again on the way into unseen ground, with so much of the path to go."""
+        near = tracker is not None and tracker.distance_left < NEAR_END
+        return self.age(now) > (min(self._period, NEAR_PERIOD) if near else self._period)
 
     def waited(self, now: int) -> float:
         """Since the open question was first asked [s]."""

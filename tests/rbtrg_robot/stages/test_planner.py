@@ -296,7 +296,7 @@ def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:
 def test_a_way_that_only_leads_over_unseen_ground_at_the_feet_is_none() -> None:
     x = np.arange(150) * RES
     stage = planner()
-    stage.on(t.MAP_UPDATE, hidden(np.where((x > 1.5) & (x < 2.2), np.nan, 0.0), np.full(150, 0.05)))
+    stage.on(t.MAP_UPDATE, hidden(np.where((x > 1.45) & (x < 2.2), np.nan, 0.0), np.full(150, 0.05)))
     answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
     assert (answer.ok, answer.reason) == (False, "no_route")
     assert "cannot see" in answer.detail

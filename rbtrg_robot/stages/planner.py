@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from mapping.elevation.exchange import MapError
+from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
@@ -99,7 +99,8 @@ class PlannerStage:
         stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
-        grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.04)
+        layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
+        grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
         # A goal on the map, then one off it: the second carries evaluations over and looks for a frontier.
         for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
             stage._map.refresh((2.0, 2.0), grid, [changed])

@@ -31,8 +31,12 @@ def register(app: typer.Typer) -> None:
 
 def goal(
     target: Annotated[
-        list[str], typer.Argument(help="X Y in metres, frame map; or the NAME of one of the scene's goals.")
-    ],
+        list[str] | None,
+        typer.Argument(help="X Y in metres, frame map; or the NAME of one of the scene's goals."),
+    ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="The goal that was not reached once more, such as after a fall.")
+    ] = False,
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end.")] = False,
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds; 0 = never.")] = 0.0,
@@ -42,19 +46,24 @@ def goal(
     import time
 
     from rbtrg_robot.cli.link import connect, scene
+    from rbtrg_robot.config import ConfigError
     from rbtrg_robot.orders.goal import CancelGoal
     from rbtrg_robot.orders.order import follow
     from rbtrg_robot.orders.who import me
     from rbtrg_robot.stages.navigation.goal import goal_request
 
-    x, y, goal_yaw, name = _target(target, scene(robot))
-    if yaw is not None:
-        goal_yaw = math.radians(yaw)
-    if not all(math.isfinite(v) for v in (x, y, goal_yaw or 0.0, timeout)):
-        print("rbtrg-robot: goal rejected: coordinates must be finite numbers", file=sys.stderr)
-        raise typer.Exit(REJECTED)
+    if again and target:
+        raise ConfigError("--again takes no target: it is that of the last goal")
+    x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], scene(robot))
     goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
+        if again:
+            x, y, goal_yaw = _last(bus)
+        if yaw is not None:
+            goal_yaw = math.radians(yaw)
+        if not all(math.isfinite(v) for v in (x, y, goal_yaw or 0.0, timeout)):
+            print("rbtrg-robot: goal rejected: coordinates must be finite numbers", file=sys.stderr)
+            raise typer.Exit(REJECTED)
         request = goal_request(
             time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=me()
         )
@@ -86,6 +95,18 @@ def _target(words: list[str], scene: str) -> tuple[float, float, float | None, s
         raise ConfigError(f"scene {scene} has no goal {words[0]!r}; it has {', '.join(goals)}")
     x, y, yaw = goals[words[0]]
     return x, y, yaw, words[0]
+
+
+def _last(bus: Any) -> tuple[float, float, float | None]:
+    """Place [m] and heading [rad] of the newest goal, which ended somewhere else."""
+    from rbtrg_robot.orders.goal import LastGoal
+    from rbtrg_robot.orders.order import follow
+
+    order = LastGoal()
+    end = follow(bus, order)
+    if order.status is None:
+        _fail(end.words)
+    return order.status.x, order.status.y, order.status.yaw if order.status.has_yaw else None
 
 
 def _follow(bus: Any, request: Any, *, wait: bool) -> int:

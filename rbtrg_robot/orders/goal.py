@@ -71,6 +71,34 @@ class SendGoal(Order):
         return Outcome(False, SILENT)
 
 
+class LastGoal(Order):
+    """Ask what became of the newest goal; nothing is sent."""
+
+    hears = (t.GOAL_STATUS,)
+
+    def __init__(self) -> None:
+        super().__init__(RESEND, ANSWER_LIMIT)
+        self.status: msg.GoalStatus | None = None
+
+    def message(self) -> None:
+        """None: its status reaches a late listener."""
+
+    def take(self, topic: Topic, message: Any) -> None:
+        """A GoalStatus."""
+        if not message.id:
+            self.outcome = Outcome(False, "there was no goal yet")
+        elif message.state not in ENDS:
+            self.outcome = Outcome(False, f"the goal is not over: it is {message.state}", message.state)
+        elif message.state == "reached":
+            self.outcome = Outcome(False, "the last goal was reached", message.state)
+        else:
+            self.status, self.outcome = message, Outcome(True, "", message.state)
+
+    def silence(self) -> Outcome:
+        """The navigator is gone."""
+        return Outcome(False, SILENT)
+
+
 class CancelGoal(Order):
     """Cancel a goal until the navigator says that it is over."""
 

@@ -90,6 +90,39 @@ def test_an_interrupted_goal_is_cancelled(stack: Stack) -> None:
 
 
 @pytest.mark.parametrize(
+    ("state", "code", "words"),
+    [
+        ("aborted", 0, "goal moving"),
+        ("moving", 1, "rbtrg-robot: the goal is not over: it is moving"),
+        ("reached", 1, "rbtrg-robot: the last goal was reached"),
+    ],
+)
+def test_a_goal_that_was_not_reached_is_sent_again(stack: Stack, state: str, code: int, words: str) -> None:
+    requests: list[msg.GoalRequest] = []
+    before = msg.GoalStatus(
+        header=header(1, "map"), id="old", x=3.0, y=-1.0, yaw=0.5, has_yaw=True, state=state
+    )
+
+    def answer(received: Received) -> None:
+        requests.append(received.decode())
+        status = msg.GoalStatus(header=header(1, "map"), id=requests[-1].id, state="moving")
+        stack.bus.publish(t.GOAL_STATUS, status, 1)
+
+    def tell() -> bool:
+        if not requests:
+            stack.bus.publish(t.GOAL_STATUS, before, 1)
+        return False
+
+    got, said = stack.run(["goal", "--again"], answer, tell)
+    assert (got, said.splitlines()) == (code, [words])
+    if code == 0:
+        assert requests[-1].id != "old"
+        assert (requests[-1].x, requests[-1].y, requests[-1].yaw) == (3.0, -1.0, 0.5)
+    else:
+        assert requests == []
+
+
+@pytest.mark.parametrize(
     ("states", "code", "words"),
     [
         ((0,), 0, "nothing to resume"),

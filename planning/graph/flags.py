@@ -88,8 +88,8 @@ def update_flags(
             ra, ca = max(0, r0 - pad), max(0, c0 - pad)
             rb, cb = min(rows, r1 + pad), min(cols, c1 + pad)
             # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
-            piece = (np.ascontiguousarray(layer[ra:rb, ca:cb]) for layer in (height, trusted, virtual))
-            ground = *piece, res
+            piece = np.ascontiguousarray(height[ra:rb, ca:cb]), np.ascontiguousarray(trusted[ra:rb, ca:cb])
+            ground = *piece, np.ascontiguousarray(virtual[ra:rb, ca:cb]), res
             rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
             inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
             enter = cell_flags(*ground, max_step, *rest)[inner]

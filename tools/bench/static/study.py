@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -104,24 +104,32 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
 
 
 def values(instances: Sequence[Instance], graph: str, variant: str) -> dict[str, NDArray[np.float64]]:
-    """Per scene the metrics (n, 5) of one variant; instances stand in the same order for every variant."""
-    out = {}
-    for name in SCENES:
-        mine = [i for i in instances if (i.scene, i.graph, i.variant) == (name, graph, variant)]
-        if mine:
-            out[name] = np.array([[getattr(i, m) for m in METRICS] for i in mine])
-    return out
+    """Per scene the metrics (queries, 5) of one variant, each the mean over the graphs on which the query has a route."""
+    return averaged(instances, graph, variant, lambda i: [getattr(i, m) for m in METRICS])
+
+
+def averaged(
+    instances: Sequence[Instance], graph: str, variant: str, of: Callable[[Instance], Sequence[float]]
+) -> dict[str, NDArray[np.float64]]:
+    """Per scene (queries, k) means of `of`; queries stand in the same order for every variant."""
+    cells: dict[str, dict[int, list[Sequence[float]]]] = {}
+    for i in instances:
+        if (i.graph, i.variant) == (graph, variant):
+            cells.setdefault(i.scene, {}).setdefault(i.pair, []).append(of(i))
+    return {
+        s: np.array([np.mean(cells[s][q], axis=0) for q in sorted(cells[s])]) for s in SCENES if s in cells
+    }
 
 
 def macro(scenes: dict[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-    """(5,) mean of the scenes' means."""
+    """(k,) mean of the scenes' means."""
     return np.mean([v.mean(axis=0) for v in scenes.values()], axis=0)
 
 
 def interval(
-    variant: dict[str, NDArray[np.float64]], native: dict[str, NDArray[np.float64]], draws: int = 2000
+    variant: dict[str, NDArray[np.float64]], native: dict[str, NDArray[np.float64]], draws: int = 10_000
 ) -> NDArray[np.float64]:
-    """(2, 5) 95 % bootstrap interval of the relative change of the macro mean, instances resampled per scene, paired."""
+    """(2, 5) 95 % bootstrap interval of the relative change of the macro mean: whole queries are resampled within their scene, paired."""
     rng = np.random.default_rng(0)
     picks = {s: rng.integers(0, len(v), (draws, len(v))) for s, v in native.items()}
     top = np.mean([variant[s][picks[s]].mean(axis=1) for s in native], axis=0)

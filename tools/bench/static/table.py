@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from planning.search.plan import VARIANTS
 from tools.bench.static.study import (
     EXPECTED,
@@ -14,6 +12,7 @@ from tools.bench.static.study import (
     PAPER_NATIVE,
     SCENES,
     Instance,
+    averaged,
     changed,
     interval,
     macro,
@@ -32,15 +31,20 @@ def markdown(instances: Sequence[Instance], missing: Sequence[str]) -> str:
         if not native:
             lines += [f"## {graph} graph", "", "No instance had a route.", ""]
             continue
-        counts = ", ".join(f"{s} {len(native[s]) if s in native else 0}" for s in SCENES)
-        lines += [f"## {graph} graph", "", f"Instances: {counts}. Means of the scenes' means.", ""]
+        counts = ", ".join(f"{s} {_count(instances, graph, s)}" for s in SCENES)
+        lines += [
+            f"## {graph} graph",
+            "",
+            f"Instances: {counts}. Means of the scenes' means, each of its queries' means over graphs.",
+            "",
+        ]
         lines += ["| variant | " + " | ".join(HEAD) + " | changed routes |", "|---" * 7 + "|"]
         for variant in VARIANTS:
             mean = macro(values(instances, graph, variant)) * SCALE
             share = "" if variant == "native" else f"{100 * changed(instances, graph, variant):.0f} %"
             lines.append(f"| {variant} | " + " | ".join(f"{v:.3f}" for v in mean) + f" | {share} |")
         lines += ["", _room(instances, graph)]
-        lines += ["", "Change against native, paired, with 95 % bootstrap interval:", ""]
+        lines += ["", "Change against native, paired, with 95 % interval over queries:", ""]
         lines += ["| variant | " + " | ".join(METRICS) + " |", "|---" * 6 + "|"]
         for variant in VARIANTS[1:]:
             mine = values(instances, graph, variant)
@@ -70,15 +74,18 @@ def markdown(instances: Sequence[Instance], missing: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def _count(instances: Sequence[Instance], graph: str, scene: str) -> str:
+    mine = [i for i in instances if (i.graph, i.variant, i.scene) == (graph, "native", scene)]
+    return f"{len(mine)} of {len({i.pair for i in mine})} queries"
+
+
 CORE = ("d_fb", "a_lr", "p_int")
 
 
 def _room(instances: Sequence[Instance], graph: str) -> str:
     """How far the core maxima could fall at most, whatever the planner: what the terrain leaves to choose."""
-    native = values(instances, graph, "native")
     at = [list(METRICS).index(m) for m in CORE]
-    mine = [i for i in instances if (i.graph, i.variant) == (graph, "native")]
-    least = macro({s: np.array([i.least for i in mine if i.scene == s]) for s in native})
+    least = macro(averaged(instances, graph, "native", lambda i: i.least))
     base, full = (macro(values(instances, graph, v))[at] for v in ("native", "full"))
     words = []
     for k, metric in enumerate(CORE):
@@ -100,20 +107,16 @@ THROUGH = 0.5
 
 def _through(instances: Sequence[Instance], graph: str) -> str:
     """How many native routes cross or graze something as high as a wall, and the change without those."""
-    native, full = (values(instances, graph, v) for v in ("native", "full"))
-    walls = {s: v[:, list(METRICS).index("p_int")] > THROUGH for s, v in native.items()}
-    count, total = sum(int(w.sum()) for w in walls.values()), sum(len(w) for w in walls.values())
-    text = (
-        f"On {count} of {total} instances the native route has something over {THROUGH} m high under the body"
-    )
-    kept = [s for s in native if not walls[s].all()]
-    if not count or not kept:
+    mine = [i for i in instances if (i.graph, i.variant) == (graph, "native")]
+    walls = {(i.scene, i.seed, i.pair) for i in mine if i.p_int > THROUGH}
+    text = f"On {len(walls)} of {len(mine)} instances the native route has something over {THROUGH} m high under the body"
+    others = [i for i in instances if (i.scene, i.seed, i.pair) not in walls]
+    if not walls or len(walls) == len(mine):
         return text + "."
     why = "a wall it grazes in a turn"
     if graph == "native":
         why += ", or a thin one it drives through, for the disc test does not see it"
-    n = macro({s: native[s][~walls[s]] for s in kept})
-    f = macro({s: full[s][~walls[s]] for s in kept})
+    n, f = (macro(values(others, graph, v)) for v in ("native", "full"))
     rest = ", ".join(f"{m} {100 * c:+.1f} %" for m, c in zip(METRICS, f / n - 1.0, strict=True))
     return (
         f"{text}: {why}. Such a route is shorter than any the robot can drive, and full adds the way around. "

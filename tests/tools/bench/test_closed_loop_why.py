@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hal.scenes import load_scene
-from tools.bench.closed_loop import protocol, stack
+from tools.bench.closed_loop import lrc, protocol, stack
 from tools.bench.closed_loop.cases import cases, end_of
 from tools.bench.closed_loop.routes import Route
 from tools.bench.closed_loop.why import costs, markdown
@@ -101,3 +101,39 @@ def test_the_stack_drives_a_query_and_its_record_fits_the_tables(monkeypatch: py
     assert np.abs(last[[1, 2, 4]] - first[[1, 2, 4]]).max() > 0.1, "it turned towards its path or drove"
     assert record["rmse"] is None
     assert json.loads(json.dumps(record))["told"]["state"] in ("planning", "moving")
+
+
+def test_to_and_fro_counts_traverses_falls_and_interventions(monkeypatch: pytest.MonkeyPatch) -> None:
+    xs = np.arange(7.0, 7.7, 0.02)
+    way = Route(
+        SCENE,
+        0,
+        "ours",
+        "vmc",
+        line=[[x, 1.3] for x in xs.tolist()],
+        speed=[0.4] * 34 + [0.0],
+        least=[0.1] * 35,
+    )
+    fro = lrc.back(way)
+    assert (fro.line[0], fro.line[-1]) == (way.line[-1], way.line[0])
+    assert fro.speed[0] == lrc.SLOWEST
+    assert fro.speed[1:] == [*[0.4] * 33, 0.0]
+    driven = []
+
+    def follow(driver, tracker, route):
+        driven.append(route.line[0])
+        lost = len(driven) == 2
+        return {"success": not lost, "cause": "fall" if lost else ""}
+
+    monkeypatch.setattr(lrc, "follow", follow)
+    record = lrc.drive(protocol.Trial(SCENE, 0, "ours", "vmc", "all", 0), way)
+    assert (record["traverses"], record["falls"], record["interventions"]) == (9, 1, 1)
+    ends = [way.line[0], way.line[-1]]
+    assert driven == [ends[0], ends[1], ends[1], *ends * 3, ends[0]], "the lost traverse is begun anew"
+    rows = {r.key: r for r in lrc.report([record]).rows}
+    assert rows[f"lrc.ours.{SCENE}.traverses"].value == 9
+    assert (rows["lrc.ours.all.rate"].value, rows["lrc.ours.all.rate"].trials) == (0.9, 10)
+    none = lrc.drive(
+        protocol.Trial(SCENE, 0, "ours", "vmc", "all", 0), Route(SCENE, 0, "ours", "vmc", error="no route")
+    )
+    assert (none["traverses"], none["interventions"], none["why"]) == (0, 0, "no route")

@@ -18,12 +18,14 @@ from rich.progress import track
 
 from hal.locomotion.public import stored
 from hal.locomotion.torchfile import PolicyError
-from tools.bench.closed_loop import protocol
+from tools.bench.closed_loop import lrc, protocol
 from tools.bench.closed_loop.routes import Route, routes
 from tools.bench.closed_loop.tables import markdown, report
 from tools.bench.closed_loop.trial import drive
 from tools.bench.report import Report
 from tools.bench.spread import spread
+
+Key = tuple[str, int, str, str]
 
 
 def run(args: list[str]) -> Report:
@@ -41,6 +43,8 @@ def run(args: list[str]) -> Report:
         options.queries,
     )
     found = _routes(options)
+    if options.lrc or options.endurance:
+        return _to_and_fro(options, wanted, found)
     file = options.out / "trials.jsonl"
     done = {r["key"]: r for r in read(file)}
     left = [t for t in wanted if t.key not in done]
@@ -56,6 +60,21 @@ def run(args: list[str]) -> Report:
 
         pictures.draw(options.out, records, list(found.values()))
     return report(records)
+
+
+def _to_and_fro(options: argparse.Namespace, wanted: list[protocol.Trial], found: dict[Key, Route]) -> Report:
+    """The same lines driven to and fro."""
+    file = options.out / ("endurance.jsonl" if options.endurance else "lrc.jsonl")
+    done = {r["key"]: r for r in read(file)}
+    work = [
+        (t, found[t.scene, t.query, t.method, _planned_for(t)], options.policy, options.endurance)
+        for t in wanted
+        if t.key not in done
+    ]
+    runs = spread(lrc.drive, work, options.workers, options.scheduler)
+    for record in _written(file, runs, len(work), "runs"):
+        done[record["key"]] = record
+    return lrc.report([done[t.key] for t in wanted])
 
 
 def _options(args: list[str]) -> argparse.Namespace:
@@ -85,7 +104,11 @@ def _options(args: list[str]) -> argparse.Namespace:
     add("--queries", type=int, default=protocol.QUERIES, help="start-goal pairs per scene, at most 10")
     add("--workers", type=int, default=1, help="processes on this machine; 0: this one")
     add("--scheduler", default="", help="address of a dask scheduler: spread the work there")
+    add("--lrc", action="store_true", help="to and fro on each line for 5 minutes, at most 10 traverses")
+    add("--endurance", action="store_true", help="to and fro on each line, 30 repetitions")
     options = parser.parse_args(args)
+    if (options.lrc or options.endurance) and set(options.methods) & set(protocol.PERCEIVED):
+        parser.error(f"{', '.join(protocol.PERCEIVED)} have no line to drive to and fro")
     if "policy" in options.controller and not options.policy:
         try:
             options.policy = str(stored())
@@ -114,9 +137,6 @@ def _line_of(method: str) -> str:
 
 def _planned_for(trial: protocol.Trial) -> str:
     return trial.controller if _line_of(trial.method) == "ours" else ""
-
-
-Key = tuple[str, int, str, str]
 
 
 def _routes(options: argparse.Namespace) -> dict[Key, Route]:

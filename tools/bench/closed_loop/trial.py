@@ -82,7 +82,7 @@ def drive(trial: p.Trial, route: Route, policy: str = "", see: See | None = None
     driver = Driver(sim, controller_of(trial.controller, policy))
     record |= place(driver, route, trial.scene, given)
     if record["eligible"]:
-        record |= _follow(driver, tracker_of(trial), route, see)
+        record |= follow(driver, tracker_of(trial), route, see)
     else:
         record |= {"success": False, "end": "not eligible"}
     return record | {"cpu": time.process_time() - began, "simulated": sim.time}
@@ -118,7 +118,7 @@ def place(driver: Driver, route: Route, scene: str, given: dict[str, float]) -> 
     return {"eligible": not why, "why": why, "roll0": roll, "pitch0": pitch, "wheels0": wheels, "lift": lift}
 
 
-def _follow(driver: Driver, tracker: PathTracker, route: Route, see: See | None) -> dict[str, Any]:
+def follow(driver: Driver, tracker: PathTracker, route: Route, see: See | None = None) -> dict[str, Any]:
     """Drive the line; how it ended and what the simulator saw."""
     sim, line = driver.simulation, np.array(route.line)
     tracker.set_path(line, route.yaw or None, route.speed or p.SPEED, least=route.least or 0.0)

@@ -297,6 +297,19 @@ class Heartbeat(Message):
 
 
 @dataclass(slots=True, eq=False)
+class Journal(Message):
+    """rbtrg_msgs/msg/Journal."""
+
+    __msgtype__ = "rbtrg_msgs/msg/Journal"
+    header: Header = field(default_factory=Header)
+    process: str = ""
+    topic: list[str] = field(default_factory=list)
+    taken: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
+    sequence: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
+    stamp: NDArray[np.int64] = field(default_factory=lambda: _zeros("int64", 0))
+
+
+@dataclass(slots=True, eq=False)
 class MapRequest(Message):
     """rbtrg_msgs/msg/MapRequest."""
 

@@ -99,7 +99,7 @@ TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LA
 DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LATCHED,   1, "odometry",  "the robot's URDF")
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
-MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded="")
+MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     2, "elevation", "whole elevation map, on request", recorded="full")
 MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.GridMap,          0, Qos.STATE,     2, "planner",   "the planner's copy of the map, for a restarted elevation process", recorded="")
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full: send the whole map", publish_by=Role.OPERATOR)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")
@@ -120,6 +120,7 @@ PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.ST
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)
 HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
+JOURNAL        = Topic("/journal",               msg.Journal,          0, Qos.STATE,   512, "",          "what each process took from the bus, in order: a re-run does the same", recorded="full standard", safe_to_replay=False)
 DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, "",          "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures")
 # fmt: on
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rbtrg_robot import topics
+from rbtrg_robot.hosts.journal import Journal
 from rbtrg_robot.processes import Process
 from rbtrg_robot.stages.stage import Outputs, Stage
 from rbtrg_robot.topics import Topic
@@ -23,6 +24,7 @@ class Node:
         self._period = round(process.period * 1e9)
         self._tick = -1
         self._heart = Heart(bus, process.name)
+        self._journal = Journal(bus, process.name, stage.inputs)
         for topic in stage.outputs:
             bus.advertise(topic)
         bus.subscribe(stage.inputs)
@@ -47,9 +49,12 @@ class Node:
                 if received.topic is topics.CLOCK:
                     self.advance(messages.stamp_of(message))
                 else:
+                    self._journal.took(received)
                     self._publish(self._stage.on(received.topic, message))
             if not self._simulated:
                 self.advance(self._bus.clock())
+            self._journal.publish(self.now)
+        self._journal.publish(self.now, last=True)
 
     def advance(self, now: int) -> None:
         """Move the clock; one tick when a period boundary was passed, however many were missed."""
@@ -57,6 +62,7 @@ class Node:
         tick = now // self._period
         if tick != self._tick:
             self._tick = tick
+            self._journal.ticked(now)
             self._publish(self._stage.tick(now))
 
     def _publish(self, outputs: Outputs) -> None:

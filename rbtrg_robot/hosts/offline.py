@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
+from rbtrg_robot.hosts.follow import Follower
+from rbtrg_robot.hosts.journal import Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
-from rbtrg_robot.log.file import CONFIG, METADATA, LogWriter, first_of, read_run
+from rbtrg_robot.log.file import CONFIG, METADATA, Entry, LogWriter, first_of, read_run
 from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import stamp_in
+
+Stages = dict[str, tuple[Stage, float]]
+Progress = Callable[[float], None]
+Write = Callable[[Topic, bytes, int, int, int], None]
+"""Called with topic, wire bytes, time of the log, stamp [ns] and number of a message."""
 
 
 def rerun(
@@ -22,7 +31,7 @@ def rerun(
     *,
     file: Path | None = None,
     sets: Sequence[str] = (),
-    progress: Callable[[float], None] = lambda _seconds: None,
+    progress: Progress = lambda _seconds: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> dict[str, int]:
     """Feed `log` through the named stages; write inputs and new outputs to `out`.
@@ -46,32 +55,86 @@ def rerun(
     for stage, _period in stages.values():
         stage.warm_up()
     replaced = {topic for stage, _ in stages.values() for topic in stage.outputs}
-    counts: dict[str, int] = {}
-    sequence: dict[Topic, int] = {}
+    counts: Counter[str] = Counter()
+    steps, restarted = read_journals(read_run(log))
+    for name in sorted(restarted & set(names)):
+        say(f"{name} was restarted in this log: its re-run ends there")
     with LogWriter(out, metadata, {CONFIG: config.to_yaml().encode()}) as writer:
 
-        def sink(topic: Topic, payload: bytes, now: int) -> None:
+        def write(topic: Topic, payload: bytes, now: int, stamp: int, sequence: int) -> None:
             if topic.recorded:
-                counts[topic.name] = counts.get(topic.name, 0) + 1
-                sequence[topic] = sequence.get(topic, 0) + 1
-                stamp = stamp_in(payload, topic.type) or now
-                writer.write(topic, payload, now, stamp, sequence[topic])
+                counts[topic.name] += 1
+                writer.write(topic, payload, now, stamp, sequence)
 
-        host = SyncHost(stages, sink)
-        first: int | None = None
-        for entry in read_run(log):
-            topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
-            if topic is None or topic in replaced or topic is t.HEARTBEAT or entry.type != topic.type:
-                continue
-            if topic is t.CLOCK:
-                now = stamp_in(entry.data, topic.type)
-            else:
-                now = host.now if config.simulated else entry.log_time
-            if first is None and now:
-                first = now
-            host.inject_bytes(topic, entry.data)
-            if now != host.now:
-                host.tick(now)
-                progress((now - (first or now)) / 1e9)
-        host.close()
-    return counts
+        def inputs() -> Iterator[tuple[Topic, Entry]]:
+            for entry in read_run(log):
+                topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
+                if (
+                    topic is not None
+                    and topic not in replaced
+                    and topic is not t.HEARTBEAT
+                    and entry.type == topic.type
+                ):
+                    yield topic, entry
+
+        if stages.keys() <= steps.keys():
+            _follow(stages, steps, inputs(), write, progress, say)
+        else:
+            _feed(stages, inputs(), write, progress, simulated=config.simulated)
+    return dict(counts)
+
+
+def _feed(
+    stages: Stages,
+    inputs: Iterable[tuple[Topic, Entry]],
+    write: Write,
+    progress: Progress,
+    *,
+    simulated: bool,
+) -> None:
+    """A log of lockstep: the order of the log is the order of the stages."""
+    sequence: Counter[Topic] = Counter()
+
+    def sink(topic: Topic, payload: bytes, now: int) -> None:
+        sequence[topic] += 1
+        write(topic, payload, now, stamp_in(payload, topic.type) or now, sequence[topic])
+
+    host = SyncHost(stages, sink)
+    first: int | None = None
+    for topic, entry in inputs:
+        if topic is t.CLOCK:
+            now = stamp_in(entry.data, topic.type)
+        else:
+            now = host.now if simulated else entry.log_time
+        if first is None and now:
+            first = now
+        host.inject_bytes(topic, entry.data)
+        if now != host.now:
+            host.tick(now)
+            progress((now - (first or now)) / 1e9)
+    host.close()
+
+
+def _follow(
+    stages: Stages,
+    steps: dict[str, deque[Step]],
+    inputs: Iterable[tuple[Topic, Entry]],
+    write: Write,
+    progress: Progress,
+    say: Callable[[str], None],
+) -> None:
+    """A log of live processes: each stage takes what its journal says."""
+
+    def made(topic: Topic, payload: bytes, now: int, sequence: int) -> None:
+        write(topic, payload, now, stamp_in(payload, topic.type) or now, sequence)
+
+    follower = Follower(stages, steps, made)
+    first: int | None = None
+    for topic, entry in inputs:
+        first = entry.log_time if first is None else first
+        write(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+        follower.offer(topic, entry.data, entry.sequence, entry.publish_time, entry.log_time)
+        progress((entry.log_time - first) / 1e9)
+    follower.finish()
+    for name, count in follower.missing.items():
+        say(f"{count} messages that {name} took are not in the log: from there on its re-run may differ")

@@ -36,6 +36,7 @@ for _type in vars(msg).values():
 PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
     msg.GridMap: (("layers", "data"),),
     msg.Heartbeat: (("topic", "published", "newest"),),
+    msg.Journal: (("taken", "sequence", "stamp"),),
     msg.MissionState: (("action_id", "action_type", "action_status", "result_description"),),
     msg.OdometryHealth: (("counter", "count"),),
     msg.PathCommand: (("x", "y", "z", "yaw", "speed"),),

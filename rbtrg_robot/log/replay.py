@@ -22,6 +22,8 @@ from rbtrg_robot.wire.bus import Bus
 LATE = 0.05
 """A message published this late [s] counts as late."""
 RATE_STEP = 1.1
+OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
+"""Told by processes that do not run in a replay."""
 
 
 @dataclass(slots=True)
@@ -86,7 +88,7 @@ def chosen(entries: Iterator[Entry], patterns: list[str], report: Report) -> Ite
     wanted = set(t.matching(patterns)) | {t.CLOCK}
     for entry in entries:
         topic = t.BY_NAME.get(entry.topic)
-        if topic is None or topic.type != entry.type or not topic.safe_to_replay or topic is t.HEARTBEAT:
+        if topic is None or topic.type != entry.type or not topic.safe_to_replay or topic in OF_PROCESSES:
             report.skipped[entry.topic] = report.skipped.get(entry.topic, 0) + 1
         elif topic in wanted:
             yield topic, entry

@@ -13,6 +13,7 @@ from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.search.plan import VARIANTS, PlanRequest, plan
 from tools.bench.static.floor import edge_peaks, least_maxima
+from tools.bench.static.pictures import draw
 from tools.bench.static.study import SCENES, Instance, changed, interval, macro, measure, values
 from tools.bench.static.table import markdown
 
@@ -131,3 +132,14 @@ def test_the_yardstick_sees_a_step_on_the_route_and_unseen_ground():
     assert a_lr == pytest.approx(0.0, abs=1e-6)
     assert 0.06 < p_int < 0.12, "while the front band is only partly on the step"
     assert 0.01 < untrusted < 0.1
+
+
+def test_the_pictures_show_routes_between_nodes(tmp_path, monkeypatch):
+    monkeypatch.setattr("tools.bench.static.pictures.MODES", ("native",))
+    graph = TraversalGraph.from_edges(
+        np.array([[1.0, 1.0, 0], [5.0, 1.0, 0]]), np.array([[0, 1]]), np.zeros(1)
+    )
+    grid = ElevationGrid(np.zeros((41, 121), np.float32), np.ones((41, 121), bool), (0.0, 0.0), 0.05)
+    route = plan(graph, grid, PlanRequest(0, 1, variant="native"))
+    draw(tmp_path, made_up(), {f"{SCENES[0]}.native": {"native": route}})
+    assert (tmp_path / f"{SCENES[0]}_native.png").stat().st_size > 1000

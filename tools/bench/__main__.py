@@ -7,6 +7,7 @@ import pkgutil
 import sys
 
 import tools.bench
+from hal.errors import OperatorError
 
 
 def main(argv: list[str]) -> int:
@@ -23,7 +24,11 @@ def main(argv: list[str]) -> int:
     args = argv[1:]
     as_json = "--json" in args
     args = [a for a in args if a != "--json"]
-    report = importlib.import_module(f"tools.bench.{argv[0]}").run(args)
+    try:
+        report = importlib.import_module(f"tools.bench.{argv[0]}").run(args)
+    except OperatorError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
     print(report.to_json() if as_json else report.to_text())
     return 0 if report.ok else 1
 

@@ -5,13 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from hal.errors import OperatorError
+
 AHEAD = 64
 """Trials handed to the cluster at a time: their arguments need not all be in its memory."""
 Result = dict[str, Any]
 
 
-class TrialsFailed(RuntimeError):
+class TrialsFailed(OperatorError):
     """Some trials raised or killed their workers again and again. All others are done."""
+
+
+class SchedulerLost(OperatorError):
+    """The cluster's scheduler is gone, and with it what its workers were at. Nothing that was yielded is lost."""
 
 
 def spread(
@@ -21,6 +27,7 @@ def spread(
 
     `workers`: processes on this machine, 0 for this process; `scheduler`: address of a cluster to use instead. A trial whose worker
     dies is given to another worker. What a trial raises is raised when all others are done (TrialsFailed), in this process at once.
+    A scheduler that dies and is not back at its address within dask's time to connect (30 s) ends it (SchedulerLost).
     """
     if not trials:
         return
@@ -44,6 +51,10 @@ def spread(
             ]
             queue = as_completed(first)
             for future in queue:
+                if future.status in ("cancelled", "lost"):
+                    raise SchedulerLost(
+                        f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
+                    )
                 if future.status == "finished":
                     yield future.result()
                 else:

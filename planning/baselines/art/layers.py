@@ -34,9 +34,12 @@ class Layers:
 
 
 def layers(grid: ElevationGrid, p: ArtParams) -> Layers:
-    """All seen ground is traversable; unseen ground is not, but for holes. Unseen heights are filled as the project fills them."""
+    """All seen ground is traversable; unseen ground is not, but for holes. Unseen heights are filled as the project fills them.
+
+    Without `masks` all ground is, as in a run of the release that no traversability layer is given to.
+    """
     height = fill_unknown(np.where(grid.trusted, grid.height, np.nan)).astype(np.float64)
-    seen = grid.trusted
+    seen = grid.trusted if p.masks else np.ones(grid.shape, np.bool_)
     res = grid.resolution
 
     def cells(length: float) -> int:

@@ -32,6 +32,9 @@ class ArtParams(BaseModel):
     start_radius: float = Field(default=0.2, description="around the start in which a pose is looked for")
     goal_radius: float = Field(default=0.5, description="around the goal in which a pose is looked for")
     tries: int = Field(default=1_000, description="to find a pose there")
+    masks: bool = Field(
+        default=True, description="feet keep off unseen ground; without, they stand on filled ground too"
+    )
     margin: float = Field(default=0.30, description="safety margin around unseen ground")
     hole: float = Field(default=0.30, description="unseen ground narrower than this counts as seen")
     drop: float = Field(default=0.30, description="a rise or drop beside which no hole is closed")

@@ -129,6 +129,10 @@ def test_feet_keep_off_unseen_ground_but_not_off_small_holes_or_walls() -> None:
     trusted[:, 80:] = False
     height[60:64] = 0.6
     base = layers(ElevationGrid(height, trusted, (0.0, 0.0), RES), QUICK)
+    open_ground = layers(
+        ElevationGrid(height, trusted, (0.0, 0.0), RES), QUICK.model_copy(update={"masks": False})
+    )
+    assert np.isfinite(open_ground.masked).all(), "without masks they stand everywhere"
     stand = np.isfinite(base.masked)
     assert not stand[:, 80:].any()
     assert not stand[40, 76:80].any(), "the margin"

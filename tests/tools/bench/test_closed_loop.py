@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from dask import config
 
 from hal.scenes import load_scene
 from tools.bench.closed_loop import bench, protocol
@@ -19,7 +24,7 @@ from tools.bench.closed_loop.routes import Route, crosses_wall, routes
 from tools.bench.closed_loop.statistics import difference, interval, mean, resampled
 from tools.bench.closed_loop.tables import markdown, report
 from tools.bench.closed_loop.trial import distance, drive
-from tools.bench.spread import TrialsFailed, spread
+from tools.bench.spread import SchedulerLost, TrialsFailed, spread
 
 SCENE = "rescue_platform"
 QUERY = 1
@@ -238,3 +243,50 @@ def test_wrong_names_are_refused(
         with pytest.raises(SystemExit):
             bench.run(["--out", "x", *args])
         assert word in capsys.readouterr().err
+
+
+def pause_or_square(n: int) -> dict[str, int]:
+    """The first trial is quick; the others outlast the scheduler."""
+    time.sleep(60.0 if n else 0.0)
+    return {"n": n}
+
+
+def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    dask = [sys.executable, "-m"]
+    there = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler = subprocess.Popen(
+        [
+            *dask,
+            "distributed.cli.dask_scheduler",
+            "--host",
+            "127.0.0.1",
+            "--port",
+            str(port),
+            "--no-dashboard",
+        ],
+        **there,
+    )
+    worker = subprocess.Popen(
+        [*dask, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
+        **there,
+    )
+    got: list[int] = []
+
+    def spread_and_kill() -> None:
+        for record in spread(pause_or_square, [(n,) for n in range(5)], 0, address):
+            got.append(record["n"])
+            scheduler.kill()
+
+    waits = config.set({"distributed.comm.timeouts.connect": "2s"})  # for one that comes back
+    try:
+        with waits, pytest.raises(SchedulerLost, match="its workers, then give the same command again"):
+            spread_and_kill()
+    finally:
+        for process in (scheduler, worker):
+            process.kill()
+            process.wait()
+    assert got == [0]

@@ -15,13 +15,20 @@ from matplotlib import pyplot as plt
 from tools.bench.closed_loop.protocol import METHODS, SCENES
 from tools.bench.closed_loop.routes import Route, scene_of
 
-COLOURS = dict(
-    zip(
-        METHODS,
-        ("#d62728", "#ff7f0e", "#9467bd", "#1f77b4", "#2ca02c", "#17becf", "#111111", "#8c564b", "#e377c2"),
-        strict=False,
-    )
-)
+COLOURS = {
+    "native": "#d62728",
+    "edge-only": "#ff7f0e",
+    "mean-only": "#9467bd",
+    "full": "#1f77b4",
+    "refined": "#2ca02c",
+    "guarded": "#17becf",
+    "ours": "#111111",
+    "t_hybrid": "#8c564b",
+    "art": "#e377c2",
+    "art-unmasked": "#f7b6d2",
+    "ours-mapped": "#555555",
+    "ours-seen": "#999999",
+}
 
 
 def draw(out: Path, records: Sequence[dict[str, Any]], routes: Sequence[Route]) -> None:

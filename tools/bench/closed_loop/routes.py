@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
     "t_hybrid": t_hybrid.plan,
     "art": art.plan,
+    "art-unmasked": lambda grid, request: art.plan(grid, request, art.ArtParams(masks=False)),
 }
 
 

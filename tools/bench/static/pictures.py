@@ -42,9 +42,9 @@ def draw(out: Path, instances: Sequence[Instance], drawn: dict[str, Any]) -> Non
                 # Lines that coincide stay visible: the first is the widest.
                 label = f"{variant}: {plan.length:.2f} m"
                 axes.plot(x, y, "-o", color=COLOURS[variant], lw=6.0 - 1.1 * k, ms=3, label=label)
-            request = found["native"].request
-            axes.plot(*request.start, "w^", ms=11, mec="k")
-            axes.plot(*request.goal, "w*", ms=16, mec="k")
+            ends = found["native"].points[:, :2]
+            axes.plot(*ends[0], "w^", ms=11, mec="k")
+            axes.plot(*ends[-1], "w*", ms=16, mec="k")
             axes.legend(loc="upper left", bbox_to_anchor=(0.0, -0.08), ncols=5, fontsize=8)
             axes.set(
                 title=f"{name}, {mode} graph (grey: not seen)", xlabel="x [m]", ylabel="y [m]", aspect="equal"

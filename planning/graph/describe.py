@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.flags import FACE, HIGH, LOW, UNSEEN, VIRTUAL
+from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
 from planning.graph.nodes import step_distance2
 from planning.graph.risk import select
 
@@ -27,7 +27,7 @@ UNKNOWN_RUN = 0.20
 
 @njit(cache=True)
 def open_frontier(flags, x0, y0, res, x, y, ring):
-    """True if free ground ends in unseen or virtual ground within `ring` of x, y, in two neighbouring directions of sixteen."""
+    """True if free ground ends in unseen ground within `ring` of x, y, in two neighbouring directions of sixteen."""
     rows, cols = flags.shape
     n = math.ceil((ring + UNKNOWN_RUN) / res)
     need = math.ceil(UNKNOWN_RUN / res)
@@ -49,7 +49,7 @@ def open_frontier(flags, x0, y0, res, x, y, ring):
                 break
             if flags[r, c] & FACE:
                 break
-            if flags[r, c] & (UNSEEN | VIRTUAL):
+            if flags[r, c] & UNSEEN:
                 run += 1
                 if run >= need:
                     break

@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
+from planning.graph.flags import VIRTUAL
 from planning.graph.graph import TraversalGraph
 
 SAME_FRONTIER = 1.0
@@ -56,8 +57,32 @@ class FrontierMemory:
 def open_frontiers(
     graph: TraversalGraph, start: int, seen: Sequence[tuple[float, float]]
 ) -> NDArray[np.bool_]:
-    """(n,) frontier nodes that are worth driving to from node `start`."""
-    out = graph.frontier.copy()
+    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground."""
+    out = _far(graph, start, seen, graph.frontier)
+    return out if out.any() else _far(graph, start, seen, _beside_virtual(graph))
+
+
+def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
+    """(n,) nodes from whose surroundings virtual ground begins."""
+    c = graph.cells
+    if c is None:
+        return np.zeros(len(graph.nodes), np.bool_)
+    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    ring = 0.5 * graph.params.length + np.array([0.1, 0.25, 0.4])
+    dx, dy = (np.outer(ring, f(angle)).ravel() for f in (np.cos, np.sin))
+    col = np.floor((graph.nodes[:, :1] + dx - c.origin[0]) / c.res + 0.5).astype(np.int64)
+    row = np.floor((graph.nodes[:, 1:2] + dy - c.origin[1]) / c.res + 0.5).astype(np.int64)
+    rows, cols = c.flags.shape
+    inside = (row >= 0) & (col >= 0) & (row < rows) & (col < cols)
+    near = c.flags[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+    return (inside & (near & VIRTUAL > 0)).any(axis=1)
+
+
+def _far(
+    graph: TraversalGraph, start: int, seen: Sequence[tuple[float, float]], nodes: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Those of `nodes` (n,) that are not near the start or a place looked from already."""
+    out = nodes.copy()
     for x, y in [(graph.nodes[start, 0], graph.nodes[start, 1]), *seen]:
         out &= np.hypot(graph.nodes[:, 0] - x, graph.nodes[:, 1] - y) > LOOKED
     return out

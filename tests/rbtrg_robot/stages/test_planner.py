@@ -300,3 +300,15 @@ def test_a_way_that_only_leads_over_unseen_ground_at_the_feet_is_none() -> None:
     answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
     assert (answer.ok, answer.reason) == (False, "no_route")
     assert "cannot see" in answer.detail
+
+
+def test_where_no_frontier_is_left_the_robot_looks_at_what_is_hidden() -> None:
+    x = np.arange(150) * RES
+    lane = np.where((x < 0.3) | (x > 4.4), 0.8, 0.0)
+    stage = planner()
+    stage.on(t.MAP_UPDATE, hidden(np.where((x > 2.6) & (x < 4.4), np.nan, lane), np.full(150, 0.05)))
+    answer = ask(stage, (1.2, 1.2), (8.0, 1.2))
+    assert (answer.ok, answer.reaches_goal) == (True, False)
+    assert 2.0 < answer.x[-1] + 0.21 < 2.6
+    stage.on(t.MAP_UPDATE, hidden(lane, lane))
+    assert not ask(stage, (1.2, 1.2), (8.0, 1.2), sequence=2, now=4 * NS).ok

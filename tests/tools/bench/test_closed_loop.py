@@ -257,7 +257,6 @@ def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None
         port = free.getsockname()[1]
     address = f"tcp://127.0.0.1:{port}"
     dask = [sys.executable, "-m"]
-    there = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     scheduler = subprocess.Popen(
         [
             *dask,
@@ -268,11 +267,14 @@ def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None
             str(port),
             "--no-dashboard",
         ],
-        **there,
+        stderr=subprocess.PIPE,
+        text=True,
     )
+    assert scheduler.stderr is not None
+    assert any("Scheduler at" in line for line in scheduler.stderr), "it listens"
     worker = subprocess.Popen(
         [*dask, "distributed.cli.dask_worker", address, "--nthreads", "1", "--no-nanny", "--no-dashboard"],
-        **there,
+        stderr=subprocess.DEVNULL,
     )
     got: list[int] = []
 
@@ -281,7 +283,7 @@ def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None
             got.append(record["n"])
             scheduler.kill()
 
-    waits = config.set({"distributed.comm.timeouts.connect": "2s"})  # for one that comes back
+    waits = config.set({"distributed.comm.timeouts.connect": "1s"})  # for one that comes back
     try:
         with waits, pytest.raises(SchedulerLost, match="its workers, then give the same command again"):
             spread_and_kill()

@@ -58,7 +58,8 @@ class Follower:
         self._inboxes = {name: Inbox() for name in stages}
         self._made = made
         self._numbers: Counter[Topic] = Counter()
-        self._since = dict.fromkeys(stages, 0)
+        self._since: dict[str, int] = {}
+        """When each stage last moved [ns of the log]."""
         self.missing: Counter[str] = Counter()
         """Messages that a stage's process took and the log does not hold, by stage."""
         self.now = 0
@@ -71,7 +72,7 @@ class Follower:
                 self._inboxes[name].put(topic.name, sequence, stamp, payload)
         self._run()
         for name, steps in self._steps.items():
-            if steps and self.now - self._since[name] > PATIENCE:
+            if steps and self.now - self._since.setdefault(name, self.now) > PATIENCE:
                 self._skip(name)
 
     def finish(self) -> None:

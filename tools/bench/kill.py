@@ -18,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.processes import PROCESSES, Process
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.processes import BY_NAME, PROCESSES, Process
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import stamp_of
@@ -45,10 +47,18 @@ def run(args: list[str]) -> Report:
         action="store_true",
         help="SIGSTOP instead of SIGKILL: it lives, holds its token and says nothing",
     )
+    parser.add_argument(
+        "--lockstep",
+        action="store_true",
+        help="all in one process: only when the robot rests after each loss",
+    )
     parser.add_argument("--scene", default="flat")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
     report = Report("kill")
+    if options.lockstep:
+        _in_lockstep([BY_NAME[name] for name in options.only], options.rounds, options.scene, report)
+        return report
     with tempfile.TemporaryDirectory() as scratch:
         logs = options.keep or Path(scratch) / "logs"
         with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
@@ -58,6 +68,40 @@ def run(args: list[str]) -> Report:
                     if row.name in options.only:
                         _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
     return report
+
+
+def _in_lockstep(rows: list[Process], rounds: int, scene: str, report: Report) -> None:
+    """The stages that stop motion die in turn at full speed. Each is back after half a second, and the next goal lies behind the robot."""
+    rested: dict[str, list[float]] = {row.name: [] for row in rows if row.stops_motion}
+    lost = 0
+    with Lockstep(load(None, ["sim.lidar_step=8"], scene=scene)) as stack:
+        stack.wait_ready()
+
+        def truth() -> tuple[float, float]:
+            """x [m], speed [m/s]."""
+            message = stack.newest[t.TRUTH]
+            twist = message.twist.twist.linear
+            return message.pose.pose.position.x, math.hypot(twist.x, twist.y)
+
+        for _ in range(rounds):
+            for name, found in rested.items():
+                goal = stack.send_goal(-AHEAD if truth()[0] > 0.0 else AHEAD, 0.0)
+                stack.run_until(lambda: truth()[1] > DRIVING, 30.0, f"motion before {name} dies")
+                stack.run(STEADY)
+                stack.kill(name)
+                killed = stack.seconds
+                while truth()[1] >= RESTING and stack.seconds - killed < 3.0:
+                    stack.run(0.01)
+                found.append(stack.seconds - killed)
+                stack.run(0.5)
+                stack.restart(name)
+                stack.run(0.5)
+                told = stack.newest[t.GOAL_STATUS]
+                lost += told.id != goal or (told.state == "aborted" and not told.reason)
+    for name, found in rested.items():
+        report.add(f"kills.{name}", len(found), "-")
+        report.add(f"rest_s.{name}.worst", max(found), "s", 0.3)
+    report.add("goals_lost_silently", lost, "-", 0.0)
 
 
 class Watch:

@@ -22,6 +22,9 @@ from rbtrg_robot.wire.messages import encode
 LATE = 150
 """Recorded messages between two turns of the late process: about a third of a second."""
 
+UP = 5_000 * 10**9
+"""[ns] that the computer was up: a live recorder counts from there, simulated time from 0."""
+
 
 class LateBus:
     """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is kept."""
@@ -97,10 +100,10 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
         for entry in read_run(log):
             topic = t.BY_NAME[entry.topic]
             if topic not in stage.outputs:
-                writer.write(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+                writer.write(topic, entry.data, UP + entry.log_time, entry.publish_time, entry.sequence)
         for topic, payload, stamp, number in bus.published:
             if topic is not t.HEARTBEAT:
-                writer.write(topic, payload, stamp, stamp, number)
+                writer.write(topic, payload, UP + stamp, stamp, number)
     return out, bus.overtaken
 
 

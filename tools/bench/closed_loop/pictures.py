@@ -55,7 +55,7 @@ def bars(file: Path, records: Sequence[dict[str, Any]]) -> None:
             axes.bar(at, share[1], 0.9 * width, color=COLOURS[method], label=method if j == 0 else None)
     axes.set_xticks(range(len(scenes) + 1), [*(s.removeprefix("rescue_") for s in scenes), "all"])
     axes.set(ylabel="trials [%]", ylim=(0, 100), title="Success end to end (light: eligible)")
-    figure.legend(loc="outside lower center", ncols=len(methods), fontsize=8)
+    figure.legend(loc="outside lower center", ncols=6, fontsize=8)
     figure.savefig(file, dpi=90)
     plt.close(figure)
 

@@ -55,7 +55,7 @@ def ahead(stack: Lockstep, distance: float, side: float = 0.0) -> tuple[float, f
 
 
 def test_a_goal_is_reached_in_truth(stack: Lockstep) -> None:
-    x, y = ahead(stack, 2.0, 0.8)
+    x, y = ahead(stack, 1.2, 0.5)
     yaw = truth(stack)[2] + math.pi / 2
     stack.send_goal(x, y, yaw)
     status = stack.finish_goal(40.0)
@@ -144,12 +144,14 @@ def test_the_fence_holds_while_the_start_in_the_map_is_unknown() -> None:
 
 def test_the_nearest_goal_to_the_fence_that_is_accepted_is_reached() -> None:
     room = 0.47
-    with Lockstep(config(origin=(0.0, 0.0, 0.0), area=[(-2, -2), (2, -2), (2, 2), (-2, 2)])) as stack:
+    side = 1.2
+    area = [(-side, -side), (side, -side), (side, side), (-side, side)]
+    with Lockstep(config(origin=(0.0, 0.0, 0.0), area=area)) as stack:
         stack.wait_ready()
-        stack.send_goal(2.0 - room + 0.02, 0.0)
+        stack.send_goal(side - room + 0.02, 0.0)
         stack.run(0.2)
         assert stack.newest[t.GOAL_STATUS].state == "rejected"
-        for goal in ((2.0 - room, 0.0), (2.0 - room, 2.0 - room)):
+        for goal in ((side - room, 0.0), (side - room, side - room)):
             stack.send_goal(*goal)
             assert stack.finish_goal(40.0).state == "reached"
             assert math.dist(goal, truth(stack)[:2]) < 0.25

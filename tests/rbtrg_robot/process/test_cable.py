@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +14,7 @@ import pytest
 
 from rbtrg_robot.processes import PROCESSES
 from tests.hal.unitree.peer_process import PeerProcess
+from tests.rbtrg_robot.process.command import command
 from tools.bench.ports import free_port
 
 pytest.importorskip("cyclonedds")
@@ -26,30 +25,22 @@ DOMAIN = 100 + os.getpid() % 100
 def test_a_robot_process_that_dies_while_the_cable_is_out_comes_back_with_the_robot(tmp_path: Path) -> None:
     port = free_port()
 
-    def command(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
-            timeout=120.0,
-            check=False,
-        )
-
     def until(condition: Callable[[dict[str, Any]], bool], limit: float = 60.0) -> dict[str, Any]:
         end = time.monotonic() + limit
         while True:
-            row: dict[str, Any] = json.loads(command("status", "--json").stdout)["processes"][0]
+            row: dict[str, Any] = json.loads(command(tmp_path, "status", "--json").stdout)["processes"][0]
             if condition(row):
                 return row
             assert time.monotonic() < end, row
+            time.sleep(0.1)
 
     peer = PeerProcess(DOMAIN)
     try:
         up = command(
+            tmp_path,
             *("up", "--detach", "--backend", "unitree", "--interface", "lo"),
             *("--no-record", "--port", str(port)),
-            *("--set", f"unitree.domain={DOMAIN}", "--set", "unitree.connect_timeout=5.0"),
+            *("--set", f"unitree.domain={DOMAIN}", "--set", "unitree.connect_timeout=3.0"),
             *("--log-dir", str(tmp_path / "logs")),
             *(f"--without={p.name}" for p in PROCESSES if p.name != "robot"),
         )
@@ -63,5 +54,5 @@ def test_a_robot_process_that_dies_while_the_cable_is_out_comes_back_with_the_ro
         assert back["restarts"] >= 3
     finally:
         peer.end()
-        down = command("down")
+        down = command(tmp_path, "down")
     assert down.returncode == 0, down.stderr

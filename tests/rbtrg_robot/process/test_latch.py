@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +15,7 @@ import pytest
 from rbtrg_robot import msg
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.wire.messages import decode, encode
+from tests.rbtrg_robot.process.command import command
 from tools.bench.ports import free_port
 
 OTHERS = ("odometry", "elevation", "planner", "navigator", "tracker")
@@ -28,19 +26,12 @@ class Robot:
     """Robot and mission process alone under a supervisor of their own."""
 
     def __init__(self, folder: Path) -> None:
-        self._environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
         self._folder = folder
         self._port = free_port()
 
     def run(self, *arguments: str) -> str:
-        done = subprocess.run(
-            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
-            capture_output=True,
-            text=True,
-            env=self._environment,
-            timeout=200,
-            check=True,
-        )
+        done = command(self._folder, *arguments)
+        done.check_returncode()
         return done.stdout
 
     def up(self) -> str:
@@ -61,11 +52,13 @@ class Robot:
         end = time.monotonic() + 20.0
         while self.status()["robot"].get("estop") is not estop:
             assert time.monotonic() < end, self.status()["robot"]
+            time.sleep(0.1)
 
     def mission_until(self, words: str) -> None:
         end = time.monotonic() + 20.0
         while words not in (told := self.run("mission", "status")):
             assert time.monotonic() < end, told
+            time.sleep(0.1)
 
 
 @pytest.fixture

@@ -8,7 +8,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -26,6 +25,7 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
+from tests.rbtrg_robot.process.command import command
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 from tools.bench.ports import free_port
 
@@ -39,18 +39,10 @@ class Stack:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.logs = folder / "logs"
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(folder)}
         self.port = free_port()
 
     def run(self, *arguments: str, limit: float = 60.0) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "rbtrg_robot.cli", *arguments],
-            capture_output=True,
-            text=True,
-            env=self.environment,
-            timeout=limit,
-            check=False,
-        )
+        return command(self.folder, *arguments, limit=limit)
 
     def up(self) -> subprocess.CompletedProcess[str]:
         return self.run(
@@ -139,7 +131,7 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
         watch = Observer(bus)
         watch.until(lambda: watch.stamp > 0, 10.0)
         x, y = watch.place
-        watch.send("far", x + 3.0, y)
+        watch.send("far", x + 2.0, y)
         watch.until(lambda: watch.speed > 0.3, 60.0)
         victim = stack.processes()["tracker"]["pid"]
         os.kill(victim, signal.SIGKILL)
@@ -147,12 +139,12 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
         watch.until(lambda: watch.speed > 0.3 or watch.goal in ("reached", "aborted"), 60.0)
         watch.until(lambda: watch.goal in ("reached", "aborted"), 120.0)
         assert watch.goal == "reached"
-        assert math.dist(watch.place, (x + 3.0, y)) < 0.25
+        assert math.dist(watch.place, (x + 2.0, y)) < 0.25
 
         # A ROS 2 client that is not ours reads the robot's topics and drives it.
         definitions = write_definitions(tmp_path / "msg")
         client = subprocess.run(
-            client_command(stack.port, definitions, x + 4.0, y),
+            client_command(stack.port, definitions, x + 2.8, y),
             env={**os.environ, "HOME": str(tmp_path)},
             capture_output=True,
             text=True,
@@ -171,7 +163,7 @@ def test_up_goal_kill_stop_down(stack: Stack, tmp_path: Path) -> None:
         assert found["got"]["/lidar/main/points"][0] > 1000
         assert "lidar_main" in found["got"]["/tf_static"]
         assert found["got"]["/plan/path"] > 1
-        watch.until(lambda: math.dist(watch.place, (x + 4.0, y)) < 0.25, 120.0)
+        watch.until(lambda: math.dist(watch.place, (x + 2.8, y)) < 0.25, 120.0)
     assert stack.processes()["tracker"]["restarts"] == 1
 
     rate = stack.run("topic", "hz", "/odom", "--seconds", "1")

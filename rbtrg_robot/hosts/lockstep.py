@@ -94,7 +94,7 @@ class Lockstep:
         self.host = SyncHost(stages, log_sink(log, config.recorder.profile) if log else None)
         self.newest = Newest()
         self.statuses: list[Any] = []
-        self.host.listen(self._note)
+        self.host.listen(self._note, _NOTED | _KEPT)
         for stage, _ in stages.values():
             stage.warm_up()
         for name in names:
@@ -121,7 +121,7 @@ class Lockstep:
         return LogWriter(path, metadata, {CONFIG: config.to_yaml().encode()})
 
     def _note(self, topic: Topic, payload: bytes, _now: int) -> None:
-        if topic in _RESTORED or topic.qos is Qos.LATCHED:
+        if topic in _KEPT:
             self._kept[topic] = payload
         if topic in _NOTED:
             self.newest.put(topic, payload)
@@ -213,8 +213,10 @@ class Lockstep:
         self.close()
 
 
-_RESTORED = frozenset(topic for row in PROCESSES for topic in row.restores)
-_NOTED = frozenset(
+_KEPT: frozenset[Topic] = frozenset(
+    (*(topic for row in PROCESSES for topic in row.restores), *(x for x in t.TOPICS if x.qos is Qos.LATCHED))
+)
+_NOTED: frozenset[Topic] = frozenset(
     {
         t.GOAL_STATUS,
         t.ROBOT_STATE,

@@ -1,17 +1,17 @@
 """The synchronous host: stages in one process, messages delivered in a fixed order. Lockstep and re-runs stand on it.
 
 Messages pass through their wire bytes here too, so a stage sees exactly what it would see live (a float32 field is a
-float32), and a log of this host is a log of the real thing.
+float32), and a log of this host is a log of the real thing. What no stage and no listener hears is not encoded.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from rbtrg_robot.stages.stage import Stage
-from rbtrg_robot.topics import Topic
+from rbtrg_robot.topics import TOPICS, Topic
 from rbtrg_robot.wire import messages
 
 Sink = Callable[[Topic, bytes, int], None]
@@ -30,12 +30,15 @@ class SyncHost:
         self._stages = {name: stage for name, (stage, _) in stages.items()}
         self._period = {name: round(period * 1e9) for name, (_, period) in stages.items()}
         self._due = dict.fromkeys(stages, 0)
-        self._sinks: list[Sink] = [sink] if sink else []
+        self._sinks: list[tuple[Sink, frozenset[Topic]]] = []
+        self._heard: set[Topic] = set()
+        """Topics that a stage or a sink hears."""
         self._consumers: dict[Topic, list[str]] = {}
         owner: dict[Topic, str] = {}
         for name, stage in self._stages.items():
             for topic in stage.inputs:
                 self._consumers.setdefault(topic, []).append(name)
+                self._heard.add(topic)
             for topic in stage.outputs:
                 # tf is the one topic with several writers in ROS.
                 if topic in owner and topic.name != "/tf":
@@ -44,6 +47,8 @@ class SyncHost:
         self._pending: deque[tuple[Topic, bytes]] = deque()
         self._dead: set[str] = set()
         self.now = 0
+        if sink:
+            self.listen(sink)
 
     def stage(self, name: str) -> Any:
         """A stage by name, for tests that look inside."""
@@ -62,9 +67,10 @@ class SyncHost:
             self._collect(name, stage.on(topic, messages.decode(payload, topic.kind)))
         self._drain()
 
-    def listen(self, sink: Sink) -> None:
-        """Call `sink` for every message from now on."""
-        self._sinks.append(sink)
+    def listen(self, sink: Sink, topics: Collection[Topic] = TOPICS) -> None:
+        """Call `sink` for every message on `topics` from now on."""
+        self._sinks.append((sink, frozenset(topics)))
+        self._heard.update(topics)
 
     def inject(self, topic: Topic, message: Any) -> None:
         """Deliver a message from outside, and all that follows from it."""
@@ -92,13 +98,15 @@ class SyncHost:
                 raise WiringError(f"{name} published {topic.name} without declaring it")
             if type(message) is not topic.kind:
                 raise WiringError(f"{name} published a {type(message).__name__} on {topic.name}")
-            self._pending.append((topic, messages.encode(message)))
+            if topic in self._heard:
+                self._pending.append((topic, messages.encode(message)))
 
     def _drain(self) -> None:
         while self._pending:
             topic, payload = self._pending.popleft()
-            for sink in self._sinks:
-                sink(topic, payload, self.now)
+            for sink, topics in self._sinks:
+                if topic in topics:
+                    sink(topic, payload, self.now)
             consumers = self._consumers.get(topic)
             if not consumers:
                 continue

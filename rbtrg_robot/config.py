@@ -5,6 +5,7 @@ Layers, later ones win: defaults, `--config FILE` (YAML), `--set a.b=c`, the fla
 
 from __future__ import annotations
 
+import hashlib
 import platform
 import subprocess
 from collections.abc import Iterable
@@ -218,6 +219,11 @@ class StackConfig(BaseModel):
             "machine": f"{platform.machine()} {platform.system()} Python {platform.python_version()}",
             **{f"package.{name}": _version(name) for name in packages},
         }
+
+
+def fingerprint(map_file: str) -> str:
+    """Hash that names a prior map; empty where there is none. Raises OSError."""
+    return f"sha256:{hashlib.sha256(Path(map_file).read_bytes()).hexdigest()[:16]}" if map_file else ""
 
 
 def _version(package: str) -> str:

@@ -119,6 +119,24 @@ class PoseStamped(Message):
 
 
 @dataclass(slots=True, eq=False)
+class PoseWithCovariance(Message):
+    """geometry_msgs/msg/PoseWithCovariance."""
+
+    __msgtype__ = "geometry_msgs/msg/PoseWithCovariance"
+    pose: Pose = field(default_factory=Pose)
+    covariance: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 36))
+
+
+@dataclass(slots=True, eq=False)
+class PoseWithCovarianceStamped(Message):
+    """geometry_msgs/msg/PoseWithCovarianceStamped."""
+
+    __msgtype__ = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    header: Header = field(default_factory=Header)
+    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
+
+
+@dataclass(slots=True, eq=False)
 class Vector3(Message):
     """geometry_msgs/msg/Vector3."""
 
@@ -197,15 +215,6 @@ class GridMap(Message):
     data: list[Float32MultiArray] = field(default_factory=list)
     outer_start_index: int = 0
     inner_start_index: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class PoseWithCovariance(Message):
-    """geometry_msgs/msg/PoseWithCovariance."""
-
-    __msgtype__ = "geometry_msgs/msg/PoseWithCovariance"
-    pose: Pose = field(default_factory=Pose)
-    covariance: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 36))
 
 
 @dataclass(slots=True, eq=False)
@@ -310,6 +319,16 @@ class Journal(Message):
 
 
 @dataclass(slots=True, eq=False)
+class MapPrior(Message):
+    """rbtrg_msgs/msg/MapPrior."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MapPrior"
+    header: Header = field(default_factory=Header)
+    id: str = ""
+    map: GridMap = field(default_factory=GridMap)
+
+
+@dataclass(slots=True, eq=False)
 class MapRequest(Message):
     """rbtrg_msgs/msg/MapRequest."""
 
@@ -333,6 +352,7 @@ class MapStatus(Message):
     height_correction: float = 0.0
     restoring: bool = False
     warning: str = ""
+    prior: str = ""
     refused: int = 0
     detail: str = ""
 

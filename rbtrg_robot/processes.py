@@ -38,11 +38,11 @@ class Process:
 PROCESSES: tuple[Process, ...] = (
     #       name         entry                                            period  hang  farewell  stops_motion  what its loss means for motion                                                  restores
     Process("robot",     "rbtrg_robot.hosts.robot:main",                  0.005,   3.0,      3.5, False,        "no robot: nothing moves; hardware stops by its own watchdog",                  (t.ROBOT_STATE, t.TRUTH)),
-    Process("odometry",  "rbtrg_robot.stages.odometry:build",             0.1,     3.0,      1.6, True,         "no pose: robot stops at once",                                                 (t.ODOM, t.CLOUD)),
+    Process("odometry",  "rbtrg_robot.stages.odometry:build",             0.1,     3.0,      1.6, True,         "no pose: robot stops at once",                                                 (t.ODOM, t.CLOUD, t.TF_STATIC)),
     Process("elevation", "rbtrg_robot.stages.elevation:build",            0.1,    15.0,      1.6, True,         "blind: robot stops at once",                                                   (t.MAP_STATUS,)),
     Process("planner",   "rbtrg_robot.stages.planner:build",              0.1,    30.0,      1.6, False,        "no new routes, the present one is not watched: the navigator halts after 2 s", ()),
     Process("navigator", "rbtrg_robot.stages.navigation.navigator:build", 0.1,     3.0,      1.6, True,         "nobody owns the goal: robot stops at once",                                    (t.GOAL_STATUS,)),
-    Process("mission",   "rbtrg_robot.stages.mission.executor:build",      0.1,     3.0,      1.6, False,        "the robot ends the present goal and stands",                                   (t.MISSION_ORDER, t.MISSION_STATE)),
+    Process("mission",   "rbtrg_robot.stages.mission.executor:build",      0.1,     3.0,      1.6, False,        "the robot ends the present goal and stands",                                   (t.MAP_STATUS, t.MISSION_ORDER, t.MISSION_STATE)),
     Process("tracker",   "rbtrg_robot.stages.tracker:build",              0.02,    3.0,      1.6, True,         "no commands: robot stops at once",                                             ()),
     Process("guard",     "rbtrg_robot.stages.guard:build",                0.05,    3.0,      1.6, True,         "nobody watches the body's way: robot stops at once",                           ()),
     Process("recorder",  "rbtrg_robot.log.recorder:main",                 1.0,     3.0,      1.6, False,        "none; up to 1 s of log is lost",                                               ()),

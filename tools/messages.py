@@ -19,6 +19,7 @@ from rbtrg_robot.wire.messages import OURS, STORE
 STANDARD = (
     "diagnostic_msgs/msg/DiagnosticArray",
     "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/TwistStamped",
     "nav_msgs/msg/Odometry",
     "nav_msgs/msg/Path",

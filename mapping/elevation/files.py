@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.tiles import CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
 
@@ -47,11 +48,15 @@ def save_store(store: TileStore, path: Path, resolution: float) -> None:
         part.unlink(missing_ok=True)
 
 
-def restore_store(store: TileStore, patch: MapPatch, settled: int, now: int) -> int:
-    """Write the cells of a read-out back into a store, as seen at `now` [ms] by `settled` points; returns how many are known.
+def restore_store(
+    store: TileStore, patch: MapPatch, params: ElevationConfig, now: int, *, sent: bool = True
+) -> int:
+    """Write the cells of a read-out back into a store, as seen at `now` [ms] by enough points; returns how many are known.
 
-    They count as sent: the reader they came from has them.
+    `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution.
     """
+    if abs(patch.resolution - params.resolution) > 1e-9:
+        raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
     layers = patch.layers
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
     known = (source == CONTACT) | (source == LIDAR)
@@ -63,11 +68,12 @@ def restore_store(store: TileStore, patch: MapPatch, settled: int, now: int) -> 
     new["height"] = np.where(known[at], height[at], np.nan)
     new["variance"] = np.where(known[at], layers["variance"][at], np.nan)
     new["source"] = np.where(known[at], source[at], UNKNOWN)
-    new["count"] = np.where(source[at] == LIDAR, settled, 0)
+    new["count"] = np.where(source[at] == LIDAR, params.trust_count, 0)
     new["seen"] = now
     store.cells[cell] = new
-    state = (source + 16 * layers["trusted"]).astype(np.uint8)
-    store.differences(*patch.cell, height, upper, state, 0.0)
+    if sent:
+        state = (source + 16 * layers["trusted"]).astype(np.uint8)
+        store.differences(*patch.cell, height, upper, state, 0.0)
     store.touched[np.unique(cell >> (2 * store.shift))] = 1
     return int(known.sum())
 

@@ -25,7 +25,7 @@ from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
+from mapping.elevation.tiles import CONTACT, LIDAR, PRIOR, UNKNOWN, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, behind, support_patch
 from mapping.grid import ElevationGrid
@@ -294,11 +294,21 @@ class ElevationMap:
         """
         store = TileStore(self.params.tile_cells)
         known = load_into(store, path, self.params.resolution, self.params.trust_count)
+        self._start_on(store)
+        return known
+
+    def begin_on(self, patch: MapPatch) -> int:
+        """Start anew from a prior map that came as a patch; see `load_prior`. Raises MapError for another resolution."""
+        store = TileStore(self.params.tile_cells)
+        known = restore_store(store, patch, self.params, PRIOR, sent=False)
+        self._start_on(store)
+        return known
+
+    def _start_on(self, store: TileStore) -> None:
         self.reset()
         self.store = self._reader.store = store
         self._prior = PriorCheck()
         self.alignment.to(store)
-        return known
 
     @property
     def warning(self) -> str:
@@ -311,11 +321,9 @@ class ElevationMap:
         Height, variance, trust and upper bounds come back; counts and the memory of what stood there do not. What was
         bridged is bridged again. Raises MapError for another resolution.
         """
-        if abs(patch.resolution - self.params.resolution) > 1e-9:
-            raise MapError(f"the copy has cells of {patch.resolution} m, the map {self.params.resolution} m")
         now = self._clock(patch.stamp)
         self._fresh = False
-        return restore_store(self.store, patch, self.params.trust_count, now)
+        return restore_store(self.store, patch, self.params, now)
 
     # ------------------------------------------------------------------ reading
 

@@ -264,17 +264,15 @@ def status(
     everybody: Annotated[bool, typer.Option("--all", help="Every robot of this computer.")] = False,
 ) -> None:
     """How the running stack is."""
-    from rich.console import Console
-
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.cli.table import fleet, render
+    from rbtrg_robot.cli.table import fleet, plain_console, render
 
     if everybody:
         known = _everybody()
         if as_json:
             print(json.dumps(known, indent=1))
         else:
-            Console().print(fleet(known))
+            plain_console().print(fleet(known))
         return
     with connect(robot) as bus:
         answer = bus.ask("status")
@@ -287,25 +285,15 @@ def status(
     if as_json:
         print(json.dumps(json.loads(answer), indent=1))
         return
-    Console().print(render(json.loads(answer), topics=True))
+    plain_console().print(render(json.loads(answer), topics=True))
 
 
 def _everybody() -> dict[str, dict[str, Any] | None]:
-    """Status of every stack of this user on this computer by name; None where its supervisor does not answer. Raises NotRunning."""
-    from rbtrg_robot.process.runfiles import NotRunning, read_state, running
-    from rbtrg_robot.wire.bus import Bus, BusError
+    """Status of every stack. Raises NotRunning."""
+    from rbtrg_robot.process.fleet import statuses
+    from rbtrg_robot.process.runfiles import NotRunning
 
-    found: dict[str, dict[str, Any] | None] = {}
-    for name in running():
-        try:
-            state = read_state(name)
-            with Bus(state["endpoint"], "cli", int(state["domain"])) as bus:
-                answer = bus.ask("status")
-            found[name] = None if answer is None else json.loads(answer)
-        except NotRunning:  # it ended meanwhile
-            continue
-        except BusError:
-            found[name] = None
+    found = statuses()
     if not found:
         raise NotRunning("no stack is running on this computer; start one with `rbtrg-robot up`")
     return found

@@ -66,6 +66,12 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
     return Group(*parts)
 
 
+def plain_console() -> Console:
+    """A file or a pipe is as wide as a line is long."""
+    console = Console()
+    return console if console.is_terminal else Console(width=10_000)
+
+
 def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:
     """One row for each robot of this computer; None where its supervisor does not answer."""
     table = Table(box=None, pad_edge=False)

@@ -22,11 +22,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.console import frames
+from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.archive import Archive
 from rbtrg_robot.console.desk import Desk, Page
 from rbtrg_robot.console.door import OUTSIDE, VALID, WHO, Door, Guard
 from rbtrg_robot.console.feed import Feed, Slots
+from rbtrg_robot.console.maps import Maps
+from rbtrg_robot.console.missions import MissionFiles
+from rbtrg_robot.console.replays import Replays
 from rbtrg_robot.process.runfiles import CONSOLE_ENTER
 
 log = logging.getLogger(__name__)
@@ -49,11 +52,19 @@ async def texts(socket: WebSocket) -> AsyncIterator[str]:
 class Site:
     """The routes. Everything here runs in the server's thread."""
 
-    def __init__(self, config: StackConfig, door: Door, desk: Desk, feed: Feed) -> None:
+    def __init__(
+        self,
+        config: StackConfig,
+        door: Door,
+        desk: Desk,
+        feed: Feed,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
         self._config = config
         self._door = door
         self._desk = desk
         self._feed = feed
+        self.replays = Replays(config, desk, feed, loop)
         self._numbers = itertools.count(1)
         self.frames = self.bytes = 0
         """Sent so far."""
@@ -66,8 +77,10 @@ class Site:
             Route("/about", self._about),
             Route("/stop", self._stop, methods=["POST"]),
             WebSocketRoute("/live", self._live),
-            *Archive(self._config, self._desk).routes(),
-            *self._desk.mission_files.routes(),
+            *Archive(self._config).routes(),
+            *Maps(self._config, self._desk).routes(),
+            *MissionFiles(self._config, self._desk).routes(),
+            *robots.ROUTES,
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         return Guard(Starlette(routes=routes), self._door)
@@ -129,8 +142,8 @@ class Site:
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
-        page = Page(next(self._numbers), socket.scope[WHO].role)
-        slots = Slots()
+        slots = Slots(self._feed)
+        page = Page(next(self._numbers), socket.scope[WHO].role, slots)
         self._desk.alive(page, time.monotonic())
         slots.put("welcome", frames.pack("welcome", {"page": page.number, "role": page.role.value}))
         sender = asyncio.create_task(self._send(socket, slots))
@@ -138,7 +151,7 @@ class Site:
             async for text in texts(socket):
                 self._hear(page, slots, text)
         finally:
-            self._feed.leave(slots)
+            self.replays.left(page)
             self._desk.leave(page)
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
@@ -147,7 +160,7 @@ class Site:
     async def _send(self, socket: WebSocket, slots: Slots) -> None:
         """One frame after the other; while the page is slow, newer frames take the places of older ones."""
         while True:
-            self._feed.terrain_for(slots)
+            slots.feed.terrain_for(slots)
             entry = slots.take()
             if entry is None:
                 await slots.wake.wait()
@@ -177,7 +190,7 @@ class Site:
             elif what == "see":  # from now on: before, nobody there was ready to take it
                 slots.cloud = bool(wish.get("cloud"))
                 if not slots.seeing:
-                    self._feed.join(slots)
+                    slots.feed.join(slots)
                     slots.put("stop", frames.pack("stop", self._desk.stop_state))
             else:
                 self._desk.do(page, wish, reply)

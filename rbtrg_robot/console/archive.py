@@ -1,4 +1,4 @@
-"""Runs and maps on the disk: list, look into, download, keep; save the present map. All of it blocks, so it runs in worker threads."""
+"""Runs on the disk: list, look into, download, keep. All of it blocks, so it runs in worker threads."""
 
 from __future__ import annotations
 
@@ -14,25 +14,21 @@ from starlette.routing import Route
 
 from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.console.desk import Desk, Refused
+from rbtrg_robot.console.desk import Refused
 from rbtrg_robot.console.door import WHO
 from rbtrg_robot.log.keep import Run, mark, runs
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.topics import Role
 
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,80}")
-MAPS = "maps"
-"""Folder beside the runs."""
 
 
 class Archive:
-    """The folder that this run's folder lies in, and the maps beside it."""
+    """The folder that this run's folder lies in."""
 
-    def __init__(self, config: StackConfig, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, config: StackConfig) -> None:
         self._now = Path(config.log_dir)
         self._base = self._now.parent
-        self._maps = self._base / MAPS
 
     def routes(self) -> list[Route]:
         """Of the server."""
@@ -41,9 +37,6 @@ class Archive:
             Route("/runs/{run}", self._run),
             Route("/runs/{run}/keep", self._keep, methods=["POST"]),
             Route("/runs/{run}/{file}", self._download),
-            Route("/maps", self._list_maps),
-            Route("/maps/{file}", self._map),
-            Route("/maps/{file}", self._save, methods=["POST"]),
         ]
 
     def _row(self, run: Run) -> dict[str, Any]:
@@ -62,11 +55,7 @@ class Archive:
         return JSONResponse([self._row(run) for run in reversed(found)])
 
     def _folder(self, request: Request) -> Path:
-        name = request.path_params["run"]
-        folder = self._base / name
-        if not NAME.fullmatch(name) or not (folder / "config.yaml").is_file():
-            raise Refused("there is no such run")
-        return folder
+        return run_folder(self._base, request.path_params["run"])
 
     async def _run(self, request: Request) -> Response:
         try:
@@ -90,7 +79,7 @@ class Archive:
         try:
             folder = self._folder(request)
             wish = json.loads(await request.body())
-            self._operator(request)
+            operator(request)
             mark(folder, keep=bool(wish["keep"]))
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
@@ -111,35 +100,16 @@ class Archive:
             return JSONResponse({"words": "there is no such file"}, 404)
         return FileResponse(path, filename=f"{path.parent.name}_{path.name}")
 
-    async def _list_maps(self, _request: Request) -> Response:
-        found = sorted(self._maps.glob("*.npz")) if self._maps.is_dir() else []
-        rows = [
-            {"name": x.name, "megabytes": round(x.stat().st_size / 1e6, 2), "path": str(x)} for x in found
-        ]
-        return JSONResponse(rows)
 
-    async def _map(self, request: Request) -> Response:
-        path = self._maps / request.path_params["file"]
-        if not NAME.fullmatch(path.name) or path.suffix != ".npz" or not path.is_file():
-            return JSONResponse({"words": "there is no such map"}, 404)
-        return FileResponse(path, filename=path.name)
+def run_folder(base: Path, name: str) -> Path:
+    """Of a run by its name. Raises Refused."""
+    folder = base / name
+    if not NAME.fullmatch(name) or not (folder / "config.yaml").is_file():
+        raise Refused("there is no such run")
+    return folder
 
-    async def _save(self, request: Request) -> Response:
-        name = request.path_params["file"]
-        try:
-            self._operator(request)
-            if not NAME.fullmatch(name):
-                raise Refused("a name has letters, digits, - and _")
-            target = self._maps / f"{name.removesuffix('.npz')}.npz"
-            if target.exists():
-                raise Refused(f"{target.name} exists; choose another name")
-            self._maps.mkdir(parents=True, exist_ok=True)
-            known = await run_in_threadpool(self._desk.save_map, target)
-        except OperatorError as error:
-            return JSONResponse({"words": str(error)}, 403)
-        return JSONResponse({"words": f"{known} known cells in {target.name}; `up --map {target}` loads it"})
 
-    @staticmethod
-    def _operator(request: Request) -> None:
-        if request.scope[WHO].role is not Role.OPERATOR:
-            raise Refused("an operator's address lets a browser do that")
+def operator(request: Request) -> None:
+    """Raises Refused for whoever may only look and stop."""
+    if request.scope[WHO].role is not Role.OPERATOR:
+        raise Refused("an operator's address lets a browser do that")

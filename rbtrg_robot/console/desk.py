@@ -7,8 +7,7 @@ import math
 import threading
 import time
 import uuid
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any
 
 from hal.errors import OperatorError
@@ -17,14 +16,11 @@ from hal.safety.geofence import Geofence
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.console.feed import Feed
+from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.frames import route
 from rbtrg_robot.console.lease import Lease
-from rbtrg_robot.console.missions import MissionFiles
 from rbtrg_robot.orders.goal import AskRoute, CancelGoal, SendGoal
 from rbtrg_robot.orders.limits import USE_HARDWARE
-from rbtrg_robot.orders.map import LIMIT, FetchMap, save
-from rbtrg_robot.orders.mission import TellMission
 from rbtrg_robot.orders.order import Order, Outcome, send
 from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
 from rbtrg_robot.orders.who import me
@@ -40,8 +36,12 @@ LATE = 0.2
 """[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
 PRESENCE = 1.0
 """[s] between two signs that an operator watches."""
-Reply = Callable[[bool, str, dict[str, Any] | None], None]
+FREE = ("ask", "replay", "live", "rerun")
+"""Wishes of pages that do not operate."""
+Answer = tuple[bool, str, dict[str, Any] | None]
 """Whether it was done, why not, and what was found out."""
+Reply = Callable[[bool, str, dict[str, Any] | None], None]
+"""Takes an `Answer`."""
 TAKEN = "another page operates; take over first"
 UNCONFIRMED = f"STOP NOT CONFIRMED: {USE_HARDWARE}"
 ONLY_SEE = "this page may look and stop; an operator's address lets it do more"
@@ -54,12 +54,22 @@ class Refused(OperatorError):
 class Page:
     """One open page, as the desk knows it."""
 
-    def __init__(self, number: int, role: Role) -> None:
+    def __init__(self, number: int, role: Role, slots: Slots) -> None:
         self.number = number
+        self.slots = slots
         self.role = role
         self.driving = False
         self.quickest = math.inf
         """Least difference of the clocks here and there that a velocity showed [s]."""
+
+
+Wish = Callable[[Page, dict[str, Any]], Coroutine[Any, Any, Answer]]
+"""What a page asks for. Raises OperatorError."""
+
+
+def answer(outcome: Outcome) -> Answer:
+    """To a wish that was one order."""
+    return outcome.ok, outcome.words, None
 
 
 class Desk:
@@ -67,9 +77,12 @@ class Desk:
 
     SENDS = (
         *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.TELEOP, t.MAP_REQUEST, t.ROUTE_QUESTION),
-        *(t.MISSION_REQUEST, t.PRESENCE),
+        *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE),
     )
-    HEARS = (t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL, t.MISSION_STATE)
+    HEARS = (
+        *(t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL, t.MAP_STATUS, t.MISSION_STATE),
+        *(t.ODOM, t.TF_STATIC),
+    )
 
     def __init__(self, config: StackConfig, bus: Bus, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:
         self._bus = bus
@@ -84,8 +97,16 @@ class Desk:
         self._area = Geofence.of(area) if area else None
         self._room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
         self._capabilities = config.capabilities()
-        self.mission_files = MissionFiles(config)
+        self.wishes: dict[str, Wish] = {
+            "goal": self._goal,
+            "cancel": self._cancel,
+            "resume": self._resume,
+            "posture": self._posture,
+            "ask": self._ask,
+        }
+        """What pages may ask for; others add theirs."""
         self._present = -math.inf
+        self._tasks: set[asyncio.Task[None]] = set()
         for topic in self.SENDS:
             bus.advertise(topic)
 
@@ -97,22 +118,38 @@ class Desk:
         if what == "stop":
             self.stop()
             return
-        known = {
-            "goal": self._goal,
-            "cancel": self._cancel,
-            "resume": self._resume,
-            "posture": self._posture,
-            "drive": self._drive,
-            "ask": self._ask,
-            "mission": self._mission,
-        }
-        if what not in known:
+        if what != "drive" and what not in self.wishes:
             raise Refused(f"unknown wish {str(what)[:40]!r}")
         if page.role is not Role.OPERATOR:
             raise Refused(ONLY_SEE)
-        if what != "ask" and not self.lease.take(page.number, time.monotonic()):
+        if what not in FREE[1:] and page.slots.feed is not self._feed:
+            raise Refused("this page shows a replay: nothing moves from here")
+        if what not in FREE and not self.lease.take(page.number, time.monotonic()):
             raise Refused(TAKEN)
-        known[what](page, wish, reply)
+        if what == "drive":
+            self._drive(page, wish)
+            return
+        task = self._loop.create_task(self._grant(self.wishes[str(what)](page, wish), reply))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    @staticmethod
+    async def _grant(wish: Awaitable[Answer], reply: Reply) -> None:
+        try:
+            reply(*await wish)
+        except OperatorError as error:
+            reply(False, str(error), None)
+
+    async def carry_out(self, order: Order) -> Outcome:
+        """Send an order and wait for how it ends."""
+        ended: asyncio.Future[Outcome] = self._loop.create_future()
+        self._begin(order, lambda outcome: None if ended.done() else ended.set_result(outcome))
+        return await ended
+
+    def only_standing(self, what: str) -> None:
+        """Raises Refused while the robot moves or has somewhere to go."""
+        if self._feed.busy:
+            raise Refused(f"{what} while the robot stands and has no goal")
 
     def alive(self, page: Page, now: float, *, watched: bool = False) -> None:
         """The page says that it is there: it keeps the lease, or takes it where nobody has it.
@@ -125,7 +162,7 @@ class Desk:
             self._present = now
             stamp = time.time_ns()
             self._bus.publish(
-                t.PRESENCE, msg.Presence(header=header(stamp, ""), owner=self._owner(page)), stamp
+                t.PRESENCE, msg.Presence(header=header(stamp, ""), owner=self.owner(page)), stamp
             )
 
     def take_over(self, page: Page, now: float) -> None:
@@ -175,33 +212,31 @@ class Desk:
             raise Refused(words(wrong[0], wrong[1]))
         return x, y, yaw
 
-    def _goal(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
+    async def _goal(self, page: Page, wish: dict[str, Any]) -> Answer:
         x, y, yaw = self.place_of(wish)
         goal_id = uuid.uuid4().hex[:12]
         name = str(wish.get("name", ""))[:64]
-        request = goal_request(time.time_ns(), goal_id, x, y, yaw, name=name, owner=self._owner(page))
-        self._begin(SendGoal(request, wait=False), lambda outcome: reply(outcome.ok, outcome.words, None))
+        request = goal_request(time.time_ns(), goal_id, x, y, yaw, name=name, owner=self.owner(page))
+        return answer(await self.carry_out(SendGoal(request, wait=False)))
 
-    def _cancel(self, page: Page, _wish: dict[str, Any], reply: Reply) -> None:
-        order = CancelGoal(owner=self._owner(page))
-        self._begin(order, lambda outcome: reply(outcome.ok, outcome.words, None))
+    async def _cancel(self, page: Page, _wish: dict[str, Any]) -> Answer:
+        return answer(await self.carry_out(CancelGoal(owner=self.owner(page))))
 
-    def _resume(self, _page: Page, _wish: dict[str, Any], reply: Reply) -> None:
-        def done(outcome: Outcome) -> None:
-            if outcome.ok:
-                self._say_stop("none", "")
-            reply(outcome.ok, outcome.words, None)
+    async def _resume(self, _page: Page, _wish: dict[str, Any]) -> Answer:
+        outcome = await self.carry_out(Resume())
+        if outcome.ok:
+            self._say_stop("none", "")
+        return answer(outcome)
 
-        self._begin(Resume(), done)
-
-    def _posture(self, _page: Page, wish: dict[str, Any], reply: Reply) -> None:
+    async def _posture(self, _page: Page, wish: dict[str, Any]) -> Answer:
         what = str(wish.get("what"))
         if what not in POSTURES:
             raise Refused(f"there is no posture {what[:20]!r}")
         order = Posture(what, POSTURE_LIMIT)
-        self._begin(order, lambda outcome: reply(outcome.ok, outcome.words or order.said, None))
+        outcome = await self.carry_out(order)
+        return outcome.ok, outcome.words or order.said, None
 
-    def _ask(self, _page: Page, wish: dict[str, Any], reply: Reply) -> None:
+    async def _ask(self, _page: Page, wish: dict[str, Any]) -> Answer:
         """How would it go? The planner answers; nothing moves."""
         x, y, yaw = self.place_of(wish)
         if not self._feed.located:
@@ -222,51 +257,10 @@ class Desk:
             )
         )
 
-        def done(outcome: Outcome) -> None:
-            found = None if order.report is None else route(order.report)
-            reply(outcome.ok, outcome.words, found)
+        outcome = await self.carry_out(order)
+        return outcome.ok, outcome.words, None if order.report is None else route(order.report)
 
-        self._begin(order, done)
-
-    def _mission(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
-        """Run one of the files, or tell the mission that is under way."""
-        what = str(wish.get("what"))
-        try:
-            step = int(wish.get("step") or 0)
-        except (TypeError, ValueError) as error:
-            raise Refused("a step is a number") from error
-        owner = self._owner(page)
-
-        def done(order: TellMission) -> None:
-            self._begin(order, lambda outcome: reply(outcome.ok, outcome.words, None))
-
-        if what != "run":
-            told = {name: str(wish.get(name, ""))[:100] for name in ("order_id", "answer")}
-            done(TellMission(what, owner=owner, step=step, **told))
-            return
-        reading = self._loop.run_in_executor(
-            None, self.mission_files.order, str(wish.get("file")), max(step, 1), owner
-        )
-
-        def read(future: asyncio.Future[msg.MissionOrder]) -> None:
-            try:
-                order = future.result()
-            except OperatorError as error:
-                reply(False, str(error), None)
-            else:
-                done(TellMission(what, owner=owner, order=order))
-
-        reading.add_done_callback(read)
-
-    def save_map(self, file: Path) -> int:
-        """Fetch the map and write it; returns the number of known cells. Blocks: for a worker thread. Raises Refused."""
-        order, ended = FetchMap(), threading.Event()
-        self._begin(order, lambda _: ended.set())
-        if not ended.wait(LIMIT + 1.0) or order.patch is None:
-            raise Refused("the elevation process sends no map")
-        return save(order.patch, file)
-
-    def _drive(self, page: Page, wish: dict[str, Any], _reply: Reply) -> None:
+    def _drive(self, page: Page, wish: dict[str, Any]) -> None:
         try:
             v, w, at = float(wish["v"]), float(wish["w"]), float(wish["t"]) / 1000.0
         except (KeyError, TypeError, ValueError) as error:
@@ -290,7 +284,8 @@ class Desk:
         message.twist.angular = vector((0.0, 0.0, w))
         self._bus.publish(t.TELEOP, message, stamp)
 
-    def _owner(self, page: Page) -> str:
+    def owner(self, page: Page) -> str:
+        """Who gives the orders of a page."""
         return f"{me()} (page {page.number})"
 
     def _begin(self, order: Order, done: Callable[[Outcome], None]) -> None:

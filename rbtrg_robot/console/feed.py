@@ -16,10 +16,11 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.console import frames
 from rbtrg_robot.console.terrain import Key, Terrain
 from rbtrg_robot.orders.words import goal_line, robot_line
+from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import LayoutError, map_patch
-from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.frames import MapFrame, stands
 from rbtrg_robot.wire.messages import header, stamp_of
 
 log = logging.getLogger(__name__)
@@ -38,6 +39,7 @@ HEARD: tuple[Topic, ...] = (
     *frames.PLAIN,
 )
 
+ACTIVE = {state.value for state in GoalState if state.active}
 KEPT = (
     *(t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
     *(t.MISSION_ORDER, t.MISSION_STATE),
@@ -48,7 +50,9 @@ KEPT = (
 class Slots:
     """What one page has still to get, the newest of each kind. Belongs to the server's thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, feed: Feed) -> None:
+        self.feed = feed
+        """What it sees."""
         self.seeing = False
         """The page takes what comes."""
         self.cloud = False
@@ -66,6 +70,16 @@ class Slots:
         self.waiting[kind] = frame
         self.wake.set()
 
+    def tell(self, kind: str, content: dict[str, Any]) -> None:
+        """A frame for this page alone."""
+        self.put(kind, frames.pack(kind, content))
+
+    def clear(self) -> None:
+        """What waits is of another picture."""
+        self.waiting.clear()
+        self.tiles.clear()
+        self.terrain_due = 0.0
+
     def take(self) -> tuple[str, bytes] | None:
         """The one that waits longest."""
         for kind in self.waiting:
@@ -77,10 +91,15 @@ class Slots:
 class Feed:
     """`take` runs in the bus' thread; pages join and leave in the server's. Decodes nothing while nobody looks."""
 
-    def __init__(self, bus: Bus, robot: Capabilities, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self, bus: Bus, robot: Capabilities, loop: asyncio.AbstractEventLoop, *, replayed: bool = False
+    ) -> None:
+        """`replayed`: of a log, where nobody sends the whole map."""
+        self._replayed = replayed
         self._bus = bus
         self._loop = loop
         self._pages: frozenset[Slots] = frozenset()  # replaced, never changed: two threads read it
+        self._away: frozenset[Slots] = frozenset()
         self._frame = MapFrame()
         self._arrived: dict[Topic, float] = {}
         self._told: dict[Topic, float] = {}
@@ -92,6 +111,7 @@ class Feed:
         self.place = (0.0, 0.0, 0.0)
         """x, y [m], heading [rad] of the robot in `map`, once `located`."""
         self.located = False
+        self._moving = self._goal_active = False
         self.state: msg.RobotState | None = None
         self.terrain = Terrain(robot)
         self.terrain_lock = threading.Lock()
@@ -114,6 +134,20 @@ class Feed:
         """It was closed."""
         self._pages -= {page}
 
+    def follow(self, page: Slots, *, away: bool) -> None:
+        """A page that is `away` looks at something else; it gets what is told to all of them."""
+        self._away = self._away | {page} if away else self._away - {page}
+
+    @property
+    def looking(self) -> frozenset[Slots]:
+        """The pages."""
+        return self._pages
+
+    @property
+    def busy(self) -> bool:
+        """The robot moves, or has a goal, as far as is known."""
+        return self._moving or self._goal_active
+
     @property
     def pages(self) -> int:
         """How many look."""
@@ -121,7 +155,10 @@ class Feed:
 
     def tell(self, kind: str, content: dict[str, Any], *, keep: bool = True) -> None:
         """A frame for all pages, and for those that come later."""
-        self._hand_out(kind, frames.pack(kind, content), keep)
+        frame = frames.pack(kind, content)
+        self._hand_out(kind, frame, keep)
+        for page in self._away:
+            page.put(kind, frame)
 
     def _hand_out(self, kind: str, frame: bytes, keep: bool) -> None:
         if keep:
@@ -168,7 +205,7 @@ class Feed:
         """Ask for the map while pages look and none came; make what came ready."""
         with self.terrain_lock:
             self.terrain.prepare()
-        if self._pages and self.terrain.empty and now - self._asked > ASK_AGAIN:
+        if self._pages and self.terrain.empty and not self._replayed and now - self._asked > ASK_AGAIN:
             self._asked = now
             stamp = time.time_ns()
             self._bus.publish(t.MAP_REQUEST, msg.MapRequest(header=header(stamp, ""), action="full"), stamp)
@@ -178,6 +215,7 @@ class Feed:
             self._frame.take(message)
         elif t.ODOM.carried(message, topic):
             self._odom = message
+            self._moving = not stands(message)
             if self._frame.known:
                 content = frames.pose(message, self._frame, self._correction)
                 self.place = (content["x"], content["y"], content["yaw"])
@@ -194,6 +232,8 @@ class Feed:
             kind, make = frames.PLAIN[topic]
             if t.ROBOT_STATE.carried(message, topic):
                 self.state = message
+            elif t.GOAL_STATUS.carried(message, topic):
+                self._goal_active = message.state in ACTIVE
             elif t.MAP_STATUS.carried(message, topic):
                 self._epoch, self._correction = int(message.epoch), message.height_correction
             self._put(topic, kind, make(message), now)
@@ -209,7 +249,7 @@ class Feed:
 
     def _map(self, topic: Topic, message: msg.GridMap) -> None:
         with self.terrain_lock:
-            if topic is t.MAP_UPDATE and self.terrain.empty:
+            if topic is t.MAP_UPDATE and self.terrain.empty and not self._replayed:
                 return  # the whole map is under way
             try:
                 self.terrain.take(map_patch(message, self._epoch))

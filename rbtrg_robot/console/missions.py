@@ -1,4 +1,4 @@
-"""Mission files of the robot: list them, look into one, make the order that runs it. All of it reads the disk, so it runs in worker threads."""
+"""Missions: list the files, look into one, run it, interrupt it, answer. What reads the disk runs in worker threads."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from rbtrg_robot import msg
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
 from rbtrg_robot.console.frames import mission_order
 from rbtrg_robot.missions.file import MissionError, MissionFile, load
+from rbtrg_robot.orders.mission import TellMission
 
 FOLDER = "missions"
 """Beside the runs."""
@@ -25,8 +26,10 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]{0,80}\.ya?ml")
 class MissionFiles:
     """The YAML files of one folder."""
 
-    def __init__(self, config: StackConfig) -> None:
+    def __init__(self, config: StackConfig, desk: Desk) -> None:
+        self._desk = desk
         self._folder = Path(config.log_dir).parent / FOLDER
+        desk.wishes["mission"] = self._tell
 
     def routes(self) -> list[Route]:
         """Of the server."""
@@ -39,9 +42,21 @@ class MissionFiles:
             raise MissionError(f"there is no mission {name[:80]!r} in {self._folder}")
         return load(path)
 
-    def order(self, name: str, start: int, owner: str) -> msg.MissionOrder:
-        """The order that runs a file from step `start` on. Raises MissionError."""
-        return self.load(name).order(uuid.uuid4().hex[:12], start=start, owner=owner)
+    async def _tell(self, page: Page, wish: dict[str, Any]) -> Answer:
+        """Run one of the files, or tell the mission that is under way."""
+        what, owner = str(wish.get("what")), self._desk.owner(page)
+        try:
+            step = int(wish.get("step") or 0)
+        except (TypeError, ValueError) as error:
+            raise Refused("a step is a number") from error
+        if what == "run":
+            mission = await run_in_threadpool(self.load, str(wish.get("file")))
+            order = mission.order(uuid.uuid4().hex[:12], start=max(step, 1), owner=owner)
+            request = TellMission(what, owner=owner, order=order)
+        else:
+            told = {name: str(wish.get(name, ""))[:100] for name in ("order_id", "answer")}
+            request = TellMission(what, owner=owner, step=step, **told)
+        return answer(await self._desk.carry_out(request))
 
     def _rows(self) -> list[dict[str, Any]]:
         found = sorted(self._folder.iterdir()) if self._folder.is_dir() else []

@@ -111,7 +111,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     loop = asyncio.new_event_loop()
     feed = Feed(bus, config.capabilities(), loop)
     desk = Desk(config, bus, feed, loop)
-    site = Site(config, door, desk, feed)
+    site = Site(config, door, desk, feed, loop)
     bus.subscribe(HEARD)
     server = uvicorn.Server(
         uvicorn.Config(
@@ -134,6 +134,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
             await server.serve([listener])
         finally:
             beat.cancel()
+            await site.replays.close()
 
     ended = threading.Event()
 

@@ -19,7 +19,7 @@ from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig
+from rbtrg_robot.config import StackConfig, fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -39,7 +39,7 @@ from rbtrg_robot.wire.convert import (
     xyz,
     xyzw,
 )
-from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.frames import MapFrame, stands
 from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
 WAIT_SCANS = 2
@@ -58,7 +58,7 @@ TRUSTED_SENT = 16
 class ElevationStage:
     """Registered scans in, the elevation map out.
     In: poses at the end of each scan, deskewed clouds of every LiDAR, joints, tf_static, requests for the
-    map. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
+    map, another prior map. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
     which messages belong to one scan, by their stamps, so the order of arrival does not matter. It never
     plans, never moves the robot and writes no file.
     """
@@ -70,9 +70,11 @@ class ElevationStage:
         elevation: ElevationMap,
         params: ElevationStageConfig,
         lidars: tuple[MountedLidar, ...],
+        prior: str = "",
     ) -> None:
+        """`prior`: hash of the file of the prior map that `elevation` holds; empty where it holds none."""
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
-        self.inputs = (t.ODOM, *clouds, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_MIRROR)
+        self.inputs = (t.ODOM, *clouds, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR)
         self.map = elevation
         self._params = params
         self._lidars = lidars
@@ -84,6 +86,10 @@ class ElevationStage:
         self._clouds: OrderedDict[int, dict[LidarName, NDArray[np.float32]]] = OrderedDict()
         self._joints: list[JointSample] = []
         self._frame = MapFrame()
+        self._prior = prior
+        self._prior_map = elevation.full() if prior else None
+        self._prior_stamp = 0
+        self._stands = False
         self._scans = 0
         self._detail = ""
         self._status_due = 0
@@ -107,6 +113,7 @@ class ElevationStage:
         try:
             if t.ODOM.carried(message, topic):
                 self._poses[stamp_of(message)] = message
+                self._stands = stands(message)
             elif topic in self._topics:
                 clouds = self._clouds.setdefault(stamp_of(message), {})
                 clouds[self._topics[topic]] = cloud_points(message)
@@ -114,11 +121,19 @@ class ElevationStage:
                 self._joints.append(joint_sample(message))
                 del self._joints[:-100]
             elif t.TF_STATIC.carried(message, topic):
-                self._frame.take(message)
+                if self._frame.take(message):
+                    return self._begin("the pose was set")
+            elif t.MAP_PRIOR.carried(message, topic):
+                return self._take_prior(message)
             elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
                 self._restoring = message.known_cells > 0 or message.restoring
+                if (
+                    message.prior != self._prior
+                ):  # another one was loaded meanwhile; what was made of it comes back
+                    self.map.reset()
+                    self._prior, self._prior_map = message.prior, None
                 self.map.epoch = max(self.map.epoch, message.epoch)
                 self.map.alignment.height = message.height_correction
             elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
@@ -205,6 +220,29 @@ class ElevationStage:
             words.append("the ground at the feet is not seen: the robot drives on what it saw before alone")
         return "; ".join(words)
 
+    def _take_prior(self, message: msg.MapPrior) -> Outputs:
+        patch = map_patch(message.map, self.map.epoch)
+        if patch.stamp == self._prior_stamp:
+            return []  # a repeat
+        if not self._stands:
+            self._detail, self._status_due = "the map was not loaded: the robot moves", 0
+            return []
+        self._prior, self._prior_map, self._prior_stamp = message.id, patch, patch.stamp
+        return self._begin("the map was loaded")
+
+    def _begin(self, why: str) -> Outputs:
+        """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""
+        known = 0
+        if self._prior_map is None:
+            self.map.reset()
+            self._prior = ""
+        else:
+            known = self.map.begin_on(self._prior_map)
+        self._poses.clear()
+        self._clouds.clear()
+        self._detail, self._status_due = f"{why}; {known} cells are known from before", 0
+        return self.tick(self.map.stamp)
+
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
             try:
@@ -243,6 +281,7 @@ class ElevationStage:
             resolution=self.map.params.resolution,
             height_correction=self.map.alignment.height,
             restoring=self._restoring,
+            prior=self._prior,
             warning="; ".join(filter(None, (self._blind(), self.map.warning))),
             refused=self._refused,
             detail=self._detail,
@@ -267,4 +306,5 @@ def build(config: StackConfig) -> ElevationStage:
     elevation = ElevationMap(config.elevation)
     if config.map_file:
         elevation.load_prior(Path(config.map_file))
-    return ElevationStage(elevation, config.elevation_stage, config.mounted_lidars())
+    lidars = config.mounted_lidars()
+    return ElevationStage(elevation, config.elevation_stage, lidars, fingerprint(config.map_file))

@@ -121,7 +121,8 @@ class GuardStage:
         if t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
-            self._frame.take(message)
+            if self._frame.take(message):
+                self._around = None  # it lay elsewhere
         elif t.MAP_STATUS.carried(message, topic):
             self._correction = message.height_correction
         elif t.ODOM.carried(message, topic):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from hal.rotation import rotation, wrap
 from hal.types import Extrinsics, MountedLidar
 from hal.urdf import urdf
+from mapping.grid import FARTHEST
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
@@ -37,17 +39,19 @@ from rbtrg_robot.wire.convert import (
     xyzw,
     yaw_of,
 )
-from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.frames import MapFrame, stands
 from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
 """tf at 50 Hz from the 200 Hz pose."""
+SAME = 0.01
+"""A pose that differs less [m, rad] from the present one is a repeat."""
 NOTHING = np.empty((0, 3), np.float32)
 
 
 class OdometryStage:
     """Sensor messages in, poses and deskewed clouds out.
-    In: IMU, joints, sweeps of every LiDAR. Out: the pose at the end of each scan, a pose at 200 Hz for
+    In: IMU, joints, sweeps of every LiDAR, where an operator says that the robot stands. Out: the pose at the end of each scan, a pose at 200 Hz for
     control, wheel odometry, deskewed clouds, tf, health. It decides how far its pose can be believed: good,
     degraded or lost. It never stops the robot: others act on its health.
     """
@@ -61,7 +65,7 @@ class OdometryStage:
     ) -> None:
         """`start`: x, y [m], yaw [rad] of the robot in `map`."""
         names = [lidar.name for lidar in lidars]
-        self.inputs = (t.IMU, t.JOINTS, *(t.SWEEPS[name] for name in names))
+        self.inputs = (t.IMU, t.JOINTS, t.INITIAL_POSE, *(t.SWEEPS[name] for name in names))
         self.outputs = (
             t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, *(t.CLOUDS[name] for name in names), t.TF, t.TF_STATIC,
             t.DESCRIPTION,
@@ -76,6 +80,7 @@ class OdometryStage:
         self._before_stamp = 0
         self._shift = MapFrame()
         self._announced = False
+        self._odom: msg.Odometry | None = None
         self._poses = 0
         self._malformed = 0
 
@@ -100,6 +105,12 @@ class OdometryStage:
                     outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
             elif topic in self._sweeps:
                 self._odometry.add_scan(lidar_scan(message, self._sweeps[topic]))
+            elif t.INITIAL_POSE.carried(message, topic):
+                outputs += self._place(message)
+            elif t.TF_STATIC.carried(message, topic):  # of the process before this one
+                known = MapFrame()
+                known.take(message)
+                self._start = (known.x, known.y, known.yaw)
             elif t.ODOM.carried(message, topic):
                 self._before, self._before_stamp = message.pose.pose, stamp_of(message)
             elif t.CLOUD.carried(message, topic):
@@ -137,20 +148,35 @@ class OdometryStage:
         if self._announced:
             return []
         self._announced = True
+        return [(t.TF_STATIC, self._frames(now)), (t.DESCRIPTION, msg.String(data=urdf()))]
+
+    def _frames(self, now: int) -> msg.TFMessage:
         x, y, yaw = self._start
-        return [
-            (
-                t.TF_STATIC,
-                msg.TFMessage(
-                    transforms=[
-                        transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
-                        *(_mount_msg(now, LIDAR + lidar.name, lidar.mount) for lidar in self._lidars),
-                        _mount_msg(now, IMU, self._imu),
-                    ],
-                ),
-            ),
-            (t.DESCRIPTION, msg.String(data=urdf())),
-        ]
+        return msg.TFMessage(
+            transforms=[
+                transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
+                *(_mount_msg(now, LIDAR + lidar.name, lidar.mount) for lidar in self._lidars),
+                _mount_msg(now, IMU, self._imu),
+            ]
+        )
+
+    def _place(self, message: msg.PoseWithCovarianceStamped) -> Outputs:
+        """An operator says where the robot stands in `map`. Nothing while it moves: its place is old when it comes here."""
+        place, odom = message.pose.pose.position, self._odom
+        yaw = yaw_of(message.pose.pose.orientation)
+        known = (
+            all(map(math.isfinite, (place.x, place.y, yaw))) and max(abs(place.x), abs(place.y)) < FARTHEST
+        )
+        if odom is None or message.header.frame_id not in ("", MAP) or not known or not stands(odom):
+            return []
+        here = odom.pose.pose
+        turn = wrap(yaw - yaw_of(here.orientation))
+        c, s = math.cos(turn), math.sin(turn)
+        x = place.x - c * here.position.x + s * here.position.y
+        y = place.y - s * here.position.x - c * here.position.y
+        if math.dist((x, y), self._start[:2]) > SAME or abs(wrap(turn - self._start[2])) > SAME:
+            self._start = (x, y, turn)  # otherwise a repeat: the frames stay, and are told again
+        return [(t.TF_STATIC, self._frames(stamp_of(odom)))]
 
     def _fast(self, fast: FastPose) -> Outputs:
         if self._before is not None:
@@ -185,6 +211,7 @@ class OdometryStage:
             counter=list(counters),
             count=array(list(counters.values()), "uint32"),
         )
+        self._odom = odom
         outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
         if scan.health != "lost":  # a scan that fits nowhere must not reach the map
             for name in self._sweeps.values():  # an empty one says that nothing came

@@ -66,8 +66,8 @@ class TrackerStage:
             self._take_path(message)
         elif t.ODOM_HEALTH.carried(message, topic):
             self._lost = message.reason or "lost" if message.health == "lost" else ""
-        elif t.TF_STATIC.carried(message, topic):
-            self._frame.take(message)
+        elif t.TF_STATIC.carried(message, topic) and self._frame.take(message):
+            self._tracker.clear()  # it lay elsewhere
         return []
 
     def _take_path(self, message: msg.PathCommand) -> None:

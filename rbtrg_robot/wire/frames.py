@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.rotation import wrap
-from rbtrg_robot.msg import TFMessage
+from rbtrg_robot.msg import Odometry, TFMessage
 from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
 
 
@@ -26,14 +26,16 @@ class MapFrame:
         self.z = 0.0
         self.yaw = 0.0
 
-    def take(self, message: TFMessage) -> None:
-        """From a tf2_msgs/TFMessage."""
+    def take(self, message: TFMessage) -> bool:
+        """From a tf2_msgs/TFMessage. Returns whether an offset that was known became another one."""
+        before = (self.x, self.y, self.z, self.yaw) if self.known else None
         for transform in message.transforms:
             if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:
                 offset = transform.transform.translation
                 self.x, self.y, self.z = offset.x, offset.y, offset.z
                 self.yaw = yaw_of(transform.transform.rotation)
                 self.known = True
+        return before not in (None, (self.x, self.y, self.z, self.yaw))
 
     def pose2(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
         """A planar pose in `odom` as one in `map`."""
@@ -53,3 +55,13 @@ class MapFrame:
         qx, qy, qz, qw = orientation
         turned = np.array([c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz])
         return np.array([x, y, position[2] + self.z]), turned
+
+
+STANDING = (0.05, 0.1)
+"""Speed [m/s] and yaw rate [rad/s] below which a robot stands."""
+
+
+def stands(odom: Odometry) -> bool:
+    """By a nav_msgs/Odometry."""
+    twist = odom.twist.twist
+    return math.hypot(twist.linear.x, twist.linear.y) < STANDING[0] and abs(twist.angular.z) < STANDING[1]

@@ -37,6 +37,8 @@ OPERATOR_MAY = OBSERVER_MAY | {
     "/teleop/cmd_vel",
     "/mission/request",
     "/operator/presence",
+    "/initialpose",
+    "/elevation_map/prior",
     "/plan/question",
 }
 """Topics that each may publish; whatever else the table has or will have, nobody from outside may."""

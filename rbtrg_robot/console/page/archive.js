@@ -1,7 +1,8 @@
-// Runs and maps on the robot's disk.
+// Runs on the robot's disk.
 import { $, anchor, button, figure, get, list, post, put, table } from "./tell.js";
 
-export function makeArchive(free) {
+export function makeArchive(link, free) {
+  let shown = "", job = "";
   const say = (error) => free.say(error.message, "bad");
 
   async function runs() {
@@ -18,20 +19,25 @@ export function makeArchive(free) {
     const { facts, topics, damage } = await get(`/runs/${name}`);
     const meta = Object.entries(facts).flatMap(([, group]) => (typeof group === "object" ? Object.entries(group) : []));
     $("run-card").hidden = false;
+    shown = name;
     put("run-name", name);
     list($("run-facts"), [...meta.filter(([key]) => !key.startsWith("package")).map(([key, value]) => [key, String(value)]), ...damage.map((words) => ["damage", words, "word-bad"])]);
     table($("run-topics"), ["topic", "messages", "Hz", "longest gap s", "MB"], topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1), figure(x.gap), figure(x.megabytes)]));
     $("run-card").scrollIntoView();
   }
-  async function maps() {
-    const found = await get("/maps");
-    table($("map-list"), ["map", "MB", ["", "text"]], found.map((map) => [map.name, figure(map.megabytes), anchor("Download", `/maps/${map.name}`)]));
-  }
   $("reload-runs").onclick = () => runs().catch(say);
-  $("save-map").onsubmit = async (event) => {
-    event.preventDefault();
-    put("map-said", "Saving…");
-    try { put("map-said", (await post(`/maps/${encodeURIComponent($("map-name").value)}`)).words); await maps(); } catch (error) { put("map-said", `Not saved: ${error.message}`); }
-  };
-  return { runs: () => runs().catch(say), maps: () => maps().catch(say) };
+  async function wish(content) {
+    const answer = await link.wish(content).catch((error) => ({ words: error.message }));
+    free.say(answer.words, answer.ok ? "" : "bad");
+  }
+  $("replay-form").onsubmit = (event) => { event.preventDefault(); wish({ do: "replay", run: shown, rate: Number($("replay-rate").value), start: $("replay-from").value }); };
+  $("replay-end").onclick = () => wish({ do: "live" });
+  $("again-go").onclick = () => wish({ do: "rerun", run: shown, stages: $("again-stages").value, sets: $("again-sets").value });
+  link.on("job", ({ run, out, state, stages, sets, seconds, words, wrong }) => {
+    const what = `${run} again (${[...stages, ...sets].join(", ")})`;
+    put("job", state === "running" ? `${what}: ${figure(seconds, 0)} s of the log are done` : state === "done" ? `${what} is ${out}: ${words}` : `${what} failed: ${wrong}`);
+    if (job === "running" && state !== "running" && !$("logs").hidden) runs().catch(say);
+    job = state;
+  });
+  return { runs: () => runs().catch(say) };
 }

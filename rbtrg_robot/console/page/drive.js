@@ -1,5 +1,5 @@
 // The robot in words, the goal, and what would become of it.
-import { $, button, degrees, figure, list, put, twice } from "./tell.js";
+import { $, button, degrees, figure, list, number, put, twice } from "./tell.js";
 
 export function makeDrive(link, view, about, free) {
   const { world } = view;
@@ -40,10 +40,6 @@ export function makeDrive(link, view, about, free) {
   // --- the goal -------------------------------------------------------------------------------------------
   for (const [name, [x, y, yaw]] of Object.entries(about.goals)) $("names").append(button(name, () => choose(x, y, yaw)));
 
-  function number(id) {
-    const words = $(id).value.trim().replace(",", ".");
-    return words === "" ? null : Number(words);
-  }
   function wanted() {
     const [x, y, yaw] = [number("gx"), number("gy"), number("gyaw")];
     if (x === null || y === null || [x, y, yaw ?? 0].some((v) => !Number.isFinite(v))) return null;

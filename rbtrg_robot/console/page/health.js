@@ -1,7 +1,7 @@
 // How the stack is, from the supervisor's own status.
-import { $, figure, list, put, table } from "./tell.js";
+import { $, anchor, figure, get, list, put, table } from "./tell.js";
 
-export function makeHealth(link) {
+export function makeHealth(link, about) {
   function show() {
     if ($("health").hidden) return;
     const { status, odometry, map, robot } = link.newest;
@@ -19,6 +19,17 @@ export function makeHealth(link) {
     for (const [name, value] of Object.entries(status?.robot?.backend ?? {})) rows.push([name, value]);
     list($("odometry"), rows);
   }
+  async function others() {
+    if ($("health").hidden || document.hidden) return;
+    const found = await get("/robots");
+    $("robots-card").hidden = found.length < 2;
+    table($("robots"), [["robot", "text"], "ready", ["", "text"], ["", "text"]], found.map(({ name, ready, processes, lines, console: page }) => {
+      const way = anchor("Its console", `/robots/${name}`);
+      way.removeAttribute("download"); way.target = "_blank";
+      return [[name, "text"], `${ready}/${processes}`, [lines.join("; "), "wrap"], name === about.robot ? ["this page", "text"] : page ? way : ["no console", "text"]];
+    }));
+  }
+  setInterval(() => others().catch(() => {}), 2000);  // a console that is gone is told elsewhere
   link.on("status", show);
-  return { show };
+  return { show: () => { show(); others().catch(() => {}); } };
 }

@@ -9,7 +9,7 @@ const text = new TextDecoder();
 export function open() {
   const hears = new Map();
   const waiting = new Map();
-  const link = { newest: {}, page: 0, role: "", fresh: "stale", age: Infinity, on, wish, quick, halt, connected: () => socket?.readyState === 1 };
+  const link = { newest: {}, page: 0, role: "", replay: "", fresh: "stale", age: Infinity, on, wish, quick, halt, connected: () => socket?.readyState === 1 };
   let socket, beat = 0, ages = {}, number = 0, pressed = 0, confirmed = true, delivered = false;
 
   function on(kind, hear) { hears.set(kind, [...(hears.get(kind) ?? []), hear]); }
@@ -37,7 +37,7 @@ export function open() {
     if (content.kind === "beat") { beat = performance.now(); ages = content.ages; look(); }
     if (content.kind === "welcome") { link.page = content.page; link.role = content.role; }
     if (content.kind === "stop") stopSaid(content.state, content.words);
-    if (content.kind === "robot" && content.estop && pressed && !confirmed) stopSaid("confirmed", `stopped: ${content.estop_cause}`);
+    if (content.kind === "robot" && !link.replay && content.estop && pressed && !confirmed) stopSaid("confirmed", `stopped: ${content.estop_cause}`);
     if (content.kind === "answer") {
       const { yes } = waiting.get(content.n) ?? {};
       waiting.delete(content.n);
@@ -93,7 +93,7 @@ export function open() {
   }
 
   setInterval(look, 100);
-  setInterval(() => quick({ do: "alive", watched: !document.hidden && link.fresh !== "stale" }), 500);
+  setInterval(() => quick({ do: "alive", watched: !document.hidden && !link.replay && link.fresh !== "stale" }), 500);
   dial();
   return link;
 }

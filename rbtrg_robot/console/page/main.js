@@ -3,6 +3,7 @@ import { makeArchive } from "./archive.js";
 import { makeDrive } from "./drive.js";
 import { makeHealth } from "./health.js";
 import { open } from "./link.js";
+import { makeMaps } from "./maps.js";
 import { makeMissions } from "./missions.js";
 import { makeStick } from "./stick.js";
 import { $, figure, put, twice } from "./tell.js";
@@ -13,10 +14,10 @@ const link = open();
 stopping();
 const about = await (await fetch("/about")).json();
 const small = matchMedia("(max-width: 860px)").matches;
-let why, drive, stick, missions, spoken = "", was = "", timer = 0;
+let why, drive, stick, missions, maps, spoken = "", was = "", timer = 0;
 
 const free = {
-  operating: () => link.role === "operator" && link.newest.beat?.operator === link.page,
+  operating: () => !link.replay && link.role === "operator" && link.newest.beat?.operator === link.page,
   say(words, kind = "") { banner(words, kind); clearTimeout(timer); timer = setTimeout(() => banner(""), 8000); },
   plan: (plan, kind) => why.show(plan, kind),
 };
@@ -26,10 +27,11 @@ const view = mount($("view"), {
   said: (words) => put("hint", words || HINT()),
   followed: (on) => $("follow").setAttribute("aria-pressed", on),
   pick(x, y, yaw) {
+    if (maps.pick(x, y, yaw)) return;
     const k = yaw === null && !$("why").hidden ? why.near(x, y) : null;
     if (k !== null) return why.choose(k);
     if (link.fresh !== "stale" && free.operating()) { show("drive"); drive.choose(x, y, yaw); }
-    else free.say(link.fresh === "stale" ? "What you see is old: no goal is taken." : "Another page operates: take over first.", "bad");
+    else free.say(link.replay ? "This is a replay: nothing here moves the robot." : link.fresh === "stale" ? "What you see is old: no goal is taken." : "Another page operates: take over first.", "bad");
   },
 });
 view.world.body = about.body;
@@ -42,14 +44,15 @@ why = makeWhy(link, view);
 drive = makeDrive(link, view, about, free);
 stick = makeStick(link, view, about, free);
 missions = makeMissions(link, view, free);
-const health = makeHealth(link), archive = makeArchive(free);
+maps = makeMaps(link, view, free);
+const health = makeHealth(link, about), archive = makeArchive(link, free);
 
 // --- views --------------------------------------------------------------------------------------------------
 function show(name) {
   document.body.dataset.view = name;
   for (const made of document.querySelectorAll("nav button")) made.toggleAttribute("aria-current", made.dataset.view === name), made.dataset.view === name && made.setAttribute("aria-current", "page");
   for (const panel of document.querySelectorAll(".panel")) panel.hidden = panel.id !== name;
-  ({ health: health.show, logs: archive.runs, maps: archive.maps, missions: missions.show, why: why.gate })[name]?.();
+  ({ health: health.show, logs: archive.runs, maps: maps.show, missions: missions.show, why: why.gate })[name]?.();
 }
 for (const made of document.querySelectorAll("nav button")) made.onclick = () => show(made.dataset.view);
 show("drive");
@@ -102,6 +105,23 @@ link.on("points", (data) => {
   view.show();
 });
 function see() { link.quick({ do: "see", cloud: view.world.points }); }
+// A replay is another picture: what was drawn goes. Whoever looks at one commands nothing but the stop.
+function replayed({ run, state, seconds, wrong }) {
+  if (link.replay !== run) {
+    link.replay = run;
+    for (const kind of ["pose", "robot", "goal", "mission", "mission_order", "odometry", "map", "limits", "route_status", "tracker"]) delete link.newest[kind];
+    Object.assign(view.world, { pose: null, route: null, preview: null, goal: null, cloud: null, graph: null, shown: null, mission: null, place: null, arc: null });
+    view.ground.tiles.clear(); view.ground.dirty.add("all");
+    why.show(null); drive.lock(); missions.lock(); maps.lock(); stick.drop();
+    document.body.toggleAttribute("data-replay", !!run);
+    $("replaybar").hidden = !run;
+    view.show();
+  }
+  put("replay-said", wrong ? `${run}: ${wrong}` : `${run}, ${state === "ended" ? "at its end" : `${figure(seconds ?? 0, 0)} s`}. Nothing here moves the robot; STOP stops the real one.`);
+  lease();
+}
+link.on("replay", replayed);
+link.on("welcome", () => { if (link.replay) replayed({ run: "" }); });  // a connection begins with the robot
 link.on("open", () => { view.ground.tiles.clear(); view.ground.dirty.add("all"); see(); });
 link.on("age", (changed) => {
   document.body.dataset.fresh = link.fresh;
@@ -112,10 +132,10 @@ link.on("age", (changed) => {
   if (!changed) return;
   if (link.fresh === "stale") speak(`What you see is old: ${{ console: "the console is silent", robot: "the robot is silent", odometry: "the odometry is silent" }[link.silent] ?? "no data"}. Goals and driving are locked, STOP is not.`);
   if (link.fresh === "live") speak("");
-  drive.lock(); missions.lock(); stick.show(); view.show();
+  drive.lock(); missions.lock(); maps.lock(); stick.show(); view.show();
 });
 link.on("robot", (robot) => {
-  const words = robot.estop ? `Emergency stop: ${robot.estop_cause}` : ["fault", "disconnected"].includes(robot.phase) ? `${robot.phase}: ${robot.cause}` : "";
+  const words = link.replay ? "" : robot.estop ? `Emergency stop: ${robot.estop_cause}` : ["fault", "disconnected"].includes(robot.phase) ? `${robot.phase}: ${robot.cause}` : "";
   if (words !== spoken) { spoken = words; put("live", words); }
   lease();
 });
@@ -124,10 +144,10 @@ link.seen = true;
 see();  // everything that hears is there now
 function lease() {
   const { beat } = link.newest, operating = free.operating();
-  const words = !link.connected() ? "not connected" : link.role === "observer" ? "observer: look and stop" : operating ? "you operate" : beat?.operator ? `page ${beat.operator} operates` : "nobody operates";
+  const words = !link.connected() ? "not connected" : link.replay ? "replay" : link.role === "observer" ? "observer: look and stop" : operating ? "you operate" : beat?.operator ? `page ${beat.operator} operates` : "nobody operates";
   put("lease", words);
-  $("take").hidden = operating || link.role !== "operator" || !beat?.operator || !link.connected();
-  if (words !== was) { was = words; drive.lock(); missions.lock(); stick.show(); }
+  $("take").hidden = operating || !!link.replay || link.role !== "operator" || !beat?.operator || !link.connected();
+  if (words !== was) { was = words; drive.lock(); missions.lock(); maps.lock(); stick.show(); }
 }
 twice($("take"), () => `Page ${link.newest.beat.operator} can then only look and stop. Really take over?`, async () => {
   const answer = await link.wish({ do: "take over" }).catch((error) => ({ words: error.message, ok: false }));

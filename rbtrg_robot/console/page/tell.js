@@ -4,6 +4,12 @@ export const $ = (id) => document.getElementById(id);
 export const figure = (value, digits = 2) => (value === null || value === undefined ? "unknown" : Number(value).toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
 export const degrees = (radians) => (radians * 180) / Math.PI;
 
+// What stands in a field; null where nothing does.
+export function number(id) {
+  const words = $(id).value.trim().replace(",", ".");
+  return words === "" ? null : Number(words);
+}
+
 export function put(id, words) { const at = $(id); if (at.textContent !== words) at.textContent = words; }
 
 export function list(at, rows) {

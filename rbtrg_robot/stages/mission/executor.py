@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import deque
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig
+from rbtrg_robot.config import StackConfig, fingerprint
 from rbtrg_robot.stages.mission.mission import Mission, Phase
 from rbtrg_robot.stages.mission.order import (
     EVERYWHERE,
@@ -38,12 +36,12 @@ TELL = NS
 
 class MissionStage:
     """Orders of operators in; goals, postures and the state of the mission out.
-    In: requests, the presence of operators, the states of navigator and robot, the pose. Out: the accepted order and its
+    In: requests, the presence of operators, the states of navigator and robot, which map is loaded, the pose. Out: the accepted order and its
     state, which together hold all that a restarted stage needs; goals for the navigator; `stand` and `sit` for the robot. It
     decides which step is next and what follows a failure. It never plans and never publishes a velocity.
     """
 
-    inputs = (t.MISSION_REQUEST, t.PRESENCE, t.GOAL_STATUS, t.ROBOT_STATE, t.ODOM, t.TF_STATIC)
+    inputs = (t.MISSION_REQUEST, t.PRESENCE, t.GOAL_STATUS, t.ROBOT_STATE, t.MAP_STATUS, t.ODOM, t.TF_STATIC)
     outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND)
 
     def __init__(self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "") -> None:
@@ -75,6 +73,9 @@ class MissionStage:
             return []
         if t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
+        elif t.MAP_STATUS.carried(message, topic):
+            self._prior_map = message.prior
+            return []
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now
         elif t.GOAL_STATUS.carried(message, topic):
@@ -218,11 +219,6 @@ def _returns(order: msg.MissionOrder) -> bool:
     return order.on_comms_loss == OnCommsLoss.RETURN or any(
         s.on_failure == OnFailure.RETURN for s in order.steps
     )
-
-
-def fingerprint(map_file: str) -> str:
-    """Hash that names a prior map; empty where there is none. Raises OSError."""
-    return f"sha256:{hashlib.sha256(Path(map_file).read_bytes()).hexdigest()[:16]}" if map_file else ""
 
 
 def build(config: StackConfig) -> MissionStage:

@@ -103,7 +103,8 @@ class NavigatorStage:
         elif t.ROBOT_STATE.carried(message, topic):
             self._robot = message
         elif t.TF_STATIC.carried(message, topic):
-            self._frame.take(message)
+            if self._frame.take(message):
+                self._moved()
         elif t.GOAL_REQUEST.carried(message, topic):
             self._request(message)
         elif t.GOAL_POSE.carried(message, topic):
@@ -115,6 +116,11 @@ class NavigatorStage:
         elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out
+
+    def _moved(self) -> None:
+        self._pose, self._trail = None, Trail()
+        if self._goal and self._goal.state.active:
+            self._end(GoalState.ABORTED, Reason.LOST, "an operator set the pose anew")
 
     def _request(self, message: msg.GoalRequest) -> None:
         if message.action == 0:

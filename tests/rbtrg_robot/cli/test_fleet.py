@@ -23,7 +23,8 @@ from tools.bench.ports import free_port
 
 def robot_row(**mission: Any) -> dict[str, Any]:
     health = Health(True)
-    health.take(t.ROBOT_STATE, msg.RobotState(phase="ready", realtime_factor=1.0))
+    long = "standing; the last order was to stand up, and it came from somebody at the robot"
+    health.take(t.ROBOT_STATE, msg.RobotState(phase="ready", cause=long, realtime_factor=1.0))
     fields = {"order_id": "o", "name": "round", "phase": "running", "step": 2, "action_id": ["a", "b", "c"]}
     health.take(t.MISSION_STATE, msg.MissionState(**(fields | mission)))
     return health.robot_row()
@@ -56,6 +57,7 @@ def test_all_robots_are_shown_the_silent_one_too(two: None) -> None:
     assert found["a"]["robot"]["mission"]["step"] == 2
     shown = CliRunner().invoke(app, ["status", "--all"], catch_exceptions=False).output
     assert "1/1 ready" in shown
+    assert "somebody at the robot), real-time factor 1.00" in shown  # no line is broken in a pipe
     assert "mission round: running, step 2 of 3" in shown
     assert "does not answer" in shown
 

@@ -7,14 +7,23 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
 
-from tools.bench.console.stack import Console, Robot
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.log.file import CONFIG, LogWriter
+from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
+from rbtrg_robot.wire.messages import encode, header
+from tools.bench.console.stack import Console, Robot, ground
 
 LIMIT = 20.0
 """[s] until what must happen has happened, on a busy machine."""
 ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+JOB = 90.0
+"""[s] for a process of low priority that imports the stages."""
 DESK, PHONE = {"width": 1000, "height": 640}, {"width": 360, "height": 740}
 
 
@@ -71,9 +80,9 @@ def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable
         context.close()
 
 
-def until(page: Page, expression: str) -> Any:
+def until(page: Page, expression: str, limit: float = LIMIT) -> Any:
     """The value of an expression once it is true. (The page's own policy forbids playwright's waiting for one.)"""
-    end = time.monotonic() + LIMIT
+    end = time.monotonic() + limit
     while not (value := page.evaluate(expression)):
         assert time.monotonic() < end, f"{expression} never came true"
         page.wait_for_timeout(20)
@@ -459,6 +468,111 @@ def test_a_page_that_nobody_looks_at_is_no_contact(visit: Callable[..., Page], r
     assert robot.present == before
 
 
+# --- maps ---------------------------------------------------------------------------------------------------
+
+
+def test_a_map_is_saved_and_loaded_and_the_robot_is_told_where_it_stands(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    page.click("nav [data-view=maps]")
+    page.fill("#map-name", "here")
+    page.click("#save-map button")
+    until(page, "document.querySelector('#map-said').textContent.includes('known cells in here.npz')")
+    load = "#map-list tbody tr:first-child button"
+    page.click(load)
+    assert page.inner_text(load).endswith("Really load it?")
+    page.click(load)
+    until(page, "document.querySelector('#map-said').textContent.includes('the map was loaded')")
+    assert robot.prior.startswith("sha256:")
+    page.click("#place-mode")
+    page.mouse.move(*on_screen(page, 2.0, 0.6))
+    page.mouse.down()
+    page.mouse.move(*on_screen(page, 2.0, 1.4), steps=4)
+    page.mouse.up()
+    until(page, "consoleView.world.place")
+    assert float(page.input_value("#pyaw")) == pytest.approx(90.0, abs=12.0)
+    assert page.is_hidden("#drive")  # no goal
+    page.fill("#pyaw", "90")
+    page.click("#place-set")
+    until(page, "document.querySelector('#place-said').textContent.includes('stands there now')")
+    until(
+        page,
+        "Math.abs(consoleView.world.pose.x - 2) < 0.1 && Math.abs(consoleView.world.pose.yaw - Math.PI / 2) < 0.05",
+    )
+    robot.state, robot.goal = "moving", msg.GoalRequest(id="g", x=4.0)
+    until(page, "consoleView.world.goal")
+    page.click("#place-set")
+    until(
+        page,
+        "document.querySelector('#place-said').textContent.includes('while the robot stands and has no goal')",
+    )
+
+
+# --- logs ---------------------------------------------------------------------------------------------------
+
+
+def write_run(folder: Path) -> None:
+    """Ten seconds of a robot that stands elsewhere, stopped."""
+    folder.mkdir(parents=True)
+    config = load(None, [], scene="flat").to_yaml()
+    (folder / "config.yaml").write_text(config)
+    still = (0.0, 0.0, 0.0, 1.0)
+    frames = msg.TFMessage(transforms=[transform_msg(1, "map", "odom", np.zeros(3), still)])
+    with LogWriter(folder / "log_0.mcap", {}, {CONFIG: config.encode()}) as log:
+        for k in range(100):
+            now = (k + 1) * 10**8
+            said: list[tuple[t.Topic, Any]] = [
+                (t.CLOCK, msg.Clock(clock=header(now, "").stamp)),
+                (t.ODOM, odometry_msg(now, (3.3, 0.4, 0.45), still, (0.0,) * 3, np.zeros(3))),
+                (t.ROBOT_STATE, msg.RobotState(header=header(now, ""), phase="stopped", estop=True)),
+            ]
+            if k == 0:
+                said += [(t.TF_STATIC, frames), (t.MAP_STATUS, msg.MapStatus(epoch=1))]
+            if k % 10 == 1:
+                said.append((t.MAP_UPDATE, patch_msg(ground())))
+            for topic, message in said:
+                log.write(topic, encode(message), now, now, k + 1)
+
+
+def test_a_run_is_replayed_beside_the_robot_and_run_again(
+    visit: Callable[..., Page], robot: Robot, console: Console
+) -> None:
+    write_run(Path(console.config.log_dir).parent / "20260101-000000_flat_1")
+    page = visit()
+    page.click("nav [data-view=logs]")
+    page.click("#runs tbody tr:first-child button")
+    page.wait_for_selector("#run-card:not([hidden])")
+    page.click("#replay-form button")
+    until(page, "consoleView.world.pose && Math.abs(consoleView.world.pose.x - 3.3) < 0.01")
+    until(page, "consoleView.ground.tiles.size > 10")
+    assert page.is_visible("#replaybar")
+    assert page.inner_text("#lease") == "replay"
+    assert page.is_disabled("#ask")
+    assert page.inner_text("#live") == ""  # the stop of the log is not the robot's
+    robot.deaf = True
+    page.keyboard.press("Escape")
+    soon(page, lambda: robot.stops > 3)
+    until(page, "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')")
+    robot.deaf = False
+    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    robot.present = 0
+    page.click("#replay-end")
+    until(page, "consoleView.world.pose && Math.abs(consoleView.world.pose.x) < 0.01")
+    until(page, "document.querySelector('#lease').textContent === 'you operate'")
+    assert page.is_hidden("#replaybar")
+    page.click("#again summary")
+    page.fill("#again-stages", "mission")
+    page.fill("#again-sets", "navigator.nonsense=1")
+    page.click("#again-go")
+    until(page, "document.querySelector('#job').textContent.includes('there is no configuration key')", JOB)
+    page.fill("#again-sets", "navigator.goal_tolerance=0.3")
+    page.click("#again-go")
+    until(page, "document.querySelector('#job').textContent.includes('_again1: ')", JOB)
+    assert "poses at most 0.000 m apart" in page.inner_text("#job")
+    until(page, "document.querySelector('#runs').textContent.includes('_again1')")
+
+
 # --- the picture --------------------------------------------------------------------------------------------
 
 
@@ -509,10 +623,7 @@ def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_f
 
 
 def test_the_body_on_the_arc_is_scored_as_the_planner_scores_it(visit: Callable[..., Page]) -> None:
-    import numpy as np
-
     from planning.risk.body import BodyModel, pose_features
-    from tools.bench.console.stack import ground
 
     page = visit()
     poses = np.array([[1.0, 0.0, 0.0], [2.1, 0.3, 0.2], [3.0, 0.9, 1.0], [4.0, -1.0, 0.5], [1.0, -2.1, 0.7]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import ssl
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,12 +19,15 @@ from hal.types import Capabilities
 from mapping.elevation.exchange import MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.access.certificates import KeysError, make_authority
+from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.console.lease import VALID, Lease
-from rbtrg_robot.console.server import ConsoleError, listening
+from rbtrg_robot.console.server import ConsoleError, listening, serving
 from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk
-from rbtrg_robot.process.runfiles import console_file
+from rbtrg_robot.process.runfiles import RunLock, console_file
 from rbtrg_robot.stages.planner import build
+from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import patch_msg
 from rbtrg_robot.wire.messages import decode, encode
 from tools.bench.console.stack import Console, Robot, ground
@@ -143,6 +147,61 @@ def test_another_address_needs_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         listening("192.0.2.1", 7480)
     with listening("127.0.0.1", 0) as first, listening("127.0.0.1", first.getsockname()[1]) as second:
         assert second.getsockname()[1] != first.getsockname()[1]
+
+
+def test_elsewhere_it_serves_over_tls_with_the_keys_of_the_robot_and_not_without(
+    console: Console, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    settings = {"console.port": "0", "console.address": "127.0.0.2"}
+    config = load(None, [f"{key}={value}" for key, value in settings.items()], robot="tls")
+    with pytest.raises(KeysError), serving(config, Bus.__new__(Bus)):
+        pass
+    make_authority(keys_dir(), 1)
+    made = Console(console.robot, tmp_path, "tls", address="127.0.0.2")
+    try:
+        address = made.address()
+        host = address.split("/")[2]
+        assert address.startswith("https://127.0.0.2:")
+        trust = ssl.create_default_context(cafile=str(keys_dir() / ROBOT / CA))
+        trust.check_hostname = False  # the certificate names the robot
+
+        def ask(path: str, **headers: str) -> http.client.HTTPResponse:
+            client = http.client.HTTPSConnection(host, timeout=20, context=trust)
+            client.request("GET", path, headers=headers)
+            return client.getresponse()
+
+        assert ask("/").status == 401
+        assert ask("/enter?token=wrong").status == 401
+        words = ask("/enter" + address.partition("/enter")[2]).headers["set-cookie"]
+        assert {"Secure", "HttpOnly", "SameSite=strict"} <= set(words.split("; "))
+        good = words.partition(";")[0]
+        assert ask("/about", Cookie=good).status == 200
+        way: Any = {"ssl": trust, "origin": f"https://{host}"}
+        with pytest.raises(InvalidStatus), connect(f"wss://{host}/live", **way):
+            pass
+        with connect(f"wss://{host}/live", additional_headers={"Cookie": good}, **way) as socket:
+            assert json.loads(socket.recv()[4:])["role"] == "operator"
+        plain = http.client.HTTPConnection(host, timeout=20)
+        plain.request("GET", "/about", headers={"Cookie": good})
+        with pytest.raises((http.client.HTTPException, OSError)):
+            plain.getresponse()
+    finally:
+        made.close()
+
+
+def test_the_other_robots_of_the_computer_are_told(console: Console) -> None:
+    who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}
+    assert json.loads(get(console, "/robots", **who)[2]) == []
+    lock = RunLock("b")
+    try:
+        lock.write_state(endpoint=console.config.endpoint, domain=0, ready=True, backend="sim", scene="")
+        (row,) = json.loads(get(console, "/robots", **who)[2])
+        assert (row["name"], row["console"]) == ("b", False)
+        assert get(console, "/robots/b", **who)[0] == 404
+        assert get(console, "/robots/b")[0] == 401
+    finally:
+        lock.release()
 
 
 def test_the_lease_ends_by_itself_and_is_taken_over_only_on_purpose() -> None:

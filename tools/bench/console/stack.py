@@ -28,6 +28,7 @@ from rbtrg_robot.wire.convert import (
     patch_msg,
     rpy_quaternion,
     transform_msg,
+    yaw_of,
 )
 from rbtrg_robot.wire.messages import header
 
@@ -75,13 +76,14 @@ class Robot:
         self.bus.subscribe(
             [
                 *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION),
-                *(t.MISSION_REQUEST, t.PRESENCE),
+                *(t.MISSION_REQUEST, t.PRESENCE, t.INITIAL_POSE, t.MAP_PRIOR),
             ]
         )
         self.bus.serve("status", lambda _: b"{}")
         self.lock = threading.Lock()
         self.heard = threading.Event()
         """Set by every message that comes."""
+        self.epoch = 1
         self.reset()
         self._turns = 0
         self._end = threading.Event()
@@ -109,6 +111,8 @@ class Robot:
             self.present = 0
             """Signs of an operator."""
             self.mission = MissionStage()
+            self.prior = ""
+            self._offset(msg.Pose())
 
     def close(self) -> None:
         """End."""
@@ -118,10 +122,6 @@ class Robot:
 
     def _run(self) -> None:
         due = 0.0
-        turn = rpy_quaternion((0.0, 0.0, 0.0))
-        stamp = time.time_ns()
-        offset = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, np.zeros(3), turn)])
-        self.bus.publish(t.TF_STATIC, offset, stamp)
         while not self._end.is_set():
             for received in self.bus.take(0.02):
                 with self.lock:
@@ -134,6 +134,15 @@ class Robot:
                 with self.lock:
                     if not self.frozen:
                         self._say()
+
+    def _offset(self, pose: msg.Pose) -> None:
+        """Where `odom` lies in `map`: the robot stands at `pose` now, and looks along x of `odom`."""
+        place, yaw, stamp = pose.position, yaw_of(pose.orientation), time.time_ns()
+        c, s = math.cos(yaw), math.sin(yaw)
+        at = (place.x - c * self.x + s * self.y, place.y - s * self.x - c * self.y, 0.0)
+        turn = rpy_quaternion((0.0, 0.0, yaw))
+        frames = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, at, turn)])
+        self.bus.publish(t.TF_STATIC, frames, stamp)
 
     def _do(self, orders: Outputs) -> None:
         """What the mission wants."""
@@ -171,6 +180,10 @@ class Robot:
             self.x += 0.05 * twist.linear.x * math.cos(self.yaw)
             self.y += 0.05 * twist.linear.x * math.sin(self.yaw)
             self.yaw += 0.05 * twist.angular.z
+        elif topic is t.INITIAL_POSE:
+            self._offset(message.pose.pose)
+        elif topic is t.MAP_PRIOR:
+            self.prior, self.epoch = message.id, self.epoch + (message.id != self.prior)
         elif topic is t.PRESENCE:
             self.present += 1
         elif topic is t.ROUTE_QUESTION:
@@ -219,7 +232,13 @@ class Robot:
         )
         self.bus.publish(t.MOTION_LIMITS, limits, stamp)
         status = msg.MapStatus(
-            header=header(stamp, MAP), epoch=1, known_cells=60000, trusted_cells=55000, resolution=0.04
+            header=header(stamp, MAP),
+            epoch=self.epoch,
+            known_cells=60000,
+            trusted_cells=55000,
+            resolution=0.04,
+            prior=self.prior,
+            detail="the map was loaded; 60000 cells are known from before" if self.prior else "",
         )
         self.bus.publish(t.MAP_STATUS, status, stamp)
         told = msg.GoalStatus(header=header(stamp, MAP), state=self.state)
@@ -293,6 +312,7 @@ class Console:
 
     def __init__(self, robot: Robot, folder: Path, name: str = "go2w", **settings: Any) -> None:
         """`folder`: of logs; `name` of the robot. The run folder is that of the environment."""
+        self.robot = robot
         sets = ["console.port=0", *(f"console.{key}={value}" for key, value in settings.items())]
         self.config = load(
             None, sets, robot=name, scene="yard", port=robot.port, log_dir=str(folder / "logs" / "now")

@@ -162,8 +162,9 @@ class TheConsole:
         self._feed = Feed(bus, config.capabilities(), self._loop)
         self._desk = Desk(config, bus, self._feed, self._loop)
         door: Any = None  # nobody comes in: the page is there already
-        self._site = Site(config, door, self._desk, self._feed)
-        self._page, self._slots = Page(1, Role.OPERATOR), Slots()
+        self._site = Site(config, door, self._desk, self._feed, self._loop)
+        self._slots = Slots(self._feed)
+        self._page = Page(1, Role.OPERATOR, self._slots)
         self._slots.cloud = True
         self._feed.join(self._slots)
         self._wishes = 0
@@ -193,6 +194,9 @@ class TheConsole:
 
     def close(self) -> None:
         """End the loop."""
+        for task in (tasks := asyncio.all_tasks(self._loop)):
+            task.cancel()
+        self._loop.run_until_complete(asyncio.wait(tasks) if tasks else asyncio.sleep(0))
         self._loop.close()
 
 

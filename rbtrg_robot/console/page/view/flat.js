@@ -84,6 +84,7 @@ export function makeFlat(canvas, world, ground, camera) {
       context.beginPath(); context.arc(x, y, 10, 0, 7); context.lineWidth = 4; context.strokeStyle = css(COLOUR.goal); context.stroke();
       if (goal.yaw !== null && goal.yaw !== undefined) path([[goal.x, goal.y], [goal.x + 0.75 * Math.cos(goal.yaw), goal.y + 0.75 * Math.sin(goal.yaw)]], 4, COLOUR.goal);
     }
+    if (world.place) body(world.place.x, world.place.y, world.place.yaw, COLOUR.goal);
     if (world.pose) body(world.pose.x, world.pose.y, world.pose.yaw, COLOUR.dark, world.fresh === "stale" ? [150, 150, 150] : COLOUR.robot);
     return false;
   }

@@ -9,7 +9,7 @@ const RESTORE = 3000;  // milliseconds a lost context has to come back
 
 export function mount(element, options) {
   const ground = makeGround(), camera = makeCamera();
-  const world = { pose: null, route: null, preview: null, goal: null, aim: null, mission: null, arc: null, cloud: null, graph: null, chosen: null, shown: null, layer: 0, points: true, showGraph: false, fresh: "stale", body: [0.7, 0.43], sky: [0.87, 0.9, 0.92] };
+  const world = { pose: null, route: null, preview: null, goal: null, aim: null, mission: null, place: null, arc: null, cloud: null, graph: null, chosen: null, shown: null, layer: 0, points: true, showGraph: false, fresh: "stale", body: [0.7, 0.43], sky: [0.87, 0.9, 0.92] };
   const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look };
   let canvas, painter, asked = false, handles;
 

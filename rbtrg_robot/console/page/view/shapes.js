@@ -123,6 +123,7 @@ export function build(world, ground, camera) {
     shapes.line3([goal.x, goal.y, z], [goal.x, goal.y, z + 0.9], 0.04, paint);
     if (goal.yaw !== null && goal.yaw !== undefined) arrow(shapes, goal.x, goal.y, z + 0.08, goal.yaw, 0.75, paint);
   }
+  if (world.place) outline(shapes, world.place.x, world.place.y, onGround(world.place.x, world.place.y, base), world.place.yaw, length, width, COLOUR.goal, 0.08);
   if (pose) {
     const place = (p) => { const [a, b, c] = rotate(pose.q, p); return [pose.x + a, pose.y + b, pose.z + c]; };
     shapes.box(place, [length / 2 - 0.06, 0.12, 0.075], [0, 0, 0], world.fresh === "stale" ? [150, 150, 150, 255] : COLOUR.robot);

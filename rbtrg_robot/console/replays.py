@@ -1,0 +1,191 @@
+"""Runs in the page: one is played under another domain to the pages that ask for it; stages are run on one again.
+
+Who looks at a replay commands nothing but the stop. What is played comes over a bus of its own, from a process that is never connected
+to the robot's domain.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import math
+import re
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+from starlette.concurrency import run_in_threadpool
+
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.console.archive import run_folder
+from rbtrg_robot.console.desk import Answer, Desk, Page, Refused
+from rbtrg_robot.console.feed import HEARD, Feed, Slots
+from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.wire.bus import Bus
+
+DOMAINS, AWAY = 233, 100
+"""ROS domains there are; the replay's is so many farther than the robot's."""
+FASTEST = 20.0
+SETTING = re.compile(r"[A-Za-z0-9_.]+=\S+")
+STAGES = [row.name for row in PROCESSES if row.hosted]
+
+
+class Playback:
+    """One run that is played, and who looks."""
+
+    def __init__(self, config: StackConfig, loop: asyncio.AbstractEventLoop, run: str) -> None:
+        """Blocks until the bus is open. Raises BusError."""
+        self.run = run
+        self.domain = (config.domain + AWAY) % DOMAINS
+        self._bus = Bus(config.endpoint, "console", self.domain)
+        self.feed = Feed(self._bus, config.capabilities(), loop, replayed=True)
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._turn, name="replay", daemon=True)
+        self._bus.subscribe(HEARD)
+        self._thread.start()
+
+    def _turn(self) -> None:
+        while not self._end.is_set():
+            for received in self._bus.take(0.05):
+                self.feed.take(received)
+            self.feed.tick(time.monotonic())
+
+    def close(self) -> None:
+        """Blocks for a moment."""
+        self._end.set()
+        self._bus.wake()
+        self._thread.join()
+        self._bus.close()
+
+
+class Replays:
+    """What pages ask for. Runs in the server's thread."""
+
+    def __init__(self, config: StackConfig, desk: Desk, feed: Feed, loop: asyncio.AbstractEventLoop) -> None:
+        self._config, self._feed, self._loop = config, feed, loop
+        self._base = Path(config.log_dir).parent
+        self._playback: Playback | None = None
+        self._children: dict[str, asyncio.subprocess.Process] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        desk.wishes |= {"replay": self._replay, "live": self._live, "rerun": self._rerun}
+
+    async def _replay(self, page: Page, wish: dict[str, Any]) -> Answer:
+        folder = run_folder(self._base, str(wish.get("run")))
+        try:
+            rate, start = float(wish.get("rate") or 1.0), float(wish.get("start") or 0.0)
+        except (TypeError, ValueError) as error:
+            raise Refused("speed and start are numbers") from error
+        if not (0.05 <= rate <= FASTEST and 0.0 <= start < math.inf):
+            raise Refused(f"a replay has a speed of up to {FASTEST:g} and starts at 0 s or later")
+        looking = self._looking()
+        await self.stop()
+        playback = await run_in_threadpool(Playback, self._config, self._loop, folder.name)
+        self._playback = playback
+        for slots in {page.slots, *looking}:
+            self._show(slots, playback.feed, folder.name)
+        where = (self._config.endpoint, str(playback.domain), str(folder), str(rate), str(start))
+        await self._start("replay", where, lambda line: self._played(playback, line))
+        return True, f"replay of {folder.name}", None
+
+    async def _live(self, page: Page, _wish: dict[str, Any]) -> Answer:
+        if page.slots.feed is not self._feed:
+            self._show(page.slots, self._feed, "")
+        if not self._looking():
+            await self.stop()
+        return True, "live", None
+
+    def _looking(self) -> frozenset[Slots]:
+        return self._playback.feed.looking if self._playback else frozenset()
+
+    def _show(self, slots: Slots, feed: Feed, run: str) -> None:
+        """From now on a page sees what this feed hears; the stop and the heartbeat come from the robot all the same."""
+        slots.feed.leave(slots)
+        slots.clear()
+        slots.tell("replay", {"run": run, "state": "playing"})
+        feed.join(slots)
+        slots.feed = feed
+        self._feed.follow(slots, away=bool(run))
+
+    def left(self, page: Page) -> None:
+        """A page was closed."""
+        page.slots.feed.leave(page.slots)
+        self._feed.follow(page.slots, away=False)
+        if self._playback and not self._looking():
+            task = self._loop.create_task(self.stop())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    def _played(self, playback: Playback, line: dict[str, Any]) -> None:
+        state = "ended" if "words" in line or "wrong" in line else "playing"
+        playback.feed.tell("replay", {"run": playback.run, "state": state, **line})
+
+    async def stop(self) -> None:
+        """The replay ends; whoever looks at it keeps the last picture."""
+        playback, self._playback = self._playback, None
+        await self._kill("replay")
+        if playback is not None:
+            await run_in_threadpool(playback.close)
+
+    async def close(self) -> None:
+        """The console ends."""
+        await self.stop()
+        await self._kill("rerun")
+
+    # --- run again --------------------------------------------------------------------------------------------
+
+    async def _rerun(self, _page: Page, wish: dict[str, Any]) -> Answer:
+        folder = run_folder(self._base, str(wish.get("run")))
+        stages = [name for name in str(wish.get("stages", "")).split(",") if name]
+        sets = str(wish.get("sets", "")).split()
+        if not stages or not set(stages) <= set(STAGES):
+            raise Refused(f"name stages of {', '.join(STAGES)}")
+        if wrong := [text for text in sets if not SETTING.fullmatch(text)]:
+            raise Refused(f"{wrong[0][:60]!r} is not a.b=c")
+        if "rerun" in self._children:
+            raise Refused("a run is being run again; wait for its end")
+        number = next(k for k in range(1, 1000) if not (self._base / f"{folder.name}_again{k}").exists())
+        out = self._base / f"{folder.name}_again{number}"
+        about = {"run": folder.name, "out": out.name, "stages": stages, "sets": sets}
+        self._feed.tell("job", {**about, "state": "running", "seconds": 0.0})
+
+        def told(line: dict[str, Any]) -> None:
+            state = "done" if "words" in line else "failed" if "wrong" in line else "running"
+            self._feed.tell("job", {**about, "state": state, **line})
+
+        await self._start("rerun", (str(folder), str(out), ",".join(stages), *sets), told)
+        return True, f"{folder.name} is run again", None
+
+    # --- processes --------------------------------------------------------------------------------------------
+
+    async def _start(self, what: str, arguments: tuple[str, ...], told: Any) -> None:
+        child = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "rbtrg_robot.console.child", what, *arguments),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+        )
+        self._children[what] = child
+        task = self._loop.create_task(self._read(what, child, told))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _read(self, what: str, child: asyncio.subprocess.Process, told: Any) -> None:
+        assert child.stdout is not None
+        last: dict[str, Any] = {}
+        async for text in child.stdout:
+            with contextlib.suppress(json.JSONDecodeError):
+                last = json.loads(text)
+                told(last)
+        code = await child.wait()
+        if self._children.get(what) is child:
+            del self._children[what]
+            if code and "wrong" not in last:
+                told({"wrong": f"it ended with status {code}; see the log of the console"})
+
+    async def _kill(self, what: str) -> None:
+        child = self._children.pop(what, None)
+        if child is not None and child.returncode is None:
+            child.kill()
+            await child.wait()

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 import uuid
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 from hal.errors import OperatorError
@@ -129,14 +129,14 @@ class Desk:
         if what == "drive":
             self._drive(page, wish)
             return
-        task = self._loop.create_task(self._grant(self.wishes[str(what)](page, wish), reply))
+        task = self._loop.create_task(self._grant(self.wishes[str(what)], page, wish, reply))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     @staticmethod
-    async def _grant(wish: Awaitable[Answer], reply: Reply) -> None:
+    async def _grant(act: Wish, page: Page, wish: dict[str, Any], reply: Reply) -> None:
         try:
-            reply(*await wish)
+            reply(*await act(page, wish))
         except OperatorError as error:
             reply(False, str(error), None)
 

@@ -62,7 +62,6 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/goal_pose",
         "/initialpose",
         "/elevation_map/prior",
-        "/journal",
         "/track/path",
     }
 

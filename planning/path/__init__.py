@@ -1,6 +1,6 @@
 """From a route over the graph to a path the robot can follow."""
 
-from planning.path.confirmed import confirmed
+from planning.path.confirmed import ahead_of, confirmed, drivable, is_hidden
 from planning.path.path import make_path, rest_of
 from planning.path.spline import smooth_route
 from planning.path.types import Path, PathLimits
@@ -9,8 +9,11 @@ from planning.path.watch import face_in_the_way, still_safe
 __all__ = [
     "Path",
     "PathLimits",
+    "ahead_of",
     "confirmed",
+    "drivable",
     "face_in_the_way",
+    "is_hidden",
     "make_path",
     "rest_of",
     "smooth_route",

@@ -12,6 +12,10 @@ from planning.path.types import Path
 LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
 SPACING = 0.04
+LEAST, TURN = 0.06, 1.0
+"""A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to both sides."""
+AHEAD, ROUND = 0.45, 0.25
+"""[m] from the robot to what it cannot see, and around that."""
 STAND = (0.25, 0.05)
 """[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
 not."""
@@ -43,6 +47,27 @@ def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
     share = (hidden & ~under).mean(axis=1)
     blocked = share > 1.0 - graph.params.min_coverage
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
+
+
+def drivable(path: Path, graph: TraversalGraph, width: float) -> Path | None:
+    """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin."""
+    part = confirmed(path, graph, width)
+    if part is path or part.length >= LEAST:
+        return part
+    return None if abs(path.initial_turn or 0.0) < TURN else path.until(1)
+
+
+def ahead_of(path: Path) -> tuple[float, float, float]:
+    """x, y, radius [m] of a disc on the way ahead of a robot at its begin, for others to keep off."""
+    k = min(int(np.searchsorted(path.s, AHEAD)), len(path.points) - 1)
+    return float(path.points[k, 0]), float(path.points[k, 1]), ROUND
+
+
+def is_hidden(graph: TraversalGraph, x: float, y: float) -> bool:
+    """Whether the ground at x, y [m] is virtual."""
+    c = graph.cells
+    place = np.array([x]), np.array([y])
+    return c is not None and bool(_at((c.flags & (VIRTUAL | ASSUMED)) == VIRTUAL, *place, c.origin, c.res)[0])
 
 
 def _at(

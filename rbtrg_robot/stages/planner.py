@@ -15,7 +15,17 @@ from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
-from planning.path import Path, PathLimits, confirmed, face_in_the_way, make_path, rest_of, still_safe
+from planning.path import (
+    Path,
+    PathLimits,
+    ahead_of,
+    drivable,
+    face_in_the_way,
+    is_hidden,
+    make_path,
+    rest_of,
+    still_safe,
+)
 from planning.risk.body import BodyModel
 from planning.search.frontier import FrontierMemory
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
@@ -48,10 +58,8 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
 
-LEAST = 0.06
-"""A path to ground that nobody saw that is shorter [m] leads nowhere ..."""
-TURN = 0.3
-"""... unless the robot turns that much [rad] first, and looks there."""
+WAYS = 3
+"""Tried, where they begin with ground that cannot be seen."""
 
 
 class PlannerStage:
@@ -90,6 +98,8 @@ class PlannerStage:
         """The part of it that is driven."""
         self._memory = FrontierMemory()
         self._memory_goal = ""
+        self._hidden: list[tuple[float, float, float]] = []
+        """x, y, radius [m] of ground on the way to that goal that cannot be seen from where it begins; kept off until it was seen."""
         self._malformed = 0
         self._verdict = (True, "")
         self._checked_version = -1
@@ -208,7 +218,7 @@ class PlannerStage:
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._whole, self._verdict = None, None, (True, "")
         if message.goal_id != self._memory_goal:
-            self._memory, self._memory_goal = FrontierMemory(), message.goal_id
+            self._memory, self._memory_goal, self._hidden = FrontierMemory(), message.goal_id, []
         self._memory.at(self._start)
         if self._map.stale or self._map.window is not None or self._map.graph is None:
             self._sync(self._start)
@@ -218,8 +228,7 @@ class PlannerStage:
             "sequence": message.sequence,
         }
         try:
-            found, self._whole = self._plan(message, driven)
-            found, path = self._drivable(found, self._whole)
+            found, self._whole, path = self._seen_way(message, driven)
         except NoRoute as none:
             reason = REASONS[none.reason]
             if reason is Reason.NO_ROUTE:
@@ -285,29 +294,34 @@ class PlannerStage:
         if self._params.method != "rb_trg":
             found = BASELINES[self._params.method](self._map.ground(), request)
             return found, self._path_of(found)
-        found = self._map.search(request, message.avoid.reshape(-1, 3))
+        found = self._map.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)
             return found, rest_of(driven, pose, self._map.ground(), self._body)
         return found, self._path_of(found)
 
-    def _drivable(self, found: Plan, whole: Path) -> tuple[Plan, Path]:
-        """The plan and the path up to ground that nobody saw. Raises NoRoute where that begins under the robot."""
+    def _seen_way(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path, Path]:
+        """A plan, its path, and the part of it that is driven. A way that cannot be seen from here is left for another."""
         graph = self._map.graph
         if self._params.method != "rb_trg" or graph is None:
-            return found, whole
-        path = confirmed(whole, graph, self._body.width)
-        if path is whole:
-            return found, whole
-        if path.length < LEAST:
-            if abs(whole.initial_turn or 0.0) < TURN:
-                x, y = path.points[-1, :2].tolist()
-                raise NoRoute(
-                    NoRouteReason.NO_ROUTE,
-                    f"the way leads over ground that the robot cannot see from ({x:.2f}, {y:.2f}): it looks again from elsewhere",
-                )
-            path = whole.until(int(np.searchsorted(whole.s, LEAST)))
-        return replace(found, reaches_goal=False), path
+            found, whole = self._plan(message, driven)
+            return found, whole, whole
+        self._hidden = [disc for disc in self._hidden if is_hidden(graph, disc[0], disc[1])]
+        for way in range(WAYS):
+            try:
+                found, whole = self._plan(message, driven)
+            except NoRoute:
+                if way == 0:
+                    raise
+                break  # what hides the first way is the reason
+            path = drivable(whole, graph, self._body.width)
+            if path is not None:
+                return found if path is whole else replace(found, reaches_goal=False), whole, path
+            self._hidden.append(ahead_of(whole))
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "every way leads over ground that the robot cannot see from where it stands",
+        )
 
     def _path_of(self, found: Plan) -> Path:
         return make_path(found, self._map.ground(), self._body, self._limits)

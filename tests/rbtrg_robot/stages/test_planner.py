@@ -296,10 +296,25 @@ def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:
 def test_a_way_that_only_leads_over_unseen_ground_at_the_feet_is_none() -> None:
     x = np.arange(150) * RES
     stage = planner()
-    stage.on(t.MAP_UPDATE, hidden(np.where((x > 1.45) & (x < 2.2), np.nan, 0.0), np.full(150, 0.05)))
+    ground = np.where(x < 0.7, 0.8, 0.0)
+    stage.on(t.MAP_UPDATE, hidden(np.where((x > 1.45) & (x < 2.2), np.nan, ground), np.full(150, 0.05)))
     answer = ask(stage, (1.2, 1.2), (5.0, 1.2))
     assert (answer.ok, answer.reason) == (False, "no_route")
     assert "cannot see" in answer.detail
+    # With another way around, that one is taken, and kept to while the first stays hidden.
+    seen = np.ones((150, 150))
+    seen[20:60, 38:55] = 0.0  # x 1.5 to 2.2, y 0.8 to 2.4
+    layers = {name: np.zeros(seen.shape, np.float32) for name in PATCH_LAYERS} | {
+        "trusted": seen.astype(np.float32)
+    }
+    layers["elevation"][seen == 0.0] = np.nan
+    layers["upper_bound"][:] = 0.05
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch_msg(MapPatch((0.0, 0.0), RES, NS, 0, layers)))
+    for sequence, y in ((1, 1.2), (2, 1.3)):
+        around = ask(stage, (1.2, y), (3.5, 1.2), sequence=sequence)
+        assert (around.ok, around.reaches_goal) == (True, True)
+        assert np.abs(np.array(around.y) - 1.6).max() > 0.8
 
 
 def test_where_no_frontier_is_left_the_robot_looks_at_what_is_hidden() -> None:

@@ -12,8 +12,8 @@ from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import BY_NAME, Topic
 from rbtrg_robot.wire import messages
 
-PATIENCE = 10 * NS
-"""[ns] of the log that a stage waits for a message before it goes on without: it was never recorded."""
+PATIENCE = 5 * NS
+"""[ns] of the log after a step was recorded: a message that has not come by then was never recorded, and the stage goes on without it."""
 BEHIND = 64
 """Messages of a topic before the one just taken that are still kept: two publishers' may be taken in another order than recorded."""
 
@@ -58,8 +58,6 @@ class Follower:
         self._inboxes = {name: Inbox() for name in stages}
         self._made = made
         self._numbers: Counter[Topic] = Counter()
-        self._since: dict[str, int] = {}
-        """When each stage last moved [ns of the log]."""
         self.missing: Counter[str] = Counter()
         """Messages that a stage's process took and the log does not hold, by stage."""
         self.now = 0
@@ -72,7 +70,7 @@ class Follower:
                 self._inboxes[name].put(topic.name, sequence, stamp, payload)
         self._run()
         for name, steps in self._steps.items():
-            if steps and self.now - self._since.setdefault(name, self.now) > PATIENCE:
+            if steps and self.now - steps[0][3] > PATIENCE:
                 self._skip(name)
 
     def finish(self) -> None:
@@ -88,7 +86,6 @@ class Follower:
 
     def _skip(self, name: str) -> None:
         self._steps[name].popleft()
-        self._since[name] = self.now
         self.missing[name] += 1
 
     def _run(self) -> None:
@@ -96,9 +93,8 @@ class Follower:
         while moved:
             moved = False
             for name, steps in self._steps.items():
-                while steps and self._step(name, *steps[0]):
+                while steps and self._step(name, *steps[0][:3]):
                     steps.popleft()
-                    self._since[name] = self.now
                     moved = True
 
     def _step(self, name: str, topic: str, sequence: int, stamp: int) -> bool:
@@ -116,6 +112,8 @@ class Follower:
 
     def _publish(self, outputs: list[tuple[Topic, Any]], now: int) -> None:
         for topic, message in outputs:
+            if topic.owner not in self._stages:  # others publish there too: all that was said is in the log
+                continue
             payload = messages.encode(message)
             self._numbers[topic] += 1
             self._made(topic, payload, now, self._numbers[topic])

@@ -23,8 +23,8 @@ PERIOD = 0.5
 SEQUENCES = 2**32
 """MCAP keeps that much of a sequence number."""
 
-Step = tuple[str, int, int]
-"""Topic (empty: a tick), sequence and stamp [ns] of its publisher."""
+Step = tuple[str, int, int, int]
+"""Topic (empty: a tick), sequence and stamp [ns] of its publisher, and when the step was recorded [ns of the log]."""
 
 
 class Journal:
@@ -89,5 +89,5 @@ def read_journals(entries: Iterable[Entry]) -> tuple[dict[str, deque[Step]], set
             journal.taken.tolist(), journal.sequence.tolist(), journal.stamp.tolist(), strict=True
         ):
             if index == TICK or index < len(journal.topic):
-                own.append(("" if index == TICK else journal.topic[index], sequence, stamp))
+                own.append(("" if index == TICK else journal.topic[index], sequence, stamp, entry.log_time))
     return steps, restarted

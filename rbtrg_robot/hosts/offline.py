@@ -54,9 +54,15 @@ def rerun(
     stages = build_stages(config, names)
     for stage, _period in stages.values():
         stage.warm_up()
-    replaced = {topic for stage, _ in stages.values() for topic in stage.outputs}
     counts: Counter[str] = Counter()
     steps, restarted = read_journals(read_run(log))
+    live = stages.keys() <= steps.keys()
+    replaced = {
+        topic
+        for stage, _ in stages.values()
+        for topic in stage.outputs
+        if topic.owner in stages or not live  # where others publish too, a live log has all that was said
+    }
     for name in sorted(restarted & set(names)):
         say(f"{name} was restarted in this log: its re-run ends there")
     with LogWriter(out, metadata, {CONFIG: config.to_yaml().encode()}) as writer:
@@ -77,7 +83,7 @@ def rerun(
                 ):
                     yield topic, entry
 
-        if stages.keys() <= steps.keys():
+        if live:
             _follow(stages, steps, inputs(), write, progress, say)
         else:
             _feed(stages, inputs(), write, progress, simulated=config.simulated)

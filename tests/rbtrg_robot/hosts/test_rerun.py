@@ -25,6 +25,9 @@ LATE = 150
 UP = 5_000 * 10**9
 """[ns] that the computer was up: a live recorder counts from there, simulated time from 0."""
 
+START = 100 * 10**9
+"""[ns] that the start of a stack may take: the recorder is one of the first."""
+
 
 class LateBus:
     """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is kept."""
@@ -97,6 +100,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int]:
     node.run(lambda: bus.ended)
     out = folder / "live.mcap"
     with LogWriter(out, {}, {CONFIG: first_of(log).attachments[CONFIG]}) as writer:
+        writer.write(t.DIAGNOSTICS, encode(t.DIAGNOSTICS.kind()), UP - START, 1, 1)
         for entry in read_run(log):
             topic = t.BY_NAME[entry.topic]
             if topic not in stage.outputs:

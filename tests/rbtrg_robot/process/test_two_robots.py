@@ -1,0 +1,74 @@
+"""Two real `up` beside each other: what one is told does not reach the other, and both are seen from one place."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rbtrg_robot.process.runfiles import console_address
+from tools.bench.ports import free_port
+
+pytestmark = pytest.mark.timeout(300)
+START_LIMIT, LIMIT = 200.0, 60.0
+
+
+def command(*words: str) -> list[str]:
+    return [sys.executable, "-m", "rbtrg_robot.cli", *words]
+
+
+def statuses() -> dict[str, Any]:
+    done = subprocess.run(
+        command("status", "--all", "--json"), capture_output=True, timeout=LIMIT, check=True
+    )
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def test_two_robots_live_side_by_side(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    few = ("--without", "recorder", "--without", "mission", "--no-record", "--console-port", "0")
+    starts = []
+    try:
+        for name in "ab":
+            words = ("up", "--detach", "--robot", name, "--scene", "flat", "--port", str(free_port()), *few)
+            folder = ("--log-dir", str(tmp_path / name))
+            starts.append(subprocess.Popen(command(*words, *folder), env=dict(os.environ)))
+        assert [start.wait(START_LIMIT) for start in starts] == [0, 0]
+        before = statuses()
+        assert sorted(before) == ["a", "b"]
+        assert all(row["state"] == "ready" for s in before.values() for row in s["processes"])
+        goal = subprocess.run(
+            command("goal", "1.0", "0.0", "--robot", "a", "--wait"), timeout=LIMIT, check=False
+        )
+        assert goal.returncode == 0
+        subprocess.run(command("stop", "--robot", "a"), timeout=LIMIT, check=True)
+        after = statuses()
+        assert after["a"]["robot"]["x"] == pytest.approx(1.0, abs=0.2)
+        assert after["b"]["robot"]["x"] == pytest.approx(before["b"]["robot"]["x"], abs=0.05)
+        assert [after[name]["robot"]["estop"] for name in "ab"] == [True, False]
+        # The console of one shows both.
+        address = console_address("a")
+        host = address.split("/")[2]
+        client = http.client.HTTPConnection(host, timeout=LIMIT)
+        client.request("GET", "/enter" + address.partition("/enter")[2])
+        answer = client.getresponse()
+        answer.read()
+        cookie = answer.headers["set-cookie"].partition(";")[0]
+        client.request("GET", "/robots", headers={"Cookie": cookie})
+        rows = json.loads(client.getresponse().read())
+        assert [row["name"] for row in rows] == ["a", "b"]
+        assert "E-STOP" in rows[0]["lines"][0]
+        assert "E-STOP" not in rows[1]["lines"][0]
+    finally:
+        for start in starts:
+            start.kill()
+            start.wait()
+        for name in "ab":
+            subprocess.run(command("down", "--robot", name), timeout=LIMIT, check=False)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from mapping.elevation import fusion as kernels
 from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import LARGEST, FuseReport, MapError, MapPatch
+from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import load_into, restore_store, save_store
 from mapping.elevation.poses import checked_pose
@@ -336,14 +336,8 @@ class ElevationMap:
         )
 
     def full(self) -> MapPatch:
-        """The whole map. Raises MapError while it is empty, and where it is larger than LARGEST."""
-        box = self.store.bounds()
-        if box is None:
-            raise MapError("the map is empty: nothing was seen yet")
-        if box[2] * box[3] > LARGEST:
-            sides = " x ".join(f"{n * self.params.resolution:.0f}" for n in box[2:])
-            raise MapError(f"the map is too large to be read as a whole: {sides} m")
-        return self._reader.read(box, self.stamp, self.epoch)
+        """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
+        return self._reader.read_all(self.stamp, self.epoch)
 
     def grid(self) -> ElevationGrid:
         """The whole map as a grid, unknown heights NaN."""

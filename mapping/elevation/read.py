@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.tiles import ASSUMED, BRIDGED, Layers, TileStore
 
 _BLOCK = 12
@@ -81,6 +81,16 @@ class MapReader:
             rows, cols = (inside.max(axis=0) + 1) * s.size + pad - (row, col)
             patches += self._changes((int(row), int(col), int(rows), int(cols)), stamp, epoch)
         return patches
+
+    def read_all(self, stamp: int, epoch: int) -> MapPatch:
+        """The whole map. Raises MapError while it is empty, and where it is larger than LARGEST."""
+        box = self.store.bounds()
+        if box is None:
+            raise MapError("the map is empty: nothing was seen yet")
+        if box[2] * box[3] > LARGEST:
+            sides = " x ".join(f"{n * self.params.resolution:.0f}" for n in box[2:])
+            raise MapError(f"the map is too large to be read as a whole: {sides} m")
+        return self.read(box, stamp, epoch)
 
     def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what differs from the last ones sent, within a box."""

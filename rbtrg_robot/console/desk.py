@@ -11,8 +11,6 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from hal.errors import OperatorError
-from hal.go2w import BODY_WIDTH
-from hal.safety.geofence import Geofence
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -24,7 +22,7 @@ from rbtrg_robot.orders.limits import USE_HARDWARE
 from rbtrg_robot.orders.order import Order, Outcome, send
 from rbtrg_robot.orders.robot import POSTURES, Posture, Resume, Stop
 from rbtrg_robot.orders.who import me
-from rbtrg_robot.stages.navigation.goal import Goal, goal_request
+from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, goal_request
 from rbtrg_robot.stages.navigation.reasons import words
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.bus import Bus, Received
@@ -93,9 +91,7 @@ class Desk:
         self.lease = Lease()
         self._stop: Stop | None = None
         self.stop_state = {"state": "none", "words": ""}
-        area = config.allowed_area()
-        self._area = Geofence.of(area) if area else None
-        self._room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+        self._area = GoalArea.of(config)
         self._capabilities = config.capabilities()
         self.wishes: dict[str, Wish] = {
             "goal": self._goal,
@@ -207,7 +203,7 @@ class Desk:
             yaw = None if wish.get("yaw") is None else float(wish["yaw"])
         except (KeyError, TypeError, ValueError) as error:
             raise Refused("a goal is x and y in metres") from error
-        wrong = Goal("", x, y, yaw, 0).misplaced(self._area, self._room)
+        wrong = Goal("", x, y, yaw, 0).misplaced(self._area)
         if wrong is not None:
             raise Refused(words(wrong[0], wrong[1]))
         return x, y, yaw

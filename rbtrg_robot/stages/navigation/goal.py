@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from hal.go2w import BODY_WIDTH
 from hal.rotation import wrap
 from hal.safety.geofence import Geofence
 from rbtrg_robot import msg
+from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.wire.convert import BASE, MAP, ODOM, yaw_of
@@ -50,6 +52,22 @@ _ACTIVE = (
     GoalState.RECOVERING,
     GoalState.PAUSED,
 )
+
+
+@dataclass(frozen=True, slots=True)
+class GoalArea:
+    """What goals must lie in."""
+
+    fence: Geofence | None = None
+    room: float = 0.0
+    """That the robot needs to the fence [m]."""
+
+    @classmethod
+    def of(cls, config: StackConfig) -> GoalArea:
+        """The allowed area of a stack."""
+        polygon = config.allowed_area()
+        room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
+        return cls(Geofence.of(polygon) if polygon else None, room)
 
 
 @dataclass(slots=True)
@@ -120,15 +138,15 @@ class Goal:
             self.yaw = wrap(self.yaw + turn)
         return None
 
-    def misplaced(self, area: Geofence | None, room: float) -> tuple[Reason, str] | None:
-        """Why a robot that needs `room` [m] to the fence cannot go there; None where it can."""
+    def misplaced(self, area: GoalArea) -> tuple[Reason, str] | None:
+        """Why the robot cannot go there; None where it can."""
         if not all(math.isfinite(v) for v in (self.x, self.y, self.yaw or 0.0, self.timeout)):
             return Reason.INVALID, "it has numbers that are not finite"
-        outside = -math.inf if area is None else area.outside(self.x, self.y)
+        outside = -math.inf if area.fence is None else area.fence.outside(self.x, self.y)
         if outside > 0.0:
             return Reason.OUTSIDE, f"by {outside:.1f} m"
-        if outside > -room:
-            return Reason.OUTSIDE, f"only {-outside:.2f} m inside the fence; the body needs {room:.2f} m"
+        if outside > -area.room:
+            return Reason.OUTSIDE, f"only {-outside:.2f} m inside the fence; the body needs {area.room:.2f} m"
         return None
 
     def end(self, state: GoalState, reason: Reason, detail: str = "") -> None:

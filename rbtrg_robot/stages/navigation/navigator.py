@@ -6,14 +6,12 @@ import math
 from collections import deque
 from typing import Any
 
-from hal.go2w import BODY_WIDTH
-from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
-from rbtrg_robot.stages.navigation.goal import Goal, GoalState, status_of
+from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, status_of
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
@@ -54,12 +52,10 @@ class NavigatorStage:
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
-    def __init__(
-        self, params: NavigatorConfig, area: Geofence | None = None, room: float = 0.0, step_vx: float = 0.0
-    ) -> None:
-        """`area`: what goals must lie in, `room` [m] from its edge; `step_vx`: see `Capabilities` [m/s]."""
+    def __init__(self, params: NavigatorConfig, area: GoalArea = GoalArea(), step_vx: float = 0.0) -> None:
+        """`step_vx`: see `Capabilities` [m/s]."""
         self._params = params
-        self._area, self._room = area, room
+        self._area = area
         self._frame = MapFrame()
         self._now = 0
         self._goal: Goal | None = None
@@ -145,7 +141,7 @@ class NavigatorStage:
         self._plan = None
         self._query.drop()
         self._missing_since = 0
-        if (trouble := stray or goal.misplaced(self._area, self._room) or hindrance(self._robot)) is not None:
+        if (trouble := stray or goal.misplaced(self._area) or hindrance(self._robot)) is not None:
             self._end(GoalState.REJECTED, *trouble)
         else:
             self._status()
@@ -293,9 +289,8 @@ class NavigatorStage:
         assert self._pose is not None
         turning = self._tracker is not None and self._tracker.phase in TURNING
         if self._recovery.stuck(self._pose, turning=turning) is Measure.GIVE_UP:
-            self._end(
-                GoalState.ABORTED, Reason.STUCK, f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
-            )
+            tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
+            self._end(GoalState.ABORTED, Reason.STUCK, tried)
         elif not self._move_out(goal):
             goal.recoveries += 1
             self._replan(goal)
@@ -350,7 +345,4 @@ class NavigatorStage:
 
 def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
-    room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
-    area = config.allowed_area()
-    fence = Geofence.of(area) if area else None
-    return NavigatorStage(config.navigator, fence, room, config.capabilities().step_vx)
+    return NavigatorStage(config.navigator, GoalArea.of(config), config.capabilities().step_vx)

@@ -16,7 +16,7 @@ from hal.types import NS
 from planning.tracking.tracker import PathTracker
 from rbtrg_robot import topics as t
 from rbtrg_robot.stage_config import NavigatorConfig
-from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.stages.navigation.goal import GoalArea, GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
 from rbtrg_robot.topics import Topic
@@ -31,7 +31,7 @@ class World:
     """Plays everyone the navigator talks to."""
 
     def __init__(self, area: Any = None, *, placed: bool = True) -> None:
-        self.stage = NavigatorStage(NavigatorConfig(), Geofence.of(area) if area else None, room=0.46)
+        self.stage = NavigatorStage(NavigatorConfig(), GoalArea(Geofence.of(area) if area else None, 0.46))
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)

@@ -2,18 +2,30 @@
 import { $, anchor, button, figure, get, list, post, put, table } from "./tell.js";
 
 export function makeArchive(link, free) {
-  let shown = "", job = "";
+  let shown = "",
+    job = "";
   const say = (error) => free.say(error.message, "bad");
 
   async function runs() {
     const found = await get("/runs");
-    table($("runs"), ["run", "MB", ["", "text"], ["", "text"]], found.map((run) => {
-      const act = document.createElement("span");
-      act.className = "row";
-      act.append(button("Look", () => look(run.name).catch(say)), ...run.files.map((file) => anchor(file, `/runs/${run.name}/${file}`)));
-      act.append(button(run.kept ? "Let go" : "Keep", () => post(`/runs/${run.name}/keep`, { keep: !run.kept }).then(runs).catch(say)));
-      return [run.name, figure(run.megabytes, 1), [run.now ? "this run" : run.kept ? "kept" : "", "text"], act];
-    }));
+    table(
+      $("runs"),
+      ["run", "MB", ["", "text"], ["", "text"]],
+      found.map((run) => {
+        const act = document.createElement("span");
+        act.className = "row";
+        act.append(
+          button("Look", () => look(run.name).catch(say)),
+          ...run.files.map((file) => anchor(file, `/runs/${run.name}/${file}`)),
+        );
+        act.append(
+          button(run.kept ? "Let go" : "Keep", () =>
+            post(`/runs/${run.name}/keep`, { keep: !run.kept }).then(runs).catch(say),
+          ),
+        );
+        return [run.name, figure(run.megabytes, 1), [run.now ? "this run" : run.kept ? "kept" : "", "text"], act];
+      }),
+    );
   }
   async function look(name) {
     const { facts, topics, damage } = await get(`/runs/${name}`);
@@ -21,8 +33,15 @@ export function makeArchive(link, free) {
     $("run-card").hidden = false;
     shown = name;
     put("run-name", name);
-    list($("run-facts"), [...meta.filter(([key]) => !key.startsWith("package")).map(([key, value]) => [key, String(value)]), ...damage.map((words) => ["damage", words, "word-bad"])]);
-    table($("run-topics"), ["topic", "messages", "Hz", "longest gap s", "MB"], topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1), figure(x.gap), figure(x.megabytes)]));
+    list($("run-facts"), [
+      ...meta.filter(([key]) => !key.startsWith("package")).map(([key, value]) => [key, String(value)]),
+      ...damage.map((words) => ["damage", words, "word-bad"]),
+    ]);
+    table(
+      $("run-topics"),
+      ["topic", "messages", "Hz", "longest gap s", "MB"],
+      topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1), figure(x.gap), figure(x.megabytes)]),
+    );
     $("run-card").scrollIntoView();
   }
   $("reload-runs").onclick = () => runs().catch(say);
@@ -30,12 +49,23 @@ export function makeArchive(link, free) {
     const answer = await link.wish(content).catch((error) => ({ words: error.message }));
     free.say(answer.words, answer.ok ? "" : "bad");
   }
-  $("replay-form").onsubmit = (event) => { event.preventDefault(); wish({ do: "replay", run: shown, rate: Number($("replay-rate").value), start: $("replay-from").value }); };
+  $("replay-form").onsubmit = (event) => {
+    event.preventDefault();
+    wish({ do: "replay", run: shown, rate: Number($("replay-rate").value), start: $("replay-from").value });
+  };
   $("replay-end").onclick = () => wish({ do: "live" });
-  $("again-go").onclick = () => wish({ do: "rerun", run: shown, stages: $("again-stages").value, sets: $("again-sets").value });
+  $("again-go").onclick = () =>
+    wish({ do: "rerun", run: shown, stages: $("again-stages").value, sets: $("again-sets").value });
   link.on("job", ({ run, out, state, stages, sets, seconds, words, wrong }) => {
     const what = `${run} again (${[...stages, ...sets].join(", ")})`;
-    put("job", state === "running" ? `${what}: ${figure(seconds, 0)} s of the log are done` : state === "done" ? `${what} is ${out}: ${words}` : `${what} failed: ${wrong}`);
+    put(
+      "job",
+      state === "running"
+        ? `${what}: ${figure(seconds, 0)} s of the log are done`
+        : state === "done"
+          ? `${what} is ${out}: ${words}`
+          : `${what} failed: ${wrong}`,
+    );
     if (job === "running" && state !== "running" && !$("logs").hidden) runs().catch(say);
     job = state;
   });

@@ -10,16 +10,49 @@ export function makeDrive(link, view, about, free) {
     const { robot, pose, goal, odometry, map } = link.newest;
     if (!robot) return;
     put("phase", robot.phase);
-    put("said", robot.estop ? `Stopped: ${robot.estop_cause}` : robot.taken ? "Driven by hand" : goal && ["moving", "recovering", "planning", "accepted"].includes(goal.state) ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m left` : ""}` : `Robot ${robot.phase}`);
+    put(
+      "said",
+      robot.estop
+        ? `Stopped: ${robot.estop_cause}`
+        : robot.taken
+          ? "Driven by hand"
+          : goal && ["moving", "recovering", "planning", "accepted"].includes(goal.state)
+            ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m left` : ""}`
+            : `Robot ${robot.phase}`,
+    );
     const still = robot.hindrance || (robot.hold && robot.hold !== "no command" ? `held: ${robot.hold}` : "");
-    put("why-still", [still, goal?.state === "paused" ? "The goal waits. Resume lets it go on." : goal && !["idle", "moving"].includes(goal.state) ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}` : ""].filter(Boolean).join(" · "));
+    put(
+      "why-still",
+      [
+        still,
+        goal?.state === "paused"
+          ? "The goal waits. Resume lets it go on."
+          : goal && !["idle", "moving"].includes(goal.state)
+            ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}`
+            : "",
+      ]
+        .filter(Boolean)
+        .join(" · "),
+    );
     const rows = [["Battery", robot.battery === null ? "unknown" : `${Math.round(robot.battery * 100)} %`]];
-    if (pose) rows.unshift(["Place", `x ${figure(pose.x)} y ${figure(pose.y)} m, heading ${figure(degrees(pose.yaw), 0)}°`], ["Speed", `${figure(pose.v)} m/s, ${figure(pose.w)} rad/s`]);
-    if (odometry) rows.push(["Localization", odometry.health + (odometry.reason ? `: ${odometry.reason}` : ""), odometry.health === "good" ? "word-good" : "word-bad"]);
+    if (pose)
+      rows.unshift(
+        ["Place", `x ${figure(pose.x)} y ${figure(pose.y)} m, heading ${figure(degrees(pose.yaw), 0)}°`],
+        ["Speed", `${figure(pose.v)} m/s, ${figure(pose.w)} rad/s`],
+      );
+    if (odometry)
+      rows.push([
+        "Localization",
+        odometry.health + (odometry.reason ? `: ${odometry.reason}` : ""),
+        odometry.health === "good" ? "word-good" : "word-bad",
+      ]);
     if (map?.warning) rows.push(["Map", map.warning, "word-warn"]);
     list($("figures"), rows);
     $("resume").hidden = robot.latch === "0";
-    put("resume", robot.estop ? "Release the stop" : goal?.state === "paused" ? "Continue the goal" : "Give motion back");
+    put(
+      "resume",
+      robot.estop ? "Release the stop" : goal?.state === "paused" ? "Continue the goal" : "Give motion back",
+    );
     $("cancel").hidden = !goal || !["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state);
   }
   async function tell(content) {
@@ -27,7 +60,10 @@ export function makeDrive(link, view, about, free) {
       const answer = await link.wish(content);
       if (answer.words) free.say(answer.words, answer.ok ? "" : "bad");
       return answer;
-    } catch (error) { free.say(error.message, "bad"); return { ok: false }; }
+    } catch (error) {
+      free.say(error.message, "bad");
+      return { ok: false };
+    }
   }
   $("resume").onclick = () => tell({ do: "resume" });
   $("cancel").onclick = () => tell({ do: "cancel" });
@@ -38,7 +74,8 @@ export function makeDrive(link, view, about, free) {
   }
 
   // --- the goal -------------------------------------------------------------------------------------------
-  for (const [name, [x, y, yaw]] of Object.entries(about.goals)) $("names").append(button(name, () => choose(x, y, yaw)));
+  for (const [name, [x, y, yaw]] of Object.entries(about.goals))
+    $("names").append(button(name, () => choose(x, y, yaw)));
 
   function wanted() {
     const [x, y, yaw] = [number("gx"), number("gy"), number("gyaw")];
@@ -46,55 +83,87 @@ export function makeDrive(link, view, about, free) {
     return { x, y, yaw: yaw === null ? null : (yaw * Math.PI) / 180 };
   }
   function choose(x, y, yaw) {
-    $("gx").value = figure(x); $("gy").value = figure(y); $("gyaw").value = yaw === null || yaw === undefined ? "" : figure(degrees(yaw), 0);
+    $("gx").value = figure(x);
+    $("gy").value = figure(y);
+    $("gyaw").value = yaw === null || yaw === undefined ? "" : figure(degrees(yaw), 0);
     ask();
   }
   async function ask() {
-    const goal = wanted(), mine = ++asked;
+    const goal = wanted(),
+      mine = ++asked;
     forget(false);
     if (!goal) return verdict("A goal is x and y in metres.", false);
-    world.goal = goal; $("clear").hidden = false; view.show();
+    world.goal = goal;
+    $("clear").hidden = false;
+    view.show();
     verdict("Asking the planner…");
     let answer;
-    try { answer = await link.wish({ do: "ask", ...goal }); } catch (error) { answer = { ok: false, words: error.message }; }
+    try {
+      answer = await link.wish({ do: "ask", ...goal });
+    } catch (error) {
+      answer = { ok: false, words: error.message };
+    }
     if (mine !== asked) return;
-    world.goal = goal;  // the robot has told of its own one meanwhile
+    world.goal = goal; // the robot has told of its own one meanwhile
     if (!answer.ok) return verdict(`It would not go: ${answer.words}`, false);
     const plan = readPlan(answer.found);
-    world.preview = plan; world.shown = plan; world.chosen = null;
-    const box = verdict(plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.", true);
+    world.preview = plan;
+    world.shown = plan;
+    world.chosen = null;
+    const box = verdict(
+      plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.",
+      true,
+    );
     const facts = document.createElement("dl");
     list(facts, facts_of(plan));
     box.append(facts);
     $("go").hidden = false;
     $("go").setAttribute("aria-label", `Go to x ${figure(goal.x)}, y ${figure(goal.y)}`);
     $("go").scrollIntoView({ block: "nearest" });
-    view.show(); free.plan(plan, "preview");
+    view.show();
+    free.plan(plan, "preview");
   }
   function verdict(words, good) {
     const box = document.createElement("div");
     box.className = `verdict${good === false ? " no" : ""}`;
     const line = document.createElement("strong");
-    line.textContent = words; box.append(line);
+    line.textContent = words;
+    box.append(line);
     $("answer").replaceChildren(box);
     return box;
   }
   function forget(all = true) {
-    if (all) { asked++; world.goal = null; for (const id of ["gx", "gy", "gyaw"]) $(id).value = ""; $("clear").hidden = true; }
+    if (all) {
+      asked++;
+      world.goal = null;
+      for (const id of ["gx", "gy", "gyaw"]) $(id).value = "";
+      $("clear").hidden = true;
+    }
     if (world.shown === world.preview) world.shown = world.route;
-    world.preview = null; world.chosen = null; $("go").hidden = true; $("answer").replaceChildren();
+    world.preview = null;
+    world.chosen = null;
+    $("go").hidden = true;
+    $("answer").replaceChildren();
     view.show();
   }
-  $("goal").onsubmit = (event) => { event.preventDefault(); ask(); };
+  $("goal").onsubmit = (event) => {
+    event.preventDefault();
+    ask();
+  };
   $("clear").onclick = () => forget();
-  for (const id of ["gx", "gy", "gyaw"]) $(id).oninput = () => { $("go").hidden = true; };  // what was asked for is not what stands there now
+  for (const id of ["gx", "gy", "gyaw"])
+    $(id).oninput = () => {
+      $("go").hidden = true;
+    }; // what was asked for is not what stands there now
   $("go").onclick = async () => {
     const goal = wanted();
     if (!goal) return;
     $("go").disabled = true;
     const answer = await tell({ do: "goal", ...goal });
     $("go").disabled = locked();
-    if (answer.ok) { forget(false); }
+    if (answer.ok) {
+      forget(false);
+    }
   };
 
   const locked = () => link.fresh === "stale" || !free.operating();
@@ -106,13 +175,20 @@ export function makeDrive(link, view, about, free) {
   link.on("robot", showRobot);
   link.on("goal", (goal) => {
     showRobot();
-    if (!world.preview) world.goal = ["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state) ? goal : null;
-    if (!world.goal && world.route) { world.route = null; free.plan(null); }
+    if (!world.preview)
+      world.goal = ["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state) ? goal : null;
+    if (!world.goal && world.route) {
+      world.route = null;
+      free.plan(null);
+    }
     view.show();
   });
   link.on("route", (found) => {
     world.route = readPlan(found);
-    if (!world.preview) { world.shown = world.route; free.plan(world.route, "driven"); }
+    if (!world.preview) {
+      world.shown = world.route;
+      free.plan(world.route, "driven");
+    }
     view.show();
   });
   return { choose, lock, showRobot };
@@ -126,8 +202,17 @@ export function readPlan(found) {
 
 export function facts_of(plan) {
   const worst = plan.worst;
-  const rows = [["Length", `${figure(plan.length, 1)} m`], ["Time", `about ${figure(plan.duration, 0)} s`], ["Cost", `${figure(plan.cost, 1)} m`]];
-  if (worst >= 0) rows.push(["Worst place", `x ${figure(plan.worst_x[worst])} y ${figure(plan.worst_y[worst])} m`], ["Body risk there", `${figure(plan.transition_body[worst])} (${grade(plan.transition_body[worst])})`], ["Unseen there", `${Math.round(100 * plan.transition_unknown[worst])} %`]);
+  const rows = [
+    ["Length", `${figure(plan.length, 1)} m`],
+    ["Time", `about ${figure(plan.duration, 0)} s`],
+    ["Cost", `${figure(plan.cost, 1)} m`],
+  ];
+  if (worst >= 0)
+    rows.push(
+      ["Worst place", `x ${figure(plan.worst_x[worst])} y ${figure(plan.worst_y[worst])} m`],
+      ["Body risk there", `${figure(plan.transition_body[worst])} (${grade(plan.transition_body[worst])})`],
+      ["Unseen there", `${Math.round(100 * plan.transition_unknown[worst])} %`],
+    );
   return rows;
 }
 export const grade = (risk) => (risk < 0.3 ? "easy" : risk < 0.7 ? "rough" : "hard");

@@ -1,25 +1,53 @@
 // The connection: frames in, wishes out, how old everything is, and the stop.
 // Frames are only stored here; what is drawn reads them later. STOP never waits behind a picture.
 
-const OLD = 0.5, STALE = 0.9;          // seconds
-const STOP_AGAIN = 250, STOP_WORRY = 1000, STOP_PATIENCE = 30000;  // milliseconds
+const OLD = 0.5,
+  STALE = 0.9; // seconds
+const STOP_AGAIN = 250,
+  STOP_WORRY = 1000,
+  STOP_PATIENCE = 30000; // milliseconds
 const STEADY = ["/odom", "/robot/state"];
 const text = new TextDecoder();
 
 export function open() {
   const hears = new Map();
   const waiting = new Map();
-  const link = { newest: {}, page: 0, role: "", replay: "", fresh: "stale", age: Infinity, on, wish, quick, halt, connected: () => socket?.readyState === 1 };
-  let socket, beat = 0, ages = {}, number = 0, pressed = 0, confirmed = true, delivered = false;
+  const link = {
+    newest: {},
+    page: 0,
+    role: "",
+    replay: "",
+    fresh: "stale",
+    age: Infinity,
+    on,
+    wish,
+    quick,
+    halt,
+    connected: () => socket?.readyState === 1,
+  };
+  let socket,
+    beat = 0,
+    ages = {},
+    number = 0,
+    pressed = 0,
+    confirmed = true,
+    delivered = false;
 
-  function on(kind, hear) { hears.set(kind, [...(hears.get(kind) ?? []), hear]); }
-  function tell(kind, content) { for (const hear of hears.get(kind) ?? []) hear(content); }
+  function on(kind, hear) {
+    hears.set(kind, [...(hears.get(kind) ?? []), hear]);
+  }
+  function tell(kind, content) {
+    for (const hear of hears.get(kind) ?? []) hear(content);
+  }
 
   function dial() {
     socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`);
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => take(data);
-    socket.onopen = () => { delivered = false; tell("open"); };  // the server that took a stop may be gone
+    socket.onopen = () => {
+      delivered = false;
+      tell("open");
+    }; // the server that took a stop may be gone
     socket.onclose = () => {
       for (const { no } of waiting.values()) no(new Error("the console is gone"));
       waiting.clear();
@@ -34,10 +62,18 @@ export function open() {
     if (kind === 3) return tell("points", data);
     const content = JSON.parse(text.decode(new Uint8Array(data, 4)));
     link.newest[content.kind] = content;
-    if (content.kind === "beat") { beat = performance.now(); ages = content.ages; look(); }
-    if (content.kind === "welcome") { link.page = content.page; link.role = content.role; }
+    if (content.kind === "beat") {
+      beat = performance.now();
+      ages = content.ages;
+      look();
+    }
+    if (content.kind === "welcome") {
+      link.page = content.page;
+      link.role = content.role;
+    }
     if (content.kind === "stop") stopSaid(content.state, content.words);
-    if (content.kind === "robot" && !link.replay && content.estop && pressed && !confirmed) stopSaid("confirmed", `stopped: ${content.estop_cause}`);
+    if (content.kind === "robot" && !link.replay && content.estop && pressed && !confirmed)
+      stopSaid("confirmed", `stopped: ${content.estop_cause}`);
     if (content.kind === "answer") {
       const { yes } = waiting.get(content.n) ?? {};
       waiting.delete(content.n);
@@ -58,7 +94,9 @@ export function open() {
     tell("age", changed);
   }
 
-  function quick(content) { if (socket?.readyState === 1) socket.send(JSON.stringify(content)); }
+  function quick(content) {
+    if (socket?.readyState === 1) socket.send(JSON.stringify(content));
+  }
   function wish(content) {
     return new Promise((yes, no) => {
       if (socket?.readyState !== 1) return no(new Error("the console is not connected"));
@@ -69,7 +107,7 @@ export function open() {
 
   // --- the stop -------------------------------------------------------------------------------------------
   function stopSaid(state, words) {
-    if (pressed && state === "none") return;  // a server that has just come back knows nothing of it yet
+    if (pressed && state === "none") return; // a server that has just come back knows nothing of it yet
     confirmed = state === "confirmed";
     if (confirmed) pressed = 0;
     tell("halt", { state, words });
@@ -84,12 +122,23 @@ export function open() {
       const waited = performance.now() - pressed;
       if (confirmed || !pressed || waited > STOP_PATIENCE) return clearInterval(again);
       if (!delivered) send();
-      if (waited > STOP_WORRY) tell("halt", { state: "unconfirmed", words: delivered ? "STOP NOT CONFIRMED: use the hardware stop" : "STOP NOT CONFIRMED, the console does not answer: use the hardware stop" });
+      if (waited > STOP_WORRY)
+        tell("halt", {
+          state: "unconfirmed",
+          words: delivered
+            ? "STOP NOT CONFIRMED: use the hardware stop"
+            : "STOP NOT CONFIRMED, the console does not answer: use the hardware stop",
+        });
     }, STOP_AGAIN);
   }
   function send() {
     quick({ do: "stop" });
-    fetch("/stop", { method: "POST", keepalive: true, priority: "high" }).then((answer) => { delivered ||= answer.ok; }, () => {});
+    fetch("/stop", { method: "POST", keepalive: true, priority: "high" }).then(
+      (answer) => {
+        delivered ||= answer.ok;
+      },
+      () => {},
+    );
   }
 
   setInterval(look, 100);

@@ -8,22 +8,40 @@ export function makeMaps(link, view, free) {
   async function maps() {
     const found = await get("/maps");
     loads = [];
-    table($("map-list"), ["map", "MB", ["", "text"]], found.map((map) => {
-      const act = document.createElement("span"), load = button("Load", null);
-      twice(load, () => "What was mapped is dropped. Really load it?", async () => {
-        put("map-said", `Loading ${map.name}…`);
-        put("map-said", (await link.wish({ do: "load map", file: map.name }).catch((error) => ({ words: error.message }))).words);
-      });
-      loads.push(load);
-      act.className = "row"; act.append(load, anchor("Download", `/maps/${map.name}`));
-      return [map.name, figure(map.megabytes), act];
-    }));
+    table(
+      $("map-list"),
+      ["map", "MB", ["", "text"]],
+      found.map((map) => {
+        const act = document.createElement("span"),
+          load = button("Load", null);
+        twice(
+          load,
+          () => "What was mapped is dropped. Really load it?",
+          async () => {
+            put("map-said", `Loading ${map.name}…`);
+            put(
+              "map-said",
+              (await link.wish({ do: "load map", file: map.name }).catch((error) => ({ words: error.message }))).words,
+            );
+          },
+        );
+        loads.push(load);
+        act.className = "row";
+        act.append(load, anchor("Download", `/maps/${map.name}`));
+        return [map.name, figure(map.megabytes), act];
+      }),
+    );
     lock();
   }
   $("save-map").onsubmit = async (event) => {
     event.preventDefault();
     put("map-said", "Saving…");
-    try { put("map-said", (await post(`/maps/${encodeURIComponent($("map-name").value)}`)).words); await maps(); } catch (error) { put("map-said", `Not saved: ${error.message}`); }
+    try {
+      put("map-said", (await post(`/maps/${encodeURIComponent($("map-name").value)}`)).words);
+      await maps();
+    } catch (error) {
+      put("map-said", `Not saved: ${error.message}`);
+    }
   };
 
   // --- where it stands --------------------------------------------------------------------------------------
@@ -31,16 +49,28 @@ export function makeMaps(link, view, free) {
     const [x, y, yaw] = ["px", "py", "pyaw"].map(number);
     return [x, y, yaw].some((v) => v === null || !Number.isFinite(v)) ? null : { x, y, yaw: (yaw * Math.PI) / 180 };
   }
-  function mode(on) { $("place-mode").setAttribute("aria-pressed", on); if (!on) { world.place = null; view.show(); } }
+  function mode(on) {
+    $("place-mode").setAttribute("aria-pressed", on);
+    if (!on) {
+      world.place = null;
+      view.show();
+    }
+  }
   $("place-mode").onclick = () => mode($("place-mode").getAttribute("aria-pressed") !== "true");
-  for (const id of ["px", "py", "pyaw"]) $(id).oninput = () => { world.place = wanted(); view.show(); };
+  for (const id of ["px", "py", "pyaw"])
+    $(id).oninput = () => {
+      world.place = wanted();
+      view.show();
+    };
   // Whether a press on the ground meant this.
   function pick(x, y, yaw) {
     if ($("maps").hidden || $("place-mode").getAttribute("aria-pressed") !== "true") return false;
-    $("px").value = figure(x); $("py").value = figure(y);
+    $("px").value = figure(x);
+    $("py").value = figure(y);
     if (yaw !== null) $("pyaw").value = figure(degrees(yaw), 0);
     else put("place-said", "Drag the way it looks, or type its heading.");
-    world.place = wanted(); view.show();
+    world.place = wanted();
+    view.show();
     return true;
   }
   $("place").onsubmit = async (event) => {

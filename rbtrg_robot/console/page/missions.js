@@ -1,24 +1,38 @@
 // Missions: the files, the steps on the ground, how far the robot is, and the answer to what it asks.
 import { $, button, figure, get, put, table, twice } from "./tell.js";
 
-const STATUS = { WAITING: "", INITIALIZING: "begins", RUNNING: "now", PAUSED: "paused", FINISHED: "done", FAILED: "failed" };
+const STATUS = {
+  WAITING: "",
+  INITIALIZING: "begins",
+  RUNNING: "now",
+  PAUSED: "paused",
+  FINISHED: "done",
+  FAILED: "failed",
+};
 const ACTIVE = ["running", "holding", "paused"];
 
 export function makeMissions(link, view, free) {
   const { world } = view;
-  let file = null, asked = "";
+  let file = null,
+    asked = "";
 
   async function tell(content) {
-    const answer = await link.wish({ do: "mission", ...content }).catch((error) => ({ ok: false, words: error.message }));
+    const answer = await link
+      .wish({ do: "mission", ...content })
+      .catch((error) => ({ ok: false, words: error.message }));
     free.say(answer.words, answer.ok ? "" : "bad");
     return answer;
   }
-  const present = () => { const { mission, mission_order: order } = link.newest; return mission?.order_id && order?.order_id === mission.order_id ? { ...order, ...mission } : null; };
+  const present = () => {
+    const { mission, mission_order: order } = link.newest;
+    return mission?.order_id && order?.order_id === mission.order_id ? { ...order, ...mission } : null;
+  };
   const active = () => ACTIVE.includes(link.newest.mission?.phase);
 
   // --- the mission that is under way ------------------------------------------------------------------------
   function show() {
-    const { mission } = link.newest, now = present();
+    const { mission } = link.newest,
+      now = present();
     world.mission = file ?? (active() ? now : null);
     view.show();
     if (!mission) return;
@@ -27,7 +41,18 @@ export function makeMissions(link, view, free) {
       asked = asks;
       if (asks) free.say(`The mission asks: ${mission.question}`);
       put("question-words", mission.question);
-      $("choices").replaceChildren(...mission.choices.map((words) => button(words, () => tell({ what: "answer", answer: words, step: link.newest.mission.step, order_id: link.newest.mission.order_id }))));
+      $("choices").replaceChildren(
+        ...mission.choices.map((words) =>
+          button(words, () =>
+            tell({
+              what: "answer",
+              answer: words,
+              step: link.newest.mission.step,
+              order_id: link.newest.mission.order_id,
+            }),
+          ),
+        ),
+      );
       $("question").hidden = !asks;
       if (asks) $("question").scrollIntoView({ block: "nearest" });
       document.querySelector("nav [data-view=missions]").classList.toggle("asks", !!asks);
@@ -35,18 +60,38 @@ export function makeMissions(link, view, free) {
     put("mission-said", mission.words[0].toUpperCase() + mission.words.slice(1));
     $("mission-acts").hidden = !active();
     const done = mission.action_status.filter((word) => word === "FINISHED").length;
-    $("mission-done").hidden = !mission.order_id; $("mission-done").max = Math.max(1, mission.action_status.length); $("mission-done").value = mission.phase === "finished" ? $("mission-done").max : done;
-    if (now && !$("missions").hidden) steps("mission-steps", now, (k) => [[STATUS[mission.action_status[k]] + (mission.results[k] ? `: ${mission.results[k]}` : ""), "wrap"]], active() ? mission.step - 1 : -1);
+    $("mission-done").hidden = !mission.order_id;
+    $("mission-done").max = Math.max(1, mission.action_status.length);
+    $("mission-done").value = mission.phase === "finished" ? $("mission-done").max : done;
+    if (now && !$("missions").hidden)
+      steps(
+        "mission-steps",
+        now,
+        (k) => [[STATUS[mission.action_status[k]] + (mission.results[k] ? `: ${mission.results[k]}` : ""), "wrap"]],
+        active() ? mission.step - 1 : -1,
+      );
     lock();
   }
   function steps(id, order, more, at) {
-    const rows = table($(id), ["#", ["step", "text"], ...(more ? [["", "text"]] : [])], order.steps.map((step, k) => [
-      step.x === undefined ? String(k + 1) : button(String(k + 1), () => view.look(step.x, step.y)), [step.words, "wrap"], ...(more?.(k) ?? [])]));
-    rows.forEach((row, k) => { row.classList.toggle("chosen", k === at); if (order.steps[k].x !== undefined) row.firstChild.firstChild.setAttribute("aria-label", `Show step ${k + 1} on the ground`); });
+    const rows = table(
+      $(id),
+      ["#", ["step", "text"], ...(more ? [["", "text"]] : [])],
+      order.steps.map((step, k) => [
+        step.x === undefined ? String(k + 1) : button(String(k + 1), () => view.look(step.x, step.y)),
+        [step.words, "wrap"],
+        ...(more?.(k) ?? []),
+      ]),
+    );
+    rows.forEach((row, k) => {
+      row.classList.toggle("chosen", k === at);
+      if (order.steps[k].x !== undefined)
+        row.firstChild.firstChild.setAttribute("aria-label", `Show step ${k + 1} on the ground`);
+    });
   }
   for (const made of document.querySelectorAll("[data-mission]")) {
     const what = made.dataset.mission;
-    const act = () => tell({ what, order_id: link.newest.mission.order_id, step: what === "skip" ? link.newest.mission.step : 0 });
+    const act = () =>
+      tell({ what, order_id: link.newest.mission.order_id, step: what === "skip" ? link.newest.mission.step : 0 });
     if (what === "stop") twice(made, () => "It cannot be resumed. Really end it?", act);
     else made.onclick = act;
   }
@@ -54,26 +99,54 @@ export function makeMissions(link, view, free) {
   // --- files ------------------------------------------------------------------------------------------------
   async function files() {
     const { folder, missions } = await get("/missions");
-    put("mission-folder", missions.length ? `In ${folder}.` : `No mission files in ${folder}. \`rbtrg-robot mission record\` makes one from a drive.`);
-    table($("mission-files"), missions.length ? ["", ["mission", "text"], "steps"] : [], missions.map((row) => [
-      row.wrong ? "" : button("Look", () => look(row.file).catch(say)), [row.wrong || (row.name ? `${row.name} (${row.file})` : row.file), row.wrong ? "wrap word-bad" : "wrap"], row.wrong ? "" : String(row.steps)]));
+    put(
+      "mission-folder",
+      missions.length
+        ? `In ${folder}.`
+        : `No mission files in ${folder}. \`rbtrg-robot mission record\` makes one from a drive.`,
+    );
+    table(
+      $("mission-files"),
+      missions.length ? ["", ["mission", "text"], "steps"] : [],
+      missions.map((row) => [
+        row.wrong ? "" : button("Look", () => look(row.file).catch(say)),
+        [row.wrong || (row.name ? `${row.name} (${row.file})` : row.file), row.wrong ? "wrap word-bad" : "wrap"],
+        row.wrong ? "" : String(row.steps),
+      ]),
+    );
   }
   async function look(name) {
     const order = await get(`/missions/${encodeURIComponent(name)}`);
     file = { ...order, file: name, action_status: [], step: 0 };
     $("file-card").hidden = false;
     put("file-name", name);
-    const loops = order.loops.map(([first, last, times]) => `steps ${first} to ${last}, ${times ? `${times} times` : "for ever"}`);
-    const loss = { continue: "goes on without an operator in contact", hold: "stands without an operator in contact", return: "drives home without an operator in contact" }[order.on_comms_loss];
-    put("file-facts", [loss + (order.on_comms_loss === "continue" ? "" : ` for ${figure(order.comms_timeout, 0)} s`), ...loops].join("; "));
+    const loops = order.loops.map(
+      ([first, last, times]) => `steps ${first} to ${last}, ${times ? `${times} times` : "for ever"}`,
+    );
+    const loss = {
+      continue: "goes on without an operator in contact",
+      hold: "stands without an operator in contact",
+      return: "drives home without an operator in contact",
+    }[order.on_comms_loss];
+    put(
+      "file-facts",
+      [loss + (order.on_comms_loss === "continue" ? "" : ` for ${figure(order.comms_timeout, 0)} s`), ...loops].join(
+        "; ",
+      ),
+    );
     steps("file-steps", order, null, -1);
     $("file-from").replaceChildren(...order.steps.map((_, k) => new Option(String(k + 1))));
     const first = order.steps.find((step) => step.x !== undefined);
     if (first) view.look(first.x, first.y);
     $("file-card").scrollIntoView({ block: "nearest" });
-    lock(); show();
+    lock();
+    show();
   }
-  function clear() { file = null; $("file-card").hidden = true; show(); }
+  function clear() {
+    file = null;
+    $("file-card").hidden = true;
+    show();
+  }
   $("file-clear").onclick = clear;
   $("file-run").onclick = async () => {
     const answer = await tell({ what: "run", file: file.file, step: Number($("file-from").value) });
@@ -83,12 +156,23 @@ export function makeMissions(link, view, free) {
   $("reload-missions").onclick = () => files().catch(say);
 
   function lock() {
-    const locked = link.fresh === "stale" || !free.operating(), { phase } = link.newest.mission ?? {};
+    const locked = link.fresh === "stale" || !free.operating(),
+      { phase } = link.newest.mission ?? {};
     for (const made of document.querySelectorAll("#choices button, #file-run")) made.disabled = locked;
-    for (const made of document.querySelectorAll("[data-mission]")) made.disabled = locked && made.dataset.mission !== "pause" || (made.dataset.mission === "resume" && phase !== "paused") || (made.dataset.mission === "pause" && (!free.operating() || phase === "paused"));
+    for (const made of document.querySelectorAll("[data-mission]"))
+      made.disabled =
+        (locked && made.dataset.mission !== "pause") ||
+        (made.dataset.mission === "resume" && phase !== "paused") ||
+        (made.dataset.mission === "pause" && (!free.operating() || phase === "paused"));
     $("file-run").disabled ||= active();
   }
   link.on("mission", show);
   link.on("mission_order", show);
-  return { lock, show: () => { show(); return files().catch(say); } };
+  return {
+    lock,
+    show: () => {
+      show();
+      return files().catch(say);
+    },
+  };
 }

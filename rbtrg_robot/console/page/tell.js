@@ -1,7 +1,12 @@
 // Small helpers for text on the page. Nothing that comes from the robot is ever taken for markup.
 
 export const $ = (id) => document.getElementById(id);
-export const figure = (value, digits = 2) => (value === null || value === undefined ? "unknown" : Number(value).toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
+export const figure = (value, digits = 2) =>
+  value === null || value === undefined
+    ? "unknown"
+    : Number(value)
+        .toFixed(digits)
+        .replace(/^-(0\.?0*)$/, "$1");
 export const degrees = (radians) => (radians * 180) / Math.PI;
 
 // What stands in a field; null where nothing does.
@@ -10,15 +15,22 @@ export function number(id) {
   return words === "" ? null : Number(words);
 }
 
-export function put(id, words) { const at = $(id); if (at.textContent !== words) at.textContent = words; }
+export function put(id, words) {
+  const at = $(id);
+  if (at.textContent !== words) at.textContent = words;
+}
 
 export function list(at, rows) {
-  at.replaceChildren(...rows.flatMap(([term, words, style]) => {
-    const dt = document.createElement("dt"), dd = document.createElement("dd");
-    dt.textContent = term; dd.textContent = words;
-    if (style) dd.className = style;
-    return [dt, dd];
-  }));
+  at.replaceChildren(
+    ...rows.flatMap(([term, words, style]) => {
+      const dt = document.createElement("dt"),
+        dd = document.createElement("dd");
+      dt.textContent = term;
+      dd.textContent = words;
+      if (style) dd.className = style;
+      return [dt, dd];
+    }),
+  );
 }
 
 // rows: cells are text, [text, class], or an element.
@@ -30,8 +42,13 @@ export function table(at, titles, rows) {
     else made.textContent = cell;
     return made;
   };
-  const line = (name, cells) => { const tr = document.createElement("tr"); tr.append(...cells.map((cell) => make(name, cell))); return tr; };
-  const head = document.createElement("thead"), body = document.createElement("tbody");
+  const line = (name, cells) => {
+    const tr = document.createElement("tr");
+    tr.append(...cells.map((cell) => make(name, cell)));
+    return tr;
+  };
+  const head = document.createElement("thead"),
+    body = document.createElement("tbody");
   head.append(line("th", titles));
   body.append(...rows.map((cells) => line("td", cells)));
   at.replaceChildren(...[at.caption, head, body].filter(Boolean));
@@ -40,12 +57,16 @@ export function table(at, titles, rows) {
 
 export function button(words, press) {
   const made = document.createElement("button");
-  made.type = "button"; made.textContent = words; made.onclick = press;
+  made.type = "button";
+  made.textContent = words;
+  made.onclick = press;
   return made;
 }
 export function anchor(words, href) {
   const made = document.createElement("a");
-  made.textContent = words; made.href = href; made.download = "";
+  made.textContent = words;
+  made.href = href;
+  made.download = "";
   return made;
 }
 
@@ -62,10 +83,19 @@ export const post = (path, content) => get(path, { method: "POST", body: JSON.st
 export function twice(made, words, act) {
   const before = made.textContent;
   let armed = 0;
-  const calm = () => { clearTimeout(armed); armed = 0; made.textContent = before; made.classList.remove("armed"); };
+  const calm = () => {
+    clearTimeout(armed);
+    armed = 0;
+    made.textContent = before;
+    made.classList.remove("armed");
+  };
   made.onclick = () => {
-    if (armed) { calm(); return act(); }
-    made.textContent = words(); made.classList.add("armed");
+    if (armed) {
+      calm();
+      return act();
+    }
+    made.textContent = words();
+    made.classList.add("armed");
     armed = setTimeout(calm, 5000);
   };
 }

@@ -9,23 +9,40 @@ export function makeFlat(canvas, world, ground, camera) {
   const pictures = new Map();
   let layer = -1;
   const scale = () => camera.height / (2 * camera.distance * Math.tan(camera.fov / 2));
-  const spot = (x, y) => [camera.width / 2 + (x - camera.at[0]) * scale(), camera.height / 2 - (y - camera.at[1]) * scale()];
+  const spot = (x, y) => [
+    camera.width / 2 + (x - camera.at[0]) * scale(),
+    camera.height / 2 - (y - camera.at[1]) * scale(),
+  ];
 
   function picture(tile) {
     const image = new ImageData(64, 64);
-    for (let r = 0; r < 64; r++) for (let c = 0; c < 64; c++) {
-      const k = 64 * r + c, h = tile.height[k], at = 4 * (64 * (63 - r) + c);
-      if (h === UNKNOWN) continue;
-      const t = Math.max(0, Math.min(1, (h / 1000 - ground.low) / (ground.high - ground.low)));
-      const next = c < 63 && tile.height[k + 1] !== UNKNOWN ? tile.height[k + 1] : h, light = 1 + Math.max(-0.35, Math.min(0.35, (h - next) / 120));
-      let paint = [102 + 117 * t, 135 + 56 * t, 140 + 8 * t];
-      if (world.layer === 1) paint = tile.risk[k] === 255 ? [128, 128, 128] : risky((tile.risk[k] / 200) * 1.2);
-      if (world.layer === 2) paint = [[140, 140, 140], [140, 140, 140], [184, 184, 115], [89, 158, 191], [64, 178, 115]][tile.trust[k]];
-      if (world.layer === 3) { const old = Math.min(1, (performance.now() - tile.changed) / 60000); paint = [77 + 60 * old, 173 - 70 * old, 204 - 90 * old]; }
-      if (tile.trust[k] <= 1 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
-      for (let i = 0; i < 3; i++) image.data[at + i] = paint[i] * light;
-      image.data[at + 3] = 255;
-    }
+    for (let r = 0; r < 64; r++)
+      for (let c = 0; c < 64; c++) {
+        const k = 64 * r + c,
+          h = tile.height[k],
+          at = 4 * (64 * (63 - r) + c);
+        if (h === UNKNOWN) continue;
+        const t = Math.max(0, Math.min(1, (h / 1000 - ground.low) / (ground.high - ground.low)));
+        const next = c < 63 && tile.height[k + 1] !== UNKNOWN ? tile.height[k + 1] : h,
+          light = 1 + Math.max(-0.35, Math.min(0.35, (h - next) / 120));
+        let paint = [102 + 117 * t, 135 + 56 * t, 140 + 8 * t];
+        if (world.layer === 1) paint = tile.risk[k] === 255 ? [128, 128, 128] : risky((tile.risk[k] / 200) * 1.2);
+        if (world.layer === 2)
+          paint = [
+            [140, 140, 140],
+            [140, 140, 140],
+            [184, 184, 115],
+            [89, 158, 191],
+            [64, 178, 115],
+          ][tile.trust[k]];
+        if (world.layer === 3) {
+          const old = Math.min(1, (performance.now() - tile.changed) / 60000);
+          paint = [77 + 60 * old, 173 - 70 * old, 204 - 90 * old];
+        }
+        if (tile.trust[k] <= 1 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
+        for (let i = 0; i < 3; i++) image.data[at + i] = paint[i] * light;
+        image.data[at + 3] = 255;
+      }
     const made = document.createElement("canvas");
     made.width = made.height = 64;
     made.getContext("2d").putImageData(image, 0, 0);
@@ -34,62 +51,159 @@ export function makeFlat(canvas, world, ground, camera) {
   function path(points, wide, paint, dash = []) {
     context.beginPath();
     points.forEach(([x, y], k) => context[k ? "lineTo" : "moveTo"](...spot(x, y)));
-    context.lineWidth = wide; context.strokeStyle = css(paint); context.setLineDash(dash); context.stroke(); context.setLineDash([]);
+    context.lineWidth = wide;
+    context.strokeStyle = css(paint);
+    context.setLineDash(dash);
+    context.stroke();
+    context.setLineDash([]);
   }
   function body(x, y, yaw, paint, fill) {
-    const c = Math.cos(yaw), s = Math.sin(yaw), [l, w] = world.body;
-    const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]].map(([a, b]) => [x + (c * a * l - s * b * w) / 2, y + (s * a * l + c * b * w) / 2]);
+    const c = Math.cos(yaw),
+      s = Math.sin(yaw),
+      [l, w] = world.body;
+    const corners = [
+      [1, 1],
+      [1, -1],
+      [-1, -1],
+      [-1, 1],
+      [1, 1],
+    ].map(([a, b]) => [x + (c * a * l - s * b * w) / 2, y + (s * a * l + c * b * w) / 2]);
     path(corners, 3, paint);
-    if (fill) { context.fillStyle = css(fill); context.fill(); }
-    path([[x, y], [x + c * l * 0.7, y + s * l * 0.7]], 3, paint);
+    if (fill) {
+      context.fillStyle = css(fill);
+      context.fill();
+    }
+    path(
+      [
+        [x, y],
+        [x + c * l * 0.7, y + s * l * 0.7],
+      ],
+      3,
+      paint,
+    );
   }
   function draw() {
-    if (world.layer !== layer || world.layer === 3) { layer = world.layer; pictures.clear(); }
+    if (world.layer !== layer || world.layer === 3) {
+      layer = world.layer;
+      pictures.clear();
+    }
     for (const key of ground.dirty) pictures.delete(key);
     ground.dirty.clear();
     const ratio = canvas.width / camera.width;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.fillStyle = css(world.sky.map((v) => 255 * v)); context.fillRect(0, 0, camera.width, camera.height);
+    context.fillStyle = css(world.sky.map((v) => 255 * v));
+    context.fillRect(0, 0, camera.width, camera.height);
     context.imageSmoothingEnabled = false;
     for (const [key, tile] of ground.tiles) {
       if (!pictures.has(key)) pictures.set(key, picture(tile));
-      const size = 64 * ground.res, [x, y] = spot((tile.col - 0.5) * ground.res, (tile.row - 0.5) * ground.res + size);
+      const size = 64 * ground.res,
+        [x, y] = spot((tile.col - 0.5) * ground.res, (tile.row - 0.5) * ground.res + size);
       context.drawImage(pictures.get(key), x, y, size * scale() + 0.5, size * scale() + 0.5);
     }
     if (world.graph && world.showGraph) {
       const { at } = world.graph;
-      for (let k = 0; k < at.length; k += 6) path([[at[k], at[k + 1]], [at[k + 3], at[k + 4]]], 1, [0, 90, 150, 90]);
+      for (let k = 0; k < at.length; k += 6)
+        path(
+          [
+            [at[k], at[k + 1]],
+            [at[k + 3], at[k + 4]],
+          ],
+          1,
+          [0, 90, 150, 90],
+        );
     }
-    for (const [plan, paint] of [[world.route, COLOUR.route], [world.preview, COLOUR.preview]]) {
+    for (const [plan, paint] of [
+      [world.route, COLOUR.route],
+      [world.preview, COLOUR.preview],
+    ]) {
       if (!plan?.ok) continue;
-      path(plan.native_x.map((x, k) => [x, plan.native_y[k]]), 2, COLOUR.native, [8, 8]);
-      path(plan.x.map((x, k) => [x, plan.y[k]]), 5, paint);
-      if (plan.worst >= 0) body(plan.worst_x[plan.worst], plan.worst_y[plan.worst], plan.worst_yaw[plan.worst], COLOUR.worst);
-      if (world.shown === plan && world.chosen !== null && world.chosen !== undefined) body(plan.worst_x[world.chosen], plan.worst_y[world.chosen], plan.worst_yaw[world.chosen], COLOUR.chosen);
+      path(
+        plan.native_x.map((x, k) => [x, plan.native_y[k]]),
+        2,
+        COLOUR.native,
+        [8, 8],
+      );
+      path(
+        plan.x.map((x, k) => [x, plan.y[k]]),
+        5,
+        paint,
+      );
+      if (plan.worst >= 0)
+        body(plan.worst_x[plan.worst], plan.worst_y[plan.worst], plan.worst_yaw[plan.worst], COLOUR.worst);
+      if (world.shown === plan && world.chosen !== null && world.chosen !== undefined)
+        body(plan.worst_x[world.chosen], plan.worst_y[world.chosen], plan.worst_yaw[world.chosen], COLOUR.chosen);
     }
     if (world.mission) {
       const stops = places(world.mission);
-      path(stops.map((p) => [p.x, p.y]), 2, COLOUR.step, [6, 6]);
-      context.font = "bold 14px system-ui, sans-serif"; context.textAlign = "center"; context.textBaseline = "middle";
+      path(
+        stops.map((p) => [p.x, p.y]),
+        2,
+        COLOUR.step,
+        [6, 6],
+      );
+      context.font = "bold 14px system-ui, sans-serif";
+      context.textAlign = "center";
+      context.textBaseline = "middle";
       for (const { x, y, yaw, number, paint } of stops) {
-        if (yaw !== null && yaw !== undefined) path([[x, y], [x + 0.5 * Math.cos(yaw), y + 0.5 * Math.sin(yaw)]], 4, paint);
+        if (yaw !== null && yaw !== undefined)
+          path(
+            [
+              [x, y],
+              [x + 0.5 * Math.cos(yaw), y + 0.5 * Math.sin(yaw)],
+            ],
+            4,
+            paint,
+          );
         const [px, py] = spot(x, y);
-        context.beginPath(); context.arc(px, py, 11, 0, 7); context.fillStyle = css(paint); context.fill();
-        context.fillStyle = "#fff"; context.fillText(String(number), px, py);
+        context.beginPath();
+        context.arc(px, py, 11, 0, 7);
+        context.fillStyle = css(paint);
+        context.fill();
+        context.fillStyle = "#fff";
+        context.fillText(String(number), px, py);
       }
     }
     for (const arc of world.arc ?? []) body(arc.x, arc.y, arc.yaw, risky(arc.risk));
-    for (const goal of [world.goal, world.aim]) if (goal) {
-      const [x, y] = spot(goal.x, goal.y);
-      context.beginPath(); context.arc(x, y, 10, 0, 7); context.lineWidth = 4; context.strokeStyle = css(COLOUR.goal); context.stroke();
-      if (goal.yaw !== null && goal.yaw !== undefined) path([[goal.x, goal.y], [goal.x + 0.75 * Math.cos(goal.yaw), goal.y + 0.75 * Math.sin(goal.yaw)]], 4, COLOUR.goal);
-    }
+    for (const goal of [world.goal, world.aim])
+      if (goal) {
+        const [x, y] = spot(goal.x, goal.y);
+        context.beginPath();
+        context.arc(x, y, 10, 0, 7);
+        context.lineWidth = 4;
+        context.strokeStyle = css(COLOUR.goal);
+        context.stroke();
+        if (goal.yaw !== null && goal.yaw !== undefined)
+          path(
+            [
+              [goal.x, goal.y],
+              [goal.x + 0.75 * Math.cos(goal.yaw), goal.y + 0.75 * Math.sin(goal.yaw)],
+            ],
+            4,
+            COLOUR.goal,
+          );
+      }
     if (world.place) body(world.place.x, world.place.y, world.place.yaw, COLOUR.goal);
-    if (world.pose) body(world.pose.x, world.pose.y, world.pose.yaw, COLOUR.dark, world.fresh === "stale" ? [150, 150, 150] : COLOUR.robot);
+    if (world.pose)
+      body(
+        world.pose.x,
+        world.pose.y,
+        world.pose.yaw,
+        COLOUR.dark,
+        world.fresh === "stale" ? [150, 150, 150] : COLOUR.robot,
+      );
     return false;
   }
   return {
-    kind: "2D", draw, begin() { pictures.clear(); },
-    place: (px, py) => { const x = camera.at[0] + (px - camera.width / 2) / scale(), y = camera.at[1] - (py - camera.height / 2) / scale(), z = ground.height(x, y); return [x, y, Number.isNaN(z) ? 0 : z]; },
+    kind: "2D",
+    draw,
+    begin() {
+      pictures.clear();
+    },
+    place: (px, py) => {
+      const x = camera.at[0] + (px - camera.width / 2) / scale(),
+        y = camera.at[1] - (py - camera.height / 2) / scale(),
+        z = ground.height(x, y);
+      return [x, y, Number.isNaN(z) ? 0 : z];
+    },
   };
 }

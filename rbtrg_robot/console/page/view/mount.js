@@ -5,39 +5,89 @@ import { makeFlat } from "./flat.js";
 import { makeGl } from "./gl.js";
 import { makeGround } from "./ground.js";
 
-const RESTORE = 3000;  // milliseconds a lost context has to come back
+const RESTORE = 3000; // milliseconds a lost context has to come back
 
 export function mount(element, options) {
-  const ground = makeGround(), camera = makeCamera();
-  const world = { pose: null, route: null, preview: null, goal: null, aim: null, mission: null, place: null, arc: null, cloud: null, graph: null, chosen: null, shown: null, layer: 0, points: true, showGraph: false, fresh: "stale", body: [0.7, 0.43], sky: [0.87, 0.9, 0.92] };
+  const ground = makeGround(),
+    camera = makeCamera();
+  const world = {
+    pose: null,
+    route: null,
+    preview: null,
+    goal: null,
+    aim: null,
+    mission: null,
+    place: null,
+    arc: null,
+    cloud: null,
+    graph: null,
+    chosen: null,
+    shown: null,
+    layer: 0,
+    points: true,
+    showGraph: false,
+    fresh: "stale",
+    body: [0.7, 0.43],
+    sky: [0.87, 0.9, 0.92],
+  };
   const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look };
-  let canvas, painter, asked = false, handles;
+  let canvas,
+    painter,
+    asked = false,
+    handles;
 
   function fresh() {
     canvas?.remove();
     canvas = document.createElement("canvas");
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", "Terrain around the robot. Everything on it is also in the forms and tables beside it. Arrow keys turn the view, plus and minus zoom.");
+    canvas.setAttribute(
+      "aria-label",
+      "Terrain around the robot. Everything on it is also in the forms and tables beside it. Arrow keys turn the view, plus and minus zoom.",
+    );
     element.append(canvas);
     handles = steer(canvas, camera, {
-      moving: () => view.moving, changed: show, moved: () => { if (view.follow) { view.follow = false; options.followed?.(false); } },
+      moving: () => view.moving,
+      changed: show,
+      moved: () => {
+        if (view.follow) {
+          view.follow = false;
+          options.followed?.(false);
+        }
+      },
       place: (x, y) => painter.place(x, y),
-      aim: (at, yaw) => { world.aim = at ? { x: at[0], y: at[1], yaw } : null; show(); },
+      aim: (at, yaw) => {
+        world.aim = at ? { x: at[0], y: at[1], yaw } : null;
+        show();
+      },
       pick: (at, yaw) => options.pick(at[0], at[1], yaw),
     });
     canvas.addEventListener("keydown", (event) => {
       const go = { ArrowLeft: [0.15, 0], ArrowRight: [-0.15, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[event.key];
-      if (go) { event.preventDefault(); handles.turn(...go); }
+      if (go) {
+        event.preventDefault();
+        handles.turn(...go);
+      }
       if (event.key === "+" || event.key === "-") handles.zoom(event.key === "+" ? 0.85 : 1.18);
     });
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
       options.said("The picture was lost; it is being made again.");
-      setTimeout(() => { if (painter.kind === "3D" && canvas.getContext("webgl2").isContextLost()) { fresh(); use(makeFlat); options.said("3D is gone; the ground is shown from above."); } }, RESTORE);
+      setTimeout(() => {
+        if (painter.kind === "3D" && canvas.getContext("webgl2").isContextLost()) {
+          fresh();
+          use(makeFlat);
+          options.said("3D is gone; the ground is shown from above.");
+        }
+      }, RESTORE);
     });
-    canvas.addEventListener("webglcontextrestored", () => { painter.begin(); options.said(""); show(); });
-    watch.disconnect(); watch.observe(element);
+    canvas.addEventListener("webglcontextrestored", () => {
+      painter.begin();
+      options.said("");
+      show();
+    });
+    watch.disconnect();
+    watch.observe(element);
     size();
   }
   function use(make) {
@@ -47,9 +97,12 @@ export function mount(element, options) {
     return painter;
   }
   function size() {
-    const ratio = Math.min(2, window.devicePixelRatio || 1), box = element.getBoundingClientRect();
-    camera.width = Math.max(1, box.width); camera.height = Math.max(1, box.height);
-    canvas.width = Math.round(camera.width * ratio); canvas.height = Math.round(camera.height * ratio);
+    const ratio = Math.min(2, window.devicePixelRatio || 1),
+      box = element.getBoundingClientRect();
+    camera.width = Math.max(1, box.width);
+    camera.height = Math.max(1, box.height);
+    canvas.width = Math.round(camera.width * ratio);
+    canvas.height = Math.round(camera.height * ratio);
     show();
   }
   // Once for however much changed since the last frame.
@@ -64,17 +117,29 @@ export function mount(element, options) {
       if (painter.draw()) show();
     });
   }
-  function above() { camera.top = !camera.top; camera.elevation = camera.top ? 1.55 : 0.75; if (camera.top) camera.azimuth = -Math.PI / 2; show(); return camera.top; }
+  function above() {
+    camera.top = !camera.top;
+    camera.elevation = camera.top ? 1.55 : 0.75;
+    if (camera.top) camera.azimuth = -Math.PI / 2;
+    show();
+    return camera.top;
+  }
 
   // Turn the picture to a place on the ground.
   function look(x, y) {
     const z = ground.height(x, y);
     camera.at = [x, y, Number.isNaN(z) ? camera.at[2] : z];
-    view.follow = false; options.followed?.(false); show();
+    view.follow = false;
+    options.followed?.(false);
+    show();
   }
 
   const watch = new ResizeObserver(size);
   fresh();
-  if (options.flat || !use(makeGl)) { if (!options.flat) fresh(); use(makeFlat); options.said("This browser has no WebGL2: the ground is shown from above."); }
+  if (options.flat || !use(makeGl)) {
+    if (!options.flat) fresh();
+    use(makeFlat);
+    options.said("This browser has no WebGL2: the ground is shown from above.");
+  }
   return view;
 }

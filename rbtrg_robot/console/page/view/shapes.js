@@ -1,6 +1,17 @@
 // What stands on the terrain, as triangles for the 3D view: x, y, z, colour. The 2D view draws the same world by itself.
 
-export const COLOUR = { step: [20, 130, 120, 255], done: [120, 132, 140, 255], robot: [245, 250, 255, 255], dark: [38, 50, 60, 255], route: [0, 133, 224, 255], preview: [180, 70, 220, 255], native: [60, 66, 74, 255], goal: [255, 140, 0, 255], worst: [225, 40, 40, 255], chosen: [255, 208, 40, 255] };
+export const COLOUR = {
+  step: [20, 130, 120, 255],
+  done: [120, 132, 140, 255],
+  robot: [245, 250, 255, 255],
+  dark: [38, 50, 60, 255],
+  route: [0, 133, 224, 255],
+  preview: [180, 70, 220, 255],
+  native: [60, 66, 74, 255],
+  goal: [255, 140, 0, 255],
+  worst: [225, 40, 40, 255],
+  chosen: [255, 208, 40, 255],
+};
 
 // From 0 to 1.2: green, amber, red. Also told in words and figures elsewhere.
 export function risky(risk, alpha = 255) {
@@ -10,21 +21,38 @@ export function risky(risk, alpha = 255) {
 }
 
 export function makeShapes() {
-  const at = [], colour = [];
+  const at = [],
+    colour = [];
   const shapes = { at, colour, ribbon, box, disc, line3 };
-  function triangle(a, b, c, paint) { at.push(...a, ...b, ...c); for (let k = 0; k < 3; k++) colour.push(...paint); }
-  function quad(a, b, c, d, paint) { triangle(a, b, c, paint); triangle(a, c, d, paint); }
+  function triangle(a, b, c, paint) {
+    at.push(...a, ...b, ...c);
+    for (let k = 0; k < 3; k++) colour.push(...paint);
+  }
+  function quad(a, b, c, d, paint) {
+    triangle(a, b, c, paint);
+    triangle(a, c, d, paint);
+  }
 
   // A band over points [x, y, z], wide [m]; `paint` of each piece.
   function ribbon(points, wide, paint, { dash = 0, lift = 0.05 } = {}) {
     let run = 0;
     for (let k = 0; k + 1 < points.length; k++) {
-      const [a, b] = [points[k], points[k + 1]], dx = b[0] - a[0], dy = b[1] - a[1], n = Math.hypot(dx, dy);
+      const [a, b] = [points[k], points[k + 1]],
+        dx = b[0] - a[0],
+        dy = b[1] - a[1],
+        n = Math.hypot(dx, dy);
       if (!n || Number.isNaN(a[2] + b[2])) continue;
       run += n;
       if (dash && Math.floor(run / dash) % 2) continue;
-      const ox = (-dy / n) * wide / 2, oy = (dx / n) * wide / 2;
-      quad([a[0] + ox, a[1] + oy, a[2] + lift], [b[0] + ox, b[1] + oy, b[2] + lift], [b[0] - ox, b[1] - oy, b[2] + lift], [a[0] - ox, a[1] - oy, a[2] + lift], typeof paint === "function" ? paint(k) : paint);
+      const ox = ((-dy / n) * wide) / 2,
+        oy = ((dx / n) * wide) / 2;
+      quad(
+        [a[0] + ox, a[1] + oy, a[2] + lift],
+        [b[0] + ox, b[1] + oy, b[2] + lift],
+        [b[0] - ox, b[1] - oy, b[2] + lift],
+        [a[0] - ox, a[1] - oy, a[2] + lift],
+        typeof paint === "function" ? paint(k) : paint,
+      );
     }
   }
   // A line through the air: two crossed bands.
@@ -37,12 +65,24 @@ export function makeShapes() {
   // Centre, turn(x, y, z) -> world, half sizes.
   function box(place, half, offset, paint) {
     const p = [];
-    for (const sx of [-1, 1]) for (const sy of [-1, 1]) for (const sz of [-1, 1]) p.push(place([offset[0] + sx * half[0], offset[1] + sy * half[1], offset[2] + sz * half[2]]));
-    for (const [a, b, c, d, light] of [[0, 1, 3, 2, 0.75], [4, 6, 7, 5, 0.9], [0, 4, 5, 1, 0.8], [2, 3, 7, 6, 0.8], [1, 5, 7, 3, 1], [0, 2, 6, 4, 0.5]]) quad(p[a], p[b], p[c], p[d], [...paint.slice(0, 3).map((v) => v * light), paint[3]]);
+    for (const sx of [-1, 1])
+      for (const sy of [-1, 1])
+        for (const sz of [-1, 1])
+          p.push(place([offset[0] + sx * half[0], offset[1] + sy * half[1], offset[2] + sz * half[2]]));
+    for (const [a, b, c, d, light] of [
+      [0, 1, 3, 2, 0.75],
+      [4, 6, 7, 5, 0.9],
+      [0, 4, 5, 1, 0.8],
+      [2, 3, 7, 6, 0.8],
+      [1, 5, 7, 3, 1],
+      [0, 2, 6, 4, 0.5],
+    ])
+      quad(p[a], p[b], p[c], p[d], [...paint.slice(0, 3).map((v) => v * light), paint[3]]);
   }
   function disc(x, y, z, radius, paint, inner = 0) {
     for (let k = 0; k < 24; k++) {
-      const a = (k * Math.PI) / 12, b = ((k + 1) * Math.PI) / 12;
+      const a = (k * Math.PI) / 12,
+        b = ((k + 1) * Math.PI) / 12;
       const ring = (angle, r) => [x + r * Math.cos(angle), y + r * Math.sin(angle), z];
       quad(ring(a, inner), ring(a, radius), ring(b, radius), ring(b, inner), paint);
     }
@@ -55,34 +95,63 @@ function dense(xs, ys) {
   const out = [[xs[0], ys[0]]];
   for (let k = 1; k < xs.length; k++) {
     const n = Math.max(1, Math.ceil(Math.hypot(xs[k] - xs[k - 1], ys[k] - ys[k - 1]) / 0.1));
-    for (let i = 1; i <= n; i++) out.push([xs[k - 1] + ((xs[k] - xs[k - 1]) * i) / n, ys[k - 1] + ((ys[k] - ys[k - 1]) * i) / n]);
+    for (let i = 1; i <= n; i++)
+      out.push([xs[k - 1] + ((xs[k] - xs[k - 1]) * i) / n, ys[k - 1] + ((ys[k] - ys[k - 1]) * i) / n]);
   }
   return out;
 }
 
 export function rotate([x, y, z, w], [a, b, c]) {
-  const tx = 2 * (y * c - z * b), ty = 2 * (z * a - x * c), tz = 2 * (x * b - y * a);
+  const tx = 2 * (y * c - z * b),
+    ty = 2 * (z * a - x * c),
+    tz = 2 * (x * b - y * a);
   return [a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx];
 }
 
-const SEGMENTS = [[0, 2, 1, 2], [1, 2, 1, 1], [1, 1, 1, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 2, 0, 1], [0, 1, 1, 1]];
+const SEGMENTS = [
+  [0, 2, 1, 2],
+  [1, 2, 1, 1],
+  [1, 1, 1, 0],
+  [0, 0, 1, 0],
+  [0, 1, 0, 0],
+  [0, 2, 0, 1],
+  [0, 1, 1, 1],
+];
 const DIGITS = ["012345", "12", "01643", "01623", "5612", "05623", "056234", "012", "0123456", "0123565"];
 
 // Places of a mission in their order: { x, y, yaw, number, paint }. One colour for what is done, one for the present step.
 export function places(mission) {
-  return mission.steps.flatMap((step, k) => (step.x === undefined ? [] : [{
-    x: step.x, y: step.y, yaw: step.yaw, number: k + 1,
-    paint: k + 1 === mission.step ? COLOUR.goal : ["FINISHED", "FAILED"].includes(mission.action_status[k]) ? COLOUR.done : COLOUR.step,
-  }]));
+  return mission.steps.flatMap((step, k) =>
+    step.x === undefined
+      ? []
+      : [
+          {
+            x: step.x,
+            y: step.y,
+            yaw: step.yaw,
+            number: k + 1,
+            paint:
+              k + 1 === mission.step
+                ? COLOUR.goal
+                : ["FINISHED", "FAILED"].includes(mission.action_status[k])
+                  ? COLOUR.done
+                  : COLOUR.step,
+          },
+        ],
+  );
 }
 
 // Figures over a place that face the camera.
 function figures(shapes, number, x, y, z, { azimuth, elevation }, paint) {
-  const right = [-Math.sin(azimuth), Math.cos(azimuth)], s = Math.sin(elevation), up = [-s * Math.cos(azimuth), -s * Math.sin(azimuth), Math.cos(elevation)], digits = [...String(number)];
+  const right = [-Math.sin(azimuth), Math.cos(azimuth)],
+    s = Math.sin(elevation),
+    up = [-s * Math.cos(azimuth), -s * Math.sin(azimuth), Math.cos(elevation)],
+    digits = [...String(number)];
   digits.forEach((digit, k) => {
     const from = 0.24 * (k - (digits.length - 1) / 2) - 0.07;
     for (const segment of DIGITS[digit]) {
-      const [ax, az, bx, bz] = SEGMENTS[segment], at = (u, v) => [0, 1, 2].map((i) => [x, y, z][i] + (right[i] ?? 0) * (from + 0.14 * u) + up[i] * 0.14 * v);
+      const [ax, az, bx, bz] = SEGMENTS[segment],
+        at = (u, v) => [0, 1, 2].map((i) => [x, y, z][i] + (right[i] ?? 0) * (from + 0.14 * u) + up[i] * 0.14 * v);
       shapes.line3(at(ax, az), at(bx, bz), 0.05, paint);
     }
   });
@@ -92,22 +161,58 @@ function figures(shapes, number, x, y, z, { azimuth, elevation }, paint) {
 export function build(world, ground, camera) {
   const shapes = makeShapes();
   const [length, width] = world.body;
-  const onGround = (x, y, z) => { const h = ground.height(x, y); return Number.isNaN(h) ? z : h; };
+  const onGround = (x, y, z) => {
+    const h = ground.height(x, y);
+    return Number.isNaN(h) ? z : h;
+  };
   const { pose } = world;
   const base = pose ? onGround(pose.x, pose.y, pose.z - 0.4) : 0;
-  for (const [plan, paint] of [[world.route, COLOUR.route], [world.preview, COLOUR.preview]]) {
+  for (const [plan, paint] of [
+    [world.route, COLOUR.route],
+    [world.preview, COLOUR.preview],
+  ]) {
     if (!plan?.ok) continue;
-    if (plan.native_x.length) shapes.ribbon(dense(plan.native_x, plan.native_y).map(([x, y]) => [x, y, onGround(x, y, base)]), 0.06, COLOUR.native, { dash: 0.2 });
-    shapes.ribbon(plan.x.map((x, k) => [x, plan.y[k], onGround(x, plan.y[k], plan.z[k])]), 0.11, paint);
+    if (plan.native_x.length)
+      shapes.ribbon(
+        dense(plan.native_x, plan.native_y).map(([x, y]) => [x, y, onGround(x, y, base)]),
+        0.06,
+        COLOUR.native,
+        { dash: 0.2 },
+      );
+    shapes.ribbon(
+      plan.x.map((x, k) => [x, plan.y[k], onGround(x, plan.y[k], plan.z[k])]),
+      0.11,
+      paint,
+    );
     plan.worst_x.forEach((x, k) => {
-      const chosen = world.chosen === k && world.shown === plan, worst = k === plan.worst;
+      const chosen = world.chosen === k && world.shown === plan,
+        worst = k === plan.worst;
       if (!chosen && !worst) return;
-      outline(shapes, x, plan.worst_y[k], onGround(x, plan.worst_y[k], base), plan.worst_yaw[k], length, width, chosen ? COLOUR.chosen : COLOUR.worst);
+      outline(
+        shapes,
+        x,
+        plan.worst_y[k],
+        onGround(x, plan.worst_y[k], base),
+        plan.worst_yaw[k],
+        length,
+        width,
+        chosen ? COLOUR.chosen : COLOUR.worst,
+      );
     });
   }
   if (world.mission) {
     const stops = places(world.mission);
-    shapes.ribbon(stops.length ? dense(stops.map((p) => p.x), stops.map((p) => p.y)).map(([x, y]) => [x, y, onGround(x, y, base)]) : [], 0.05, COLOUR.step, { dash: 0.15 });
+    shapes.ribbon(
+      stops.length
+        ? dense(
+            stops.map((p) => p.x),
+            stops.map((p) => p.y),
+          ).map(([x, y]) => [x, y, onGround(x, y, base)])
+        : [],
+      0.05,
+      COLOUR.step,
+      { dash: 0.15 },
+    );
     for (const { x, y, yaw, number, paint } of stops) {
       const z = onGround(x, y, base);
       shapes.disc(x, y, z + 0.06, 0.16, paint);
@@ -115,33 +220,80 @@ export function build(world, ground, camera) {
       if (yaw !== null && yaw !== undefined) arrow(shapes, x, y, z + 0.07, yaw, 0.5, paint);
     }
   }
-  for (const arc of world.arc ?? []) outline(shapes, arc.x, arc.y, onGround(arc.x, arc.y, base), arc.yaw, length, width, risky(arc.risk), 0.03);
-  for (const [goal, alpha] of [[world.goal, 255], [world.aim, 200]]) {
+  for (const arc of world.arc ?? [])
+    outline(shapes, arc.x, arc.y, onGround(arc.x, arc.y, base), arc.yaw, length, width, risky(arc.risk), 0.03);
+  for (const [goal, alpha] of [
+    [world.goal, 255],
+    [world.aim, 200],
+  ]) {
     if (!goal) continue;
-    const z = onGround(goal.x, goal.y, base), paint = [...COLOUR.goal.slice(0, 3), alpha];
+    const z = onGround(goal.x, goal.y, base),
+      paint = [...COLOUR.goal.slice(0, 3), alpha];
     shapes.disc(goal.x, goal.y, z + 0.06, 0.3, paint, 0.22);
     shapes.line3([goal.x, goal.y, z], [goal.x, goal.y, z + 0.9], 0.04, paint);
     if (goal.yaw !== null && goal.yaw !== undefined) arrow(shapes, goal.x, goal.y, z + 0.08, goal.yaw, 0.75, paint);
   }
-  if (world.place) outline(shapes, world.place.x, world.place.y, onGround(world.place.x, world.place.y, base), world.place.yaw, length, width, COLOUR.goal, 0.08);
+  if (world.place)
+    outline(
+      shapes,
+      world.place.x,
+      world.place.y,
+      onGround(world.place.x, world.place.y, base),
+      world.place.yaw,
+      length,
+      width,
+      COLOUR.goal,
+      0.08,
+    );
   if (pose) {
-    const place = (p) => { const [a, b, c] = rotate(pose.q, p); return [pose.x + a, pose.y + b, pose.z + c]; };
-    shapes.box(place, [length / 2 - 0.06, 0.12, 0.075], [0, 0, 0], world.fresh === "stale" ? [150, 150, 150, 255] : COLOUR.robot);
+    const place = (p) => {
+      const [a, b, c] = rotate(pose.q, p);
+      return [pose.x + a, pose.y + b, pose.z + c];
+    };
+    shapes.box(
+      place,
+      [length / 2 - 0.06, 0.12, 0.075],
+      [0, 0, 0],
+      world.fresh === "stale" ? [150, 150, 150, 255] : COLOUR.robot,
+    );
     shapes.box(place, [0.05, 0.08, 0.05], [length / 2 - 0.02, 0, 0.04], COLOUR.route);
-    for (const sx of [-1, 1]) for (const sy of [-1, 1]) {
-      shapes.box(place, [0.035, 0.03, 0.14], [sx * 0.22, sy * 0.16, -0.17], COLOUR.dark);
-      shapes.box(place, [0.08, 0.035, 0.08], [sx * 0.24, sy * 0.18, -0.3], COLOUR.dark);
-    }
-    arrow(shapes, pose.x + 0.45 * Math.cos(pose.yaw), pose.y + 0.45 * Math.sin(pose.yaw), base + 0.05, pose.yaw, 0.35, COLOUR.route);
+    for (const sx of [-1, 1])
+      for (const sy of [-1, 1]) {
+        shapes.box(place, [0.035, 0.03, 0.14], [sx * 0.22, sy * 0.16, -0.17], COLOUR.dark);
+        shapes.box(place, [0.08, 0.035, 0.08], [sx * 0.24, sy * 0.18, -0.3], COLOUR.dark);
+      }
+    arrow(
+      shapes,
+      pose.x + 0.45 * Math.cos(pose.yaw),
+      pose.y + 0.45 * Math.sin(pose.yaw),
+      base + 0.05,
+      pose.yaw,
+      0.35,
+      COLOUR.route,
+    );
   }
   return shapes;
 }
 
 function outline(shapes, x, y, z, yaw, length, width, paint, thick = 0.05) {
-  const c = Math.cos(yaw), s = Math.sin(yaw);
-  const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1], [1, 1]].map(([a, b]) => [x + (c * a * length - s * b * width) / 2, y + (s * a * length + c * b * width) / 2, z + 0.07]);
+  const c = Math.cos(yaw),
+    s = Math.sin(yaw);
+  const corners = [
+    [1, 1],
+    [1, -1],
+    [-1, -1],
+    [-1, 1],
+    [1, 1],
+  ].map(([a, b]) => [x + (c * a * length - s * b * width) / 2, y + (s * a * length + c * b * width) / 2, z + 0.07]);
   shapes.ribbon(corners, thick, paint);
-  shapes.ribbon([[x + c * length * 0.15, y + s * length * 0.15, z + 0.07], [x + c * length * 0.5, y + s * length * 0.5, z + 0.07]], thick, paint);
+  shapes.ribbon(
+    [
+      [x + c * length * 0.15, y + s * length * 0.15, z + 0.07],
+      [x + c * length * 0.5, y + s * length * 0.5, z + 0.07],
+    ],
+    thick,
+    paint,
+  );
 }
 function arrow(shapes, x, y, z, yaw, long, paint) {
   const to = (a, b) => [x + Math.cos(yaw) * a - Math.sin(yaw) * b, y + Math.sin(yaw) * a + Math.cos(yaw) * b, z];

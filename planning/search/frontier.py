@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.graph.flags import VIRTUAL
 from planning.graph.graph import TraversalGraph
+from planning.search.request import PlanRequest
 
 SAME_FRONTIER = 1.0
 """Frontier nodes within this distance [m] of the one chosen before count as the same frontier."""
@@ -29,6 +30,13 @@ LOOKED = 0.5
 """Frontier nodes within this distance [m] of the robot or of a place looked from already show nothing new."""
 ARRIVED = 0.3
 """This close to a frontier [m] the robot has seen what there is to see from it."""
+BESIDE, PATIENCE = 1.5, 6.0
+"""A node beside virtual ground may never be reached, as the way there may be virtual too. So long [s] within this distance of it [m], or
+standing, the robot tries to see more."""
+STANDS = 0.1
+"""A robot that moved less [m] from one plan to the next stands."""
+LONGEST = 2.0
+"""Longest time [s] between two plans that counts: the goal may have been paused."""
 CELL = 0.2
 """Raster of the way through unknown ground [m]."""
 KEEP_OFF = 0.2
@@ -47,19 +55,46 @@ class FrontierMemory:
         """x, y [m] of the frontier on the way to."""
         self.seen: list[tuple[float, float]] = []
         """Frontiers looked from already."""
+        self.been: list[tuple[float, float]] = []
+        """Places the robot planned from."""
+        self.exhausted = False
+        """Once no node was left beside virtual ground: those of other samples are not looked from any more."""
+        self._tried: list[tuple[tuple[float, float], float]] = []
+        """Nodes beside virtual ground, and how long [s] the robot tried to see more there."""
+        self._last: tuple[tuple[float, float], float] | None = None
 
-    def at(self, xy: tuple[float, float]) -> None:
-        """The robot plans from x, y [m]: what it has come to it has seen."""
-        if self.chosen is not None and math.dist(self.chosen, xy) < ARRIVED:
+    def at(self, xy: tuple[float, float], now: float, *, virtual: bool = False) -> None:
+        """The robot plans from x, y [m] at `now` [s]: what it has come to it has seen. `virtual`: `chosen` lies beside virtual ground."""
+        last, self._last = self._last, (xy, now)
+        if not self.been or math.dist(self.been[-1], xy) > ARRIVED:
+            self.been.append(xy)
+        if self.chosen is None:
+            return
+        far = math.dist(self.chosen, xy)
+        if far < ARRIVED:
             self.seen.append(self.chosen)
+        elif virtual and last is not None and (far < BESIDE or math.dist(xy, last[0]) < STANDS):
+            self._try(self.chosen, min(max(now - last[1], 0.0), LONGEST))
+
+    def _try(self, place: tuple[float, float], seconds: float) -> None:
+        """Nodes of other samples stand beside the same ground: what is near counts as one."""
+        same = [entry for entry in self._tried if math.dist(entry[0], place) <= LOOKED]
+        spent = seconds + max((entry[1] for entry in same), default=0.0)
+        self._tried = [entry for entry in self._tried if entry not in same] + [(place, spent)]
+        if spent >= PATIENCE:
+            self.seen.append(place)
 
 
-def open_frontiers(
-    graph: TraversalGraph, start: int, seen: Sequence[tuple[float, float]]
-) -> NDArray[np.bool_]:
-    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground."""
-    out = _far(graph, start, seen, graph.frontier)
-    return out if out.any() else _far(graph, start, seen, _beside_virtual(graph))
+def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
+    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground.
+
+    The one that the robot is on its way to stays open until the robot has come to it.
+    """
+    seen, previous = request.seen_frontiers, request.previous_frontier
+    out = _far(graph, start, seen, graph.frontier, previous)
+    if out.any() or request.been is None:
+        return out
+    return _far(graph, start, (*seen, *request.been), _beside_virtual(graph), previous)
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
@@ -78,14 +113,31 @@ def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
     return (inside & (near & VIRTUAL > 0)).any(axis=1)
 
 
+def is_beside_virtual(graph: TraversalGraph, xy: tuple[float, float]) -> bool:
+    """Whether the node at x, y [m] was looked for as one beside virtual ground; False where it is gone."""
+    away = np.hypot(graph.nodes[:, 0] - xy[0], graph.nodes[:, 1] - xy[1])
+    return bool(away.min(initial=np.inf) < 1e-3 and not graph.frontier[int(away.argmin())])
+
+
 def _far(
-    graph: TraversalGraph, start: int, seen: Sequence[tuple[float, float]], nodes: NDArray[np.bool_]
+    graph: TraversalGraph,
+    start: int,
+    seen: Sequence[tuple[float, float]],
+    nodes: NDArray[np.bool_],
+    previous: tuple[float, float] | None,
 ) -> NDArray[np.bool_]:
     """Those of `nodes` (n,) that are not near the start or a place looked from already."""
-    out = nodes.copy()
-    for x, y in [(graph.nodes[start, 0], graph.nodes[start, 1]), *seen]:
-        out &= np.hypot(graph.nodes[:, 0] - x, graph.nodes[:, 1] - y) > LOOKED
-    return out
+
+    def away(place: Sequence[float]) -> NDArray[np.float64]:
+        return np.hypot(graph.nodes[:, 0] - place[0], graph.nodes[:, 1] - place[1])
+
+    here = away(graph.nodes[start])
+    out = here > LOOKED
+    if previous is not None:
+        out |= (away(previous) <= ARRIVED) & (here > ARRIVED)
+    for place in seen:
+        out &= away(place) > LOOKED
+    return out & nodes
 
 
 def worth_keeping(kept: float, best: float) -> bool:

@@ -143,7 +143,7 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     graph, grid = at.table.graph, at.table.grid
     nodes = graph.nodes[:, :2]
     goal = position(graph, request.goal, "goal")
-    ends = open_frontiers(graph, at.start, request.seen_frontiers)
+    ends = open_frontiers(graph, at.start, request)
     if not ends.any():
         return None
     to_go = way_to_go(grid, nodes, goal)

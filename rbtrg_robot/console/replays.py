@@ -173,16 +173,21 @@ class Replays:
 
     async def _read(self, what: str, child: asyncio.subprocess.Process, told: Any) -> None:
         assert child.stdout is not None
-        last: dict[str, Any] = {}
+        end: dict[str, Any] = {}
         async for text in child.stdout:
             with contextlib.suppress(json.JSONDecodeError):
-                last = json.loads(text)
-                told(last)
+                line = json.loads(text)
+                if "words" in line or "wrong" in line:
+                    end = line  # told when the process is gone: then the next one may begin
+                else:
+                    told(line)
         code = await child.wait()
         if self._children.get(what) is child:
             del self._children[what]
-            if code and "wrong" not in last:
-                told({"wrong": f"it ended with status {code}; see the log of the console"})
+            if not end and code:
+                end = {"wrong": f"it ended with status {code}; see the log of the console"}
+        if end:
+            told(end)
 
     async def _kill(self, what: str) -> None:
         child = self._children.pop(what, None)

@@ -27,7 +27,7 @@ from planning.path import (
     still_safe,
 )
 from planning.risk.body import BodyModel
-from planning.search.frontier import FrontierMemory
+from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -98,6 +98,8 @@ class PlannerStage:
         """The part of it that is driven."""
         self._memory = FrontierMemory()
         self._memory_goal = ""
+        self._looks_over = False
+        """The frontier on the way to lies beside virtual ground."""
         self._hidden: list[tuple[float, float, float]] = []
         """x, y, radius [m] of ground on the way to that goal that cannot be seen from where it begins; kept off until it was seen."""
         self._malformed = 0
@@ -219,7 +221,7 @@ class PlannerStage:
         self._path, self._whole, self._verdict = None, None, (True, "")
         if message.goal_id != self._memory_goal:
             self._memory, self._memory_goal, self._hidden = FrontierMemory(), message.goal_id, []
-        self._memory.at(self._start)
+        self._memory.at(self._start, self._now / NS, virtual=self._looks_over)
         if self._map.stale or self._map.window is not None or self._map.graph is None:
             self._sync(self._start)
         base: dict[str, Any] = {
@@ -239,7 +241,8 @@ class PlannerStage:
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
         self._path = path
         self._checked_version = -1
-        self._memory.chosen = found.frontier
+        self._memory.chosen, graph = found.frontier, self._map.graph
+        self._looks_over = bool(graph and found.frontier and is_beside_virtual(graph, found.frontier))
         outputs: Outputs = [
             (t.PLAN, msg.Plan(**base, **plan_fields(found, path, message))),
             (t.ROUTE, path_msg(path, self._now)),
@@ -290,6 +293,7 @@ class PlannerStage:
             allow_frontier=True,
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),
+            been=None if self._memory.exhausted else tuple(self._memory.been),
         )
         if self._params.method != "rb_trg":
             found = BASELINES[self._params.method](self._map.ground(), request)
@@ -312,6 +316,7 @@ class PlannerStage:
                 found, whole = self._plan(message, driven)
             except NoRoute:
                 if way == 0:
+                    self._memory.exhausted = True
                     raise
                 break  # what hides the first way is the reason
             path = drivable(whole, graph, self._body.width)

@@ -76,7 +76,7 @@ def test_obstacles_and_pushes_reach_the_processes_as_they_were_given() -> None:
 
 def test_everything_random_follows_the_one_seed() -> None:
     config = load(None, ["seed=5"], scene="flat")
-    assert build_planner(config)._seed == 5
+    assert build_planner(config)._map.seed == 5
 
 
 def test_a_file_goes_over_what_a_log_was_made_with(tmp_path: Path) -> None:

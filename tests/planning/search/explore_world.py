@@ -157,7 +157,7 @@ def explore(world: World, blind: float = 0.0, every: float = 1.2, limit: float =
     graph = TraversalGraph.build(grid(), xy)
     memory = FrontierMemory()
     while run.driven < limit:
-        memory.at(xy)
+        memory.at(xy, 0.0)
         ask = PlanRequest(
             xy,
             world.goal,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from planning.search.frontier import CLOSED, FrontierMemory, way_to_go
+from planning.graph.graph import TraversalGraph
+from planning.search.frontier import CLOSED, FrontierMemory, open_frontiers, way_to_go
+from planning.search.request import PlanRequest
 from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
 from tests.planning.worlds import flat
 
@@ -105,9 +108,40 @@ def test_the_way_to_go_leads_around_what_is_known_to_stand_there() -> None:
 
 def test_a_frontier_counts_as_seen_when_the_robot_plans_from_it() -> None:
     memory = FrontierMemory()
-    memory.at((0.0, 0.0))
+    memory.at((0.0, 0.0), 0.0)
     memory.chosen = (2.0, 0.0)
-    memory.at((1.5, 0.0))
+    memory.at((1.5, 0.0), 0.0)
     assert memory.seen == []
-    memory.at((1.8, 0.1))
+    memory.at((1.8, 0.1), 0.0)
     assert memory.seen == [(2.0, 0.0)]
+
+
+def test_a_node_beside_virtual_ground_is_given_up_after_a_while_however_the_samples_change() -> None:
+    memory = FrontierMemory()
+    for second in range(7):
+        assert memory.seen == []
+        memory.chosen = (1.2, 0.1 * (second % 3))
+        memory.at((0.0, 0.0), float(second), virtual=True)
+    assert memory.seen == [(1.2, 0.0)]
+    driving = FrontierMemory()
+    driving.chosen = (9.0, 0.0)
+    for second in range(20):
+        driving.at((0.3 * second, 0.0), float(second), virtual=True)
+    assert driving.seen == []
+
+
+def test_a_frontier_on_the_way_stays_open_until_the_robot_has_come_to_it() -> None:
+    grid = flat(4.0, 3.0)
+    graph = TraversalGraph.build(grid, (1.0, 1.5))
+    start = int(np.hypot(*(graph.nodes[:, :2] - (1.0, 1.5)).T).argmin())
+    away = np.hypot(*(graph.nodes[:, :2] - graph.nodes[start, :2]).T)
+    near = int(np.flatnonzero((away > 0.3) & (away < 0.5))[0])
+    graph.frontier[:] = False
+    graph.frontier[near] = True
+    request = PlanRequest((1.0, 1.5), (9.0, 1.5), been=None)
+    assert not open_frontiers(graph, start, request).any()
+    x, y = graph.nodes[near, :2].tolist()
+    on_the_way = open_frontiers(graph, start, replace(request, previous_frontier=(x, y)))
+    assert np.flatnonzero(on_the_way).tolist() == [near]
+    seen = replace(request, previous_frontier=(x, y), seen_frontiers=((x, y),))
+    assert not open_frontiers(graph, start, seen).any()

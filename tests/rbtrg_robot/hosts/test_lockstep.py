@@ -219,7 +219,7 @@ def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
     assert frames.keys() >= steady, steady - frames.keys()
 
 
-def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() -> None:
+def test_the_robot_brakes_for_what_suddenly_stands_before_it_and_drives_around() -> None:
     # The same seed drives the same way: the first drive tells when and where the box of the second one appears.
     start, half = (0.0, 0.0, 0.0), 0.2
     box = {"centre": (5.0, 5.0, 0.2), "size": (2 * half, 2 * half, 0.4), "appear": 1000.0}
@@ -237,15 +237,15 @@ def test_the_robot_stops_for_what_suddenly_stands_before_it_and_drives_around() 
         stack.send_goal(5.5, 0.0)
         stack.run(appear - stack.seconds)
         assert speed(stack) > 0.4
-        stopped = np.inf
+        slowest = np.inf
         closest = np.inf
         while stack.statuses[-1].state not in ("reached", "aborted") and stack.seconds < 40.0:
             stack.run(0.05)
-            if speed(stack) < 0.05:
-                stopped = min(stopped, stack.seconds - appear)
+            if stack.seconds - appear < 0.8:
+                slowest = min(slowest, speed(stack))
             closest = min(closest, _distance(truth(stack), (cx - half, cx + half), (cy - half, cy + half)))
         assert stack.statuses[-1].state == "reached"
-    assert stopped < 0.8, "seen in the window after the next scan, not with the next change of the map"
+    assert slowest < 0.15, "seen in the window after the next scan, not with the next change of the map"
     assert closest > 0.0
 
 

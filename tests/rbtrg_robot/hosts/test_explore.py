@@ -6,6 +6,7 @@ import math
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
@@ -43,6 +44,7 @@ def explore(scene: str, goal: str, timeout: float) -> tuple[str, str, float, flo
     return status.state, status.reason, driven, known
 
 
+@pytest.mark.campaign
 def test_a_goal_in_a_maze_nobody_has_seen_is_reached_without_driving_twice_the_way() -> None:
     state, reason, driven, known = explore("maze", "half", 100.0)
     assert (state, reason) == ("reached", "")

@@ -142,6 +142,7 @@ def test_the_fence_holds_while_the_start_in_the_map_is_unknown() -> None:
         assert math.dist(place[:2], truth(stack)[:2]) < 0.02
 
 
+@pytest.mark.campaign
 def test_the_nearest_goal_to_the_fence_that_is_accepted_is_reached() -> None:
     room = 0.47
     side = 1.2

@@ -126,6 +126,7 @@ FAULTS = {
 }
 
 
+@pytest.mark.campaign
 def test_whatever_fails_on_the_way_it_rests_says_why_and_reaches_the_next_goal(
     wired: tuple[Lockstep, World],
 ) -> None:

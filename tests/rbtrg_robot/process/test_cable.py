@@ -22,6 +22,7 @@ pytestmark = pytest.mark.timeout(300)
 DOMAIN = 100 + os.getpid() % 100
 
 
+@pytest.mark.campaign
 def test_a_robot_process_that_dies_while_the_cable_is_out_comes_back_with_the_robot(tmp_path: Path) -> None:
     port = free_port()
 

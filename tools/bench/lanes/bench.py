@@ -41,6 +41,9 @@ def run(args: list[str]) -> Report:
         "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
     )
     options = parser.parse_args(args)
+    for name, known in (("controller", {"vmc", "policy"}), ("map", {"prior", "seen"})):
+        if unknown := set(getattr(options, name).split(",")) - known:
+            parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
     for folder in (options.logs, options.pictures):
         if folder:
             folder.mkdir(parents=True, exist_ok=True)

@@ -58,7 +58,7 @@ class FrontierMemory:
         self.been: list[tuple[float, float]] = []
         """Places the robot planned from."""
         self.exhausted = False
-        """Once no node was left beside virtual ground: those of other samples are not looked from any more."""
+        """No node was left once, also none beside virtual ground: from then on frontiers alone count."""
         self._tried: list[tuple[tuple[float, float], float]] = []
         """Nodes beside virtual ground, and how long [s] the robot tried to see more there."""
         self._last: tuple[tuple[float, float], float] | None = None

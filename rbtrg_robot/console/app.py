@@ -196,5 +196,5 @@ class Site:
                 self._desk.do(page, wish, reply)
         except OperatorError as error:
             reply(False, str(error))
-        except ValueError:
+        except (ValueError, RecursionError):  # no JSON, or brackets without end
             reply(False, "not a message of this console")

@@ -34,7 +34,9 @@ LATE = 0.2
 """[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
 PRESENCE = 1.0
 """[s] between two signs that an operator watches."""
-FREE = ("ask", "replay", "live", "rerun")
+LOGS = ("replay", "live", "rerun")
+"""Wishes that concern logs alone: from pages that show a replay, too."""
+FREE = ("ask", *LOGS)
 """Wishes of pages that do not operate."""
 Answer = tuple[bool, str, dict[str, Any] | None]
 """Whether it was done, why not, and what was found out."""
@@ -110,22 +112,22 @@ class Desk:
 
     def do(self, page: Page, wish: dict[str, Any], reply: Reply) -> None:
         """One wish of a page. Raises Refused."""
-        what = wish.get("do")
+        what = str(wish.get("do"))
         if what == "stop":
             self.stop()
             return
         if what != "drive" and what not in self.wishes:
-            raise Refused(f"unknown wish {str(what)[:40]!r}")
+            raise Refused(f"unknown wish {what[:40]!r}")
         if page.role is not Role.OPERATOR:
             raise Refused(ONLY_SEE)
-        if what not in FREE[1:] and page.slots.feed is not self._feed:
+        if what not in LOGS and page.slots.feed is not self._feed:
             raise Refused("this page shows a replay: nothing moves from here")
         if what not in FREE and not self.lease.take(page.number, time.monotonic()):
             raise Refused(TAKEN)
         if what == "drive":
             self._drive(page, wish)
             return
-        task = self._loop.create_task(self._grant(self.wishes[str(what)], page, wish, reply))
+        task = self._loop.create_task(self._grant(self.wishes[what], page, wish, reply))
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 

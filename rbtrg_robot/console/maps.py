@@ -75,6 +75,8 @@ class Maps:
             known = await run_in_threadpool(save, order.patch, target)
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
+        except OSError as error:
+            return JSONResponse({"words": f"cannot write into {self._folder}: {error.strerror}"}, 507)
         return JSONResponse({"words": f"{known} known cells in {target.name}; `up --map {target}` loads it"})
 
     async def _load(self, _page: Page, wish: dict[str, Any]) -> Answer:

@@ -111,8 +111,11 @@ def test_another_page_or_another_name_gets_nothing(console: Console) -> None:
         assert refused.value.response.status_code == 403
     with connect(f"ws://{host}/live", origin=ours, additional_headers={"Cookie": good}) as socket:  # type: ignore[arg-type]
         assert json.loads(socket.recv()[4:])["role"] == "operator"
-        socket.send("not json")
-        assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
+        for text in ("not json", "[]", "[" * 9000):
+            socket.send(text)
+            assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
+        socket.send('{"do": ["goal"], "n": {}}')
+        assert "unknown wish" in json.loads(socket.recv()[4:])["words"]
 
 
 def test_an_observer_changes_nothing_on_the_disk(console: Console) -> None:

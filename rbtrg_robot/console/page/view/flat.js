@@ -1,6 +1,6 @@
 // The same world from above on a 2D canvas, for browsers without WebGL2 and after a context that does not come back.
 import { UNKNOWN } from "./ground.js";
-import { COLOUR, places, risky } from "./shapes.js";
+import { COLOUR, places, rim, risky } from "./shapes.js";
 
 const css = ([r, g, b, a = 255]) => `rgb(${r} ${g} ${b} / ${a / 255})`;
 
@@ -58,17 +58,7 @@ export function makeFlat(canvas, world, ground, camera) {
     context.setLineDash([]);
   }
   function body(x, y, yaw, paint, fill) {
-    const c = Math.cos(yaw),
-      s = Math.sin(yaw),
-      [l, w] = world.body;
-    const corners = [
-      [1, 1],
-      [1, -1],
-      [-1, -1],
-      [-1, 1],
-      [1, 1],
-    ].map(([a, b]) => [x + (c * a * l - s * b * w) / 2, y + (s * a * l + c * b * w) / 2]);
-    path(corners, 3, paint);
+    path(rim(x, y, yaw, ...world.body), 3, paint);
     if (fill) {
       context.fillStyle = css(fill);
       context.fill();
@@ -76,7 +66,7 @@ export function makeFlat(canvas, world, ground, camera) {
     path(
       [
         [x, y],
-        [x + c * l * 0.7, y + s * l * 0.7],
+        [x + Math.cos(yaw) * world.body[0] * 0.7, y + Math.sin(yaw) * world.body[0] * 0.7],
       ],
       3,
       paint,

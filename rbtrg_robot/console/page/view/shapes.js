@@ -275,16 +275,23 @@ export function build(world, ground, camera) {
   return shapes;
 }
 
-function outline(shapes, x, y, z, yaw, length, width, paint, thick = 0.05) {
+// The closed rim of a rectangle that lies on the ground: five places x, y.
+export function rim(x, y, yaw, length, width) {
   const c = Math.cos(yaw),
     s = Math.sin(yaw);
-  const corners = [
+  return [
     [1, 1],
     [1, -1],
     [-1, -1],
     [-1, 1],
     [1, 1],
-  ].map(([a, b]) => [x + (c * a * length - s * b * width) / 2, y + (s * a * length + c * b * width) / 2, z + 0.07]);
+  ].map(([a, b]) => [x + (c * a * length - s * b * width) / 2, y + (s * a * length + c * b * width) / 2]);
+}
+
+function outline(shapes, x, y, z, yaw, length, width, paint, thick = 0.05) {
+  const c = Math.cos(yaw),
+    s = Math.sin(yaw);
+  const corners = rim(x, y, yaw, length, width).map(([a, b]) => [a, b, z + 0.07]);
   shapes.ribbon(corners, thick, paint);
   shapes.ribbon(
     [

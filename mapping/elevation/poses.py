@@ -9,6 +9,9 @@ from hal.rotation import rotation
 from mapping.elevation.exchange import MapError
 from mapping.grid import FARTHEST
 
+FASTEST, SLACK = 5.0, 3.0
+"""A robot of twice the Go2-W's speed [m/s] and what an odometry corrects at once [m]: no pose lies further from the one before."""
+
 
 def checked_pose(
     position: ArrayLike, orientation: ArrayLike
@@ -24,3 +27,33 @@ def checked_pose(
     if norm < 0.5:
         raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
     return rotation(q / norm), place
+
+
+class Course:
+    """The places that a robot passes. One that no robot can reach from the last is an error of the odometry: mapped there, each would
+    cost megabytes of tiles, and the ground would be drawn where it is not.
+    """
+
+    def __init__(self) -> None:
+        self.warning = ""
+        """For the operator, while poses are refused."""
+        self._last: tuple[int, NDArray[np.float64]] | None = None
+
+    def forget(self) -> None:
+        """The pose was set: the next place may be anywhere."""
+        self.warning, self._last = "", None
+
+    def follow(self, position: ArrayLike, stamp: int) -> None:
+        """The next place (3,) [m] at `stamp` [ns]. Raises MapError where it is out of reach; the last good one stays the last."""
+        place = np.array(position, dtype=np.float64)
+        if not np.isfinite(place).all():
+            raise MapError(f"pose must be finite, got {place}")
+        if self._last is not None:
+            before, last = self._last
+            far = float(np.linalg.norm(place - last))
+            if far > SLACK + FASTEST * max(0, stamp - before) / 1e9:
+                self.warning = (
+                    f"the pose jumped {far:.0f} m: set it while the robot stands, or restart the stack"
+                )
+                raise MapError(self.warning)
+        self.warning, self._last = "", (stamp, place)

@@ -15,6 +15,7 @@ from hal.go2w import MOTORS
 from hal.types import JointSample, LidarName, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
 from rbtrg_robot import msg
@@ -86,6 +87,7 @@ class ElevationStage:
         self._clouds: OrderedDict[int, dict[LidarName, NDArray[np.float32]]] = OrderedDict()
         self._joints: list[JointSample] = []
         self._frame = MapFrame()
+        self._course = Course()
         self._prior = prior
         self._prior_map = elevation.full() if prior else None
         self._prior_stamp = 0
@@ -182,6 +184,7 @@ class ElevationStage:
         position, orientation = self._frame.pose3(
             xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
         )
+        self._course.follow(position, stamp)
         sigmas = self._sigmas(odom)
         self._scans += 1
         for name, sensor in self._sensors.items():
@@ -238,6 +241,7 @@ class ElevationStage:
             self._prior = ""
         else:
             known = self.map.begin_on(self._prior_map)
+        self._course.forget()
         self._poses.clear()
         self._clouds.clear()
         self._detail, self._status_due = f"{why}; {known} cells are known from before", 0
@@ -282,7 +286,7 @@ class ElevationStage:
             height_correction=self.map.alignment.height,
             restoring=self._restoring,
             prior=self._prior,
-            warning="; ".join(filter(None, (self._blind(), self.map.warning))),
+            warning="; ".join(filter(None, (self._course.warning, self._blind(), self.map.warning))),
             refused=self._refused,
             detail=self._detail,
         )

@@ -1,0 +1,83 @@
+"""The elevation stage beside an odometry that has lost its place."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hal.go2w import MOTORS
+from hal.lidar.config import LidarConfig
+from hal.types import JointSample
+from mapping.elevation.map import ElevationMap
+from rbtrg_robot import topics as t
+from rbtrg_robot.stage_config import ElevationStageConfig
+from rbtrg_robot.stages.elevation import ElevationStage
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import BASE, MAP, ODOM, cloud_msg, joint_msg, odometry_msg, transform_msg
+
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+SWEEP = 100_000_000
+"""[ns]"""
+
+
+class Fed:
+    """A stage on flat ground, one sweep each 0.1 s from where the odometry says it is."""
+
+    def __init__(self) -> None:
+        self.stage = ElevationStage(ElevationMap(), ElevationStageConfig(), (LidarConfig().mounted(),))
+        self.now = SWEEP
+        x, y = np.meshgrid(np.linspace(-6.0, 6.0, 90), np.linspace(-6.0, 6.0, 90))
+        self.ground = np.stack([x, y, np.full_like(x, -0.4)], -1).reshape(-1, 3).astype(np.float32)
+        self.set_pose(0.0)
+
+    def set_pose(self, x: float) -> None:
+        offset = transform_msg(0, MAP, ODOM, np.array([x, 0.0, 0.0]), LEVEL)
+        self.stage.on(t.TF_STATIC, t.TF_STATIC.kind(transforms=[offset]))
+
+    def sweep(self, x: float, y: float) -> list[tuple[Topic, Any]]:
+        self.now += SWEEP
+        still = np.zeros(len(MOTORS))
+        place = np.array([x, y, 0.4])
+        self.stage.on(t.CLOUD, cloud_msg(self.now, BASE, self.ground))
+        self.stage.on(t.JOINTS, joint_msg(JointSample(self.now, still, still, still)))
+        return self.stage.on(t.ODOM, odometry_msg(self.now, place, LEVEL, np.zeros(3), np.zeros(3)))
+
+    @property
+    def status(self) -> Any:
+        ((_, status),) = self.stage.tick(self.now + 10**9 * self.now)
+        return status
+
+
+def test_poses_that_jump_are_refused_and_cost_no_memory() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    fed.sweep(0.1, 0.0)
+    tiles, seen = fed.status.tiles, fed.stage.map.stamp
+    rng = np.random.default_rng(12)
+    for x, y in rng.choice([-1, 1], (60, 2)) * rng.uniform(10.0, 2000.0, (60, 2)):
+        assert fed.sweep(x, y) == [], "without a window the guard allows nothing"
+    status = fed.status
+    assert (status.tiles, status.refused, fed.stage.map.stamp) == (tiles, 60, seen)
+    assert "set it while the robot stands" in status.warning
+    assert fed.sweep(0.3, 0.1) != []
+    assert "jumped" not in fed.status.warning
+
+
+def test_after_a_silence_the_robot_may_be_as_far_as_it_can_drive() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    assert fed.sweep(9.0, 0.0) == []
+    fed.now += 2 * 10**9
+    assert fed.sweep(9.0, 0.0) != []
+
+
+@pytest.mark.parametrize("place", [40.0, -300.0])
+def test_where_the_pose_was_set_the_map_begins_anew(place: float) -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    assert fed.sweep(place, 0.0) == []
+    fed.set_pose(-place)
+    assert fed.sweep(2 * place, 0.0) != []
+    assert "jumped" not in fed.status.warning

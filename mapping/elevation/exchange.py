@@ -49,7 +49,8 @@ class MapPatch:
 
     Row grows with y, column with x. Layers are (rows, cols) float32: `elevation` [m] (NaN unknown), `variance` [m^2]
     (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells),
-    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap.
+    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap. That of `ElevationMap.complete`
+    has `age`, too: seconds since something agreed with the height (NaN: never, as on a prior map and where it is bridged).
     """
 
     origin: tuple[float, float]

@@ -339,6 +339,16 @@ class ElevationMap:
         """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
         return self._reader.read_all(self.stamp, self.epoch)
 
+    def complete(self) -> MapPatch:
+        """`full` for people and their tools: with `age` and the layers of `MapPatch.with_terrain`. Raises MapError."""
+        patch = self.full().with_terrain()
+        row, col = patch.cell
+        seen = self.store.seen((row, col, *patch.shape))
+        patch.layers["age"] = np.where(seen == PRIOR, np.nan, 1e-3 * (self._clock(self.stamp) - seen)).astype(
+            np.float32
+        )
+        return patch
+
     def grid(self) -> ElevationGrid:
         """The whole map as a grid, unknown heights NaN."""
         return self.full().grid()

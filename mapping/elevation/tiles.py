@@ -185,6 +185,16 @@ class TileStore:
         )
         return [(int(r0), int(r1), int(c0), int(c1)) for r0, r1, c0, c1 in boxes if r1 > r0]
 
+    def seen(self, box: tuple[int, int, int, int]) -> NDArray[np.int32]:
+        """`seen` of the cells of a box made of whole tiles (see `bounds`); PRIOR where no height was ever agreed with."""
+        i0, j0, rows, cols = box
+        out = np.full((rows, cols), PRIOR, np.int32)
+        for slot, (row, col) in enumerate(self.tiles[: self.used] * self.size - (i0, j0)):
+            cells = self.tile(slot)
+            part = out[row : row + self.size, col : col + self.size]
+            part[...] = np.where(np.isfinite(cells["height"]), cells["seen"], PRIOR)
+        return out
+
     def bounds(self) -> tuple[int, int, int, int] | None:
         """i0, j0, rows, cols of the cells of all tiles, None for an empty store."""
         if self.used == 0:

@@ -134,6 +134,7 @@ def _words(state: Any, limits: Any, speed: float, active: Any, now: float) -> st
     """One line: what is let through, and why no more."""
     from rbtrg_robot.orders.limits import USE_HARDWARE
     from rbtrg_robot.orders.robot import Stop
+    from rbtrg_robot.orders.words import held, slowed
 
     if isinstance(active, Stop) and active.worried(now):
         return f"STOP NOT CONFIRMED: {USE_HARDWARE}"
@@ -142,8 +143,7 @@ def _words(state: Any, limits: Any, speed: float, active: Any, now: float) -> st
     words = [f"{state.vx:.2f} m/s {state.wz:.2f} rad/s (up to {speed:.1f})", state.phase]
     if state.estop:
         words.append(f"E-STOP ({state.estop_cause})")
-    elif state.hold and state.hold != "no command":
-        words.append(state.hold)
-    if limits is not None and limits.reason:
-        words.append(f"guard: {limits.reason}")
-    return ", ".join(words)
+    else:
+        words.append(held(state.hold))
+    words.append(slowed(limits.reason) if limits is not None else "")
+    return ", ".join(filter(None, words))

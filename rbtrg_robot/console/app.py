@@ -188,7 +188,7 @@ class Site:
                 self._desk.take_over(page, time.monotonic())
                 reply(True, "this page operates")
             elif what == "see":  # from now on: before, nobody there was ready to take it
-                slots.cloud = bool(wish.get("cloud"))
+                slots.cloud, slots.ages = bool(wish.get("cloud")), bool(wish.get("ages"))
                 if not slots.seeing:
                     slots.feed.join(slots)
                     slots.put("stop", frames.pack("stop", self._desk.stop_state))

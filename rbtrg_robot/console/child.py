@@ -3,7 +3,7 @@
     python -m rbtrg_robot.console.child replay ENDPOINT DOMAIN RUN RATE START
     python -m rbtrg_robot.console.child rerun RUN OUT STAGES [a.b=c ...]
 
-Each line on its stdout is JSON: `seconds` of the log that are done, `words` at the end, `wrong` where it did not work.
+A replay reads PAUSE and GO_ON from its stdin. Each line on its stdout is JSON: `seconds` of the log that are done, `paused`, `words` at the end, `wrong` where it did not work.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import select
 import shutil
 import signal
 import sys
@@ -20,6 +21,7 @@ from typing import Any
 
 from hal.errors import OperatorError
 from rbtrg_robot import topics as t
+from rbtrg_robot.console.replays import GO_ON, PAUSE
 from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.log.file import CONFIG, first_of, read_run
 from rbtrg_robot.log.replay import Controls, play
@@ -42,24 +44,44 @@ class Progress:
 
     def __init__(self) -> None:
         self._due = 0.0
+        self.seconds = 0.0
 
     def __call__(self, seconds: float, *_: Any) -> None:
         """So much of the log is done [s]."""
+        self.seconds = seconds
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + TOLD
             tell(seconds=seconds)
 
 
+class Wishes:
+    """What the console wants of a replay, as a key of `play`: space where it must begin or end a pause."""
+
+    def __init__(self, controls: Controls, progress: Progress) -> None:
+        self._controls, self._progress = controls, progress
+
+    def __call__(self) -> str:
+        """A key, or nothing."""
+        if not select.select([0], [], [], 0.0)[0]:
+            return ""
+        byte = os.read(0, 1)
+        if byte not in (PAUSE, GO_ON) or (byte == PAUSE) == self._controls.paused:
+            return ""
+        tell(seconds=self._progress.seconds, paused=byte == PAUSE)
+        return " "
+
+
 def play_run(endpoint: str, domain: str, run: str, rate: str, start: str) -> None:
     """Raises LogError, BusError."""
-    controls = Controls(rate=float(rate))
+    controls, progress = Controls(rate=float(rate)), Progress()
     with Bus(endpoint, "replay", int(domain)) as bus:
         report = play(
             *(bus, Path(run)),
             controls=controls,
             start_offset=float(start),
             patterns=["*"],
-            progress=Progress(),
+            key=Wishes(controls, progress),
+            progress=progress,
         )
     tell(seconds=report.seconds, words=f"{report.messages} messages")
 

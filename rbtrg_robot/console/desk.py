@@ -34,7 +34,7 @@ LATE = 0.2
 """[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
 PRESENCE = 1.0
 """[s] between two signs that an operator watches."""
-LOGS = ("replay", "live", "rerun")
+LOGS = ("replay", "pause replay", "live", "rerun")
 """Wishes that concern logs alone: from pages that show a replay, too."""
 FREE = ("ask", *LOGS)
 """Wishes of pages that do not operate."""

@@ -19,7 +19,7 @@ from rbtrg_robot.orders.words import goal_line, robot_line
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received
-from rbtrg_robot.wire.convert import LayoutError, map_patch
+from rbtrg_robot.wire.convert import LayoutError, cloud_points, map_patch, xyz, xyzw
 from rbtrg_robot.wire.frames import MapFrame, stands
 from rbtrg_robot.wire.messages import header, stamp_of
 
@@ -27,12 +27,16 @@ log = logging.getLogger(__name__)
 
 TERRAIN_PERIOD = 0.5
 """[s] between two terrain frames of a page."""
+AGES_PERIOD = 1.0
+"""[s] between two frames of ages."""
+LOOKS_PERIOD = 0.5
+"""[s] between two clouds that tell which cells are seen."""
 ASK_AGAIN = 3.0
 """[s] until the whole map is asked for again."""
 HEARD: tuple[Topic, ...] = (
     t.ODOM,
     t.TF_STATIC,
-    t.CLOUD,
+    *t.CLOUDS.values(),
     t.MAP_UPDATE,
     t.MAP_FULL,
     t.ROUTE_REPORT,
@@ -59,8 +63,11 @@ class Slots:
         """It draws points."""
         self.waiting: dict[str, bytes] = {}
         self.wake = asyncio.Event()
+        self.ages = False
+        """It shows how old the ground is."""
         self.tiles: dict[Key, int] = {}
-        self.terrain_due = 0.0
+        self.aged: dict[Key, int] = {}
+        self.terrain_due = self.ages_due = 0.0
 
     def put(self, kind: str, frame: bytes) -> None:
         """A newer frame of a kind."""
@@ -78,7 +85,8 @@ class Slots:
         """What waits is of another picture."""
         self.waiting.clear()
         self.tiles.clear()
-        self.terrain_due = 0.0
+        self.aged.clear()
+        self.terrain_due = self.ages_due = 0.0
 
     def take(self) -> tuple[str, bytes] | None:
         """The one that waits longest."""
@@ -103,6 +111,7 @@ class Feed:
         self._frame = MapFrame()
         self._arrived: dict[Topic, float] = {}
         self._told: dict[Topic, float] = {}
+        self._looked: dict[Topic, float] = {}
         self._frames: dict[str, bytes] = {}
         self._epoch, self._correction = 0, 0.0
         self._asked = -ASK_AGAIN
@@ -181,6 +190,12 @@ class Feed:
             tiles = self.terrain.newer(page.tiles, *self.place[:2])
         if tiles:
             page.put("terrain", frames.terrain(tiles))
+        if page.ages and now >= page.ages_due and "ages" not in page.waiting:
+            page.ages_due = now + AGES_PERIOD
+            with self.terrain_lock:
+                ages = self.terrain.ages(page.aged, page.tiles, *self.place[:2])
+            if ages:
+                page.put("ages", frames.ages(ages))
 
     # --- the bus' thread --------------------------------------------------------------------------------------
 
@@ -223,8 +238,8 @@ class Feed:
                 self._put(topic, "pose", content, now)
         elif topic in (t.MAP_UPDATE, t.MAP_FULL):
             self._map(topic, message)
-        elif t.CLOUD.carried(message, topic):
-            self._cloud(message, now)
+        elif topic in t.CLOUDS.values():
+            self._cloud(topic, message, now)
         elif t.ROUTE_REPORT.carried(message, topic):
             if not message.question:
                 self._put(topic, "route", frames.route(message), now)
@@ -256,17 +271,27 @@ class Feed:
             except (LayoutError, MapError) as error:
                 log.warning("%s: %s", topic.name, error)
 
-    def _cloud(self, message: msg.PointCloud2, now: float) -> None:
+    def _cloud(self, topic: Topic, message: msg.PointCloud2, now: float) -> None:
         odom = self._odom
-        wanted = any(page.cloud for page in self._pages)
-        if not wanted or odom is None or not self._frame.known or stamp_of(odom) != stamp_of(message):
+        if odom is None or not self._frame.known or stamp_of(odom) != stamp_of(message):
             return
-        if now - self._told.get(t.CLOUD, 0.0) < frames.LEAST[t.CLOUD]:
+        drawn = topic is t.CLOUD and any(page.cloud for page in self._pages)
+        drawn = drawn and now - self._told.get(topic, 0.0) >= frames.LEAST[t.CLOUD]
+        looked = now - self._looked.get(topic, 0.0) >= LOOKS_PERIOD
+        if not drawn and not looked:
             return
-        self._told[t.CLOUD] = now
         try:
-            frame = frames.points(message, odom, self._frame, self._correction)
+            points = cloud_points(message)
         except LayoutError as error:
-            log.warning("%s: %s", t.CLOUD.name, error)
+            log.warning("%s: %s", topic.name, error)
             return
-        self._loop.call_soon_threadsafe(self._hand_out, "points", frame, False)
+        place, turn = self._frame.pose3(xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation))
+        place[2] += self._correction
+        if looked:
+            self._looked[topic] = now
+            with self.terrain_lock:
+                self.terrain.look(points, place, turn)
+        if drawn:
+            self._told[topic] = now
+            frame = frames.points(points, place, turn)
+            self._loop.call_soon_threadsafe(self._hand_out, "points", frame, False)

@@ -1,6 +1,6 @@
 """Messages as the page reads them: JSON for what is small, bytes for terrain and points. Pure.
 
-A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS), three of zero, the content.
+A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS, AGES), three of zero, the content.
 """
 
 from __future__ import annotations
@@ -11,17 +11,19 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.missions.file import describe
 from rbtrg_robot.missions.words import line
+from rbtrg_robot.orders.words import held, slowed
 from rbtrg_robot.stages.navigation.reasons import hindrance, words
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import cloud_points, xyz, xyzw, yaw_of
+from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 
-JSON, TERRAIN, POINTS = 1, 2, 3
+JSON, TERRAIN, POINTS, AGES = 1, 2, 3, 4
 POINTS_MOST = 6000
 """Of one frame."""
 
@@ -71,7 +73,7 @@ def robot(message: msg.RobotState) -> dict[str, Any]:
         "estop_cause": message.estop_cause,
         "latch": str(message.latch),
         "taken": message.taken,
-        "hold": message.hold,
+        "held": held(message.hold),
         "hindrance": words(*why) if why else "",
         "battery": message.battery,
         "motor_temperature": message.motor_temperature,
@@ -169,6 +171,12 @@ def mission_order(order: msg.MissionOrder) -> dict[str, Any]:
     return {"steps": steps, "loops": loops, **{name: getattr(order, name) for name in names}}
 
 
+def limits(message: msg.MotionLimits) -> dict[str, Any]:
+    """What the guard lets through, and why no more."""
+    names = ("forward", "backward", "left", "right")
+    return {**{name: getattr(message, name) for name in names}, "slowed": slowed(message.reason)}
+
+
 def plain(*names: str) -> Callable[[Any], dict[str, Any]]:
     """The named fields as they are."""
     return lambda message: {name: getattr(message, name) for name in names}
@@ -185,7 +193,7 @@ PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
         plain("epoch", "known_cells", "trusted_cells", "resolution", "restoring", "warning", "detail"),
     ),
     t.TRACKER_STATE: ("tracker", plain("phase", "hold", "distance_left", "cross_track", "heading_error")),
-    t.MOTION_LIMITS: ("limits", plain("forward", "backward", "left", "right", "reason")),
+    t.MOTION_LIMITS: ("limits", limits),
     t.ROUTE_STATUS: ("route_status", plain("valid", "detail", "nodes", "edges", "map_version")),
 }
 """Topics of which a page gets one kind of JSON frame each."""
@@ -203,13 +211,10 @@ LEAST: dict[Topic, float] = {
 """Seconds between two frames of a topic; a change of the robot's state is told at once all the same."""
 
 
-def points(cloud: msg.PointCloud2, odom: msg.Odometry, frame: MapFrame, correction: float) -> bytes:
-    """float32[7] position and quaternion of base_link in `map`, then int16[n, 3] points in base_link [mm]. Raises LayoutError."""
-    xyz_m = cloud_points(cloud)
-    chosen = xyz_m[:: max(1, len(xyz_m) // POINTS_MOST + (len(xyz_m) % POINTS_MOST > 0))]
+def points(cloud: NDArray[np.float32], place: NDArray[np.float64], turn: NDArray[np.float64]) -> bytes:
+    """float32[7] position and quaternion of base_link in `map`, then int16[n, 3] points in base_link [mm]. `cloud` (n, 3) [m]."""
+    chosen = cloud[:: max(1, len(cloud) // POINTS_MOST + (len(cloud) % POINTS_MOST > 0))]
     chosen = chosen[np.isfinite(chosen).all(axis=1) & (np.abs(chosen) < 32.0).all(axis=1)]
-    place, turn = frame.pose3(xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation))
-    place[2] += correction
     head = np.concatenate([place, turn]).astype("<f4").tobytes()
     return bytes((POINTS, 0, 0, 0)) + head + (chosen * 1000.0).astype("<i2").tobytes()
 
@@ -217,3 +222,8 @@ def points(cloud: msg.PointCloud2, odom: msg.Odometry, frame: MapFrame, correcti
 def terrain(content: bytes) -> bytes:
     """A frame of `Terrain.newer`."""
     return bytes((TERRAIN, 0, 0, 0)) + content
+
+
+def ages(content: bytes) -> bytes:
+    """A frame of `Terrain.ages`."""
+    return bytes((AGES, 0, 0, 0)) + content

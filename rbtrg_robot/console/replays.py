@@ -29,6 +29,8 @@ from rbtrg_robot.wire.bus import Bus
 DOMAINS, AWAY = 233, 100
 """ROS domains there are; the replay's is so many farther than the robot's."""
 FASTEST = 20.0
+PAUSE, GO_ON = b"p", b"g"
+"""What a replay reads from its stdin."""
 SETTING = re.compile(r"[A-Za-z0-9_.]+=\S+")
 STAGES = [row.name for row in PROCESSES if row.hosted]
 
@@ -70,7 +72,12 @@ class Replays:
         self._playback: Playback | None = None
         self._children: dict[str, asyncio.subprocess.Process] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        desk.wishes |= {"replay": self._replay, "live": self._live, "rerun": self._rerun}
+        desk.wishes |= {
+            "replay": self._replay,
+            "pause replay": self._pause,
+            "live": self._live,
+            "rerun": self._rerun,
+        }
 
     async def _replay(self, page: Page, wish: dict[str, Any]) -> Answer:
         folder = run_folder(self._base, str(wish.get("run")))
@@ -89,6 +96,14 @@ class Replays:
         where = (self._config.endpoint, str(playback.domain), str(folder), str(rate), str(start))
         await self._start("replay", where, lambda line: self._played(playback, line))
         return True, f"replay of {folder.name}", None
+
+    async def _pause(self, page: Page, wish: dict[str, Any]) -> Answer:
+        """All pages that look at the replay see it stand, or go on."""
+        child = self._children.get("replay")
+        if page.slots not in self._looking() or child is None or child.stdin is None:
+            raise Refused("no replay is playing")
+        child.stdin.write(PAUSE if wish.get("on") else GO_ON)
+        return True, "", None
 
     async def _live(self, page: Page, _wish: dict[str, Any]) -> Answer:
         if page.slots.feed is not self._feed:
@@ -163,7 +178,7 @@ class Replays:
     async def _start(self, what: str, arguments: tuple[str, ...], told: Any) -> None:
         child = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "rbtrg_robot.console.child", what, *arguments),
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
         )
         self._children[what] = child

@@ -1,9 +1,9 @@
 """The elevation map for pages: tiles of 64 x 64 cells, each sent again when it changed. Four bytes a cell.
 
-A tile on the wire, little-endian: int32 row, int32 column of its first cell on the world lattice, float32 seconds since the map
-changed there, uint32 of zero, int16[64, 64] height [mm] (-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust
-(0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR, 4 wheels).
+A tile on the wire, little-endian: int32 row, int32 column of its first cell on the world lattice, int16[64, 64] height [mm]
+(-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust (0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR, 4 wheels).
 Ground risk: slope or face as a share of what the robot drives over; 200 is its limit, 255 unknown.
+Ages go by themselves, to pages that show them: row, column, uint8[64, 64] seconds since the cell was seen (254 and more, 255 never).
 """
 
 from __future__ import annotations
@@ -11,30 +11,43 @@ from __future__ import annotations
 import math
 import struct
 import time
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import rotation
 from hal.types import Capabilities
-from mapping.elevation.exchange import MapMirror, MapPatch
+from mapping.elevation.exchange import CellWindow, MapMirror, MapPatch
 from mapping.filling import slope_and_step
 
 SIDE = 64
 """Cells of a tile's side; `MapMirror` grows in the same steps."""
-HEADER = struct.Struct("<iifI")
+HEADER = struct.Struct("<ii")
 LIMIT = 200
 """Ground risk of ground at the robot's limit."""
 MOST = 40
 """Tiles of one message: 0.7 MB."""
+UNKNOWN = -32768
+MEASURED = (1, 2)
+"""Sources of a height that was seen: wheels, LiDAR."""
+AGREES = 0.1
+"""[m] between a point and the height of its cell, where the point shows that the cell is still there."""
 Key = tuple[int, int]
 
 
 @dataclass(slots=True)
 class _Tile:
     version: int
-    changed: float
+    seen: NDArray[np.float64]
+    """Time of the newest look at each cell; -inf where there was none."""
+    heights: NDArray[np.int16] = field(default_factory=lambda: np.full((SIDE, SIDE), UNKNOWN, np.int16))
+    told: bool = False
+    """When its cells were seen was told with their heights."""
     body: bytes | None = None
+    looks: int = 0
+    """Version of `seen`."""
 
 
 class Terrain:
@@ -46,6 +59,7 @@ class Terrain:
         self._tiles: dict[Key, _Tile] = {}
         self._version = 0
         slope_and_step(np.zeros((2, 2), np.float32), 0.04)  # compiled now, not while somebody waits
+        rotation(np.array([0.0, 0.0, 0.0, 1.0]))
 
     @property
     def empty(self) -> bool:
@@ -70,36 +84,92 @@ class Terrain:
         if not (window.rows and window.cols):
             return
         self._version += 1
-        now = time.monotonic()
+        age = patch.layers.get("age")
         for row in range(window.row // SIDE, (window.row + window.rows - 1) // SIDE + 1):
             for col in range(window.col // SIDE, (window.col + window.cols - 1) // SIDE + 1):
-                self._tiles[row, col] = _Tile(self._version, now)
+                tile = self._tiles.setdefault((row, col), _Tile(0, np.full((SIDE, SIDE), -np.inf)))
+                tile.version, tile.body = self._version, None
+                if age is not None:
+                    self._take_age(tile, row, col, window, age)
+
+    def _take_age(
+        self, tile: _Tile, row: int, col: int, window: CellWindow, age: NDArray[np.float32]
+    ) -> None:
+        """The map's own word on when cells were seen."""
+        r0, r1 = max(row * SIDE, window.row), min((row + 1) * SIDE, window.row + window.rows)
+        c0, c1 = max(col * SIDE, window.col), min((col + 1) * SIDE, window.col + window.cols)
+        part = age[r0 - window.row : r1 - window.row, c0 - window.col : c1 - window.col]
+        here = slice(r0 - row * SIDE, r1 - row * SIDE), slice(c0 - col * SIDE, c1 - col * SIDE)
+        tile.seen[here] = np.where(np.isfinite(part), time.monotonic() - part, -np.inf)
+        tile.told = True
+        tile.looks += 1
+
+    def look(
+        self, points: NDArray[np.float32], position: NDArray[np.float64], turn: NDArray[np.float64]
+    ) -> None:
+        """Points (n, 3) [m] of a LiDAR at a pose in `map`: the cells that they agree with were seen now."""
+        mirror = self._mirror
+        if self.empty:
+            return
+        places = points[np.isfinite(points).all(axis=1)] @ rotation(turn).T + position
+        row, col = (np.rint(places[:, k] / mirror.resolution).astype(np.int64) for k in (1, 0))
+        height = mirror.layers["elevation"]
+        r, c = row - mirror.row, col - mirror.col
+        inside = (r >= 0) & (r < height.shape[0]) & (c >= 0) & (c < height.shape[1])
+        agrees = np.flatnonzero(inside)
+        agrees = agrees[np.abs(places[agrees, 2] - height[r[agrees], c[agrees]]) < AGREES]
+        row, col = row[agrees], col[agrees]
+        now = time.monotonic()
+        tiles = np.stack([row // SIDE, col // SIDE], axis=1)
+        for key in np.unique(tiles, axis=0):
+            tile = self._tiles.get((int(key[0]), int(key[1])))
+            if tile is not None:
+                mine = (tiles == key).all(axis=1)
+                tile.seen[row[mine] % SIDE, col[mine] % SIDE] = now
+                tile.looks += 1
 
     def prepare(self) -> None:
         """Make some tiles ready to be sent. In the thread that feeds: sending waits for nothing."""
         for key in [key for key, tile in self._tiles.items() if tile.body is None][:MOST]:
-            self._tiles[key].body = self._body(key)
+            self._tiles[key].body = self._body(key, self._tiles[key])
 
     def newer(self, sent: dict[Key, int], x: float, y: float) -> bytes:
         """Tiles that changed since `sent` (which is brought up to date), the nearest to x, y [m] first; empty where none did."""
         gone = [key for key in sent if key not in self._tiles]
         for key in gone:
             del sent[key]
-        due = [key for key, tile in self._tiles.items() if tile.body and sent.get(key) != tile.version]
-        if not due:
-            return b""
-        size = SIDE * self._mirror.resolution
-        due.sort(key=lambda key: (size * (key[0] + 0.5) - y) ** 2 + (size * (key[1] + 0.5) - x) ** 2)
-        now = time.monotonic()
         parts = []
-        for key in due[:MOST]:
+        for key in self._nearest((k for k, tile in self._tiles.items() if tile.body), sent, x, y, "version"):
             tile = self._tiles[key]
             sent[key] = tile.version
-            parts += [HEADER.pack(key[0] * SIDE, key[1] * SIDE, now - tile.changed, 0), tile.body or b""]
+            parts += [HEADER.pack(key[0] * SIDE, key[1] * SIDE), tile.body or b""]
+        if not parts:
+            return b""
         # A map that began anew is told as such: pages drop what they have.
         return struct.pack("<fI", self._mirror.resolution, bool(gone)) + b"".join(parts)
 
-    def _body(self, key: Key) -> bytes:
+    def ages(self, sent: dict[Key, int], known: Iterable[Key], x: float, y: float) -> bytes:
+        """Ages of the `known` tiles that were looked at since `sent` (which is brought up to date), as `newer`."""
+        now = time.monotonic()
+        parts = []
+        for key in self._nearest((k for k in known if k in self._tiles), sent, x, y, "looks"):
+            tile = self._tiles[key]
+            sent[key] = tile.looks
+            age = np.minimum(now - tile.seen, 254.0)
+            age[np.isinf(tile.seen)] = 255.0
+            parts += [HEADER.pack(key[0] * SIDE, key[1] * SIDE), age.astype(np.uint8).tobytes()]
+        return b"".join(parts)
+
+    def _nearest(
+        self, keys: Iterable[Key], sent: dict[Key, int], x: float, y: float, version: str
+    ) -> list[Key]:
+        """Those of which a newer version is there, the nearest first, at most MOST."""
+        size = SIDE * self._mirror.resolution
+        due = [key for key in keys if sent.get(key) != getattr(self._tiles[key], version)]
+        due.sort(key=lambda key: (size * (key[0] + 0.5) - y) ** 2 + (size * (key[1] + 0.5) - x) ** 2)
+        return due[:MOST]
+
+    def _body(self, key: Key, tile: _Tile) -> bytes:
         mirror = self._mirror
         row, col = key[0] * SIDE - mirror.row, key[1] * SIDE - mirror.col
         # A cell more on each side, so that slopes do not end at the tile.
@@ -113,9 +183,16 @@ class Terrain:
         height = mirror.layers["elevation"][where]
         risk = ground_risk(slope[inner], step[inner], mirror.resolution, self._slope, self._step)
         known = np.isfinite(height)
-        millimetres = np.where(known, np.clip(np.nan_to_num(height) * 1000.0, -32767, 32767), -32768)
+        millimetres = np.where(known, np.clip(np.nan_to_num(height) * 1000.0, -32767, 32767), UNKNOWN)
+        millimetres = millimetres.astype("<i2")
+        measured = np.isin(mirror.layers["source"][where], MEASURED)
+        if not tile.told:  # a height that is new was seen now
+            tile.seen[measured & (millimetres != tile.heights)] = time.monotonic()
+        tile.seen[~measured] = -np.inf
+        tile.heights, tile.told = millimetres, False
+        tile.looks += 1
         trust = trust_of(mirror.layers["trusted"][where], mirror.layers["source"][where])
-        return millimetres.astype("<i2").tobytes() + risk.tobytes() + trust.tobytes()
+        return millimetres.tobytes() + risk.tobytes() + trust.tobytes()
 
 
 def ground_risk(

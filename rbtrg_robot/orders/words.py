@@ -10,6 +10,16 @@ POSE_AGE = 1.0
 """A pose older than this [s] is of the past, and its speed is not told any more."""
 
 
+def held(hold: str) -> str:
+    """Why the gate lets nothing through, from RobotState's `hold`; empty where it does."""
+    return f"held ({hold})" if hold and hold != "no command" else ""
+
+
+def slowed(reason: str) -> str:
+    """Why the guard lets less through, from MotionLimits' `reason`."""
+    return f"slowed by the guard ({reason})" if reason else ""
+
+
 def robot_line(robot: dict[str, Any]) -> str:
     """The robot in one line."""
     if "mode" not in robot:
@@ -17,8 +27,8 @@ def robot_line(robot: dict[str, Any]) -> str:
     words = [f"robot: {robot['mode']}"]
     if robot["estop"]:
         words.append(f"E-STOP ({robot['estop_cause']})")
-    elif robot["hold"] and robot["hold"] != "no command":
-        words.append(f"held ({robot['hold']})")
+    elif why := held(robot["hold"]):
+        words.append(why)
     if robot["cause"] and not any(robot["cause"] in word for word in words):
         words[0] += f" ({robot['cause']})"
     if "x" in robot:

@@ -250,7 +250,7 @@ class ElevationStage:
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
             try:
-                return [(t.MAP_FULL, patch_msg(self.map.full().with_terrain()))] if self._scans else []
+                return [(t.MAP_FULL, patch_msg(self.map.complete()))] if self._scans else []
             except MapError as error:
                 self._detail, self._status_due = str(error), 0
                 raise

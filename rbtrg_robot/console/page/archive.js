@@ -54,6 +54,7 @@ export function makeArchive(link, free) {
     wish({ do: "replay", run: shown, rate: Number($("replay-rate").value), start: $("replay-from").value });
   };
   $("replay-end").onclick = () => wish({ do: "live" });
+  $("replay-pause").onclick = () => link.quick({ do: "pause replay", on: $("replay-pause").textContent === "Pause" });
   $("again-go").onclick = () =>
     wish({ do: "rerun", run: shown, stages: $("again-stages").value, sets: $("again-sets").value });
   link.on("job", ({ run, out, state, stages, sets, seconds, words, wrong }) => {

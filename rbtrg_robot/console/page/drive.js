@@ -1,6 +1,8 @@
 // The robot in words, the goal, and what would become of it.
 import { $, button, degrees, figure, list, number, put, twice } from "./tell.js";
 
+const ACTIVE = ["accepted", "planning", "moving", "recovering", "paused"];
+
 export function makeDrive(link, view, about, free) {
   const { world } = view;
   let asked = 0;
@@ -16,20 +18,22 @@ export function makeDrive(link, view, about, free) {
         ? `Stopped: ${robot.estop_cause}`
         : robot.taken
           ? "Driven by hand"
-          : goal && ["moving", "recovering", "planning", "accepted"].includes(goal.state)
-            ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m left` : ""}`
+          : goal && goal.state !== "paused" && ACTIVE.includes(goal.state)
+            ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m ${goal.frontier ? "to the edge of what is seen" : "left"}` : ""}`
             : `Robot ${robot.phase}`,
     );
-    const still = robot.hindrance || (robot.hold && robot.hold !== "no command" ? `held: ${robot.hold}` : "");
+    const still = robot.hindrance || robot.held;
     put(
       "why-still",
       [
         still,
         goal?.state === "paused"
           ? "The goal waits. Resume lets it go on."
-          : goal && !["idle", "moving"].includes(goal.state)
-            ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}`
-            : "",
+          : goal && ACTIVE.includes(goal.state)
+            ? goal.words
+            : goal && goal.state !== "idle"
+              ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}`
+              : "",
       ]
         .filter(Boolean)
         .join(" · "),
@@ -53,7 +57,7 @@ export function makeDrive(link, view, about, free) {
       "resume",
       robot.estop ? "Release the stop" : goal?.state === "paused" ? "Continue the goal" : "Give motion back",
     );
-    $("cancel").hidden = !goal || !["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state);
+    $("cancel").hidden = !goal || !ACTIVE.includes(goal.state);
   }
   async function tell(content) {
     try {
@@ -163,6 +167,7 @@ export function makeDrive(link, view, about, free) {
     $("go").disabled = locked();
     if (answer.ok) {
       forget(false);
+      $("scene").scrollIntoView({ block: "nearest" }); // on a phone it lies above: now the robot is what matters
     }
   };
 
@@ -176,7 +181,7 @@ export function makeDrive(link, view, about, free) {
   link.on("goal", (goal) => {
     showRobot();
     if (!world.preview)
-      world.goal = ["accepted", "planning", "moving", "recovering", "paused"].includes(goal.state) ? goal : null;
+      world.goal = ACTIVE.includes(goal.state) ? goal : null;
     if (!world.goal && world.route) {
       world.route = null;
       free.plan(null);

@@ -60,6 +60,7 @@ export function open() {
     const kind = new Uint8Array(data, 0, 1)[0];
     if (kind === 2) return tell("terrain", data);
     if (kind === 3) return tell("points", data);
+    if (kind === 4) return tell("ages", data);
     const content = JSON.parse(text.decode(new Uint8Array(data, 4)));
     link.newest[content.kind] = content;
     if (content.kind === "beat") {

@@ -1,8 +1,10 @@
 // Driving by hand: twenty velocities a second while something is held, and none after. The robot itself lets go after 0.2 s of silence.
+import { grade } from "./drive.js";
 import { $, figure, put } from "./tell.js";
 
 const PERIOD = 50,
-  AHEAD = 2.0; // milliseconds, seconds
+  AHEAD = 2.0,
+  PIECES = 8; // milliseconds, seconds, of the arc
 const ENABLE = 4,
   TURBO = 5; // shoulder buttons of a standard gamepad
 
@@ -163,7 +165,7 @@ export function makeStick(link, view, about, free) {
           : robot.estop
             ? "The robot is stopped"
             : held
-              ? `${figure(robot.vx)} m/s, ${figure(robot.wz)} rad/s`
+              ? `${figure(robot.vx)} m/s, ${figure(robot.wz)} rad/s${ahead()}`
               : robot.taken
                 ? "You have the motion"
                 : "Hold the stick",
@@ -171,17 +173,26 @@ export function makeStick(link, view, about, free) {
     const limits = link.newest.limits;
     put(
       "hand-why",
-      held && limits?.reason ? `slowed by the guard: ${limits.reason}` : held && robot.hold ? robot.hold : "",
+      held ? robot.held || limits?.slowed || "" : "",
     );
   });
+
+  // The colour of the arc, in words.
+  function ahead() {
+    const risks = (view.world.arc ?? []).map(({ risk }) => risk);
+    if (!risks.length) return "";
+    if (risks.some(Number.isNaN)) return ", unseen ground ahead";
+    const worst = Math.max(...risks);
+    return `, ${grade(worst)} ground ahead (${figure(worst)})`;
+  }
 
   // Poses of the body on the arc that is asked for, with the risk the body would meet there.
   function arc(v, w) {
     const { pose } = view.world,
       poses = [];
     if (!pose || (Math.abs(v) < 0.02 && Math.abs(w) < 0.02)) return null;
-    for (let k = 1; k <= 4; k++) {
-      const t = (AHEAD * k) / 4,
+    for (let k = 0; k <= PIECES; k++) {
+      const t = (AHEAD * k) / PIECES,
         turn = w * t,
         ahead = Math.abs(w) < 1e-3 ? v * t : (v / w) * Math.sin(turn),
         aside = Math.abs(w) < 1e-3 ? 0 : (v / w) * (1 - Math.cos(turn));

@@ -51,8 +51,9 @@ export function table(at, titles, rows) {
     body = document.createElement("tbody");
   head.append(line("th", titles));
   body.append(...rows.map((cells) => line("td", cells)));
+  if (!rows.length) body.append(line("td", ["none yet"]));
   at.replaceChildren(...[at.caption, head, body].filter(Boolean));
-  return [...body.rows];
+  return rows.length ? [...body.rows] : [];
 }
 
 export function button(words, press) {

@@ -92,18 +92,14 @@ export function makeWhy(link, view) {
   function gate() {
     const { robot, limits, tracker, route_status: route } = link.newest;
     if (!robot) return;
-    put(
-      "gate",
-      robot.hindrance ||
-        (robot.hold && robot.hold !== "no command" ? `held: ${robot.hold}` : "Nothing is refused now."),
-    );
+    put("gate", robot.hindrance || robot.held || "Nothing is refused now.");
     const rows = [["Lets through", `${figure(robot.vx)} m/s, ${figure(robot.wz)} rad/s`]];
     if (limits)
       rows.push([
         "Guard allows",
         `forward ${figure(limits.forward)}, back ${figure(limits.backward)} m/s; left ${figure(limits.left)}, right ${figure(limits.right)} rad/s`,
       ]);
-    if (limits?.reason) rows.push(["In the way", limits.reason, "word-warn"]);
+    if (limits?.slowed) rows.push(["In the way", limits.slowed, "word-warn"]);
     if (tracker?.hold) rows.push(["Tracker", tracker.hold, "word-warn"]);
     if (route)
       rows.push(

@@ -83,14 +83,15 @@ def test_a_mirror_fed_with_deltas_equals_the_map() -> None:
     assert elevation.take_patches() == []
 
 
-def test_the_whole_map_comes_with_filled_heights_slope_and_step() -> None:
+def test_the_whole_map_comes_with_filled_heights_slope_step_and_age() -> None:
     elevation = ElevationMap()
     x, y = np.meshgrid(np.arange(0.9825, 3.0, 0.005), np.arange(-1.0175, 1.0, 0.005))
     z = np.where(y > 0.5, 0.3, 0.2 * (x - 1.0)) - HEIGHT  # a ramp of 0.2 beside a block
     points = np.column_stack([x.ravel(), y.ravel(), z.ravel()]).astype(np.float32)
     for k in range(3):
         elevation.fuse(points, (0.0, 0.0, HEIGHT), LEVEL, 1 + k * 10**8)
-    patch = elevation.full().with_terrain()
+    elevation.fuse(points[y.ravel() < 0.0], (0.0, 0.0, HEIGHT), LEVEL, 1 + 15 * 10**8)
+    patch = elevation.complete()
     layers = patch.layers
     assert np.isfinite(layers["filled"]).all()
     at = lambda name, px, py: layers[name][  # noqa: E731
@@ -100,6 +101,9 @@ def test_the_whole_map_comes_with_filled_heights_slope_and_step() -> None:
     assert at("step", 2.0, -0.4) == pytest.approx(0.2 * 0.04, abs=0.003)
     assert at("step", 2.0, 0.52) == pytest.approx(0.1, abs=0.02)
     assert np.isnan(at("slope", 0.9, 0.0))
+    assert at("age", 2.0, -0.4) == 0.0
+    assert at("age", 2.0, 0.4) == pytest.approx(1.3)
+    assert np.isnan(at("age", 0.9, 0.0))
 
 
 def test_same_calls_give_the_same_bytes() -> None:

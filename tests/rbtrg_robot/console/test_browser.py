@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Page, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, Page
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -17,11 +17,9 @@ from rbtrg_robot.config import load
 from rbtrg_robot.log.file import CONFIG, LogWriter
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
+from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
 from tools.bench.console.stack import Console, Robot, ground
 
-LIMIT = 20.0
-"""[s] until what must happen has happened, on a busy machine."""
-ARGUMENTS = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 JOB = 90.0
 """[s] for a process of low priority that imports the stages."""
 DESK, PHONE = {"width": 1000, "height": 640}, {"width": 360, "height": 740}
@@ -30,10 +28,8 @@ DESK, PHONE = {"width": 1000, "height": 640}, {"width": 360, "height": 740}
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     """It must be there: `apt-get install chromium`."""
-    with sync_playwright() as play:
-        found = play.chromium.launch(executable_path="/usr/bin/chromium", args=ARGUMENTS)
+    with chromium() as found:
         yield found
-        found.close()
 
 
 @pytest.fixture(scope="module")
@@ -78,39 +74,6 @@ def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable
     yield enter
     for context in contexts:
         context.close()
-
-
-def until(page: Page, expression: str, limit: float = LIMIT) -> Any:
-    """The value of an expression once it is true. (The page's own policy forbids playwright's waiting for one.)"""
-    end = time.monotonic() + limit
-    while not (value := page.evaluate(expression)):
-        assert time.monotonic() < end, f"{expression} never came true"
-        page.wait_for_timeout(20)
-    return value
-
-
-def soon(page: Page, condition: Callable[[], bool]) -> None:
-    """Wait for something outside the page."""
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        page.wait_for_timeout(20)
-
-
-def on_screen(page: Page, x: float, y: float) -> tuple[float, float]:
-    """Where on the page a place on the ground is drawn [px], once the view rests."""
-    script = "([x, y]) => consoleView.camera.project([x, y, consoleView.ground.height(x, y)])"
-    at, end = page.evaluate(script, [x, y]), time.monotonic() + LIMIT
-    while True:
-        page.wait_for_timeout(150)
-        before, at = at, page.evaluate(script, [x, y])
-        if before is not None and at == pytest.approx(before, abs=0.5):
-            break
-        assert time.monotonic() < end, "the view never rests"
-    box = page.locator("#view canvas").bounding_box()
-    assert at is not None
-    assert box is not None
-    return box["x"] + at[0], box["y"] + at[1]
 
 
 def said(page: Page) -> str:
@@ -360,7 +323,8 @@ def test_the_stick_drives_while_it_is_held(visit: Callable[..., Page], robot: Ro
         return len(robot.driven) > 15
 
     soon(page, hold)
-    until(page, "consoleView.world.arc && consoleView.world.arc.length === 4")
+    until(page, "consoleView.world.arc && consoleView.world.arc.length === 9")
+    until(page, "document.querySelector('#hand-said').textContent.includes('easy ground ahead')")
     page.mouse.up()
     soon(page, lambda: robot.driven[-1][1:] == (0.0, 0.0))
     page.wait_for_timeout(300)  # it is said twice, and may be heard once
@@ -368,6 +332,26 @@ def test_the_stick_drives_while_it_is_held(visit: Callable[..., Page], robot: Ro
     count = len(robot.driven)
     page.wait_for_timeout(300)
     assert len(robot.driven) == count
+
+
+def test_a_gamepad_drives_while_its_enable_button_is_held(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    page.evaluate(
+        """() => {
+            const button = () => ({ pressed: false });
+            window.pad = { connected: true, mapping: 'standard', axes: [0, -1], buttons: Array.from({ length: 8 }, button) };
+            navigator.getGamepads = () => [window.pad];
+        }"""
+    )
+    until(page, "document.querySelector('#pad').textContent.startsWith('Gamepad')")
+    page.wait_for_timeout(150)
+    assert robot.driven == []  # the stick alone drives nothing
+    page.evaluate("() => { pad.buttons[4].pressed = true; }")
+    soon(page, lambda: bool(robot.driven) and round(robot.driven[-1][1], 2) == 0.3)
+    page.evaluate("() => { pad.buttons[5].pressed = true; }")
+    soon(page, lambda: round(robot.driven[-1][1], 2) == 1.0)
+    page.evaluate("() => { pad.connected = false; }")
+    soon(page, lambda: robot.driven[-1][1:] == (0.0, 0.0))
 
 
 @pytest.mark.parametrize("end", ["blur", "hidden", "key up", "closed"])
@@ -558,6 +542,12 @@ def test_a_run_is_replayed_beside_the_robot_and_run_again(
     until(page, "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')")
     robot.deaf = False
     until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    page.click("#replay-pause")
+    until(page, "document.querySelector('#replay-said').textContent.includes('paused at')")
+    assert page.inner_text("#replay-pause") == "Go on"
+    page.click("#replay-pause")
+    until(page, "document.querySelector('#replay-pause').textContent === 'Pause'")
+    until(page, "!document.querySelector('#replay-said').textContent.includes('paused')")
     robot.present = 0
     page.click("#replay-end")
     until(page, "consoleView.world.pose && Math.abs(consoleView.world.pose.x) < 0.01")
@@ -622,6 +612,15 @@ def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_f
     page.wait_for_selector("#go:not([hidden])")
     assert float(page.input_value("#gx")) > 0.3
     assert abs(float(page.input_value("#gy"))) < 0.05
+
+
+def test_the_ground_tells_its_age_where_it_is_asked_for(visit: Callable[..., Page], robot: Robot) -> None:
+    page = visit()
+    assert np.isnan(page.evaluate("consoleView.ground.cell(1, 0).age"))
+    page.select_option("#layer", label="Age")
+    until(page, "consoleView.ground.cell(1, 0).age < 100")
+    assert "grey: not known when" in page.inner_text("#legend")
+    until(page, SEEN)
 
 
 def test_the_body_on_the_arc_is_scored_as_the_planner_scores_it(visit: Callable[..., Page]) -> None:

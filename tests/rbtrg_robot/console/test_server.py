@@ -228,7 +228,7 @@ def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray,
     size = HEADER.size + 4 * SIDE * SIDE
     found = {}
     for at in range(8, len(data), size):
-        row, col, _, _ = HEADER.unpack_from(data, at)
+        row, col = HEADER.unpack_from(data, at)
         body = data[at + HEADER.size : at + size]
         layers = np.frombuffer(body, np.uint8)[2 * SIDE * SIDE :].reshape(2, SIDE, SIDE)
         found[row, col] = (np.frombuffer(body, "<i2", SIDE * SIDE).reshape(SIDE, SIDE), layers[0], layers[1])
@@ -262,6 +262,54 @@ def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:
     terrain.prepare()
     anew = terrain.newer(sent, 0.0, 0.0)
     assert struct.unpack_from("<fI", anew) == (pytest.approx(0.04), 1)
+
+
+def ages_of(data: bytes) -> dict[tuple[int, int], np.ndarray]:
+    """By row and column: seconds."""
+    size = HEADER.size + SIDE * SIDE
+    return {
+        HEADER.unpack_from(data, at): np.frombuffer(data, np.uint8, SIDE * SIDE, at + HEADER.size).reshape(
+            SIDE, SIDE
+        )
+        for at in range(0, len(data), size)
+    }
+
+
+def age_at(tiles: dict[tuple[int, int], np.ndarray], x: float, y: float) -> int:
+    row, col = round(y / 0.04), round(x / 0.04)
+    return int(tiles[row // SIDE * SIDE, col // SIDE * SIDE][row % SIDE, col % SIDE])
+
+
+def test_every_cell_has_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1000.0
+    monkeypatch.setattr("rbtrg_robot.console.terrain.time.monotonic", lambda: now)
+    terrain = Terrain(Capabilities("test"))
+    patch = ground()
+    height = patch.layers["elevation"]
+    age = np.where(np.isfinite(height), 40.0, np.nan).astype(np.float32)
+    terrain.take(MapPatch(patch.origin, patch.resolution, 1, 1, patch.layers | {"age": age}))
+    terrain.prepare()
+    terrain.newer(known := {}, 0.0, 0.0)
+    sent: dict[tuple[int, int], int] = {}
+    assert terrain.ages(sent, (), 0.0, 0.0) == b""  # of tiles that the page has
+    tiles = ages_of(terrain.ages(sent, known, 0.0, 0.0))
+    assert [age_at(tiles, *at) for at in ((1.0, 0.0), (4.6, 0.2), (6.8, -2.6))] == [40, 40, 255]
+    now += 5.0
+    # The robot stands at (1, 0, 0.4), turned to the left. Of three points one agrees with the ground, one hangs over it, one is beyond.
+    points = np.array([[0.2, 0.0, -0.4], [0.6, 0.0, 0.2], [90.0, 0.0, 0.0]], np.float32)
+    terrain.look(points, np.array([1.0, 0.0, 0.4]), np.array([0.0, 0.0, 2**-0.5, 2**-0.5]))
+    tiles = ages_of(terrain.ages(sent, known, 0.0, 0.0))
+    assert len(tiles) == 1
+    assert [age_at(tiles, 1.0, 0.2), age_at(tiles, 1.0, 0.6)] == [0, 45]
+    # A change that comes without ages: what is higher now was seen now.
+    now += 5.0
+    small = {name: layer[:5, :5].copy() for name, layer in patch.layers.items()}
+    small["elevation"][2, 2] += 0.05
+    terrain.take(MapPatch(patch.origin, patch.resolution, 2, 1, small))
+    terrain.prepare()
+    tiles = ages_of(terrain.ages(sent, known, 0.0, 0.0))
+    x, y = patch.origin
+    assert [age_at(tiles, x + 0.08, y + 0.08), age_at(tiles, x + 0.12, y + 0.08)] == [0, 50]
 
 
 def test_ground_risk_is_the_share_of_what_the_robot_drives_over() -> None:

@@ -1,6 +1,6 @@
 // The same world from above on a 2D canvas, for browsers without WebGL2 and after a context that does not come back.
-import { UNKNOWN } from "./ground.js";
-import { COLOUR, places, rim, risky } from "./shapes.js";
+import { NEVER, UNKNOWN } from "./ground.js";
+import { bodies, COLOUR, places, rim, risky } from "./shapes.js";
 
 const css = ([r, g, b, a = 255]) => `rgb(${r} ${g} ${b} / ${a / 255})`;
 
@@ -36,10 +36,15 @@ export function makeFlat(canvas, world, ground, camera) {
             [64, 178, 115],
           ][tile.trust[k]];
         if (world.layer === 3) {
-          const old = Math.min(1, (performance.now() - tile.changed) / 60000);
-          paint = [77 + 60 * old, 173 - 70 * old, 204 - 90 * old];
+          const old = Math.min(1, tile.age[k] / 60 + (performance.now() - tile.aged) / 60000);
+          paint =
+            tile.age[k] === NEVER
+              ? [128, 128, 128]
+              : old < 0.5
+                ? [77 + 254 * old, 184, 219 - 184 * old]
+                : [286 - 164 * old, 302 - 236 * old, 199 - 143 * old];
         }
-        if (tile.trust[k] <= 1 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
+        if (tile.trust[k] <= 1 && world.layer !== 3 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
         for (let i = 0; i < 3; i++) image.data[at + i] = paint[i] * light;
         image.data[at + 3] = 255;
       }
@@ -153,7 +158,14 @@ export function makeFlat(canvas, world, ground, camera) {
         context.fillText(String(number), px, py);
       }
     }
-    for (const arc of world.arc ?? []) body(arc.x, arc.y, arc.yaw, risky(arc.risk));
+    const arc = world.arc ?? [];
+    for (let k = 0; k + 1 < arc.length; k++)
+      path(
+        [arc[k], arc[k + 1]].map(({ x, y }) => [x, y]),
+        7,
+        risky(arc[k + 1].risk),
+      );
+    for (const { x, y, yaw, risk } of bodies(arc)) body(x, y, yaw, risky(risk));
     for (const goal of [world.goal, world.aim])
       if (goal) {
         const [x, y] = spot(goal.x, goal.y);

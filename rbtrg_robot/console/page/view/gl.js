@@ -1,16 +1,16 @@
 // The 3D view on WebGL2. Everything is uploaded in `draw`, the newest only; a lost context is made anew from what the page has.
-import { UNKNOWN } from "./ground.js";
+import { NEVER, UNKNOWN } from "./ground.js";
 import { build } from "./shapes.js";
 
 const TERRAIN = [
   `#version 300 es
-layout(location=0) in int height; layout(location=1) in uvec2 marks;
+layout(location=0) in int height; layout(location=1) in uvec3 marks;
 uniform mat4 lens; uniform vec2 corner; uniform float res;
-out vec3 at; flat out uvec2 mark;
+out vec3 at; flat out uvec3 mark;
 void main() { int k = gl_VertexID; at = vec3(corner + res * vec2(k % 65, k / 65), float(height) / 1000.0); mark = marks; gl_Position = lens * vec4(at, 1.0); }`,
   `#version 300 es
 precision highp float; precision highp int;
-in vec3 at; flat in uvec2 mark; uniform int layer; uniform vec2 span; uniform float age; uniform vec3 sky; uniform vec3 eye;
+in vec3 at; flat in uvec3 mark; uniform int layer; uniform vec2 span; uniform float since; uniform vec3 sky; uniform vec3 eye;
 out vec4 colour;
 vec3 ramp(float t, vec3 a, vec3 b, vec3 c) { return t < 0.5 ? mix(a, b, 2.0 * t) : mix(b, c, 2.0 * t - 1.0); }
 void main() {
@@ -19,8 +19,8 @@ void main() {
   vec3 paint = ramp(t, vec3(0.40, 0.53, 0.55), vec3(0.66, 0.68, 0.56), vec3(0.86, 0.75, 0.58));
   if (layer == 1) { float r = float(mark.x) / 200.0; paint = mark.x == 255u ? vec3(0.5) : r < 1.0 ? ramp(r, vec3(0.30, 0.60, 0.55), vec3(0.90, 0.80, 0.40), vec3(0.90, 0.45, 0.20)) : vec3(0.62, 0.10, 0.22); }
   if (layer == 2) paint = mark.y <= 1u ? vec3(0.55) : mark.y == 2u ? vec3(0.72, 0.72, 0.45) : mark.y == 3u ? vec3(0.35, 0.62, 0.75) : vec3(0.25, 0.70, 0.45);
-  if (layer == 3) paint = ramp(clamp(age / 60.0, 0.0, 1.0), vec3(0.30, 0.68, 0.80), vec3(0.62, 0.62, 0.66), vec3(0.42, 0.36, 0.40));
-  if (mark.y <= 1u) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, vec3(0.45), h < 0.35 ? 0.45 : 0.15); }
+  if (layer == 3) paint = mark.z == 255u ? vec3(0.5) : ramp(clamp((float(mark.z) + since) / 60.0, 0.0, 1.0), vec3(0.30, 0.72, 0.86), vec3(0.80, 0.72, 0.50), vec3(0.48, 0.26, 0.22));
+  if (mark.y <= 1u && layer != 3) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, vec3(0.45), h < 0.35 ? 0.45 : 0.15); }
   if (layer == 1 && mark.x >= 200u && mark.x < 255u) { float h = fract((at.x - at.y) * 8.0); paint *= h < 0.4 ? 0.65 : 1.0; }
   float light = 0.55 + 0.5 * max(0.0, dot(n, normalize(vec3(0.35, -0.45, 0.85))));
   vec2 g = abs(fract(at.xy - 0.5) - 0.5) / fwidth(at.xy);
@@ -95,12 +95,12 @@ export function makeGl(canvas, world, ground, camera) {
   function mesh(key) {
     const tile = ground.tiles.get(key);
     const made = meshes.get(key) ?? {
-      ...layout([1, gl.SHORT, 0, 0, "int"], [2, gl.UNSIGNED_BYTE, 0, 0, "int"]),
+      ...layout([1, gl.SHORT, 0, 0, "int"], [3, gl.UNSIGNED_BYTE, 0, 0, "int"]),
       index: gl.createBuffer(),
     };
     const N = 64,
       height = new Int16Array(65 * 65),
-      marks = new Uint8Array(2 * 65 * 65);
+      marks = new Uint8Array(3 * 65 * 65);
     const beside = (dr, dc) => ground.tiles.get(`${tile.row + dr},${tile.col + dc}`);
     const right = beside(0, N),
       above = beside(N, 0),
@@ -111,8 +111,9 @@ export function makeGl(canvas, world, ground, camera) {
           k = (r % N) * N + (c % N),
           v = r * 65 + c;
         height[v] = from ? from.height[k] : UNKNOWN;
-        marks[2 * v] = from ? from.risk[k] : 255;
-        marks[2 * v + 1] = from ? from.trust[k] : 0;
+        marks[3 * v] = from ? from.risk[k] : 255;
+        marks[3 * v + 1] = from ? from.trust[k] : 0;
+        marks[3 * v + 2] = from ? from.age[k] : NEVER;
       }
     const index = [];
     for (let r = 0; r < N; r++)
@@ -171,12 +172,12 @@ export function makeGl(canvas, world, ground, camera) {
     gl.uniform3f(terrain.at("sky"), ...sky);
     gl.uniform3f(terrain.at("eye"), ...camera.eye());
     const corner = terrain.at("corner"),
-      age = terrain.at("age"),
+      since = terrain.at("since"),
       now = performance.now();
     for (const made of meshes.values()) {
       if (!made.count) continue;
       gl.uniform2f(corner, made.tile.col * ground.res, made.tile.row * ground.res);
-      gl.uniform1f(age, (now - made.tile.changed) / 1000);
+      gl.uniform1f(since, (now - made.tile.aged) / 1000);
       gl.bindVertexArray(made.array);
       gl.drawElements(gl.TRIANGLES, made.count, gl.UNSIGNED_SHORT, 0);
     }

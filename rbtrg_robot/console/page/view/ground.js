@@ -2,8 +2,10 @@
 
 const SIDE = 64,
   HEAD = 12,
-  TILE = 16 + SIDE * SIDE * 4;
-export const UNKNOWN = -32768;
+  CELLS = SIDE * SIDE,
+  TILE = 8 + 4 * CELLS;
+export const UNKNOWN = -32768,
+  NEVER = 255; // age of a cell that nothing agreed with
 
 export function makeGround() {
   const tiles = new Map();
@@ -14,6 +16,7 @@ export function makeGround() {
     low: 0,
     high: 1,
     take,
+    takeAges,
     height,
     cell,
     hit,
@@ -32,14 +35,15 @@ export function makeGround() {
     for (let at = HEAD; at + TILE <= data.byteLength; at += TILE) {
       const row = view.getInt32(at, true),
         col = view.getInt32(at + 4, true);
-      const cells = SIDE * SIDE;
+      const before = tiles.get(`${row},${col}`);
       const tile = {
         row,
         col,
-        changed: performance.now() - 1000 * view.getFloat32(at + 8, true),
-        height: new Int16Array(data.slice(at + 16, at + 16 + 2 * cells)),
-        risk: new Uint8Array(data, at + 16 + 2 * cells, cells),
-        trust: new Uint8Array(data, at + 16 + 3 * cells, cells),
+        height: new Int16Array(data.slice(at + 8, at + 8 + 2 * CELLS)),
+        risk: new Uint8Array(data, at + 8 + 2 * CELLS, CELLS),
+        trust: new Uint8Array(data, at + 8 + 3 * CELLS, CELLS),
+        age: before?.age ?? new Uint8Array(CELLS).fill(NEVER),
+        aged: before?.aged ?? 0,
       };
       tiles.set(`${row},${col}`, tile);
       // The meshes of the tiles before it end on its first row and column.
@@ -67,6 +71,19 @@ export function makeGround() {
     }
   }
 
+  // Seconds since each cell was seen, as they were when they came.
+  function takeAges(data) {
+    const view = new DataView(data);
+    for (let at = 4; at + 8 + CELLS <= data.byteLength; at += 8 + CELLS) {
+      const key = `${view.getInt32(at, true)},${view.getInt32(at + 4, true)}`,
+        tile = tiles.get(key);
+      if (!tile) continue;
+      tile.age = new Uint8Array(data, at + 8, CELLS);
+      tile.aged = performance.now();
+      ground.dirty.add(key);
+    }
+  }
+
   function find(row, col) {
     const r0 = Math.floor(row / SIDE) * SIDE,
       c0 = Math.floor(col / SIDE) * SIDE;
@@ -81,7 +98,7 @@ export function makeGround() {
       z: tile.height[k] === UNKNOWN ? NaN : tile.height[k] / 1000,
       risk: tile.risk[k],
       trust: tile.trust[k],
-      age: (performance.now() - tile.changed) / 1000,
+      age: tile.age[k] === NEVER ? NaN : tile.age[k] + (performance.now() - tile.aged) / 1000,
     };
   }
   function at(row, col) {

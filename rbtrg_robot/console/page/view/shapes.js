@@ -220,8 +220,15 @@ export function build(world, ground, camera) {
       if (yaw !== null && yaw !== undefined) arrow(shapes, x, y, z + 0.07, yaw, 0.5, paint);
     }
   }
-  for (const arc of world.arc ?? [])
-    outline(shapes, arc.x, arc.y, onGround(arc.x, arc.y, base), arc.yaw, length, width, risky(arc.risk), 0.03);
+  const arc = world.arc ?? [];
+  shapes.ribbon(
+    arc.map(({ x, y }) => [x, y, onGround(x, y, base)]),
+    0.16,
+    (k) => risky(arc[k + 1].risk),
+    { lift: 0.06 },
+  );
+  for (const { x, y, yaw, risk } of bodies(arc))
+    outline(shapes, x, y, onGround(x, y, base), yaw, length, width, risky(risk), 0.03);
   for (const [goal, alpha] of [
     [world.goal, 255],
     [world.aim, 200],
@@ -274,6 +281,9 @@ export function build(world, ground, camera) {
   }
   return shapes;
 }
+
+// Of an arc: where the body is drawn whole.
+export const bodies = (arc) => arc.filter((_, k) => k && k % 4 === 0);
 
 // The closed rim of a rectangle that lies on the ground: five places x, y.
 export function rim(x, y, yaw, length, width) {

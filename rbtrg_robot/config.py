@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
@@ -31,6 +31,7 @@ from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
 from planning.tracking.tracker import TrackerConfig
 from rbtrg_robot import __version__
+from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stage_config import (
     ConsoleConfig,
     ElevationStageConfig,
@@ -55,9 +56,19 @@ class NetworkConfig(BaseModel):
     listen: tuple[Annotated[str, Field(pattern=r"^tls/(\[[0-9a-fA-F:]+\]|[^:/\s]+):\d{1,5}$")], ...] = Field(
         (), description="tls/ADDRESS:PORT where people with certificates connect; empty = loopback only"
     )
+    join: bool = Field(
+        False,
+        description="use the router that listens on `port` already, a zenohd or that of another robot's stack, instead of bringing one",
+    )
     keys: str = Field(
         "", description="folder of the robot's certificate; empty = `robot` where `keys init` puts it"
     )
+
+    @model_validator(mode="after")
+    def _who_joins_serves_nobody(self) -> NetworkConfig:
+        if self.join and self.listen:
+            raise ValueError("`listen` belongs to the stack that brings the router: not with `join`")
+        return self
 
 
 class StackConfig(BaseModel):
@@ -65,7 +76,11 @@ class StackConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    robot: str = Field("go2w", pattern=r"^[A-Za-z0-9_-]+$", description="name of this robot on this machine")
+    robot: str = Field(
+        ROBOT,
+        pattern=r"^[A-Za-z][A-Za-z0-9_-]*$",
+        description="name of this robot; another than the default is the ROS namespace of its topics",
+    )
     backend: Literal["sim", "unitree"] = Field("sim", description="simulated or real robot")
     port: int = Field(7447, ge=1024, le=65535, description="TCP port of the Zenoh router, loopback only")
     domain: int = Field(0, ge=0, le=232, description="ROS domain")
@@ -139,6 +154,11 @@ class StackConfig(BaseModel):
     def simulated(self) -> bool:
         """Source clock is the simulator's."""
         return self.backend == "sim"
+
+    @property
+    def scope(self) -> Scope:
+        """Where its topics lie on the network."""
+        return Scope.of(self.domain, self.robot)
 
     @property
     def endpoint(self) -> str:

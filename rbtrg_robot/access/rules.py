@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from rbtrg_robot import topics as t
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys
 
@@ -32,32 +33,43 @@ RANKS = {Role.OBSERVER: (Role.OBSERVER,), Role.OPERATOR: (Role.OBSERVER, Role.OP
 """A role and those whose rights it has."""
 
 
-def access_control(domain: int, members: dict[Role, list[str]]) -> dict[str, Any]:
+def access_control(scope: Scope, members: dict[Role, list[str]]) -> dict[str, Any]:
     """Zenoh's `access_control` of the router. `members`: common names of the certificates that have each role.
 
     Who has none of these certificates may do nothing, whoever signed it. Outsiders declare no token and answer no query: with those
     they could pass for a process that died, or hand out a false map.
     """
-    all_keys = [f"{domain}/**", f"{domain}/**/@adv/**", f"@ros2_lv/{domain}/**"]
+    data, latched = f"{scope.prefix}/**", f"{scope.prefix}/**/@adv/**"
+    all_keys = [
+        data,
+        latched,
+        f"@ros2_lv/{scope.domain}/**",
+    ]  # ROS tools ask for the tokens of a whole domain
+    # `stop` of somebody who does not know the robot's name.
+    stop, state = (
+        f"{scope.domain}/**/{keys.key(x, scope).removeprefix(scope.prefix + '/')}"
+        for x in (t.ROBOT_STOP, t.ROBOT_STATE)
+    )
     rules: list[dict[str, Any]] = [
         _rule(LOCAL, EVERY_MESSAGE, ["**", "**/@adv/**", "@ros2_lv/**"]),
         _rule("hear", EVERY_MESSAGE, all_keys, "egress"),
-        _rule("see", SEE, all_keys, "ingress"),
+        _rule("see", SEE, [*all_keys, state.rpartition("/")[0] + "/*"], "ingress"),
+        _rule("stop", ("put",), [stop], "ingress"),
         _rule(
             "ask",
             ("query",),
-            [f"{domain}/**/@adv/**", *(f"{domain}/rbtrg/{name}" for name in ASKED)],
+            [latched, *(keys.service(name, scope) for name in ASKED)],
             "ingress",
         ),
     ]
     subjects: list[dict[str, Any]] = [{"id": LOCAL, "link_protocols": ["tcp"], "interfaces": ["lo"]}]
     policies: list[dict[str, Any]] = [{"rules": [LOCAL], "subjects": [LOCAL]}]
     for role, own in RANKS.items():
-        rules.append(_rule(role.value, ("put",), [keys.key(x, domain) for x in publishable(role)], "ingress"))
+        rules.append(_rule(role.value, ("put",), [keys.key(x, scope) for x in publishable(role)], "ingress"))
         if members.get(role):  # Zenoh refuses a subject with an empty list of names
             names = members[role]
             subjects.append({"id": role.value, "cert_common_names": names, "link_protocols": ["tls"]})
-            allowed = ["hear", "see", "ask", *(x.value for x in own)]
+            allowed = ["hear", "see", "ask", "stop", *(x.value for x in own)]
             policies.append({"rules": allowed, "subjects": [role.value]})
     return {
         "enabled": True,

@@ -17,4 +17,4 @@ def security(config: StackConfig) -> Security | None:
         return None
     folder = Path(config.network.keys or keys_dir() / ROBOT)
     check(folder)
-    return Security(server_tls(folder), config.network.listen, access_control(config.domain, members(folder)))
+    return Security(server_tls(folder), config.network.listen, access_control(config.scope, members(folder)))

@@ -9,7 +9,9 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+from rbtrg_robot.scope import NAMED, ROBOT
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 REACHED, REJECTED, ABORTED, CANCELLED, TIMED_OUT = 0, 2, 3, 4, 5
 EXIT = {
     "reached": REACHED,
@@ -40,7 +42,7 @@ def goal(
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end.")] = False,
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds; 0 = never.")] = 0.0,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Send the robot to a place. Exit status: 0 reached, 2 rejected, 3 aborted, 4 cancelled or preempted, 5 timed out."""
     import time
@@ -149,7 +151,7 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
     return code
 
 
-def cancel(robot: Robot = "go2w") -> None:
+def cancel(robot: Robot = ROBOT) -> None:
     """Cancel the present goal, whoever sent it; the robot stops."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.orders.goal import CancelGoal
@@ -159,14 +161,14 @@ def cancel(robot: Robot = "go2w") -> None:
         _tell(follow(bus, CancelGoal()))
 
 
-def stop(robot: Robot = "go2w") -> None:
+def stop(robot: Robot = ROBOT) -> None:
     """Emergency stop: zero velocity at once, latched until `resume`. Sent until the robot confirms it."""
     from rbtrg_robot.cli.stop import stop as send
 
     raise typer.Exit(send(robot))
 
 
-def resume(robot: Robot = "go2w") -> None:
+def resume(robot: Robot = ROBOT) -> None:
     """Release the emergency stop, and give the motion back to the stack after driving by hand."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.orders.order import follow
@@ -179,7 +181,7 @@ def resume(robot: Robot = "go2w") -> None:
 def posture(
     what: Annotated[Literal["stand", "sit", "damp", "recover"], typer.Argument(help="What to do.")],
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds.")] = 30.0,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Stand up, sit down, go soft (damp), or recover from a fall or a fault."""
     from rbtrg_robot.cli.link import connect

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot.cli.drive import Robot
+from rbtrg_robot.scope import ROBOT
 
 
 def register(app: typer.Typer) -> None:
@@ -24,7 +25,7 @@ def foxglove(
     origin: Annotated[
         list[str] | None, typer.Option(help="Web page that may connect beside the app: http://HOST:PORT.")
     ] = None,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Serve the topics to the Foxglove app until Ctrl-C. On an address other than loopback no goals are taken."""
     from hal.errors import OperatorError

@@ -9,7 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+from rbtrg_robot.scope import NAMED, ROBOT
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 
 scene_app = typer.Typer(help="Built-in scenes and terrain files.", no_args_is_help=True)
 config_app = typer.Typer(help="Configuration of the stack.", no_args_is_help=True)
@@ -99,7 +101,7 @@ def config_schema() -> None:
 
 
 @map_app.command("save")
-def map_save(file: Path, robot: Robot = "go2w") -> None:
+def map_save(file: Path, robot: Robot = ROBOT) -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
     from mapping.elevation import MapError
     from rbtrg_robot.cli.link import connect
@@ -134,7 +136,7 @@ def report(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Default: report-DATE.tar.gz.")] = None,
     log_dir: Annotated[Path, typer.Option(help="Where the newest run is looked for.")] = Path("logs"),
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Pack configuration, versions, doctor, status, last log lines and the last 60 s of a run into one archive."""
     from hal.errors import OperatorError

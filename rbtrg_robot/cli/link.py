@@ -6,6 +6,7 @@ from typing import Any
 
 from rbtrg_robot.access.identity import NAME, client_tls, problem, remote
 from rbtrg_robot.process.runfiles import read_state
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus, BusError, Security
 
 
@@ -14,11 +15,11 @@ def connect(robot: str) -> Bus:
     far = remote()
     if far is None:
         state = read_state(robot)
-        return Bus(state["endpoint"], "cli", int(state["domain"]))
+        return Bus(state["endpoint"], "cli", Scope.of(int(state["domain"]), robot))
     wrong = problem(far.folder)
     if wrong:
         raise BusError(f"{wrong}; set {NAME} to your name or to the folder of your certificate")
-    return Bus(far.endpoint, "cli", far.domain, security=Security(client_tls(far.folder)))
+    return Bus(far.endpoint, "cli", Scope.of(far.domain, robot), security=Security(client_tls(far.folder)))
 
 
 def scene(robot: str) -> str:

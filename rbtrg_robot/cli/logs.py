@@ -12,7 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+from rbtrg_robot.scope import NAMED, ROBOT
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
 
 log_app = typer.Typer(help="Look at, check and repair logs.", no_args_is_help=True)
@@ -40,7 +42,7 @@ def replay(
         Path | None, typer.Option(help="For --rerun: YAML over the log's configuration.")
     ] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="For --rerun: a.b=c over it.")] = None,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
     port: Annotated[int, typer.Option(help="TCP port of the router when no stack is up.")] = 7447,
 ) -> None:
     """Play a log on the bus (space: pause, right: next, up/down: rate, q: quit), or run stages on it again."""
@@ -96,13 +98,14 @@ def _replay_bus(robot: str, port: int) -> Any:
     """The running stack's bus when it has no robot of its own, else a router of our own."""
     from rbtrg_robot.config import ConfigError
     from rbtrg_robot.process.runfiles import NotRunning, read_state
+    from rbtrg_robot.scope import Scope
     from rbtrg_robot.wire.bus import Bus
 
     try:
         state = read_state(robot)
     except NotRunning:
-        return Bus(f"tcp/127.0.0.1:{port}", "replay", router=True)
-    bus = Bus(state["endpoint"], "replay", int(state["domain"]))
+        return Bus(f"tcp/127.0.0.1:{port}", "replay", Scope.of(0, robot), router=True)
+    bus = Bus(state["endpoint"], "replay", Scope.of(int(state["domain"]), robot))
     if "robot" in bus.processes():
         bus.close()
         what = "real robot" if state["backend"] != "sim" else "simulated robot"

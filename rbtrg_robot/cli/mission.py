@@ -17,6 +17,7 @@ import typer
 
 from rbtrg_robot.cli.drive import Robot
 from rbtrg_robot.orders.who import me
+from rbtrg_robot.scope import ROBOT
 
 if TYPE_CHECKING:
     from rbtrg_robot.missions.geojson import Origin
@@ -47,7 +48,7 @@ def run(
     update: Annotated[
         bool, typer.Option("--update", help="Change the running mission from its next step on.")
     ] = False,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Send the robot on a mission. Exit status: 0 started (finished with --wait), 2 refused, 3 failed, 4 stopped or paused by Ctrl-C."""
     from rbtrg_robot import topics as t
@@ -83,7 +84,7 @@ def run(
 def status(
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
     follow: Annotated[bool, typer.Option("--follow", help="Watch until its end.")] = False,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """How far the mission is. With --follow the mission knows that an operator is in contact."""
     from rbtrg_robot import topics as t
@@ -102,31 +103,31 @@ def status(
 
 
 @app.command()
-def pause(robot: Robot = "go2w") -> None:
+def pause(robot: Robot = ROBOT) -> None:
     """The robot stands; `mission resume` begins the present step again."""
     _tell(robot, "pause")
 
 
 @app.command()
-def resume(robot: Robot = "go2w") -> None:
+def resume(robot: Robot = ROBOT) -> None:
     """Go on after a pause, an emergency stop, driving by hand or a restart of the stack."""
     _tell(robot, "resume")
 
 
 @app.command()
-def skip(robot: Robot = "go2w") -> None:
+def skip(robot: Robot = ROBOT) -> None:
     """Leave the present step out."""
     _tell(robot, "skip")
 
 
 @app.command()
-def stop(robot: Robot = "go2w") -> None:
+def stop(robot: Robot = ROBOT) -> None:
     """End the mission; the robot stands. This is no emergency stop: that is `rbtrg-robot stop`."""
     _tell(robot, "stop")
 
 
 @app.command()
-def answer(text: Annotated[str, typer.Argument(help="One of the choices.")], robot: Robot = "go2w") -> None:
+def answer(text: Annotated[str, typer.Argument(help="One of the choices.")], robot: Robot = ROBOT) -> None:
     """Answer the question of the present step."""
     _tell(robot, "answer", answer=text)
 
@@ -168,7 +169,7 @@ def record(
         float, typer.Option(min=0.0, help="A step every so many metres; 0 = only on Enter.")
     ] = 0.0,
     name: Annotated[str, typer.Option(help="Name of the mission.")] = "",
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Drive the robot once; where you press Enter becomes a step. `q` or Ctrl-C writes the file."""
     from rbtrg_robot import topics as t

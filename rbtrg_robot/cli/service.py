@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from rbtrg_robot.scope import NAMED, ROBOT
+
 app = typer.Typer(help="The stack as a service of systemd.", no_args_is_help=True)
 User = Annotated[bool, typer.Option("--user", help="A service of yours, not of the whole computer.")]
 
@@ -52,7 +54,8 @@ def install(
 
 @app.command()
 def show(
-    robot: Annotated[str, typer.Option("--robot", help="Name of the robot.")] = "go2w", user: User = False
+    robot: Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")] = ROBOT,
+    user: User = False,
 ) -> None:
     """Print the unit file that is installed."""
     from rbtrg_robot.process import service

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rbtrg_robot.scope import NAMED, ROBOT
+
 if TYPE_CHECKING:
     from rbtrg_robot.config import StackConfig
     from rbtrg_robot.process.zygote import Zygote
 
-ROBOT = "go2w"
-"""Name of a robot that was given none."""
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 DETACH_LIMIT = 240.0
 DOWN_LIMIT = 8.0
 
@@ -56,7 +56,7 @@ def up(
     viewer: Annotated[bool, typer.Option("--viewer", help="Show the simulated robot in a window.")] = False,
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
-    robot: Annotated[str | None, typer.Option(help="Name of the robot.")] = None,
+    robot: Annotated[str | None, typer.Option(envvar=NAMED, help="Name of the robot.")] = None,
     port: Annotated[int | None, typer.Option(help="TCP port of the router, loopback.")] = None,
     resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
     height_range: Annotated[

@@ -21,9 +21,10 @@ from zenoh.handlers import Callback
 
 from rbtrg_robot.access.identity import client_tls, problem, remote
 from rbtrg_robot.orders.limits import PATIENCE, REPEAT, USE_HARDWARE, WORRY
+from rbtrg_robot.scope import Scope, meant
 
-DEFAULT = ("tcp/127.0.0.1:7447", 0)
-"""Endpoint and domain of a stack that was given no others."""
+DEFAULT = "tcp/127.0.0.1:7447"
+"""Endpoint of a stack that was given no other."""
 STOP_KEY = "robot/stop/rbtrg_msgs::msg::dds_::RobotCommand_/"
 STOP_HASH = "RIHS01_4796778b41b2cd20cd02d5d4330de2a265dd8ca80c524e4b029d547a33025ca2"
 STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
@@ -31,7 +32,7 @@ STATE_KEY = "robot/state/rbtrg_msgs::msg::dds_::RobotState_/*"
 
 def command(words: list[str]) -> int:
     """`rbtrg-robot stop [--robot NAME]`; returns the exit status. A word it does not know keeps nothing from being stopped."""
-    robot = "go2w"
+    robot = meant()
     for number, word in enumerate(words):
         if word == "--robot" and number + 1 < len(words):
             robot = words[number + 1]
@@ -63,12 +64,12 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
     worry.start()
     try:
         while time.monotonic() < deadline:
-            for endpoint, domain in places(robot):
+            for endpoint, prefix in places(robot):
                 session = _open(endpoint)
                 if session is not None:
                     told.set()
                     with session:
-                        return _send(session, domain, deadline)
+                        return _send(session, prefix, deadline)
             tell()
             time.sleep(REPEAT)
     finally:
@@ -76,18 +77,20 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
     return 1
 
 
-def places(robot: str) -> list[tuple[str, int]]:
-    """Endpoints and domains to try in turn: that of another computer, or what the stack of this name wrote down and the default."""
+def places(robot: str) -> list[tuple[str, str]]:
+    """Endpoints and prefixes of keys to try in turn: that of another computer, or what the stack of this name wrote down and the default."""
     far = remote()
     if far is not None:
-        return [(far.endpoint, far.domain)]
+        return [(far.endpoint, Scope.wanted(far.domain, robot))]
+    default = (DEFAULT, Scope.wanted(0, robot))
     try:
         from rbtrg_robot.process.runfiles import run_dir
 
         state = json.loads((run_dir() / f"{robot}.json").read_text())
-        return list(dict.fromkeys([(str(state["endpoint"]), int(state["domain"])), DEFAULT]))
+        written = (str(state["endpoint"]), Scope.of(int(state["domain"]), robot).prefix)
+        return list(dict.fromkeys([written, default]))
     except Exception:  # noqa: BLE001  whatever is wrong with that folder: the default port is tried
-        return [DEFAULT]
+        return [default]
 
 
 def _open(endpoint: str) -> zenoh.Session | None:
@@ -106,7 +109,7 @@ def _open(endpoint: str) -> zenoh.Session | None:
         return None
 
 
-def _send(session: zenoh.Session, domain: int, deadline: float) -> int:
+def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
     confirmed = threading.Event()
     causes: list[str] = []
 
@@ -117,7 +120,7 @@ def _send(session: zenoh.Session, domain: int, deadline: float) -> int:
             confirmed.set()
 
     publisher = session.declare_publisher(
-        f"{domain}/{STOP_KEY}{STOP_HASH}",
+        f"{prefix}/{STOP_KEY}{STOP_HASH}",
         congestion_control=zenoh.CongestionControl.DROP,
         priority=zenoh.Priority.REAL_TIME,
         express=True,
@@ -129,7 +132,7 @@ def _send(session: zenoh.Session, domain: int, deadline: float) -> int:
         now = time.time_ns()
         publisher.put(order(now), attachment=struct.pack("<qqB16s", sent, now, 16, sender))
         if sent == 1:
-            session.declare_subscriber(f"{domain}/{STATE_KEY}", Callback(heard, indirect=False))
+            session.declare_subscriber(f"{prefix}/{STATE_KEY}", Callback(heard, indirect=False))
         if confirmed.wait(REPEAT):
             print(f"stopped: {causes[0]}")
             return 0

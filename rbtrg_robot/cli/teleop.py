@@ -11,7 +11,9 @@ from typing import Annotated, Any
 
 import typer
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+from rbtrg_robot.scope import NAMED, ROBOT
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 PERIOD = 0.05
 """[s] between two velocities; the robot lets go after 0.2 s of silence."""
 HELP = "w a s d or arrows drive while held, + - speed, space or Esc STOP, r resume the stack, q quit"
@@ -26,7 +28,7 @@ def teleop(
     speed: Annotated[
         float, typer.Option(min=0.1, max=1.0, help="Forward [m/s]; turns at twice as many rad/s.")
     ] = 0.4,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Drive by hand with the keys of this terminal. A goal waits until `resume`; the guard brakes hands too."""
     from rbtrg_robot import topics as t

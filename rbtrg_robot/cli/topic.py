@@ -12,7 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
-Robot = Annotated[str, typer.Option("--robot", help="Name of the robot.")]
+from rbtrg_robot.scope import NAMED, ROBOT
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 LogFile = Annotated[Path | None, typer.Option("--log", help="A log instead of the running stack.")]
 Seconds = Annotated[float, typer.Option(help="How long to listen; else until Ctrl-C.")]
 
@@ -51,14 +53,14 @@ def topic_list(log: LogFile = None) -> None:
 
 
 @topic_app.command("hz")
-def topic_hz(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = "go2w") -> None:
+def topic_hz(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Rate of a topic, a line every second."""
     for count, _, span in _counts(name, log, seconds, robot):
         print(f"{count / span:.2f} Hz", flush=True)
 
 
 @topic_app.command("bw")
-def topic_bw(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = "go2w") -> None:
+def topic_bw(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Bandwidth of a topic, a line every second."""
     for _, size, span in _counts(name, log, seconds, robot):
         print(f"{size / span / 1000:.1f} kB/s", flush=True)
@@ -99,7 +101,7 @@ def topic_echo(
     name: str,
     log: LogFile = None,
     count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many; 0 = never.")] = 0,
-    robot: Robot = "go2w",
+    robot: Robot = ROBOT,
 ) -> None:
     """Print messages of a topic."""
     from rbtrg_robot.cli.show import as_text

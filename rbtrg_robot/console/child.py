@@ -27,6 +27,7 @@ from rbtrg_robot.log.file import CONFIG, first_of, read_run
 from rbtrg_robot.log.replay import Controls, play
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.process.zygote import PR_SET_PDEATHSIG, prctl
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode
 
@@ -74,7 +75,7 @@ class Wishes:
 def play_run(endpoint: str, domain: str, run: str, rate: str, start: str) -> None:
     """Raises LogError, BusError."""
     controls, progress = Controls(rate=float(rate)), Progress()
-    with Bus(endpoint, "replay", int(domain)) as bus:
+    with Bus(endpoint, "replay", Scope(int(domain))) as bus:
         report = play(
             *(bus, Path(run)),
             controls=controls,

@@ -24,6 +24,7 @@ from rbtrg_robot.console.archive import run_folder
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused
 from rbtrg_robot.console.feed import HEARD, Feed, Slots
 from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
 
 DOMAINS, AWAY = 233, 100
@@ -42,7 +43,7 @@ class Playback:
         """Blocks until the bus is open. Raises BusError."""
         self.run = run
         self.domain = (config.domain + AWAY) % DOMAINS
-        self._bus = Bus(config.endpoint, "console", self.domain)
+        self._bus = Bus(config.endpoint, "console", Scope(self.domain))
         self.feed = Feed(self._bus, config.capabilities(), loop, replayed=True)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._turn, name="replay", daemon=True)

@@ -45,12 +45,12 @@ def run(spec: dict[str, Any]) -> int:
         module, function = row.entry.split(":")
         entry = getattr(importlib.import_module(module), function)
         if not row.hosted:
-            with Bus(config.endpoint, name, config.domain, **ours) as bus:
+            with Bus(config.endpoint, name, config.scope, **ours) as bus:
                 entry(config, bus, stop.is_set, restored)
             return 0
         stage = entry(config)
         stage.warm_up()
-        with Bus(config.endpoint, name, config.domain, **ours) as bus:
+        with Bus(config.endpoint, name, config.scope, **ours) as bus:
             node = Node(row, stage, bus, simulated=config.simulated)
             node.restore(restored)
             try:

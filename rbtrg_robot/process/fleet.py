@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 from rbtrg_robot.process.runfiles import NotRunning, read_state, running
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus, BusError
 
 
@@ -15,7 +16,7 @@ def statuses() -> dict[str, dict[str, Any] | None]:
     for name in running():
         try:
             state = read_state(name)
-            with Bus(state["endpoint"], "cli", int(state["domain"])) as bus:
+            with Bus(state["endpoint"], "cli", Scope.of(int(state["domain"]), name)) as bus:
                 answer = bus.ask("status")
             found[name] = None if answer is None else json.loads(answer)
         except NotRunning:  # it ended meanwhile

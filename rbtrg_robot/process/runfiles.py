@@ -32,7 +32,7 @@ class AlreadyRunning(OperatorError):
 
 
 class RobotTaken(OperatorError):
-    """Another stack on this computer drives the robot behind the same interface."""
+    """Another stack drives the robot behind the same interface, or has its name on the same router."""
 
 
 class NotRunning(OperatorError):

@@ -30,12 +30,13 @@ from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.notify import Notifier
+from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
 from rbtrg_robot.process.supervised import Child, end
 from rbtrg_robot.process.zygote import Zygote
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.bus import Bus, stack_id
+from rbtrg_robot.wire.bus import stack_id
 from rbtrg_robot.wire.clock import SourceClock
 
 log = logging.getLogger(__name__)
@@ -112,10 +113,9 @@ class Supervisor:
             self._kept |= left
             self._say("a mission of before is paused: see `rbtrg-robot mission status`")
         try:
-            endpoint, domain = self._config.endpoint, self._config.domain
             ours: dict[str, Any] = {"clock": self._clock, "stack": self._stack}
             served = security(self._config)
-            with Bus(endpoint, "supervisor", domain, router=True, security=served, **ours) as bus:
+            with open_bus(self._config, security=served, **ours) as bus:
                 if self._config.network.listen:
                     self._say(f"listening on {', '.join(self._config.network.listen)}")
                 self._write_state(lock)

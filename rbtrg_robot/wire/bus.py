@@ -25,6 +25,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from hal.errors import OperatorError
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
@@ -116,7 +117,7 @@ class Bus:
         self,
         endpoint: str,
         node: str,
-        domain: int = 0,
+        scope: Scope = Scope(),
         *,
         router: bool = False,
         clock: SourceClock | None = None,
@@ -130,7 +131,7 @@ class Bus:
         """
         self.clock = clock or SourceClock()
         self.node = node
-        self.domain = domain
+        self.scope = scope
         zenoh.init_log_from_env_or("off")
         self._stack = stack
         config = session_config(endpoint, router=router, stack=stack, security=security)
@@ -149,7 +150,7 @@ class Bus:
             raise BusError(what, retry=not router) from error
         self._zid = str(self.session.zid())
         self._held: list[Any] = [
-            self.session.liveliness().declare_token(wire.node_token(domain, self._zid, node))
+            self.session.liveliness().declare_token(wire.node_token(scope, self._zid, node))
         ]
         self._entities = 1
         self._watches = False
@@ -185,9 +186,9 @@ class Bus:
         """Declare a publisher and its token now rather than at the first message."""
         if topic not in self.publishers:
             self._entities += 1
-            token = wire.endpoint_token(self.domain, self._zid, self.node, topic, self._entities, "MP")
+            token = wire.endpoint_token(self.scope, self._zid, self.node, topic, self._entities, "MP")
             self._held.append(self.session.liveliness().declare_token(token))
-            self.publishers[topic] = Publisher(self.session, topic, self.domain, wire.gid(token))
+            self.publishers[topic] = Publisher(self.session, topic, self.scope, wire.gid(token))
         return self.publishers[topic]
 
     def subscribe(self, wanted: Iterable[Topic]) -> None:
@@ -197,10 +198,10 @@ class Bus:
                 continue
             self._queues[topic] = deque()
             self._entities += 1
-            token = wire.endpoint_token(self.domain, self._zid, self.node, topic, self._entities, "MS")
+            token = wire.endpoint_token(self.scope, self._zid, self.node, topic, self._entities, "MS")
             self._held.append(self.session.liveliness().declare_token(token))
             handler = Callback(self._receiver(topic), indirect=False)
-            name = wire.key(topic, self.domain)
+            name = wire.key(topic, self.scope)
             if topic.qos is Qos.LATCHED:
                 history = ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
                 self._held.append(
@@ -279,7 +280,7 @@ class Bus:
             if alive:
                 changed(process, True)
 
-        pattern = wire.node_token(self.domain, "*", "*")
+        pattern = wire.node_token(self.scope, "*", "*")
         subscriber = self.session.liveliness().declare_subscriber(
             pattern, Callback(receive, indirect=False), history=True
         )
@@ -291,19 +292,25 @@ class Bus:
         Not beside `watch_processes`: a session that has subscribed to the tokens is sometimes answered with none
         (Zenoh 1.10: 53 of 602 times).
         """
+        return {wire.process_of(token) for token in self._tokens("*", timeout)}
+
+    def second(self, node: str, timeout: float = 2.0) -> bool:
+        """Whether somebody else is on the bus as this node of this robot. Raises BusError like `processes`."""
+        return any(not wire.session_of(x).startswith(self._stack) for x in self._tokens(node, timeout))
+
+    def _tokens(self, node: str, timeout: float) -> list[str]:
         if self._watches:
             raise RuntimeError("a bus that watches the processes knows them already")
-        pattern = wire.node_token(self.domain, "*", "*")
-        found = set()
-        for reply in self.session.liveliness().get(pattern, timeout=timeout):
+        found = []
+        for reply in self.session.liveliness().get(wire.node_token(self.scope, "*", node), timeout=timeout):
             if reply.ok is None:
                 raise BusError("the stack does not say who is on its bus; ask again in a second", retry=True)
-            found.add(wire.process_of(str(reply.ok.key_expr)))
+            found.append(str(reply.ok.key_expr))
         return found
 
     def serve(self, name: str, answer: Callable[[bytes], bytes]) -> None:
         """Answer queries on a name of the supervisor's own; `answer` runs in Zenoh's thread and must be quick."""
-        full = f"{self.domain}/rbtrg/{name}"
+        full = wire.service(name, self.scope)
 
         def receive(query: zenoh.Query) -> None:
             payload = query.payload.to_bytes() if query.payload is not None else b""
@@ -313,7 +320,7 @@ class Bus:
 
     def ask(self, name: str, payload: bytes = b"", timeout: float = 2.0) -> bytes | None:
         """The first answer to a query, or None when nobody answers in time [s]."""
-        full = f"{self.domain}/rbtrg/{name}"
+        full = wire.service(name, self.scope)
         for reply in self.session.get(full, payload=payload, timeout=timeout):
             if reply.ok is not None:
                 return reply.ok.payload.to_bytes()
@@ -323,11 +330,11 @@ class Bus:
 class Publisher:
     """One topic's outgoing side."""
 
-    def __init__(self, session: zenoh.Session, topic: Topic, domain: int, endpoint: bytes) -> None:
+    def __init__(self, session: zenoh.Session, topic: Topic, scope: Scope, endpoint: bytes) -> None:
         self._gid = endpoint
         self.count = 0
         self.newest = 0
-        name = wire.key(topic, domain)
+        name = wire.key(topic, scope)
         qos: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
         if topic.qos is Qos.COMMAND:
             qos |= {"priority": zenoh.Priority.REAL_TIME, "express": True}

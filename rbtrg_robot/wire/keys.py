@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import struct
 
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.messages import type_hash
 
@@ -27,14 +28,24 @@ def dds_type(typename: str) -> str:
     return f"{package}::msg::dds_::{name}_"
 
 
-def key(topic: Topic, domain: int) -> str:
+def key(topic: Topic, scope: Scope) -> str:
     """Data key of a topic."""
-    return f"{domain}/{topic.name.strip('/')}/{dds_type(topic.type)}/{type_hash(topic.type)}"
+    return f"{scope.prefix}/{topic.name.strip('/')}/{dds_type(topic.type)}/{type_hash(topic.type)}"
 
 
-def node_token(domain: int, zid: str, node: str) -> str:
-    """Liveliness token of a node; node id 0, empty enclave and namespace."""
-    return f"@ros2_lv/{domain}/{zid}/0/0/NN/%/%/{node}"
+def service(name: str, scope: Scope) -> str:
+    """Key of a question that the supervisor answers."""
+    return f"{scope.prefix}/rbtrg/{name}"
+
+
+def _mangled(name: str) -> str:
+    """A name as a part of a token, which holds no slash; the empty enclave and namespace are `%`."""
+    return name.replace("/", "%")
+
+
+def node_token(scope: Scope, zid: str, node: str) -> str:
+    """Liveliness token of a node; node id 0, empty enclave."""
+    return f"@ros2_lv/{scope.domain}/{zid}/0/0/NN/%/{_mangled('/' + scope.namespace)}/{node}"
 
 
 def process_of(token: str) -> str:
@@ -47,12 +58,11 @@ def session_of(token: str) -> str:
     return token.split("/", 3)[2]
 
 
-def endpoint_token(domain: int, zid: str, node: str, topic: Topic, entity: int, kind: str) -> str:
+def endpoint_token(scope: Scope, zid: str, node: str, topic: Topic, entity: int, kind: str) -> str:
     """Liveliness token of a publisher (`kind` MP) or subscription (MS)."""
-    name = topic.name.replace("/", "%")
     return (
-        f"@ros2_lv/{domain}/{zid}/0/{entity}/{kind}/%/%/{node}/{name}/"
-        f"{dds_type(topic.type)}/{type_hash(topic.type)}/{_QOS[topic.qos]}"
+        f"@ros2_lv/{scope.domain}/{zid}/0/{entity}/{kind}/%/{_mangled('/' + scope.namespace)}/{node}/"
+        f"{_mangled(scope.topic(topic.name))}/{dds_type(topic.type)}/{type_hash(topic.type)}/{_QOS[topic.qos]}"
     )
 
 

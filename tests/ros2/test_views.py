@@ -15,6 +15,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.foxglove import BACK, STOP
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import build_stages
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import Qos
 from rbtrg_robot.wire.messages import STORE
 from tests.places import ROOT
@@ -51,6 +52,15 @@ def test_rviz_shows_topics_of_the_table(kind: str, place: dict[str, Any]) -> Non
     assert latched == (topic.qos is Qos.LATCHED)
     if topic.qos is Qos.SENSOR:  # a reliable reader gets nothing from a best effort writer
         assert place["Reliability Policy"] == "Best Effort"
+
+
+def test_the_configuration_is_made_that_of_a_robot_with_a_name_as_the_docs_say() -> None:
+    """`sed 's#Value: /#Value: /a/#'` changes the topics, all of them and nothing else."""
+    text = (ROOT / "ros2" / "rbtrg.rviz").read_text()
+    named = yaml.safe_load(text.replace("Value: /", "Value: /a/"))["Visualization Manager"]
+    topics = {Scope.of(0, "a").topic(place["Value"]) for _, place in shown()}
+    assert set(re.findall(r"(?<=Value: )/a/\S+", text.replace("Value: /", "Value: /a/"))) == topics
+    assert named["Global Options"] == RVIZ["Global Options"]
 
 
 def test_rviz_knows_our_frames() -> None:

@@ -22,6 +22,7 @@ from rbtrg_robot.access import certificates
 from rbtrg_robot.access.identity import CA, client_tls
 from rbtrg_robot.access.serve import security
 from rbtrg_robot.config import load
+from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.topics import Role, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.bus import Bus, BusError, Security
@@ -56,7 +57,7 @@ QUIET = 1.0
 class Site:
     """A router that serves TLS, a process of its stack, and one certificate of each sort."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, robot: str = ROBOT) -> None:
         base = folder / "keys"
         certificates.make_authority(base, 2)
         for name, role in (
@@ -76,12 +77,14 @@ class Site:
         (other / "mallory" / CA).write_bytes((base / "robot" / CA).read_bytes())
         self.endpoint = f"tls/127.0.0.1:{free_port()}"
         network = {"listen": [self.endpoint], "keys": str(base / "robot")}
-        config = load(port=free_port(), network=network)
-        self._router = Bus(config.endpoint, "supervisor", router=True, security=security(config))
+        config = load(port=free_port(), network=network, robot=robot)
+        self._router = Bus(
+            config.endpoint, "supervisor", config.scope, router=True, security=security(config)
+        )
         self._router.serve("status", lambda _: b'"well"')
         self._router.serve("map", lambda _: b"not for outsiders")
         self.local = config.endpoint
-        self.inside = Bus(config.endpoint, "robot")
+        self.inside = Bus(config.endpoint, "robot", config.scope)
         self._turn = threading.Condition()
         self._heard: set[tuple[str, bytes]] = set()
         self.inside.session.declare_subscriber("**", Callback(self._take, indirect=False))
@@ -109,7 +112,7 @@ class Site:
 
         They are sent again until a stop that is sent after them arrives, where that may; all in one order, at one priority.
         """
-        last = (wire.key(t.ROBOT_STOP, 0), mark + b", the last")
+        last = (wire.key(t.ROBOT_STOP, Scope()), mark + b", the last")
         until = time.monotonic() + QUIET
         while True:
             for name in names:
@@ -133,7 +136,7 @@ class Site:
 
     def deceived(self, bus: Bus) -> bool:
         """Whether the stack hears an answer or a token from outside."""
-        name = wire.node_token(0, str(bus.session.zid()), "tracker")
+        name = wire.node_token(Scope(), str(bus.session.zid()), "tracker")
         bus.session.liveliness().declare_token(name)
         bus.serve("invented", lambda _: b"false")
         return self.inside.ask("invented", timeout=QUIET) is not None or bool(
@@ -179,7 +182,7 @@ def enter(place: Site, who: str) -> Cells:
 
 def publish(place: Site, who: str) -> Cells:
     """Each topic of the table, and key expressions that would match many."""
-    names = {wire.key(topic, 0): topic.name for topic in t.TOPICS}
+    names = {wire.key(topic, Scope()): topic.name for topic in t.TOPICS}
     names |= {
         name: name for name in ("0/**", "**", "0/cmd_vel/**", "0/new/topic", "0/rbtrg/status", "1/cmd_vel")
     }

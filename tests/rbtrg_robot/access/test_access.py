@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.stop import stop
 from rbtrg_robot.config import load
+from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Role
@@ -55,10 +57,19 @@ def test_a_topic_is_closed_unless_its_row_opens_it() -> None:
 
 def test_a_role_without_people_is_no_subject() -> None:
     """Zenoh refuses a subject with an empty list of names."""
-    made = rules.access_control(0, {Role.OPERATOR: [], Role.OBSERVER: ["observer:bob:00000000"]})
+    made = rules.access_control(Scope(), {Role.OPERATOR: [], Role.OBSERVER: ["observer:bob:00000000"]})
     assert [s["id"] for s in made["subjects"]] == ["local", "observer"]
     assert all(s["id"] == "local" or s["cert_common_names"] for s in made["subjects"])
     assert [p["subjects"] for p in made["policies"]] == [["local"], ["observer"]]
+
+
+def test_the_rules_of_a_robot_with_a_name_open_its_own_topics_alone() -> None:
+    made = rules.access_control(Scope.of(0, "a"), {})
+    keys = {rule["id"]: rule["key_exprs"] for rule in made["rules"]}
+    assert all(key.startswith("0/a/") for role in Role for key in keys[role.value])
+    assert "0/a/rbtrg/status" in keys["ask"]
+    assert "0/**" not in keys["see"] + keys["hear"]
+    assert len(keys["stop"]) == 1, "the emergency stop alone needs no name"
 
 
 @pytest.mark.parametrize("who", ["foreign", "robot", NOBODY])
@@ -107,30 +118,47 @@ def test_nobody_outside_passes_for_a_process(place: Site, who: str) -> None:
         assert not place.deceived(bus)
 
 
-@pytest.mark.parametrize("who", ["operator", "observer"])
-def test_stop_works_from_another_computer(
-    place: Site, who: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def stopped(place: Site, who: str, robot: str, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Exit status of a stop from another computer; the robot confirms the second one it hears."""
     monkeypatch.setenv(CONNECT, place.endpoint)
     monkeypatch.setenv(NAME, str(place.folders[who]))
     end = threading.Event()
 
-    def robot() -> None:
-        with Bus(place.local, "robot") as bus:
+    def run() -> None:
+        with Bus(place.local, "robot", place.inside.scope) as bus:
             bus.subscribe([t.ROBOT_STOP])
             heard = 0
             while not end.is_set():
                 heard += len(bus.take(0.05))
                 bus.publish(t.ROBOT_STATE, t.ROBOT_STATE.kind(estop=heard > 1, estop_cause="operator"), 0)
 
-    thread = threading.Thread(target=robot)
+    thread = threading.Thread(target=run)
     thread.start()
     try:
-        assert stop("go2w", patience=20.0) == 0
+        return stop(robot, patience=20.0)
     finally:
         end.set()
         thread.join()
+
+
+@pytest.mark.parametrize("who", ["operator", "observer"])
+def test_stop_works_from_another_computer(
+    place: Site, who: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert stopped(place, who, ROBOT, monkeypatch) == 0
     assert capsys.readouterr().out == "stopped: operator\n"
+
+
+def test_a_robot_with_a_name_is_stopped_by_its_name_and_by_who_knows_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = Site(tmp_path, "a")
+    try:
+        for robot in ("a", ROBOT):
+            assert stopped(named, "observer", robot, monkeypatch) == 0
+        assert stop("b", patience=0.5) == 1
+    finally:
+        named.close()
 
 
 @pytest.mark.parametrize("mode", ["stop", "resume", "stand", "?"])
@@ -210,10 +238,10 @@ def test_what_an_observer_may_does_not_hang_on_how_the_session_calls_itself(plac
         "scouting": {"multicast": {"enabled": False}},
         "transport": {"link": {"tls": client_tls(place.folders["observer"])}},
     }
-    names = [wire.key(topic, 0) for topic in t.TOPICS]
+    names = [wire.key(topic, Scope()) for topic in t.TOPICS]
     with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))) as session:
         got = place.arrived(session, names, f"from a {mode}".encode())
-    assert got <= {wire.key(t.ROBOT_STOP, 0)}
+    assert got <= {wire.key(t.ROBOT_STOP, Scope())}
 
 
 def test_commands_work_from_another_computer(place: Site, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,6 +17,7 @@ from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.table import mission_line
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.runfiles import NotRunning, RunLock
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
 from tools.bench.ports import free_port
 
@@ -44,7 +45,9 @@ def two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             lock = RunLock(name)
             held.callback(lock.release)
             lock.write_state(endpoint=f"tcp/127.0.0.1:{port}", domain=0, ready=True, backend="sim", scene="")
-        bus = held.enter_context(Bus(f"tcp/127.0.0.1:{ports[0]}", "supervisor", router=True))
+        bus = held.enter_context(
+            Bus(f"tcp/127.0.0.1:{ports[0]}", "supervisor", Scope.of(0, "a"), router=True)
+        )
         bus.serve("status", lambda _: answer)
         yield
 

@@ -16,6 +16,7 @@ from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.stop import command, latch_in, order, places, stop
 from rbtrg_robot.config import load
 from rbtrg_robot.process.runfiles import RunLock
+from rbtrg_robot.scope import NAMED, ROBOT, Scope
 from rbtrg_robot.wire import keys
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import encode, header
@@ -26,13 +27,13 @@ HEAVY = {"numpy", "rosbags", "typer", "pydantic", "numba", "yaml", "rich", "rbtr
 
 
 def test_key_and_bytes_are_those_of_the_wire() -> None:
-    assert keys.key(t.ROBOT_STOP, 7) == f"7/{module.STOP_KEY}{module.STOP_HASH}"
-    assert keys.key(t.ROBOT_STATE, 7).rpartition("/")[0] == f"7/{module.STATE_KEY}".rpartition("/")[0]
+    assert keys.key(t.ROBOT_STOP, Scope(7)) == f"7/{module.STOP_KEY}{module.STOP_HASH}"
+    assert keys.key(t.ROBOT_STATE, Scope(7)).rpartition("/")[0] == f"7/{module.STATE_KEY}".rpartition("/")[0]
     stamp = 1_700_000_000_123_456_789
     message = msg.RobotCommand(header=header(stamp, ""), mode="stop", cause="operator")
     assert order(stamp) == encode(message)
     config = load()
-    assert (config.endpoint, config.domain) == module.DEFAULT
+    assert (config.endpoint, config.domain) == (module.DEFAULT, 0)
 
 
 @pytest.mark.parametrize("cause", ["", "operator", "Not-Aus", "ü" * 7])
@@ -67,11 +68,11 @@ def test_nothing_heavy_is_imported_before_it_is_sent() -> None:
 class Robot:
     """A robot that latches at the n-th stop it hears."""
 
-    def __init__(self, endpoint: str, latches_at: int) -> None:
+    def __init__(self, endpoint: str, latches_at: int, name: str = ROBOT, *, router: bool = True) -> None:
         self.heard = 0
         self._latches_at = latches_at
         self._end = threading.Event()
-        self._bus = Bus(endpoint, "robot", router=True)
+        self._bus = Bus(endpoint, "robot", Scope.of(0, name), router=router)
         self._bus.subscribe([t.ROBOT_STOP])
         self._thread = threading.Thread(target=self._run)
         self._thread.start()
@@ -110,20 +111,48 @@ def test_it_sends_until_the_robot_confirms(
     robot: Robot, endpoint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lock = RunLock("alpha")
+    alpha = Robot(endpoint, 3, "alpha", router=False)
     try:
         lock.write_state(endpoint=endpoint, domain=0)
         assert command(["--robot", "alpha"]) == 0
     finally:
+        alpha.close()
         lock.release()
-    assert robot.heard >= 3
+    assert alpha.heard >= 3
+    assert robot.heard == 0, "another robot on the same router"
     assert capsys.readouterr().out == "stopped: operator\n"
+
+
+def test_without_a_name_it_stops_whatever_robot_the_default_port_has(
+    robot: Robot, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
+    alpha = Robot(endpoint, 1, "alpha", router=False)
+    try:
+        assert command([]) == 0
+    finally:
+        alpha.close()
+    assert min(robot.heard, alpha.heard) >= 1
+
+
+def test_the_environment_may_name_the_robot(
+    robot: Robot, endpoint: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
+    monkeypatch.setenv(NAMED, "alpha")
+    alpha = Robot(endpoint, 3, "alpha", router=False)
+    try:
+        assert command([]) == 0
+    finally:
+        alpha.close()
+    assert (robot.heard, alpha.heard >= 3) == (0, True)
 
 
 @pytest.mark.parametrize("written", ["", "{", '{"endpoint": "tcp/127.0.0.1:1", "domain": 0}'])
 def test_without_a_run_folder_it_tries_the_default_port(
     robot: Robot, endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, written: str
 ) -> None:
-    monkeypatch.setattr(module, "DEFAULT", (endpoint, 0))
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
     if written:
         (tmp_path / "rbtrg").mkdir()
         (tmp_path / "rbtrg" / "go2w.json").write_text(written)
@@ -136,7 +165,7 @@ def test_without_a_run_folder_it_tries_the_default_port(
 def test_a_robot_that_never_confirms_hears_it_again_and_again(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "DEFAULT", (endpoint, 0))
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
     deaf = Robot(endpoint, 10**6)
     try:
         assert stop("go2w", patience=2.0) == 1
@@ -149,8 +178,8 @@ def test_a_robot_that_never_confirms_hears_it_again_and_again(
 def test_where_nobody_answers_it_goes_on_trying_and_says_so(
     endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "DEFAULT", (endpoint, 0))
-    assert places("go2w") == [(endpoint, 0)]
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
+    assert places("go2w") == [(endpoint, "0/**")]
     assert stop("go2w", patience=0.5) == 1
     assert f"nothing answers on {endpoint}; still trying, use the hardware stop" in capsys.readouterr().err
 

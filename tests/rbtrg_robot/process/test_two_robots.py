@@ -1,12 +1,14 @@
-"""Two real `up` beside each other: what one is told does not reach the other, and both are seen from one place."""
+"""Two real `up` on one router: what one is told does not reach the other, both are seen from one place, a third of their name is refused."""
 
 from __future__ import annotations
 
 import http.client
 import json
 import os
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +19,18 @@ from tools.bench.ports import free_port
 
 pytestmark = pytest.mark.timeout(300)
 START_LIMIT, LIMIT = 200.0, 60.0
+JOIN = ("--set", "network.join=true")
 ABSENT = ("recorder", "mission", "odometry", "elevation", "planner", "navigator", "tracker", "guard")
 """Robot and console are enough to see whom a command reaches."""
 
 
 def command(*words: str) -> list[str]:
     return [sys.executable, "-m", "rbtrg_robot.cli", *words]
+
+
+def listening(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 def statuses() -> dict[str, Any]:
@@ -39,12 +47,24 @@ def test_two_robots_live_side_by_side(tmp_path: Path, monkeypatch: pytest.Monkey
     for process in ABSENT:
         few += ["--without", process]
     starts = []
+    port = free_port()
+
+    def up(name: str, *more: str) -> list[str]:
+        words = ("up", "--robot", name, "--scene", "flat", "--port", str(port), *few, *more)
+        return command(*words, "--log-dir", str(tmp_path / name))
+
     try:
-        for name in "ab":
-            words = ("up", "--detach", "--robot", name, "--scene", "flat", "--port", str(free_port()), *few)
-            folder = ("--log-dir", str(tmp_path / name))
-            starts.append(subprocess.Popen(command(*words, *folder), env=dict(os.environ)))
+        starts.append(subprocess.Popen(up("a", "--detach"), env=dict(os.environ)))
+        until = time.monotonic() + LIMIT
+        while not listening(port) and time.monotonic() < until:
+            time.sleep(0.05)
+        starts.append(subprocess.Popen(up("b", "--detach", *JOIN), env=dict(os.environ)))
         assert [start.wait(START_LIMIT) for start in starts] == [0, 0]
+        # Somebody else on this computer, whose run folder knows of no `b`.
+        other = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path / "other")}
+        refused = subprocess.run(up("b", *JOIN), env=other, capture_output=True, text=True, timeout=LIMIT)
+        assert refused.returncode == 1
+        assert "a stack of robot 'b' is on the router" in refused.stderr.splitlines()[-1]
         before = statuses()
         assert sorted(before) == ["a", "b"]
         assert all(row["state"] == "ready" for s in before.values() for row in s["processes"])
@@ -71,5 +91,5 @@ def test_two_robots_live_side_by_side(tmp_path: Path, monkeypatch: pytest.Monkey
         for start in starts:
             start.kill()
             start.wait()
-        for name in "ab":
+        for name in "ba":
             subprocess.run(command("down", "--robot", name), timeout=LIMIT, check=False)

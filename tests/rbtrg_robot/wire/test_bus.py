@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from rbtrg_robot import topics as t
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus, BusError, Received, stack_id
 from rbtrg_robot.wire.messages import header, stamp_of
 from tools.bench.ports import free_endpoint
@@ -121,11 +122,15 @@ def test_a_foreign_node_of_the_same_name_changes_nothing(endpoint: str) -> None:
             foreign.close()
 
 
-def test_two_robots_with_domains_of_their_own_share_a_router_and_hear_nothing_of_each_other(
-    router: Bus, endpoint: str
+@pytest.mark.parametrize(
+    "scopes", [(Scope(1), Scope(2)), (Scope.of(0, "a"), Scope.of(0, "b")), (Scope.of(0, "a"), Scope())]
+)
+def test_robots_of_other_domains_or_names_share_a_router_and_hear_nothing_of_each_other(
+    router: Bus, endpoint: str, scopes: tuple[Scope, Scope]
 ) -> None:
     stack = stack_id()
-    with Bus(endpoint, "tracker", 1, stack=stack) as a, Bus(endpoint, "tracker", 2, stack=stack) as b:
+    one, other = scopes
+    with Bus(endpoint, "tracker", one, stack=stack) as a, Bus(endpoint, "tracker", other, stack=stack) as b:
         heard: list[tuple[str, bool]] = []
         b.watch_processes(lambda process, alive: heard.append((process, alive)))
         topics = [topic for topic in t.TOPICS if topic is not t.CLOCK]
@@ -139,8 +144,8 @@ def test_two_robots_with_domains_of_their_own_share_a_router_and_hear_nothing_of
         (own,) = collect(b, 1)
         assert own.decode().id == "b"
         assert b.ask("status", timeout=0.3) is None
-        with Bus(endpoint, "cli", 2) as asker:
-            assert asker.processes() == {"tracker", "cli"}
+        with Bus(endpoint, "cli", other) as asker:
+            assert asker.processes() - {"supervisor"} == {"tracker", "cli"}
         a.close()
         assert b.take(0.3) == []
     assert heard[0] == ("tracker", True)
@@ -159,3 +164,17 @@ def test_a_taken_port_and_a_missing_stack_are_told_in_words(router: Bus, endpoin
         Bus(endpoint, "other", router=True)
     with pytest.raises(BusError, match="rbtrg-robot up"):
         Bus("tcp/127.0.0.1:9", "cli")
+
+
+def test_a_second_node_of_the_same_robot_is_seen_and_that_of_another_robot_is_none(
+    router: Bus, endpoint: str
+) -> None:
+    own, a = stack_id(), Scope.of(0, "a")
+    with Bus(endpoint, "supervisor", a, stack=own) as first:
+        with Bus(endpoint, "supervisor", Scope.of(0, "b"), stack=stack_id()) as other:
+            assert not other.second("supervisor")
+        with Bus(endpoint, "guard", a, stack=own) as guard:
+            assert not guard.second("supervisor"), "its own supervisor"
+        assert not first.second("supervisor")
+        with Bus(endpoint, "supervisor", a, stack=stack_id()) as second:
+            assert second.second("supervisor")

@@ -11,6 +11,8 @@ from hal.go2w import MOTORS
 from hal.types import POINT_DTYPE, ImuSample, JointSample, LidarScan
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import topics
+from rbtrg_robot.config import load
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire import convert, messages
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire.messages import MessageError, decode, encode
@@ -146,16 +148,27 @@ def test_attachment_is_what_rmw_zenoh_reads() -> None:
 
 
 def test_keys_are_those_of_rmw_zenoh() -> None:
-    key = wire.key(topics.POINTS, 0)
+    key = wire.key(topics.POINTS, Scope())
     assert (
         key
         == f"0/lidar/main/points/sensor_msgs::msg::dds_::PointCloud2_/{messages.type_hash(topics.POINTS.type)}"
     )
-    token = wire.endpoint_token(0, "abc", "robot", topics.POINTS, 4, "MP")
+    token = wire.endpoint_token(Scope(), "abc", "robot", topics.POINTS, 4, "MP")
     assert token.startswith(
         "@ros2_lv/0/abc/0/4/MP/%/%/robot/%lidar%main%points/sensor_msgs::msg::dds_::PointCloud2_/"
     )
     assert all(token.split("/"))
+
+
+def test_a_robot_with_a_name_has_it_as_its_namespace_as_rmw_zenoh_writes_one() -> None:
+    a = Scope.of(3, "a")
+    hashed = messages.type_hash(topics.ODOM.type)
+    assert wire.key(topics.ODOM, a) == f"3/a/odom/nav_msgs::msg::dds_::Odometry_/{hashed}"
+    assert wire.node_token(a, "abc", "tracker") == "@ros2_lv/3/abc/0/0/NN/%/%a/tracker"
+    assert wire.endpoint_token(a, "abc", "robot", topics.ODOM, 4, "MS").startswith(
+        "@ros2_lv/3/abc/0/4/MS/%/%a/robot/%a%odom/nav_msgs::msg::dds_::Odometry_/"
+    )
+    assert Scope.of(3, load().robot) == Scope(3), "a robot that was given no name"
 
 
 def test_yaw_and_tilt_of_quaternions() -> None:

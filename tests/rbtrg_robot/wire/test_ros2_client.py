@@ -17,6 +17,7 @@ from zenoh.handlers import Callback
 from hal.types import POINT_DTYPE, ImuSample, LidarScan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus, session_config
 from rbtrg_robot.wire.convert import BASE, IMU, LIDAR, imu_msg, odometry_msg, scan_msg, transform_msg
 from rbtrg_robot.wire.keys import key
@@ -100,6 +101,6 @@ def test_a_late_advanced_subscriber_of_plain_zenoh_gets_what_is_latched(
         with zenoh.open(session_config(endpoint, router=False)) as session:
             history = ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
             handler = Callback(lambda _sample: came.set(), indirect=False)
-            held = ext.declare_advanced_subscriber(session, key(topic, 0), handler, history=history)
+            held = ext.declare_advanced_subscriber(session, key(topic, Scope()), handler, history=history)
             assert came.wait(10.0)
             del held

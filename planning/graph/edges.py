@@ -236,9 +236,8 @@ def connect(
             for o in range(len(offsets)):
                 jj = j + offsets[o, 0]
                 ii = i + offsets[o, 1]
-                if jj >= ny or ii < 0 or ii >= nx:
-                    continue
-                if chosen[j, i] < 0 or chosen[jj, ii] < 0:
+                outside = jj >= ny or ii < 0 or ii >= nx  # the map may have become smaller
+                if outside or chosen[j, i] < 0 or chosen[jj, ii] < 0:
                     risk[j, i, o] = -1.0
                     continue
                 xa = where[j, i, 0]

@@ -112,6 +112,18 @@ def test_a_growing_map_extends_the_graph_and_equals_a_full_rebuild() -> None:
     assert graph.frontier.sum() > 0
 
 
+def test_a_map_that_became_smaller_has_no_edges_beyond_its_border() -> None:
+    """Such as one that begins anew. Edges into the part that went pointed at no cell, or at one on the other side."""
+    scene = random_scene(4, size=8.0)
+    full, n = scene.grid, scene.grid.shape[0]
+    graph = TraversalGraph.build(full, scene.start, PARAMS)
+    for lo, hi in ((0, n - 31), (23, n - 31), (23, n - 52), (41, n - 52)):
+        where = (lo * full.resolution, lo * full.resolution)
+        part = ElevationGrid(full.height[lo:hi, lo:hi], full.trusted[lo:hi, lo:hi], where, full.resolution)
+        graph.update(part, [])
+        _assert_same_but_rounding(graph, TraversalGraph.build(part, scene.start, PARAMS))
+
+
 def _assert_same_but_rounding(a: TraversalGraph, b: TraversalGraph) -> None:
     np.testing.assert_array_equal(a.node_ids, b.node_ids)
     np.testing.assert_array_equal(a.edges, b.edges)

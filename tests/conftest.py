@@ -15,6 +15,7 @@ LONGEST_FIRST = (
     "rbtrg_robot/process/test_cable.py",
     "rbtrg_robot/process/test_latch.py",
     "rbtrg_robot/console/test_browser.py",
+    "rbtrg_robot/process/test_console_live.py",
     "rbtrg_robot/stages/test_warm_up.py",
     "rbtrg_robot/hosts/test_mission.py",
     "rbtrg_robot/hosts/test_unitree.py",

@@ -66,6 +66,8 @@ def words(reason: str, detail: str = "") -> str:
     """The reason in plain words, with its detail."""
     known = Reason.of(reason)
     text = reason if known is None else WORDS[known]
+    if text and detail.startswith(f"{text}: "):  # the robot's own cause of a stop says it already
+        return detail
     return f"{text}: {detail}" if detail and text else text or detail
 
 

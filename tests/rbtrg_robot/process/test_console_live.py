@@ -1,0 +1,85 @@
+"""A whole stack and a real page: a goal pressed on the ground moves the robot, STOP makes it stand."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page
+
+from tests.rbtrg_robot.console.pages import chromium, on_screen, until
+from tests.rbtrg_robot.process.command import command
+from tools.bench.ports import free_port
+
+pytestmark = pytest.mark.timeout(300)
+NAME = "pressed"
+LIMIT = 60.0
+"""[s] on a busy machine."""
+
+
+@pytest.fixture
+def address(tmp_path: Path) -> Iterator[str]:
+    """The one that `up` prints. Nothing is left running."""
+    words = ("--scene", "flat", "--port", str(free_port()), "--console-port", "0", "--no-record")
+    up = command(
+        tmp_path,
+        *("up", "--detach", "--robot", NAME, "--without", "mission", *words),
+        *("--log-dir", str(tmp_path / "logs")),
+    )
+    try:
+        assert up.returncode == 0, up.stderr
+        printed = re.search(r"^console: (\S+)$", up.stdout, re.MULTILINE)
+        assert printed is not None, up.stdout
+        yield printed[1]
+    finally:
+        down = command(tmp_path, "down", "--robot", NAME)
+        assert down.returncode == 0, down.stderr
+
+
+def figure(page: Page, name: str) -> list[float]:
+    """Numbers of a row that tells of the robot."""
+    row = page.locator(f"#figures dt:text-is('{name}') + dd").inner_text()
+    return [float(number) for number in re.findall(r"-?\d+(?:\.\d+)?", row)]
+
+
+def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: str) -> None:
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 800, "height": 600}, reduced_motion="reduce")
+        page.goto(address)
+        until(
+            page,
+            "!!window.consoleView && consoleView.world.pose && consoleView.ground.tiles.size > 3 "
+            "&& document.body.dataset.fresh === 'live' && document.querySelector('#lease').textContent === 'you operate'",
+            LIMIT,
+        )
+        page.click("#follow")  # the ground stays under the mouse
+        page.click("#points")
+        x, y, _ = figure(page, "Place")
+        press, end = on_screen(page, x + 2.0, y), on_screen(page, x + 2.0, y + 0.8)
+        page.mouse.move(*press)
+        page.mouse.down()
+        page.mouse.move(*end, steps=3)
+        page.mouse.up()
+        until(page, "!document.querySelector('#go').hidden", LIMIT)
+        assert float(page.input_value("#gx")) == pytest.approx(x + 2.0, abs=0.15)
+        assert float(page.input_value("#gyaw")) == pytest.approx(90.0, abs=15.0)
+        page.click("#go")
+        until(page, f"consoleView.world.pose.x > {x + 0.15}", LIMIT)
+        box = page.locator("#halt").bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+        page.mouse.down()  # and not up: pressing is enough
+        until(
+            page,
+            "document.querySelector('#stop-said').textContent === 'stopped: emergency stop: console'",
+            LIMIT,
+        )
+        until(page, "document.querySelector('#figures').textContent.includes('Speed0.00 m/s')", LIMIT)
+        before = figure(page, "Place")
+        page.wait_for_timeout(500)
+        assert figure(page, "Place") == pytest.approx(before, abs=0.03)
+        assert before[0] < x + 1.5  # it did not come to its goal
+        assert page.inner_text("#said").startswith("Stopped: emergency stop: console")
+        assert "emergency stop: emergency" not in page.inner_text("#why-still")

@@ -17,6 +17,10 @@ TOP, BOTTOM, WEIGHT, DEPTH, POINTS, SHARED, FIRST = 0, 1, 2, 3, 4, 5, 6
 height under the top, number, shared variance; scratch."""
 
 
+_NOWHERE = 1e12
+"""Square of the distance [m^2] beyond which a point is none, such as one that is not finite: its ray has no end in single precision."""
+
+
 @njit(cache=True)
 def project(
     points, rotation, position, origin, limits, body, noise, resolution, directory, first, shift,
@@ -53,7 +57,7 @@ def project(
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
         dx, dy, dz = px - origin[0], py - origin[1], pz - origin[2]
         rr = dx * dx + dy * dy + dz * dz
-        if not np.isfinite(rr):
+        if not rr < _NOWHERE:
             counts[DROP_NAN] += 1
             continue
         if rr < near:

@@ -135,6 +135,7 @@ class ElevationMap:
         drops = np.zeros(7, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
         s = self.store
+        self._rays = 0  # what a refused scan leaves in the buffers is nobody's
         while not kernels.project(
             points, rotation, place, origin, limits, self._body, noise, p.resolution,
             s.directory, s.first, s.shift,

@@ -71,7 +71,7 @@ def trace(
         base = np.int64(-1)
         while True:
             leave = min(next_i, next_j)
-            if leave > end:
+            if not leave <= end:  # a direction that is no number ends here too
                 break
             ti, tj = i >> shift, j >> shift
             if ti != tile_i or tj != tile_j:

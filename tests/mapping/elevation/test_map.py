@@ -367,6 +367,26 @@ def test_a_pose_too_far_from_the_map_is_refused_and_costs_no_memory(place: float
     np.testing.assert_array_equal(after.layers["elevation"], before.layers["elevation"])
 
 
+@pytest.mark.parametrize("far", [3e38, 2e38, 1e30, np.inf])
+def test_a_point_beyond_all_distances_has_no_ray(far: float) -> None:
+    """Its end is infinite in single precision, and the clean-up never came to it."""
+    elevation = ElevationMap()
+    points = np.concatenate([square(), np.array([[far, far, 0.5], [far, -far, -far]], np.float32)])
+    report = elevation.fuse(points, (0.0, 0.0, 0.4), (0.0, 0.0, np.sin(0.4), np.cos(0.4)), 1)
+    assert report.invalid == 2
+    assert np.isfinite(elevation._ends[: elevation._rays]).all()
+    elevation.clean()
+
+
+def test_a_refused_scan_leaves_no_rays_behind() -> None:
+    elevation = ElevationMap()
+    elevation.fuse(square(), (0.0, 0.0, 0.4), LEVEL, 1)
+    with pytest.raises(MapError):
+        elevation.fuse(square(), (90_000.0, 0.0, 0.4), LEVEL, 2)
+    assert elevation._rays == 0
+    assert elevation.clean() == 0
+
+
 def test_a_map_that_begins_far_from_the_origin_is_the_same_map_and_no_larger() -> None:
     here, there = ElevationMap(), ElevationMap()
     shift = 48_000.0

@@ -115,16 +115,18 @@ def fuzz(
 
 @contextmanager
 def patience() -> Iterator[None]:
-    """Raises Hangs in the middle of what takes too long."""
+    """Raises Hangs in the middle of what takes too long. Compiled code cannot be interrupted: it ends the process, with a trace."""
 
     def tell(_number: int, _frame: Any) -> None:
         raise Hangs(f"longer than {PATIENCE} s")
 
     signal.signal(signal.SIGALRM, tell)
     signal.setitimer(signal.ITIMER_REAL, PATIENCE)
+    faulthandler.dump_traceback_later(3 * PATIENCE, exit=True)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0)
 
 

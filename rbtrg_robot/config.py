@@ -90,7 +90,7 @@ class StackConfig(BaseModel):
     controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
     policy_dir: str = Field(
         "",
-        description="folder of a locomotion policy in rl_sar's layout; empty: the one that `policy get` fetched",
+        description="locomotion policy: a folder in rl_sar's layout or a file of `tools.train`; empty: the one that `policy get` fetched",
     )
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"

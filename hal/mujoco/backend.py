@@ -65,7 +65,7 @@ class MujocoBackend:
         **changes: Any,
     ) -> None:
         """
-        policy_dir: folder of a policy in rl_sar's layout; needed with `controller="policy"`
+        policy_dir: folder of a policy in rl_sar's layout, or a file of `tools.train`; used with `controller="policy"`
         lidars: empty for none (physics only, faster)
         seed: of everything random here
         start: x, y [m], yaw [rad]; None for the scene's

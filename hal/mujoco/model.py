@@ -48,12 +48,14 @@ def build(
     payload: float = 0.0,
     boxes: Sequence[tuple[float, float, float]] = (),
     housings: bool = True,
+    looks: bool = True,
 ) -> mujoco.MjModel:
     """Robot on terrain.
 
     `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the wheels;
     `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of sight below the
     ground until they are placed; `housings`: the wheel-motor housings collide. False is the collider set of the vendor's MJCF.
+    `looks`: with the parts that are only drawn.
 
     Actuator i drives motor i of `hal.go2w.MOTORS` with force = ctrl + biasprm[1] q + biasprm[2] dq, clipped by the motor's
     torque limit; the simulation writes the gains of the current command into `actuator_biasprm`.
@@ -70,16 +72,21 @@ def build(
     option.impratio = 100.0
     # Four wheels give 60 to 120 constraint rows on 22 velocities: sparse is a third faster than the default for so few.
     option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
-    dress_world(spec)
-    _terrain(spec, np.asarray(height, np.float64), resolution, origin)
-    _robot(spec, friction, payload, housings)
+    if looks:
+        dress_world(spec)
+    _terrain(spec, np.asarray(height, np.float64), resolution, origin, looks)
+    _robot(spec, friction, payload, housings, looks)
     for index, size in enumerate(boxes):
         _obstacle(spec, index, size)
     return spec.compile()
 
 
 def _terrain(
-    spec: mujoco.MjSpec, height: NDArray[np.float64], resolution: float, origin: tuple[float, float]
+    spec: mujoco.MjSpec,
+    height: NDArray[np.float64],
+    resolution: float,
+    origin: tuple[float, float],
+    looks: bool,
 ) -> None:
     rows, cols = height.shape
     low = float(height.min())
@@ -98,7 +105,7 @@ def _terrain(
         type=mujoco.mjtGeom.mjGEOM_HFIELD,
         hfieldname="terrain",
         pos=[origin[0] + half[0], origin[1] + half[1], low],
-        material="ground",
+        **({"material": "ground"} if looks else {}),
         contype=2,
         conaffinity=1,
         friction=[BODY_FRICTION, 0.005, 0.0001],
@@ -160,13 +167,14 @@ def _collider(body: mujoco.MjsBody, **shape: object) -> None:
     )
 
 
-def _robot(spec: mujoco.MjSpec, friction: float, payload: float, housings: bool) -> None:
+def _robot(spec: mujoco.MjSpec, friction: float, payload: float, housings: bool, looks: bool) -> None:
     base = spec.worldbody.add_body(name="base_link", pos=[0.0, 0.0, go2w.stand_height(go2w.STAND)])
     base.add_freejoint(name="base")
     _set_inertia(base, go2w.BASE, 1.0, 1.0)
     base.add_site(name="imu", pos=go2w.IMU_POSITION)
     _trunk(base)
-    dress_trunk(base)
+    if looks:
+        dress_trunk(base)
     if payload > 0.0:
         # High up, where it hurts balance most: a box of batteries on the rails.
         visual(base, STEEL, type=BOX, size=[0.10, 0.08, 0.05], pos=[-0.08, 0.0, 0.13])
@@ -175,7 +183,7 @@ def _robot(spec: mujoco.MjSpec, friction: float, payload: float, housings: bool)
         load.mass = payload
         load.inertia = payload / 12.0 * np.array([0.16**2 + 0.1**2, 0.2**2 + 0.1**2, 0.2**2 + 0.16**2])
     for leg, name in enumerate(go2w.LEGS):
-        _leg(base, name, leg, friction, housings)
+        _leg(base, name, leg, friction, housings, looks)
     for motor, name in enumerate(go2w.MOTORS):
         limit = float(go2w.TORQUE_LIMIT[motor])
         spec.add_actuator(
@@ -218,7 +226,7 @@ def _hinge(body: mujoco.MjsBody, motor: str, axis: list[float]) -> None:
     )
 
 
-def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: bool) -> None:
+def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: bool, looks: bool) -> None:
     sx, sy = float(go2w.SX[leg]), float(go2w.SY[leg])
     hip = base.add_body(name=f"{name}_hip", pos=[go2w.HIP_X * sx, go2w.HIP_Y * sy, 0.0])
     _hinge(hip, f"{name}_hip", [1.0, 0.0, 0.0])
@@ -263,4 +271,5 @@ def _leg(base: mujoco.MjsBody, name: str, leg: int, friction: float, housings: b
         rgba=TYRE,
         group=1,
     )
-    dress_leg(hip, thigh, calf, wheel, sx, sy)
+    if looks:
+        dress_leg(hip, thigh, calf, wheel, sx, sy)

@@ -1,0 +1,64 @@
+"""`python -m tools.train run --out DIR [--minutes N] [--resume]` trains a policy; `python -m tools.train evaluate POLICY` drives the envelope's
+courses with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+
+# Before JAX and numpy start their threads: the physics has the cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+
+
+def main() -> None:
+    """Run the command line."""
+    parser = argparse.ArgumentParser(prog="python -m tools.train", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    run = commands.add_parser("run", help="clone the model-based controller, then learn")
+    run.add_argument("--out", type=Path, required=True, help="folder of checkpoint, policy and curves")
+    run.add_argument("--minutes", type=float, default=90.0, help="of PPO in this call")
+    run.add_argument("--resume", action="store_true", help="go on from the folder's checkpoint")
+    run.add_argument("--seed", type=int, default=0)
+    run.add_argument("--workers", type=int, default=2, help="processes that drive the teacher")
+    evaluate = commands.add_parser("evaluate", help="the envelope bench")
+    evaluate.add_argument("policy", type=Path)
+    options, rest = parser.parse_known_args()
+    if options.command == "evaluate":
+        from tools.bench.envelope import run as bench
+
+        print(bench(["--controller", "policy", "--policy", str(options.policy), *rest]).to_text())
+        return
+    if rest:
+        parser.error(f"unknown arguments: {' '.join(rest)}")
+    try:
+        import jax  # noqa: F401
+        import optax  # noqa: F401
+    except ImportError:
+        sys.exit("training needs JAX: uv run --group train python -m tools.train run ...")
+    from rich.console import Console
+
+    from tools.train.checkpoint import FILE, Checkpoint
+    from tools.train.run import clone, train
+    from tools.train.settings import Settings
+
+    console = Console()
+    there = (options.out / FILE).exists()
+    if options.resume and not there:
+        sys.exit(f"{options.out / FILE} does not exist: leave --resume out to begin a run")
+    if there and not options.resume:
+        sys.exit(f"{options.out / FILE} exists: give --resume to go on, or another --out")
+    options.out.mkdir(parents=True, exist_ok=True)
+    point = (
+        Checkpoint.load(options.out)
+        if options.resume
+        else clone(Settings(seed=options.seed), options.workers, options.out, console)
+    )
+    train(point, options.minutes, options.out, console)
+
+
+if __name__ == "__main__":
+    main()

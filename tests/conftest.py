@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import hypothesis
 import pytest
 
+hypothesis.settings.register_profile("busy", deadline=None)  # a wall clock tells nothing on a busy machine
+hypothesis.settings.load_profile("busy")
 LONGEST_FIRST = (
     "rbtrg_robot/process/test_live.py",
     "rbtrg_robot/hosts/test_lockstep.py",

@@ -28,7 +28,7 @@ RELATIVE = 1e3
 _TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
 
 
-class _Reader:
+class CdrReader:
     """Walks through a CDR body."""
 
     def __init__(self, data: bytes) -> None:
@@ -70,7 +70,7 @@ class RawCloud:
 
 def decode_cloud(data: bytes) -> RawCloud:
     """Read a PointCloud2. Raises WireError when it is cut off or its fields do not fit its point size."""
-    r = _Reader(data)
+    r = CdrReader(data)
     stamp = r.number("i", 4) * NS + r.u32()
     frame = r.text()
     height, width = r.u32(), r.u32()
@@ -159,10 +159,11 @@ def sweep(cloud: RawCloud, mount: Mount) -> tuple[int, NDArray[np.void]]:
     n = len(raw)
     start, time = _times(cloud)
     ring = next((name for name in ("ring", "line") if name in names), None)
+    bright = next((name for name in ("intensity", "reflectivity") if name in names), None)
     out = np.empty(n, POINT_DTYPE)
     kept = _pack(  # type: ignore[call-arg]
         *(_column(raw[axis], np.float32) for axis in "xyz"),
-        _column(raw["intensity"], np.float32) if "intensity" in names else np.zeros(n, np.float32),
+        _column(raw[bright], np.float32) if bright is not None else np.zeros(n, np.float32),
         _column(raw[ring], np.uint16) if ring is not None else np.zeros(n, np.uint16),
         time,
         mount.rotation,
@@ -259,7 +260,7 @@ class RawImu:
 
 def decode_imu(data: bytes, wxyz: bool = True) -> RawImu:
     """Read an Imu. The L1 stores w, x, y, z where the message says x, y, z, w (`wxyz`). Raises WireError."""
-    r = _Reader(data)
+    r = CdrReader(data)
     stamp = r.number("i", 4) * NS + r.u32()
     r.text()
     at = r.at + -(r.at - 4) % 8

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from hal.contract import BackendError
 from hal.types import NS
 from hal.unitree.config import UnitreeConfig
-from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, Link
+from hal.unitree.link import CUSTOM, L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, Link
 from hal.unitree.telemetry import Telemetry
 
 log = logging.getLogger(__name__)
@@ -25,6 +25,7 @@ def open_link(interface: str, domain: int, options: UnitreeConfig) -> Link:
     if options.carries_l1:
         topics.append((L1_IMU, idl.Imu, 128))
     topics += [(options.topic(lidar), idl.PointCloud2, 4) for lidar in options.lidars]
+    topics += [(options.topic(x) + CUSTOM, idl.CustomMsg, 4) for x in options.lidars if x.model == "mid360"]
     return DdsLink(interface, domain, topics)
 
 

@@ -12,7 +12,18 @@ from typing import Any
 
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
-from cyclonedds.idl.types import array, float32, float64, int16, int32, int64, sequence, uint16, uint32
+from cyclonedds.idl.types import (
+    array,
+    float32,
+    float64,
+    int16,
+    int32,
+    int64,
+    sequence,
+    uint16,
+    uint32,
+    uint64,
+)
 
 try:
     from cyclonedds.idl.types import byte
@@ -291,5 +302,32 @@ class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
     linear_acceleration_covariance: array[float64, 9]
 
 
-TOPIC_TYPES = (LowState, SportModeState, RequestMessage, ResponseMessage, PointCloud2, Imu)
+# --- livox_ros_driver2 --------------------------------------------------------------------------------------------
+
+
+@dataclass
+@final
+class CustomPoint(IdlStruct, typename="livox_ros_driver2.msg.dds_.CustomPoint_"):
+    offset_time: uint32
+    x: float32
+    y: float32
+    z: float32
+    reflectivity: byte
+    tag: byte
+    line: byte
+
+
+@packed
+@dataclass
+@final
+class CustomMsg(IdlStruct, typename="livox_ros_driver2.msg.dds_.CustomMsg_"):
+    header: Header
+    timebase: uint64
+    point_num: uint32
+    lidar_id: byte
+    rsvd: array[byte, 3]
+    points: sequence[CustomPoint]
+
+
+TOPIC_TYPES = (LowState, SportModeState, RequestMessage, ResponseMessage, PointCloud2, Imu, CustomMsg)
 """Every type that is announced on the network."""

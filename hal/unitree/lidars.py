@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from hal.lidar.config import LidarConfig
@@ -9,6 +11,13 @@ from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, LidarScan, MountedLidar
 from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import Mount, RawCloud, decode_cloud, sweep
+from hal.unitree.link import CUSTOM, Link
+from hal.unitree.livox import decode_livox
+
+SILENT = 2 * NS
+"""Without a cloud for this long [ns] a LiDAR counts as silent."""
+SEARCH_PERIOD = NS
+"""[ns] between two looks at who sends clouds, while one is silent."""
 
 
 class LidarInput:
@@ -18,6 +27,10 @@ class LidarInput:
         self.name = lidar.name
         self.model = lidar.model
         self.topic = topic
+        self.inputs: dict[str, Callable[[bytes], RawCloud]] = {topic: decode_cloud}
+        """How what comes on a topic of the link is read."""
+        if lidar.model == "mid360":
+            self.inputs[topic + CUSTOM] = decode_livox
         self.clock = ClockOffset()
         """The LiDAR's own clock; its IMU has the same."""
         self.mount = Mount(rotation_rpy(*mounted.mount.rpy), np.array(mounted.mount.translation))
@@ -39,9 +52,9 @@ class LidarInput:
         """Compile the cloud kernel before the first sweep has to wait for it."""
         sweep(RawCloud(0, "", np.zeros(1, POINT_DTYPE)), self.mount)
 
-    def take(self, data: bytes, now: int) -> list[LidarScan]:
-        """The scan in a cloud received by `now` [ns]; none without points. Raises WireError."""
-        start, points = sweep(decode_cloud(data), self.mount)
+    def take(self, topic: str, data: bytes, now: int) -> list[LidarScan]:
+        """The scan in a message of one of `inputs`, received by `now` [ns]; none without points. Raises WireError."""
+        start, points = sweep(self.inputs[topic](data), self.mount)
         if not len(points):
             self.empty += 1
             return []
@@ -66,3 +79,24 @@ class LidarInput:
         if self._start is not None and duration > 0 and 0 < (gap := start - self._start) < 2 * NS:
             self.missed += max(0, round(gap / duration) - 1)
         self._start = start
+
+
+class Silence:
+    """Says which LiDAR does not speak, and on which topics somebody sends clouds instead."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._found: dict[str, str] = {}
+        self._searched = 0
+
+    def words(self, lidars: list[LidarInput], now: int) -> str:
+        """At `now` [ns, host clock]; empty when all speak."""
+        silent = [lidar for lidar in lidars if now - (lidar.heard_at or 0) > SILENT]
+        if not silent:
+            return ""
+        if now - self._searched >= SEARCH_PERIOD:
+            self._searched, self._found = now, self._link.clouds()
+        heard = {lidar.topic for lidar in lidars if lidar not in silent}
+        found = [f"{topic} ({kind})" for topic, kind in sorted(self._found.items()) if topic not in heard]
+        words = ", ".join(f"the {lidar.name} LiDAR is silent on {lidar.topic}" for lidar in silent)
+        return f"{words}; clouds are found on {', '.join(found)}" if found else words

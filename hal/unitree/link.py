@@ -18,6 +18,9 @@ LOW_STATE = "rt/lowstate"
 SPORT_STATE = "rt/sportmodestate"
 L1_IMU = "rt/utlidar/imu"
 L1_CLOUD = "rt/utlidar/cloud"
+CUSTOM = " CustomMsg"
+"""Behind the name of a topic that is read as livox_ros_driver2's type: a Mid-360 speaks there in this one or as PointCloud2."""
+CLOUD_TYPES = ("PointCloud2", "CustomMsg")
 DRY_RUN = "dry run, nothing is sent"
 """The cause of every phase then begins with it."""
 RECEIVE_BUFFER = 4 * 1024 * 1024
@@ -43,6 +46,9 @@ class Link(Protocol):
 
     def reachable(self, service: str) -> bool:
         """Whether a server of this service has been discovered."""
+
+    def clouds(self) -> dict[str, str]:
+        """Topics of the network on which somebody sends clouds, and their types, of CLOUD_TYPES."""
 
     def close(self) -> None:
         """Release everything. Idempotent."""
@@ -100,8 +106,17 @@ class DdsLink:
         topics: Iterable[tuple[str, Any, int]],
         services: Iterable[str] = api.SERVICES,
     ) -> None:
-        """topics: name, IDL type, depth of the queue between two `take` calls. Raises BackendError."""
-        from cyclonedds.core import DDSException, Policy, Qos
+        """topics: name, IDL type, depth of the queue between two `take` calls; CUSTOM may stand behind a name. Raises BackendError."""
+        from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+        from cyclonedds.core import (
+            DDSException,
+            InstanceState,
+            Policy,
+            Qos,
+            ReadCondition,
+            SampleState,
+            ViewState,
+        )
         from cyclonedds.domain import Domain, DomainParticipant
         from cyclonedds.pub import DataWriter
         from cyclonedds.sub import DataReader
@@ -129,8 +144,11 @@ class DdsLink:
                 return Qos(kind, Policy.History.KeepLast(depth))
 
             for name, kind, depth in topics:
-                topic: Any = Topic(self._participant, name, kind)
+                topic: Any = Topic(self._participant, name.removesuffix(CUSTOM), kind)
                 self._readers[name] = DataReader(self._participant, topic, qos(depth, reliable=False))
+            self._senders: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
+            alive = ViewState.Any | SampleState.Any | InstanceState.Alive
+            self._alive: Any = ReadCondition(self._senders, alive)
             for service in services:
                 name = f"rt/api/{service}/response"
                 topic = Topic(self._participant, name, idl.ResponseMessage)
@@ -176,9 +194,19 @@ class DdsLink:
         count: int = writer._dll_handle.dds_get_matched_subscriptions(writer._ref, None, c_size_t(0))
         return count > 0
 
+    def clouds(self) -> dict[str, str]:
+        """Topics of the network on which somebody sends clouds, and their types, of CLOUD_TYPES."""
+        found = {}
+        for sample in self._senders.read(N=1000, condition=self._alive):
+            kind = sample.type_name.rpartition("::")[2].removesuffix("_")
+            if kind in CLOUD_TYPES:
+                found[sample.topic_name] = kind
+        return found
+
     def close(self) -> None:
         """Release everything. Idempotent."""
         # Cyclone deletes an entity when its Python object goes; children first.
+        self._alive = self._senders = None
         self._readers.clear()
         self._writers.clear()
         self._participant = None
@@ -216,6 +244,10 @@ class DryRunLink:
     def reachable(self, service: str) -> bool:
         """Real discovery."""
         return self._link.reachable(service)
+
+    def clouds(self) -> dict[str, str]:
+        """Of the real network."""
+        return self._link.clouds()
 
     def close(self) -> None:
         """Release the real link."""

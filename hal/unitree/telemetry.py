@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import Counter
+from functools import partial
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from hal.unitree.clock import ClockOffset
 from hal.unitree.cloud import RawImu, decode_imu
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
-from hal.unitree.lidars import LidarInput
+from hal.unitree.lidars import LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 
 log = logging.getLogger(__name__)
@@ -25,8 +26,6 @@ IMU_PERIOD = 4
 """[ms] of LowState ticks between IMU samples: 250 Hz from 500 Hz."""
 JOINT_PERIOD = 20
 """[ms] of LowState ticks between joint samples."""
-LIDAR_SILENT = 2 * NS
-"""Without a cloud for this long [ns] a LiDAR counts as silent."""
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
@@ -64,6 +63,7 @@ class Telemetry:
         self._raw = ""
         self._sport_stamp: tuple[int, int] | None = None
         self._l1_stamp: int | None = None
+        self._silence = Silence(link)
         self._tick: int | None = None
         self._sampled = self._elapsed = 0
         """Tick of the last LowState that was looked at for samples, and [ms] up to it, which never start over."""
@@ -100,8 +100,9 @@ class Telemetry:
             for data in self._link.take(L1_IMU):
                 out += self._guarded(L1_IMU, self._take_l1_imu, data, now) or []
         for lidar in self.lidars:
-            for data in self._link.take(lidar.topic):
-                out += self._guarded(lidar.topic, lidar.take, data, now) or []
+            for topic in lidar.inputs:
+                for data in self._link.take(topic):
+                    out += self._guarded(topic, partial(lidar.take, topic), data, now) or []
         out.sort(key=lambda sample: sample.stamp)
         return out
 
@@ -230,9 +231,8 @@ class Telemetry:
             )
 
     def silence(self, now: int) -> str:
-        """Which LiDAR does not speak, in words; empty when all do."""
-        silent = [lidar for lidar in self.lidars if now - (lidar.heard_at or 0) > LIDAR_SILENT]
-        return ", ".join(f"the {lidar.name} LiDAR is silent on {lidar.topic}" for lidar in silent)
+        """Which LiDAR does not speak, in words, and where else clouds are sent; empty when all do."""
+        return self._silence.words(self.lidars, now)
 
     def figures(self) -> dict[str, float]:
         """Figures for the operator: offsets of clocks as float [s], counters as int."""

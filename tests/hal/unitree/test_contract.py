@@ -57,6 +57,9 @@ class DdsWorld(World):
     def reachable(self, service: str) -> bool:
         return self._dds.reachable(service)
 
+    def clouds(self) -> dict[str, str]:
+        return self._dds.clouds()
+
     def advance(self, seconds: float) -> None:
         end = self.elapsed + round(seconds * 1e9)
         while self.elapsed < end:

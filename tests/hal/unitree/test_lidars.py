@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hal.lidar.config import DEFAULT_LIDARS, only
 from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, TIME_QUANTUM, LidarScan
+from hal.unitree.api import WireError
 from hal.unitree.cloud import RawImu, encode_cloud, encode_imu
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR
-from hal.unitree.link import L1_IMU, LOW_STATE
+from hal.unitree.link import CUSTOM, L1_IMU, LOW_STATE
+from hal.unitree.livox import decode_livox, encode_livox
 from hal.unitree.telemetry import Telemetry
 
 HOST = 10**18
@@ -24,6 +27,7 @@ class Wire:
 
     def __init__(self) -> None:
         self.inbox: dict[str, list[bytes]] = {}
+        self.senders: dict[str, str] = {}
 
     def sweep(self, topic: str, end: int) -> None:
         """A ring of 5 m whose last point was measured `end` [ns] after the start."""
@@ -35,6 +39,9 @@ class Wire:
 
     def take(self, topic: str) -> list[bytes]:
         return self.inbox.pop(topic, [])
+
+    def clouds(self) -> dict[str, str]:
+        return self.senders
 
 
 def test_each_lidar_keeps_its_name_and_clock_and_a_silent_one_is_named() -> None:
@@ -69,6 +76,51 @@ def test_a_lidar_whose_stamps_stand_still_is_silent_though_clouds_keep_coming() 
     assert scans == 10
     assert telemetry.silence(HOST + now) == "the main LiDAR is silent on rt/lidar_points"
     assert telemetry.figures()["lidar_main_frozen"] == 39
+
+
+def ring(seed: int = 0) -> np.ndarray:
+    points = np.zeros(200, POINT_DTYPE)
+    angle = np.linspace(0.0, 2 * np.pi, 200)
+    points["x"], points["y"], points["z"] = 4.0 * np.cos(angle), 4.0 * np.sin(angle), 0.25
+    points["time"] = np.linspace(0.0, 0.1, 200)
+    points["intensity"], points["ring"] = np.arange(200), np.arange(200) % 4
+    return points
+
+
+def test_a_mid360_is_read_as_a_cloud_and_as_a_custom_message() -> None:
+    scans = {}
+    for kind, encode in (("", encode_cloud), (CUSTOM, encode_livox)):
+        wire = Wire()
+        telemetry = Telemetry(wire, UnitreeConfig(lidars=only("mid360")))  # type: ignore[arg-type]
+        wire.inbox["rt/livox/lidar" + kind] = [encode(7 * NS, "livox_frame", ring())]
+        (scans[kind],) = [s for s in telemetry.read(HOST) if isinstance(s, LidarScan)]
+        assert telemetry.silence(HOST + NS) == ""
+    assert scans[""].stamp == scans[CUSTOM].stamp == pytest.approx(HOST - NS // 10, abs=TIME_QUANTUM * NS)
+    for name in ("x", "y", "z", "intensity", "ring"):
+        np.testing.assert_array_equal(scans[""].points[name], scans[CUSTOM].points[name], name)
+    np.testing.assert_allclose(
+        scans[""].points["time"], scans[CUSTOM].points["time"], atol=1.1 * TIME_QUANTUM
+    )
+
+
+def test_a_custom_message_that_is_cut_off_or_miscounted_is_refused() -> None:
+    good = encode_livox(7 * NS, "livox_frame", ring())
+    assert len(decode_livox(good).points) == 200
+    assert len(decode_livox(good + b"\0").points) == 200  # with the last point's padding
+    assert len(decode_livox(encode_livox(7 * NS, "x", ring()[:0])).points) == 0
+    for bad in (good[:-1], good[:40], good[:3], good[:36] + b"\xff\xff" + good[38:]):
+        with pytest.raises(WireError):
+            decode_livox(bad)
+
+
+def test_a_silent_lidar_names_the_topics_that_carry_clouds() -> None:
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("mid360")))  # type: ignore[arg-type]
+    wire.senders = {"rt/livox/lidar_192_168_1_120": "CustomMsg", "rt/utlidar/cloud": "PointCloud2"}
+    assert telemetry.silence(HOST) == (
+        "the main LiDAR is silent on rt/livox/lidar; clouds are found on rt/livox/lidar_192_168_1_120 (CustomMsg), "
+        "rt/utlidar/cloud (PointCloud2)"
+    )
 
 
 def test_clouds_without_times_are_counted() -> None:

@@ -63,6 +63,9 @@ class World:
     def reachable(self, service: str) -> bool:
         return service in SERVICES
 
+    def clouds(self) -> dict[str, str]:
+        return {}
+
     def close(self) -> None:
         pass
 

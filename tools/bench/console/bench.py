@@ -32,6 +32,8 @@ STOP_LIMIT = 0.3
 """[s] until the robot's answer to a stop is on the page, 99 of 100 times: the robot tells its state ten times a second."""
 STALE_LIMIT = 1.0
 """[s]"""
+NAME = "go2w"
+"""Robots of other names have keys of their own, and the made-up one has none."""
 CHILD = "import json, sys; from rbtrg_robot.process.child import run; sys.exit(run(json.loads(sys.stdin.readline())))"
 
 
@@ -97,7 +99,7 @@ class Client:
 @contextmanager
 def process(robot: Robot, folder: Path) -> Iterator[psutil.Process]:
     """The console as `up` runs it, in a process of its own."""
-    config = load(None, ["console.port=0"], robot="bench", scene="yard", port=robot.port, log_dir=str(folder))
+    config = load(None, ["console.port=0"], robot=NAME, scene="yard", port=robot.port, log_dir=str(folder))
     spec = {
         "process": "console",
         "config": config.model_dump(mode="json"),
@@ -113,7 +115,7 @@ def process(robot: Robot, folder: Path) -> Iterator[psutil.Process]:
         child.stdin.write(json.dumps(spec) + "\n")
         child.stdin.flush()
         end = time.monotonic() + 60.0
-        while not console_address("bench"):
+        while not console_address(NAME):
             if child.poll() is not None or time.monotonic() > end:
                 raise RuntimeError("the console did not start")
             time.sleep(0.05)
@@ -146,7 +148,7 @@ def _measure(report: Report, robot: Robot, console: psutil.Process, seconds: flo
     used: dict[int, float] = {}
     for count in (0, 1, 3):
         while len(clients) < count:
-            clients.append(Client(console_address("bench")))
+            clients.append(Client(console_address(NAME)))
         time.sleep(2.0)  # the whole map comes first
         before, sent, began = console.cpu_times(), sum(c.bytes for c in clients), time.monotonic()
         time.sleep(seconds)
@@ -179,7 +181,7 @@ def _stale(robot: Robot) -> float:
             args=["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
         )
         page = browser.new_page(viewport={"width": 800, "height": 600})
-        page.goto(console_address("bench"))
+        page.goto(console_address(NAME))
         _until(page, "document.body.dataset.fresh === 'live'")
         page.evaluate(
             "() => new MutationObserver(() => { if (document.body.dataset.fresh === 'stale') window.staleAt ??= Date.now(); })"

@@ -120,7 +120,12 @@ class PlannerConfig(BaseModel):
         "full", description="rb_trg: cost variant of the search"
     )
     backward: float = Field(
-        1.3, ge=1.0, description="factor of the cost of a metre driven backward; .inf = forward only"
+        1.6, ge=1.0, description="factor of the cost of a metre driven backward; .inf = forward only"
+    )
+    turning: float = Field(
+        0.3,
+        ge=0.0,
+        description="cost of a turn [m/rad]; half of the way at 0.5 m/s in the time of a turn at 0.8 rad/s; 0 = as in the paper",
     )
     update_period: float = Field(0.5, gt=0, description="least time between two graph updates [s]")
 

@@ -73,6 +73,15 @@ class MapPatch:
         """Lattice row and column of cell [0, 0]."""
         return round(self.origin[1] / self.resolution), round(self.origin[0] / self.resolution)
 
+    @property
+    def middle(self) -> tuple[float, float]:
+        """x, y [m] of the middle: of a window, the place of the robot."""
+        rows, cols = self.shape
+        return (
+            self.origin[0] + 0.5 * (cols - 1) * self.resolution,
+            self.origin[1] + 0.5 * (rows - 1) * self.resolution,
+        )
+
     def with_terrain(self) -> MapPatch:
         """With three more layers for people and their tools: `filled` as in `grid`, `slope` [rad] and `step` [m] as in
         `slope_and_step`."""

@@ -72,12 +72,12 @@ def corridor(
 ):
     """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for the
     share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), and for
-    the share of virtual ground.
+    the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`).
 
     Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
     steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
-    `sums` is scratch, (sections, 8) float64.
+    `sums` is scratch, (sections, 9) float64.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -105,8 +105,6 @@ def corridor(
     sides = 0
     holes = False
     oblique = 0
-    virtual = 0
-    cells = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -120,8 +118,6 @@ def corridor(
             if flag & TIP:
                 return -1.0
             holes |= flag & HOLE > 0
-            cells += 1
-            virtual += flag & (VIRTUAL | ASSUMED) == VIRTUAL
             face_x = faces[r, c, 0]
             face_y = faces[r, c, 1]
             if (face_x != 0 or face_y != 0) and is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
@@ -131,6 +127,8 @@ def corridor(
             i = int((ex * ux + ey * uy + front) / SECTION)
             i = min(max(i, 0), n - 1)
             sums[i, 0] += 1.0
+            if flag & (VIRTUAL | ASSUMED) == VIRTUAL:
+                sums[i, 8] += 1.0
             if flag & UNSEEN:
                 sums[i, 1] += 1.0
                 continue
@@ -148,15 +146,17 @@ def corridor(
             elif across < -strip:
                 sums[i, 6] += z
                 sums[i, 7] += 1.0
+    virtual = 0
     for i in range(n):
         if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
             return -1.0
+        virtual += sums[i, 8] > (1.0 - min_coverage) * sums[i, 0]
     if holes and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip):
         return -1.0
     share = min(1.0, oblique * res * res / (BASE * width))
-    return OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / max(cells, 1)
+    return OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n
 
 
 @njit(cache=True)
@@ -230,7 +230,7 @@ def connect(
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
-    sums = np.empty((rank, 8))
+    sums = np.empty((rank, 9))
     for j in range(ny):
         for i in range(nx):
             for o in range(len(offsets)):

@@ -13,6 +13,9 @@ from planning.risk.body import BodyModel
 Array = NDArray[np.float64]
 
 
+MEASURED = 0.5
+"""Slopes and faces within the limits of every controller are passed at this speed [m/s] (`tools.bench envelope`): they are no reason to
+be slower."""
 FACE = 0.03
 """Faces above this [m], the edge that may be turned over on the spot, have to be climbed."""
 
@@ -36,12 +39,13 @@ def speeds(
     curvature = np.zeros(len(s))
     curvature[:-1] = bend
     curvature[1:] = np.maximum(curvature[1:], bend)
-    scaled = features / body.scales
-    risk = np.minimum(scaled[:, :3], body.clip).sum(axis=1) + features[:, 3]
+    scaled = np.minimum(features[:, :3] / body.scales[:3], body.clip)
+    risk, along = scaled[:, 1:].sum(axis=1) + features[:, 3], scaled[:, 0]
     # The corner bands' centres are three quarters of the body apart.
     pitch = np.arctan(features[:, 0] / (0.75 * body.length))
     share = np.clip(pitch / limits.max_slope, 0.0, 1.0)
-    careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk), 1.0 - 0.5 * share)
+    careful = limits.max_speed * np.minimum(1.0 / (1.0 + risk + along), 1.0 - 0.5 * share)
+    careful = np.maximum(careful, np.minimum(limits.max_speed / (1.0 + risk), MEASURED))
     climb = np.where((faces > FACE) & (faces <= limits.max_step), limits.step_speed, 0.0)
     careful = np.maximum(careful, climb)
     speed = bend_speed(curvature, limits.lateral_accel, limits.max_yaw_rate)

@@ -13,6 +13,10 @@ from planning.braking import brake
 Array = NDArray[np.float64]
 
 
+REACH = 20
+"""Poses that are watched, 1 m, among which the robot is looked for: a path may come back to where it was."""
+
+
 class PathLimits(BaseModel):
     """Limits of a path."""
 
@@ -91,6 +95,21 @@ class Path:
             goal_yaw=None,
             watched=self.watched[:watched],
             faces=self.faces[:watched],
+        )
+
+    def beyond(self, x: float, y: float) -> Path:
+        """The path as one who watches it needs it from now on: without what a robot at x, y [m] has passed."""
+        near = self.watched[:REACH, :2]
+        k = int(np.argmin(np.hypot(near[:, 0] - x, near[:, 1] - y)))
+        if k == 0:
+            return self
+        corners = min(_passed(self.route, self.watched[:, :2], k), len(self.route) - 1)
+        return replace(
+            self,
+            route=self.route[corners:],
+            back=self.back[corners:],
+            watched=self.watched[k:],
+            faces=self.faces[k:],
         )
 
     def ahead(self, x: float, y: float) -> tuple[Array, NDArray[np.bool_]] | None:

@@ -20,9 +20,9 @@ _STEP = np.pi / HEADINGS
 
 
 @njit(cache=True)
-def edge_turn_cost(rate: float, turn: float) -> float:
-    """What a turn in place by `turn` [rad] costs more [m], where edges make it cost `rate` [m/rad]."""
-    return rate * abs(turn) if abs(turn) > FREE_TURN else 0.0
+def turn_cost(rate: float, turn: float, each: float) -> float:
+    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `rate` [m/rad] where it turns over an edge."""
+    return (each + (rate if abs(turn) > FREE_TURN else 0.0)) * abs(turn)
 
 
 @njit(cache=True)

@@ -62,7 +62,7 @@ class Ground:
         self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
         self._ys = (grid.origin[1] + np.arange(rows) * grid.resolution).astype(np.float32)
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
-        self._sums = np.empty((rank, 8))
+        self._sums = np.empty((rank, 9))
         if stand is not None:
             self._flags, self._faces = self._flags.copy(), self._faces.copy()
             self._free(*stand)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +14,7 @@ from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
 from planning.risk.turns import FREE_TURN
-from planning.search.request import SETS, Plan, PlanRequest, Transition
+from planning.search.request import SETS, DriveRules, Plan, PlanRequest, Transition
 
 
 @dataclass(slots=True)
@@ -31,8 +30,7 @@ class Route:
     """(n - 1,) edges that the search evaluates from their far end."""
     back: NDArray[np.bool_]
     """(n - 1,) edges driven backward."""
-    backward: float
-    """What a metre driven backward costs more, as a factor."""
+    rules: DriveRules
     start_yaw: float
     goal_yaw: float
     """[rad], NaN = any."""
@@ -49,7 +47,7 @@ class Route:
         states: NDArray[np.int64],
         start_yaw: float,
         goal_yaw: float,
-        backward: float = math.inf,
+        rules: DriveRules = DriveRules(),
     ) -> Route:
         """The route over these states (`planning.search.pairs`) from node `start`."""
         arcs = table.arcs
@@ -63,7 +61,7 @@ class Route:
             arcs.risk[slots].astype(np.float64),
             flip,
             states % 2 == 1,
-            backward,
+            rules,
             start_yaw,
             goal_yaw,
             arcs.turn_rate[list(nodes)],
@@ -98,12 +96,13 @@ class Route:
         return np.arctan2(*np.diff(self.xy, axis=0).T[::-1]) + np.pi * self.back
 
     def turn_cost(self) -> NDArray[np.float64]:
-        """(n - 1,) [m] for edges under the wheels in each transition's turns."""
+        """(n - 1,) [m] for each transition's turns, more with edges under the wheels."""
         if len(self.xy) < 2:
             return np.zeros(0)
         yaw = np.concatenate([[self.start_yaw], self.heading, [self.goal_yaw]])
         turn = np.abs(wrap(np.diff(yaw)))  # NaN where no heading was asked for
-        cost = np.where(turn > FREE_TURN, self.turn_rate * np.nan_to_num(turn), 0.0)
+        rate = self.rules.turning + np.where(turn > FREE_TURN, self.turn_rate, 0.0)
+        cost = rate * np.nan_to_num(turn)
         cost[-2] += cost[-1]
         return cost[:-1]
 
@@ -116,7 +115,7 @@ class Route:
         return np.nan_to_num(out, nan=-1.0)
 
     def cost(self, w: Weights) -> NDArray[np.float64]:
-        """(n - 1,) [m] of each transition (eq. 5), and of edges in its turns."""
+        """(n - 1,) [m] of each transition (eq. 5), and of its turns."""
         worst = self.terms(w).max(axis=1)
         return (
             self.factor * transition_cost(w, self.length, self.risk, worst[:, 0], worst[:, 1])
@@ -126,7 +125,7 @@ class Route:
     @property
     def factor(self) -> NDArray[np.float64]:
         """(n - 1,) by which the direction makes each edge dearer."""
-        return np.where(self.back, self.backward, 1.0)
+        return np.where(self.back, self.rules.backward, 1.0)
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:

@@ -56,7 +56,7 @@ def _rest(
         np.array([ground.risk(a, b) for a, b in moves], np.float64),
         np.zeros(count, np.bool_),
         np.array([b for _, b in legs]),
-        request.rules.backward,
+        request.rules,
         start_yaw,
         goal_yaw,
         at.table.arcs.turn_rate[[found.nodes[0], *near, found.nodes[-1]]],

@@ -20,7 +20,7 @@ from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import edge_turn_cost, may_turn_to
+from planning.risk.turns import may_turn_to, turn_cost
 from planning.search.heap import grown, pop, push
 
 
@@ -103,11 +103,12 @@ def search_pairs(
     sweeps: bool,
     once: bool,
     backward: float,
+    turning: float,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
     That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
-    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost more over edges, and are only made where there is room. An edge driven
+    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost `turning` [m/rad] and more over edges, and are only made where there is room. An edge driven
     backward costs `backward` times as much (inf: none is); yaws are the body's. The footprint is the same turned by half a turn,
     so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or with the other.
     Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
@@ -204,14 +205,13 @@ def search_pairs(
                         else:
                             turns[row] = np.inf
                     b2, u2 = turns[row]
-                    if turn_rate[at] > 0.0:
-                        edges = edge_turn_cost(turn_rate[at], d)
+                    edges = turn_cost(turn_rate[at], d, turning)
                 elif not np.isnan(start_yaw):
                     d = turn_angle(start_yaw, yaw)
                     b2, u2 = np.inf, 0.0
                     if turn_is_free(room[at], start_yaw, d):
                         b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, d)
-                    edges = edge_turn_cost(turn_rate[at], d)
+                    edges = turn_cost(turn_rate[at], d, turning)
                 b, u = max(b, b2), max(u, u2)
                 if is_end[k] and not np.isnan(goal_yaw):
                     d = turn_angle(yaw, goal_yaw)
@@ -219,7 +219,7 @@ def search_pairs(
                     if may_turn_to(room[k], yaw, d):
                         b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, d)
                     b, u = max(b, b2), max(u, u2)
-                    edges += edge_turn_cost(turn_rate[k], d)
+                    edges += turn_cost(turn_rate[k], d, turning)
                 cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + edges
             elif not sweeps:
                 stage[entry] = 2

@@ -218,11 +218,12 @@ def _search(
             sweeps,
             at.exact,
             request.rules.backward if sweeps else np.inf,
+            request.rules.turning,
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
         return None
-    found = Route.along(table, start, route, start_yaw, goal_yaw, request.rules.backward)
+    found = Route.along(table, start, route, start_yaw, goal_yaw, request.rules)
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, table, found)
     if request.variant == "refined":

@@ -25,6 +25,8 @@ class DriveRules:
 
     backward: float = math.inf
     """Factor of a metre driven backward; infinite: it drives forward only. Not for `native` and `edge-only`, which know no turns."""
+    turning: float = 0.0
+    """What a turn costs [m/rad], as it takes time. Not for `native` and `edge-only`."""
     straight: bool = False
     """Straighten the route where that costs no more (`planning.search.straight`), on a graph that knows its map."""
 
@@ -77,7 +79,7 @@ class Transition:
     cost: float
     """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, and `turn_cost`."""
     turn_cost: float
-    """[m] for turning in place over an edge before the edge (or after it, at the goal), see `planning.risk.turns`."""
+    """[m] for turning before the edge (or after it, at the goal), more over an edge of the ground, see `planning.risk.turns`."""
     backward: bool
     """Driven with the rear of the body ahead."""
     body_from: str

@@ -83,6 +83,7 @@ class PlannerStage:
     ) -> None:
         """`seed` of the graph's samples."""
         self._params = params
+        self._rules = DriveRules(params.backward, params.turning, straight=True)
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
@@ -158,6 +159,7 @@ class PlannerStage:
             self._map.window = window
         if self._path is None or not watching:
             return []
+        self._path = self._path.beyond(*window.middle)
         face = face_in_the_way(self._path, window.grid(filled=True), self._body)
         if not face:
             return []
@@ -262,7 +264,7 @@ class PlannerStage:
         graph = self._map.graph if message.graph else None
         yaw = message.goal_yaw if message.has_goal_yaw else None
         native: Plan | None = None
-        rules = DriveRules(backward=self._params.backward, straight=True)
+        rules = self._rules
         variant = self._params.variant
         wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
         try:
@@ -288,7 +290,7 @@ class PlannerStage:
             start_yaw=message.start_yaw,
             goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
             variant=self._params.variant,
-            rules=DriveRules(backward=self._params.backward, straight=True),
+            rules=self._rules,
             driven=Driven(*ahead) if ahead is not None else None,
             allow_frontier=True,
             previous_frontier=self._memory.chosen,

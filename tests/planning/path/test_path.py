@@ -79,6 +79,20 @@ def test_rough_and_sloped_ground_is_driven_more_slowly():
     assert top_speed(bumps) < 0.95 * top_speed(level)
 
 
+def test_a_slope_within_the_limits_alone_is_no_reason_to_be_slower_than_it_was_measured_at():
+    def top_speed(height):
+        grid = ElevationGrid(height.astype(np.float32), np.ones((81, 121), bool), (0.0, 0.0), 0.05)
+        _, graph = zigzag()
+        return make_path(
+            plan(graph, grid, PlanRequest(0, 6)), grid, BODY, PathLimits(max_speed=0.5)
+        ).speed.max()
+
+    level, along = np.zeros((81, 121)), np.arange(121) * 0.05
+    assert top_speed(level + np.tan(np.radians(15)) * along) > 0.9 * top_speed(level)
+    side = np.tan(np.radians(15)) * 0.05 * np.arange(81)[:, None]
+    assert top_speed(level + side) < 0.9 * top_speed(level), "it may slide"
+
+
 def test_the_requested_positions_are_on_the_path_and_the_first_turn_is_told():
     grid, graph = zigzag()
     request = PlanRequest((0.45, 1.9), (4.6, 2.35), start_yaw=np.pi, goal_yaw=1.0)

@@ -74,6 +74,20 @@ def test_faces_under_the_body_equal_the_plain_reading_and_do_not_depend_on_the_s
     np.testing.assert_allclose(again, got, atol=1e-6)
 
 
+def test_what_the_robot_has_passed_is_not_in_its_way():
+    grid = flat(7, 4)
+    graph, path = straight(grid)
+    behind, ahead = (with_box(grid, (x, x + 0.2), (1.9, 2.1), 0.3) for x in (1.6, 5.0))
+    assert face_in_the_way(path, behind, BODY)
+    for x in np.arange(1.0, 3.61, 0.1):
+        path = path.beyond(x, 2.0)
+    assert path.watched[0, 0] == pytest.approx(3.6, abs=0.03)
+    assert not face_in_the_way(path, behind, BODY)
+    assert face_in_the_way(path, ahead, BODY)
+    np.testing.assert_allclose(path.route, [(6.0, 2.0)])
+    assert still_safe(path, graph, behind, BODY) == (True, "")
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_box_is_seen_on_a_path_that_passes_a_wall_elsewhere(side):
     wall = with_box(flat(7, 4), (1.5, 2.0), (2.0 + side * 0.45 - 0.25, 2.0 + side * 0.45 + 0.25), 1.0)

@@ -58,6 +58,31 @@ def test_search_finds_the_optimum_forward_and_backward(world):
     assert driven == {False, True}
 
 
+def test_turns_take_time_and_the_optimum_stays_one(world):
+    grid, graph = world
+    last = len(graph.nodes) - 1
+    turned = []
+    for turning in (0.0, 2.0):
+        got = plan(graph, grid, PlanRequest(0, last, -2.4, 0.8, rules=DriveRules(turning=turning)), BODY)
+        cost, nodes = reference.cheapest_route(
+            grid,
+            graph,
+            0,
+            last,
+            BODY,
+            start_yaw=-2.4,
+            goal_yaw=0.8,
+            turn_cost=lambda _node, turn, each=turning: each * abs(turn),
+        )
+        assert got.cost == pytest.approx(cost, abs=1e-4)
+        assert got.cost == pytest.approx(sum(t.cost for t in got.transitions))
+        assert got.nodes == nodes
+        chord = np.diff(got.points[:, :2], axis=0)
+        yaw = np.concatenate([[-2.4], np.arctan2(chord[:, 1], chord[:, 0]), [0.8]])
+        turned.append(np.abs(np.arctan2(np.sin(np.diff(yaw)), np.cos(np.diff(yaw)))).sum())
+    assert turned[1] < turned[0] - 0.3
+
+
 def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):
     grid, graph = world
     last = len(graph.nodes) - 1

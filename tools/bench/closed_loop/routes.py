@@ -134,7 +134,7 @@ def _as_it_drives(name: str, query: int, controller: str) -> Route:
         max_slope=params.max_slope,
         step_speed=min(robot.step_vx, SPEED),
     )
-    rules = DriveRules(backward=PlannerConfig().backward, straight=True)
+    rules = DriveRules(PlannerConfig().backward, PlannerConfig().turning, straight=True)
     try:
         graph = TraversalGraph.build(grid, start, params, query)
         found = plan(graph, grid, PlanRequest(start, goal, rules=rules), body)

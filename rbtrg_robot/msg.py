@@ -683,6 +683,7 @@ class TrackerState(Message):
     path_id: str = ""
     phase: str = ""
     hold: str = ""
+    slow: str = ""
     distance_left: float = 0.0
     cross_track: float = 0.0
     heading_error: float = 0.0

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from hal.rotation import wrap
 from planning.tracking.path import PathError, TrackPath, track_path, track_paths
+from planning.tracking.slow import slowed_by
 from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
@@ -205,13 +206,13 @@ class PathTracker:
 
         off = wrap(line.at(line.heading, s_p) + back_to - course_p)
         # The mean of here and of where the command acts: the profile bounds both.
-        speed = min(line.at(line.speed, s), line.at(line.speed, s_p))
-        speed = min(speed, math.sqrt(2.0 * p.max_decel * max(along_p, 0.0)))
-        least = max(p.min_speed, min(speed, line.at(line.least, s)))
-        speed *= self._slope_factor(slope)
-        free = 0.3 * p.turn_threshold
-        speed *= min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
-        speed = max(speed, least)
+        profile = min(line.at(line.speed, s), line.at(line.speed, s_p))
+        stop = math.sqrt(2.0 * p.max_decel * max(along_p, 0.0))
+        tilted, free = self._slope_factor(slope), 0.3 * p.turn_threshold
+        turned = min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
+        least = max(p.min_speed, min(profile, stop, line.at(line.least, s)))
+        speed = max(min(profile, stop) * tilted * turned, least)
+        report["slow"] = slowed_by(line, s, p, (profile, stop, tilted * p.max_speed, turned * p.max_speed))
         rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
         if abs(v) > 0.1 and abs(cross) < 0.3 and abs(off) < free:
             self._drift += p.drift_gain * cross_p / p.lookahead * dt

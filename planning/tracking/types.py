@@ -102,5 +102,7 @@ class TrackOutput:
     path_id: int = 0
     fault: str = ""
     """Not empty: the velocity is zero because of this (bad input, off the path)."""
+    slow: str = ""
+    """What it drives slower than its limit for; empty at its limit, and while it does not follow a path."""
     missed: bool = False
     """Done, but further than twice `goal_tolerance` from the goal: what turning there may cost."""

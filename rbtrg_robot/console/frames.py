@@ -192,7 +192,10 @@ PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
         "map",
         plain("epoch", "known_cells", "trusted_cells", "resolution", "restoring", "warning", "detail"),
     ),
-    t.TRACKER_STATE: ("tracker", plain("phase", "hold", "distance_left", "cross_track", "heading_error")),
+    t.TRACKER_STATE: (
+        "tracker",
+        plain("phase", "hold", "slow", "distance_left", "cross_track", "heading_error"),
+    ),
     t.MOTION_LIMITS: ("limits", limits),
     t.ROUTE_STATUS: ("route_status", plain("valid", "detail", "nodes", "edges", "map_version")),
 }

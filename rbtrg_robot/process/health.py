@@ -204,7 +204,7 @@ class Health:
             row["backend"] = {pair.key: pair.value for pair in backend.values}
         tracker = self.newest.get(t.TRACKER_STATE)
         if tracker is not None:
-            row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold}
+            row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold, "tracker_slow": tracker.slow}
         return row
 
 

@@ -140,6 +140,7 @@ class TrackerStage:
             path_id=self._path_id,
             phase="stopped" if hold else step.phase.value,
             hold=hold or step.fault,
+            slow=step.slow,
             distance_left=float(step.distance_left),
             cross_track=float(step.cross_track),
             heading_error=float(step.heading_error),

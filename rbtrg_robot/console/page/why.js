@@ -101,6 +101,7 @@ export function makeWhy(link, view) {
       ]);
     if (limits?.slowed) rows.push(["In the way", limits.slowed, "word-warn"]);
     if (tracker?.hold) rows.push(["Tracker", tracker.hold, "word-warn"]);
+    if (tracker?.slow) rows.push(["Slower for", tracker.slow]);
     if (route)
       rows.push(
         ["Route", route.valid ? "still good" : `no longer good: ${route.detail}`],

@@ -334,6 +334,24 @@ def test_bends_slopes_and_the_speed_profile_slow_down():
     assert max(o.vx for o, slow in zip(run.outputs, in_slow, strict=True) if slow) < 0.25
 
 
+def test_what_it_is_slow_for_is_told():
+    def words(points, speed=0.8, slope=0.0, yaw=0.0):
+        tracker, base = PathTracker(), Base(yaw=yaw)
+        tracker.set_path(points, None, speed)
+        run = drive(tracker, base, slope=slope)
+        return [o.slow for o in run.outputs if o.phase is TrackPhase.FOLLOWING]
+
+    level = words(line(4.0))
+    assert set(level) == {"", "the end of the path"}
+    assert level.count("") > 100
+    assert level[-1] == "the end of the path"
+    assert words(line(4.0), slope=0.4)[50] == "a slope"
+    assert words(line(4.0), speed=0.3)[50] == "the ground"
+    corner = np.vstack([line(2.0), line(2.0, math.radians(40))[1:] + line(2.0)[-1]])
+    assert "a bend" in words(corner)
+    assert words(line(4.0), yaw=0.3)[0] == "its heading"
+
+
 def test_a_replanned_path_is_taken_up_without_stopping():
     tracker, base = PathTracker(), Base()
     tracker.set_path(line(5.0), None, 0.6)

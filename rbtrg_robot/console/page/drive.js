@@ -167,6 +167,7 @@ export function makeDrive(link, view, about, free) {
     $("go").disabled = locked();
     if (answer.ok) {
       forget(false);
+      view.chase();
       $("scene").scrollIntoView({ block: "nearest" }); // on a phone it lies above: now the robot is what matters
     }
   };

@@ -150,7 +150,9 @@ export function makeMissions(link, view, free) {
   $("file-clear").onclick = clear;
   $("file-run").onclick = async () => {
     const answer = await tell({ what: "run", file: file.file, step: Number($("file-from").value) });
-    if (answer.ok) clear();
+    if (!answer.ok) return;
+    clear();
+    view.chase();
   };
   const say = (error) => free.say(error.message, "bad");
   $("reload-missions").onclick = () => files().catch(say);

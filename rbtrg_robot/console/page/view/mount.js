@@ -30,7 +30,7 @@ export function mount(element, options) {
     body: [0.7, 0.43],
     sky: [0.87, 0.9, 0.92],
   };
-  const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look };
+  const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look, chase };
   let canvas,
     painter,
     asked = false,
@@ -123,6 +123,13 @@ export function mount(element, options) {
     if (camera.top) camera.azimuth = -Math.PI / 2;
     show();
     return camera.top;
+  }
+
+  // What was just sent off is what matters: the picture goes with the robot again.
+  function chase() {
+    view.follow = true;
+    options.followed?.(true);
+    show();
   }
 
   // Turn the picture to a place on the ground.

@@ -289,6 +289,8 @@ class Supervisor:
         if now < self._usage_due:
             return
         self._usage_due = now + 1.0
+        if self._zygote.mend():
+            self._say("the process that starts the others ended; there is a new one, and the robot drives on")
         self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
         for child in self._children.values():
             if child.forked is not None:

@@ -2,12 +2,15 @@
 is back, what the goal does.
 
 Rest is judged by the simulator's truth and clock; it is asked of the processes whose loss matters for motion.
-The killed robot process is the simulator itself here, so its body is gone until it is back.
+The killed robot process is the simulator itself here, so its body is gone until it is back. `supervisor` and `zygote` are no rows of the
+table: without the supervisor everything ends, robot process first, and the bench tells when; the zygote starts the others and nobody misses it
+until one has to be started.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -16,6 +19,8 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+import psutil
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
@@ -34,11 +39,14 @@ STEADY = 1.0
 AHEAD = 4.0
 """Distance [m] of the goals."""
 ENDED = ("reached", "rejected", "aborted")
+ZYGOTE, SUPERVISOR = "zygote", "supervisor"
+GONE = 10.0
+"""Longest wait [s] for the end of what must not outlive the supervisor."""
 
 
 def run(args: list[str]) -> Report:
     """Run this bench with the arguments of its command line; returns its rows."""
-    names = [row.name for row in PROCESSES]
+    names = [*(row.name for row in PROCESSES), ZYGOTE, SUPERVISOR]
     parser = argparse.ArgumentParser(prog="python -m tools.bench kill", description=__doc__)
     parser.add_argument("--only", nargs="*", choices=names, default=names, metavar="PROCESS")
     parser.add_argument("--rounds", type=int, default=1, help="how often each process is killed")
@@ -52,29 +60,38 @@ def run(args: list[str]) -> Report:
         action="store_true",
         help="all in one process: only when the robot rests after each loss",
     )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulation")
     parser.add_argument("--scene", default="flat")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
     report = Report("kill")
     if options.lockstep:
-        _in_lockstep([BY_NAME[name] for name in options.only], options.rounds, options.scene, report)
+        rows = [BY_NAME[name] for name in options.only if name in BY_NAME]
+        _in_lockstep(rows, options.rounds, options.scene, options.seed, report)
         return report
     with tempfile.TemporaryDirectory() as scratch:
         logs = options.keep or Path(scratch) / "logs"
-        with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
-            watch = Watch(bus)
-            for turn in range(options.rounds):
-                for row in PROCESSES:
-                    if row.name in options.only:
-                        _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
+        settings = ("--scene", options.scene, "--seed", str(options.seed))
+        if set(options.only) - {SUPERVISOR}:
+            with running(report, Path(scratch), logs, *settings) as bus:
+                watch = Watch(bus)
+                for turn in range(options.rounds):
+                    for row in PROCESSES:
+                        if row.name in options.only:
+                            _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
+                    if ZYGOTE in options.only:
+                        _kill_zygote(watch, f"{ZYGOTE}.{turn}", options.hang, report)
+        for turn in range(options.rounds if SUPERVISOR in options.only and not options.hang else 0):
+            with running(report, Path(scratch), logs, *settings, ended=True) as bus:
+                _kill_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}", report)
     return report
 
 
-def _in_lockstep(rows: list[Process], rounds: int, scene: str, report: Report) -> None:
+def _in_lockstep(rows: list[Process], rounds: int, scene: str, seed: int, report: Report) -> None:
     """The stages that stop motion die in turn at full speed. Each is back after half a second, and the next goal lies behind the robot."""
     rested: dict[str, list[float]] = {row.name: [] for row in rows if row.stops_motion}
     lost = 0
-    with Lockstep(load(None, ["sim.lidar_step=8"], scene=scene)) as stack:
+    with Lockstep(load(None, ["sim.lidar_step=8"], scene=scene, seed=seed)) as stack:
         stack.wait_ready()
 
         def truth() -> tuple[float, float]:
@@ -83,7 +100,7 @@ def _in_lockstep(rows: list[Process], rounds: int, scene: str, report: Report) -
             twist = message.twist.twist.linear
             return message.pose.pose.position.x, math.hypot(twist.x, twist.y)
 
-        for _ in range(rounds):
+        for number in range(rounds):
             for name, found in rested.items():
                 goal = stack.send_goal(-AHEAD if truth()[0] > 0.0 else AHEAD, 0.0)
                 stack.run_until(lambda: truth()[1] > DRIVING, 30.0, f"motion before {name} dies")
@@ -98,6 +115,11 @@ def _in_lockstep(rows: list[Process], rounds: int, scene: str, report: Report) -
                 stack.run(0.5)
                 told = stack.newest[t.GOAL_STATUS]
                 lost += told.id != goal or (told.state == "aborted" and not told.reason)
+            worst = {name: round(max(found), 3) for name, found in rested.items()}
+            print(
+                f"round {number + 1} of {rounds}, at rest after [s], worst so far: {worst}; {lost} goals lost",
+                flush=True,
+            )
     for name, found in rested.items():
         report.add(f"kills.{name}", len(found), "-")
         report.add(f"rest_s.{name}.worst", max(found), "s", 0.3)
@@ -126,9 +148,13 @@ class Watch:
             elif received.topic is t.GOAL_STATUS:
                 self.goal = message
 
+    def ask(self) -> bytes:
+        """`status`."""
+        return self._bus.ask("status") or b"{}"
+
     def process(self, name: str) -> Any:
         """Its row of `status`."""
-        rows = json.loads(self._bus.ask("status") or b"{}").get("processes", [])
+        rows = json.loads(self.ask()).get("processes", [])
         return next((row for row in rows if row["process"] == name), {})
 
     def drive(self, goal_id: str) -> tuple[float, float]:
@@ -150,6 +176,53 @@ class Watch:
                 )
             self.turn()
         return goal
+
+
+def _pids(watch: Watch) -> tuple[int, dict[str, int], list[int]]:
+    """The supervisor, the processes by name, the zygote (the supervisor's other child)."""
+    status = json.loads(watch.ask())
+    known = {row["process"]: int(row["pid"]) for row in status["processes"]}
+    children = [child.pid for child in psutil.Process(status["pid"]).children()]
+    return int(status["pid"]), known, [pid for pid in children if pid not in known.values()]
+
+
+def _kill_zygote(watch: Watch, label: str, hang: bool, report: Report) -> None:
+    """The robot drives on, and a process that is killed after it comes back all the same."""
+    goal = watch.drive(f"kill-{label}")
+    _, _, (zygote,) = _pids(watch)
+    os.kill(zygote, signal.SIGSTOP if hang else signal.SIGKILL)
+    end = time.monotonic() + 60.0
+    while watch.goal.state not in ENDED and time.monotonic() < end:
+        watch.turn()
+    report.add(f"reached.{label}", float(watch.goal.state == "reached"), "bool", 1.0, at_least=True)
+    report.add(f"error_m.{label}", math.dist(watch.place, goal), "m", 0.25)
+    _kill(watch, BY_NAME["tracker"], f"tracker_after_{label}", hang=False, report=report)
+
+
+def _kill_supervisor(watch: Watch, label: str, report: Report) -> None:
+    """It hosts the router: who watches the bus sees nothing any more. The processes are watched themselves."""
+    watch.drive(f"kill-{label}")
+    supervisor, known, others = _pids(watch)
+    left = {name: psutil.Process(pid) for name, pid in known.items()}
+    left |= {f"{ZYGOTE}{pid}": psutil.Process(pid) for pid in others}
+    os.kill(supervisor, signal.SIGKILL)
+    killed = time.monotonic()
+    gone: dict[str, float] = {}
+    while len(gone) < len(left) and time.monotonic() - killed < GONE:
+        for name, process in left.items():
+            if name not in gone and not _lives(process):
+                gone[name] = time.monotonic() - killed
+        time.sleep(0.005)
+    # The robot process stops the robot as its first act after the signal and its end is later than that.
+    report.add(f"robot_ended_s.{label}", gone.get("robot", math.nan), "s", BY_NAME["robot"].farewell)
+    report.add(f"all_ended_s.{label}", max(gone.values(), default=math.nan), "s", BY_NAME["robot"].farewell)
+    report.add(f"outlived.{label}", len(left) - len(gone), "-", 0.0)
+
+
+def _lives(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return process.is_running() and process.status() != psutil.STATUS_ZOMBIE
+    return False
 
 
 def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) -> None:

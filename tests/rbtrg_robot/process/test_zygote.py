@@ -16,7 +16,7 @@ import pytest
 
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
-from rbtrg_robot.process.zygote import Forked, Zygote
+from rbtrg_robot.process.zygote import ONE_THREAD, Forked, Zygote
 from rbtrg_robot.wire.bus import Bus
 from tools.bench.ports import free_port
 
@@ -88,6 +88,36 @@ def test_a_killed_zygote_is_replaced_and_its_processes_live_on(tmp_path: Path) -
         assert first.poll() is None
         first.kill()
         assert first.wait(10.0) == -signal.SIGKILL
+
+
+def test_a_zygote_that_ended_is_replaced_before_it_is_needed() -> None:
+    with Zygote() as zygote:
+        assert not zygote.mend()
+        killed = zygote.pid
+        os.kill(killed, signal.SIGKILL)
+        os.waitid(os.P_PID, killed, os.WEXITED | os.WNOWAIT)
+        assert zygote.mend()
+        assert zygote.pid != killed
+        assert not zygote.mend()
+
+
+def test_a_process_imports_nothing_of_numba_when_it_loads_its_kernels() -> None:
+    script = (
+        "import sys, importlib, threading; from rbtrg_robot.process import zygote; zygote.preload();"
+        "alone = len(__import__('os').listdir('/proc/self/task'));"
+        "from rbtrg_robot.config import load; from rbtrg_robot.stages.guard import build;"
+        "stage = build(load()); before = set(sys.modules); stage.warm_up();"
+        "print(alone, *(m for m in set(sys.modules) - before if m.startswith(('numba', 'scipy', 'llvmlite'))))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+        env={**os.environ, **ONE_THREAD},
+    )
+    assert done.stdout.split() == ["1"], "one thread, which a fork copies, and no import"
 
 
 def test_a_stopped_zygote_is_replaced_within_bounds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

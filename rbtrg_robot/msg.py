@@ -319,6 +319,41 @@ class Journal(Message):
 
 
 @dataclass(slots=True, eq=False)
+class PointField(Message):
+    """sensor_msgs/msg/PointField."""
+
+    __msgtype__ = "sensor_msgs/msg/PointField"
+    INT8: ClassVar[int] = 1
+    UINT8: ClassVar[int] = 2
+    INT16: ClassVar[int] = 3
+    UINT16: ClassVar[int] = 4
+    INT32: ClassVar[int] = 5
+    UINT32: ClassVar[int] = 6
+    FLOAT32: ClassVar[int] = 7
+    FLOAT64: ClassVar[int] = 8
+    name: str = ""
+    offset: int = 0
+    datatype: int = 0
+    count: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class PointCloud2(Message):
+    """sensor_msgs/msg/PointCloud2."""
+
+    __msgtype__ = "sensor_msgs/msg/PointCloud2"
+    header: Header = field(default_factory=Header)
+    height: int = 0
+    width: int = 0
+    fields: list[PointField] = field(default_factory=list)
+    is_bigendian: bool = False
+    point_step: int = 0
+    row_step: int = 0
+    data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
+    is_dense: bool = False
+
+
+@dataclass(slots=True, eq=False)
 class MapPrior(Message):
     """rbtrg_msgs/msg/MapPrior."""
 
@@ -326,6 +361,7 @@ class MapPrior(Message):
     header: Header = field(default_factory=Header)
     id: str = ""
     map: GridMap = field(default_factory=GridMap)
+    cloud: PointCloud2 = field(default_factory=PointCloud2)
 
 
 @dataclass(slots=True, eq=False)
@@ -355,6 +391,10 @@ class MapStatus(Message):
     prior: str = ""
     refused: int = 0
     detail: str = ""
+    location: str = ""
+    location_detail: str = ""
+    odom_in_map: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 3))
+    candidates: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
 
 
 @dataclass(slots=True, eq=False)
@@ -721,41 +761,6 @@ class JointState(Message):
     position: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     velocity: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     effort: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
-
-
-@dataclass(slots=True, eq=False)
-class PointField(Message):
-    """sensor_msgs/msg/PointField."""
-
-    __msgtype__ = "sensor_msgs/msg/PointField"
-    INT8: ClassVar[int] = 1
-    UINT8: ClassVar[int] = 2
-    INT16: ClassVar[int] = 3
-    UINT16: ClassVar[int] = 4
-    INT32: ClassVar[int] = 5
-    UINT32: ClassVar[int] = 6
-    FLOAT32: ClassVar[int] = 7
-    FLOAT64: ClassVar[int] = 8
-    name: str = ""
-    offset: int = 0
-    datatype: int = 0
-    count: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class PointCloud2(Message):
-    """sensor_msgs/msg/PointCloud2."""
-
-    __msgtype__ = "sensor_msgs/msg/PointCloud2"
-    header: Header = field(default_factory=Header)
-    height: int = 0
-    width: int = 0
-    fields: list[PointField] = field(default_factory=list)
-    is_bigendian: bool = False
-    point_step: int = 0
-    row_step: int = 0
-    data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
-    is_dense: bool = False
 
 
 @dataclass(slots=True, eq=False)

@@ -25,8 +25,8 @@ MAX_TILES = 4000
 """Largest prior map: about 0.7 GB."""
 
 
-def save_store(store: TileStore, path: Path, resolution: float) -> None:
-    """Write all tiles; the file appears complete or not at all. Same map, same bytes. Raises OSError."""
+def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32]) -> None:
+    """Write all tiles, and the thinned cloud (n, 3) of the same map; the file appears complete or not at all. Same map, same bytes. Raises OSError."""
     path = Path(path)
     n = store.used * store.size * store.size
     arrays: dict[str, Any] = {
@@ -36,6 +36,7 @@ def save_store(store: TileStore, path: Path, resolution: float) -> None:
         "resolution": np.array(resolution),
         "tile_cells": np.array(store.size),
         "tiles": store.tiles[: store.used],
+        "cloud": cloud,
     }
     cells = store.cells[:n]
     arrays |= {name: cells[name].reshape(store.used, store.size, store.size) for name in SAVED}
@@ -114,6 +115,31 @@ def load_into(store: TileStore, path: Path, resolution: float, trust_count: int)
     return _enter(
         store, np.where(trusted, height, np.nan), own, (origin[0], origin[1]), resolution, trust_count
     )
+
+
+def read_cloud(path: Path) -> NDArray[np.float32]:
+    """(n, 3) cloud of a map [m]: what `save_store` wrote, or the points of a .ply or .pcd without a mesh; none where the file has none.
+
+    Raises MapError for a cloud that is damaged.
+    """
+    if path.suffix.lower() in (".ply", ".pcd"):
+        from hal.scenes.readers import read_geometry
+
+        geometry = read_geometry(path)  # it was read before
+        if len(geometry.triangles) == 0:
+            return np.ascontiguousarray(geometry.vertices, np.float32)
+    if path.suffix.lower() != ".npz":
+        return np.empty((0, 3), np.float32)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            cloud = file["cloud"] if "cloud" in file.files else np.empty((0, 3), np.float32)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise MapError(f"{path.name}: broken or truncated .npz file ({error})") from error
+    if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind != "f" or not np.isfinite(cloud).all():
+        raise MapError(f"{path.name}: damaged cloud: take another copy")
+    if len(cloud) and not np.abs(cloud).max() <= MAX_EXTENT:
+        raise MapError(f"{path.name}: damaged cloud: it reaches beyond {MAX_EXTENT / 1000:.0f} km")
+    return cloud.astype(np.float32)
 
 
 def _load_own(

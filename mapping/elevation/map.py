@@ -20,7 +20,7 @@ from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
-from mapping.elevation.files import load_into, restore_store, save_store
+from mapping.elevation.files import load_into, read_cloud, restore_store, save_store
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import MapReader
@@ -29,7 +29,10 @@ from mapping.elevation.tiles import CONTACT, LIDAR, PRIOR, UNKNOWN, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, behind, support_patch
 from mapping.grid import ElevationGrid
+from mapping.thin_cloud import ThinCloud
 
+CLOUD_EVERY = 10
+"""Scans of which one goes into the thinned cloud."""
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
 UPRIGHT = 0.7
@@ -48,6 +51,8 @@ class ElevationMap:
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
         self.alignment = Alignment()
+        self.cloud = ThinCloud()
+        """What the LiDARs saw beyond ground: walls, for whoever must find the robot in this map later."""
         self.stamp = 0
         self.scans = 0
         self._lived = 0
@@ -77,6 +82,7 @@ class ElevationMap:
         """Compile (or load) every kernel on a throw-away map."""
         other = ElevationMap(self.params)
         other._prior = PriorCheck()
+        other.cloud.enter(np.zeros((1, 3), np.float32))
         other.alignment.to(other.store)
         points = np.array([[2.0, 0.1 * k, -0.4 + 0.1 * (k % 2)] for k in range(8)], dtype=np.float32)
         other.fuse_ground(
@@ -92,6 +98,7 @@ class ElevationMap:
         self.store.clear()
         self.epoch += 1
         self.alignment = Alignment()
+        self.cloud.clear()
         self.scans = 0
         self._rays = 0
         self._prior = None
@@ -165,6 +172,8 @@ class ElevationMap:
             self.alignment.height -= p.drift_gain * float(
                 np.clip(mean, -0.05, 0.05) - np.clip(mean, -p.drift_free, p.drift_free)
             )
+        if self.scans % CLOUD_EVERY == 0:
+            self.cloud.add(points, rotation, place)
         self._rays, self._sensor = rays, place + rotation @ origin
         self._angle = float(np.hypot(noise[1], noise[2]))
         self.scans += 1
@@ -284,8 +293,8 @@ class ElevationMap:
     # ------------------------------------------------------------------ files
 
     def save(self, path: Path) -> None:
-        """Write the whole map as a versioned .npz. Raises OSError."""
-        save_store(self.store, path, self.params.resolution)
+        """Write the whole map and its cloud as a versioned .npz. Raises OSError."""
+        save_store(self.store, path, self.params.resolution, self.cloud.points)
 
     def load_prior(self, path: Path) -> int:
         """Start from a map file (see `mapping.elevation.files`); returns its known cells. Readers see a new epoch.
@@ -295,18 +304,19 @@ class ElevationMap:
         """
         store = TileStore(self.params.tile_cells)
         known = load_into(store, path, self.params.resolution, self.params.trust_count)
-        self._start_on(store)
+        self._start_on(store, read_cloud(path))
         return known
 
-    def begin_on(self, patch: MapPatch) -> int:
-        """Start anew from a prior map that came as a patch; see `load_prior`. Raises MapError for another resolution."""
+    def begin_on(self, patch: MapPatch, cloud: NDArray[np.float32]) -> int:
+        """Start anew from a prior map that came as a patch and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
         store = TileStore(self.params.tile_cells)
         known = restore_store(store, patch, self.params, PRIOR, sent=False)
-        self._start_on(store)
+        self._start_on(store, cloud)
         return known
 
-    def _start_on(self, store: TileStore) -> None:
+    def _start_on(self, store: TileStore, cloud: NDArray[np.float32]) -> None:
         self.reset()
+        self.cloud.enter(cloud)
         self.store = self._reader.store = store
         self._prior = PriorCheck()
         self.alignment.to(store)

@@ -115,7 +115,7 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
         end = follow(bus, order)
     if order.patch is None:
         raise MapError(end.words)
-    print(f"{save(order.patch, file)} known cells -> {file}")
+    print(f"{save(order.patch, order.cloud, file)} known cells -> {file}")
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:

@@ -72,7 +72,7 @@ class Maps:
             outcome = await self._desk.carry_out(order)
             if order.patch is None:
                 raise Refused(outcome.words)
-            known = await run_in_threadpool(save, order.patch, target)
+            known = await run_in_threadpool(save, order.patch, order.cloud, target)
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
         except OSError as error:

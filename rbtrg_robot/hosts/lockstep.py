@@ -21,6 +21,7 @@ from rbtrg_robot.hosts.sync import Sink, SyncHost
 from rbtrg_robot.log.file import CONFIG, LogWriter
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.navigation.goal import GoalState, goal_request
+from rbtrg_robot.stages.navigation.reasons import unlocated
 from rbtrg_robot.stages.robot import STEP
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Qos, Topic
@@ -160,7 +161,7 @@ class Lockstep:
             self.step()
 
     def wait_ready(self, timeout: float = 15.0) -> None:
-        """Robot stands, odometry is good, a map exists."""
+        """Robot stands, odometry is good, a map exists, and the robot knows where it is in a prior one."""
 
         def ready() -> bool:
             state, health = self.newest.get(t.ROBOT_STATE), self.newest.get(t.ODOM_HEALTH)
@@ -172,6 +173,7 @@ class Lockstep:
                 and health.health == "good"
                 and status
                 and status.trusted_cells > 0
+                and unlocated(status) is None
             )
 
         self.run_until(ready, timeout, "readiness")

@@ -9,6 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapPatch
 from rbtrg_robot import msg
@@ -16,7 +19,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import fingerprint
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg
+from rbtrg_robot.wire.convert import MAP, LayoutError, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.messages import header
 
 AGAIN, LIMIT = 3.0, 15.0
@@ -24,22 +27,26 @@ AGAIN, LIMIT = 3.0, 15.0
 
 
 class FetchMap(Order):
-    """The present map as a patch."""
+    """The present map as a patch, and its cloud, which comes before it."""
 
-    hears = (t.MAP_FULL,)
+    hears = (t.MAP_CLOUD, t.MAP_FULL)
     sends = (t.MAP_REQUEST,)
 
     def __init__(self) -> None:
         super().__init__(AGAIN, LIMIT)
         self.patch: MapPatch | None = None
+        self.cloud = np.empty((0, 3), np.float32)
 
     def message(self) -> tuple[Topic, msg.Message]:
         """The request."""
         return t.MAP_REQUEST, msg.MapRequest(header=header(time.time_ns(), ""), action="full")
 
     def take(self, topic: Topic, message: Any) -> None:
-        """A GridMap; one that is broken is none, and it is asked for again."""
+        """A cloud or a GridMap; one that is broken is none, and it is asked for again."""
         with contextlib.suppress(LayoutError):
+            if t.MAP_CLOUD.carried(message, topic):
+                self.cloud = cloud_points(message)
+                return
             self.patch = map_patch(message, 0)
             self.outcome = Outcome(True, "")
 
@@ -87,14 +94,16 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
     elevation.load_prior(file)
     patch = replace(elevation.full(), stamp=time.time_ns())
     stamp = header(patch.stamp, MAP)
-    return msg.MapPrior(header=stamp, id=fingerprint(str(file)), map=patch_msg(patch))
+    cloud = cloud_msg(patch.stamp, MAP, elevation.cloud.points)
+    return msg.MapPrior(header=stamp, id=fingerprint(str(file)), map=patch_msg(patch), cloud=cloud)
 
 
-def save(patch: MapPatch, file: Path) -> int:
+def save(patch: MapPatch, cloud: NDArray[np.float32], file: Path) -> int:
     """Write it as `up --map` reads it; returns the number of known cells."""
     from mapping.elevation.map import ElevationMap
 
     elevation = ElevationMap(ElevationConfig(resolution=patch.resolution))
     known = elevation.restore(patch)
+    elevation.cloud.enter(cloud)
     elevation.save(file)
     return known

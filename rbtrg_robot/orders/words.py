@@ -37,6 +37,8 @@ def robot_line(robot: dict[str, Any]) -> str:
         words += [f"{robot['pose_age']:.0f} s ago {place}"] if old else [place, f"{robot['speed']:.2f} m/s"]
     if robot.get("localization", "good") != "good":
         words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
+    if robot.get("location"):
+        words.append(robot["location"])
     if robot.get("map_warning"):
         words.append(f"MAP: {robot['map_warning']}")
     words.append(f"real-time factor {robot['realtime_factor']:.2f}")

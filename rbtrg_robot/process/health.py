@@ -175,7 +175,7 @@ class Health:
             row |= {"localization": health.health, "localization_reason": health.reason}
         elevation = self.newest.get(t.MAP_STATUS)
         if elevation is not None:
-            row["map_warning"] = elevation.warning
+            row |= {"map_warning": elevation.warning, "location": elevation.location_detail}
         goal = self.newest.get(t.GOAL_STATUS)
         if goal is not None:
             row["goal"] = {

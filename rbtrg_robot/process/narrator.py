@@ -18,6 +18,7 @@ class Narrator:
         self._say = say
         self._said: dict[Topic, str] = {}
         self._estop = self._away = False
+        self._location = ""
 
     def take(self, topic: Topic, message: Any) -> None:
         """One message of any topic."""
@@ -32,8 +33,12 @@ class Narrator:
                 self._once(topic, f"mission {message.name} {message.phase}" + (f": {why}" if why else ""))
         elif t.ROBOT_STATE.carried(message, topic):
             self._robot(message)
-        elif t.MAP_STATUS.carried(message, topic) and (message.warning or topic in self._said):
-            self._once(topic, f"map: {message.warning or 'well again'}")
+        elif t.MAP_STATUS.carried(message, topic):
+            if message.location_detail and message.location_detail != self._location:
+                self._say(f"map: {message.location_detail}")
+            self._location = message.location_detail
+            if message.warning or topic in self._said:
+                self._once(topic, f"map: {message.warning or 'well again'}")
 
     def _robot(self, state: msg.RobotState) -> None:
         if bool(state.estop) != self._estop:

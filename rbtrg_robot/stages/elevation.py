@@ -11,17 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import MOTORS
+from hal.go2w import MOTORS, stand_height
 from hal.types import JointSample, LidarName, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
+from mapping.relocalise import warm_up
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
+from rbtrg_robot.stages.location import Location, Planar, State
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -59,12 +61,12 @@ TRUSTED_SENT = 16
 class ElevationStage:
     """Registered scans in, the elevation map out.
     In: poses at the end of each scan, deskewed clouds of every LiDAR, joints, tf_static, requests for the
-    map, another prior map. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
+    map, another prior map, where an operator says that the robot stands. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
     which messages belong to one scan, by their stamps, so the order of arrival does not matter. It never
     plans, never moves the robot and writes no file.
     """
 
-    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS)
+    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_STATUS)
 
     def __init__(
         self,
@@ -72,10 +74,23 @@ class ElevationStage:
         params: ElevationStageConfig,
         lidars: tuple[MountedLidar, ...],
         prior: str = "",
+        start: Planar = (0.0, 0.0, 0.0),
+        name: str = "",
     ) -> None:
-        """`prior`: hash of the file of the prior map that `elevation` holds; empty where it holds none."""
+        """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds none. start: x, y [m], yaw [rad]
+        of the robot in `map` as configured.
+        """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
-        self.inputs = (t.ODOM, *clouds, t.JOINTS, t.TF_STATIC, t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR)
+        self.inputs = (
+            t.ODOM,
+            *clouds,
+            t.JOINTS,
+            t.TF_STATIC,
+            t.MAP_REQUEST,
+            t.MAP_PRIOR,
+            t.MAP_MIRROR,
+            t.INITIAL_POSE,
+        )
         self.map = elevation
         self._params = params
         self._lidars = lidars
@@ -90,8 +105,15 @@ class ElevationStage:
         self._course = Course()
         self._prior = prior
         self._prior_map = elevation.full() if prior else None
+        self._prior_cloud = elevation.cloud.points
+        self._location = Location()
+        if self._prior_map is not None:
+            self._location.begin(name, self._prior_map, self._prior_cloud, start)
+            if not self._location.state.known:
+                elevation.reset()  # nothing of it holds before the robot is found in it
         self._prior_stamp = 0
         self._stands = False
+        self._odom: msg.Odometry | None = None
         self._scans = 0
         self._detail = ""
         self._status_due = 0
@@ -103,6 +125,7 @@ class ElevationStage:
     def warm_up(self) -> None:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
+        warm_up()
         stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars)
         for topic, message in _rehearsal(tuple(self._topics)):
             stage.on(topic, decode(encode(message), topic.kind))
@@ -114,7 +137,7 @@ class ElevationStage:
         """Take one message."""
         try:
             if t.ODOM.carried(message, topic):
-                self._poses[stamp_of(message)] = message
+                self._poses[stamp_of(message)] = self._odom = message
                 self._stands = stands(message)
             elif topic in self._topics:
                 clouds = self._clouds.setdefault(stamp_of(message), {})
@@ -124,7 +147,12 @@ class ElevationStage:
                 del self._joints[:-100]
             elif t.TF_STATIC.carried(message, topic):
                 if self._frame.take(message):
+                    self._location.settle(self._frame)
                     return self._begin("the pose was set")
+            elif t.INITIAL_POSE.carried(message, topic):
+                if self._odom is not None:
+                    self._location.tell(message, self._odom)
+                    self._status_due = 0
             elif t.MAP_PRIOR.carried(message, topic):
                 return self._take_prior(message)
             elif t.MAP_REQUEST.carried(message, topic):
@@ -136,6 +164,8 @@ class ElevationStage:
                 ):  # another one was loaded meanwhile; what was made of it comes back
                     self.map.reset()
                     self._prior, self._prior_map = message.prior, None
+                    self._location.end()
+                self._location.restore(message)
                 self.map.epoch = max(self.map.epoch, message.epoch)
                 self.map.alignment.height = message.height_correction
             elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
@@ -152,6 +182,8 @@ class ElevationStage:
         ):  # where the robot started must be known before anything is mapped
             return outputs
         for stamp in sorted(self._poses.keys() & self._clouds.keys()):
+            if stamp not in self._clouds:  # the map began anew meanwhile
+                break
             joints = self._joints_at(stamp)
             newer = sum(1 for other in self._clouds if other > stamp)
             complete = joints is not None and self._clouds[stamp].keys() == self._sensors.keys()
@@ -187,20 +219,39 @@ class ElevationStage:
         self._course.follow(position, stamp)
         sigmas = self._sigmas(odom)
         self._scans += 1
+        seen = []
         for name, sensor in self._sensors.items():
             points = clouds.get(name, NOTHING)
             self._silent[name] = 0 if len(points) else self._silent[name] + 1
             if len(points):
                 self.map.fuse(points, position, orientation, stamp, sensor, *sigmas)
+                seen.append((sensor, points))
                 if self._scans % self._params.clean_every == 0:
                     self.map.clean()
         if joints is not None:
             self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp)
+        if self._locate(odom, seen, joints):
+            return self._begin("the robot was found")
         outputs: Outputs = []
         if self._scans % self._params.publish_every == 1:
             outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
+
+    def _locate(
+        self,
+        odom: msg.Odometry,
+        seen: list[tuple[Sensor, NDArray[np.float32]]],
+        joints: JointSample | None,
+    ) -> bool:
+        """Look for the robot in the prior map. Returns whether it was found just now where it was thought to be."""
+        before = self._location.state
+        if joints is not None:
+            self._location.scan(odom, seen, stand_height(joints.position))
+        now = self._location.state
+        if now is not before:
+            self._status_due = 0
+        return self._location.settle(self._frame) or (now is not before and now is State.ASSUMED)
 
     def _sigmas(self, odom: msg.Odometry) -> tuple[float, float]:
         """Standard deviations of roll or pitch [rad] and of the height [m] of a pose: the odometry's own, or the configured where
@@ -230,17 +281,22 @@ class ElevationStage:
         if not self._stands:
             self._detail, self._status_due = "the map was not loaded: the robot moves", 0
             return []
+        cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
         self._prior, self._prior_map, self._prior_stamp = message.id, patch, patch.stamp
+        self._prior_cloud = cloud
+        frame = self._frame
+        self._location.begin("the loaded map", patch, cloud, (frame.x, frame.y, frame.yaw))
         return self._begin("the map was loaded")
 
     def _begin(self, why: str) -> Outputs:
         """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""
         known = 0
         if self._prior_map is None:
-            self.map.reset()
             self._prior = ""
+        if self._prior_map is None or not self._location.state.known:
+            self.map.reset()
         else:
-            known = self.map.begin_on(self._prior_map)
+            known = self.map.begin_on(self._prior_map, self._prior_cloud)
         self._course.forget()
         self._poses.clear()
         self._clouds.clear()
@@ -250,7 +306,10 @@ class ElevationStage:
     def _request(self, message: msg.MapRequest) -> Outputs:
         if message.action == "full":
             try:
-                return [(t.MAP_FULL, patch_msg(self.map.complete()))] if self._scans else []
+                if not self._scans:
+                    return []
+                cloud = cloud_msg(self.map.stamp, MAP, self.map.cloud.points)
+                return [(t.MAP_CLOUD, cloud), (t.MAP_FULL, patch_msg(self.map.complete()))]
             except MapError as error:
                 self._detail, self._status_due = str(error), 0
                 raise
@@ -289,6 +348,7 @@ class ElevationStage:
             warning="; ".join(filter(None, (self._course.warning, self._blind(), self.map.warning))),
             refused=self._refused,
             detail=self._detail,
+            **self._location.report(),
         )
         return [(t.MAP_STATUS, status)]
 
@@ -311,4 +371,11 @@ def build(config: StackConfig) -> ElevationStage:
     if config.map_file:
         elevation.load_prior(Path(config.map_file))
     lidars = config.mounted_lidars()
-    return ElevationStage(elevation, config.elevation_stage, lidars, fingerprint(config.map_file))
+    return ElevationStage(
+        elevation,
+        config.elevation_stage,
+        lidars,
+        fingerprint(config.map_file),
+        config.start_pose(),
+        Path(config.map_file).name,
+    )

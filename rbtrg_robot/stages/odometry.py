@@ -65,7 +65,7 @@ class OdometryStage:
     ) -> None:
         """`start`: x, y [m], yaw [rad] of the robot in `map`."""
         names = [lidar.name for lidar in lidars]
-        self.inputs = (t.IMU, t.JOINTS, t.INITIAL_POSE, *(t.SWEEPS[name] for name in names))
+        self.inputs = (t.IMU, t.JOINTS, t.INITIAL_POSE, t.MAP_STATUS, *(t.SWEEPS[name] for name in names))
         self.outputs = (
             t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, *(t.CLOUDS[name] for name in names), t.TF, t.TF_STATIC,
             t.DESCRIPTION,
@@ -107,6 +107,9 @@ class OdometryStage:
                 self._odometry.add_scan(lidar_scan(message, self._sweeps[topic]))
             elif t.INITIAL_POSE.carried(message, topic):
                 outputs += self._place(message)
+            elif t.MAP_STATUS.carried(message, topic):
+                if message.location == "found":
+                    outputs += self._take_offset(*message.odom_in_map.tolist())
             elif t.TF_STATIC.carried(message, topic):  # of the process before this one
                 known = MapFrame()
                 known.take(message)
@@ -174,6 +177,14 @@ class OdometryStage:
         c, s = math.cos(turn), math.sin(turn)
         x = place.x - c * here.position.x + s * here.position.y
         y = place.y - s * here.position.x - c * here.position.y
+        return self._take_offset(x, y, turn)
+
+    def _take_offset(self, x: float, y: float, turn: float) -> Outputs:
+        """`odom` lies at x, y [m], turned by `turn` [rad] in `map`. Not taken while the robot moves: whoever drives it would lose the way."""
+        odom = self._odom
+        known = all(map(math.isfinite, (x, y, turn))) and max(abs(x), abs(y)) < FARTHEST
+        if odom is None or not known or not stands(odom):
+            return []
         if math.dist((x, y), self._start[:2]) > SAME or abs(wrap(turn - self._start[2])) > SAME:
             self._start = (x, y, turn)  # otherwise a repeat: the frames stay, and are told again
         return [(t.TF_STATIC, self._frames(stamp_of(odom)))]

@@ -15,7 +15,7 @@ from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, status
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
-from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance
+from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance, unlocated
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -65,6 +65,7 @@ class NavigatorStage:
         self._health: msg.OdometryHealth | None = None
         self._robot: msg.RobotState | None = None
         self._tracker: msg.TrackerState | None = None
+        self._map: msg.MapStatus | None = None
         self._query = PlanQuery(params.replan_period)
         self._plan: msg.Plan | None = None
         self._route = RouteWatch()
@@ -94,6 +95,8 @@ class NavigatorStage:
                 self._trail.add(self._pose)
         elif t.ODOM_HEALTH.carried(message, topic):
             self._health = message
+        elif t.MAP_STATUS.carried(message, topic):
+            self._map = message
         elif t.TRACKER_STATE.carried(message, topic):
             self._tracker = message
         elif t.ROBOT_STATE.carried(message, topic):
@@ -116,7 +119,7 @@ class NavigatorStage:
     def _moved(self) -> None:
         self._pose, self._trail = None, Trail()
         if self._goal and self._goal.state.active:
-            self._end(GoalState.ABORTED, Reason.LOST, "an operator set the pose anew")
+            self._end(GoalState.ABORTED, Reason.LOST, "the pose was set anew")
 
     def _request(self, message: msg.GoalRequest) -> None:
         if message.action == 0:
@@ -141,7 +144,8 @@ class NavigatorStage:
         self._plan = None
         self._query.drop()
         self._missing_since = 0
-        if (trouble := stray or goal.misplaced(self._area) or hindrance(self._robot)) is not None:
+        trouble = stray or unlocated(self._map) or goal.misplaced(self._area) or hindrance(self._robot)
+        if trouble is not None:
             self._end(GoalState.REJECTED, *trouble)
         else:
             self._status()
@@ -277,6 +281,8 @@ class NavigatorStage:
     def _missing(self) -> tuple[Reason, str] | None:
         if (away := absence(self._robot, self._health)) is not None:
             return away
+        if (lost := unlocated(self._map)) is not None:
+            return lost
         if not self._frame.known:
             return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
         ages = ((topic, (self._now - self._seen.get(topic, 0)) / NS) for topic in (t.ODOM, t.MAP_STATUS))

@@ -6,7 +6,7 @@ import math
 from enum import StrEnum
 
 from hal.types import LYING, Phase
-from rbtrg_robot.msg import OdometryHealth, RobotState
+from rbtrg_robot.msg import MapStatus, OdometryHealth, RobotState
 
 
 class Reason(StrEnum):
@@ -19,6 +19,7 @@ class Reason(StrEnum):
     START_OFF_GRAPH = "start_not_on_graph"
     NO_ROUTE = "no_route"
     LOST = "localization_lost"
+    UNLOCATED = "not_located"
     STUCK = "stuck"
     ESTOP = "emergency_stop"
     TIMEOUT = "timeout"
@@ -44,6 +45,7 @@ WORDS: dict[Reason, str] = {
     Reason.START_OFF_GRAPH: "the robot stands where no route can begin",
     Reason.NO_ROUTE: "no route to the goal",
     Reason.LOST: "localization is lost",
+    Reason.UNLOCATED: "the robot has not found itself in the map",
     Reason.STUCK: "the robot is stuck",
     Reason.ESTOP: "emergency stop",
     Reason.TIMEOUT: "the goal timed out",
@@ -93,3 +95,14 @@ def hindrance(robot: RobotState | None) -> tuple[Reason, str] | None:
     if robot.phase in LYING:
         return Reason.LYING, "`rbtrg-robot posture stand` gets it up"
     return None
+
+
+LOCATED = ("", "located", "assumed", "told")
+"""`MapStatus.location` in which a goal in `map` means something."""
+
+
+def unlocated(elevation: MapStatus | None) -> tuple[Reason, str] | None:
+    """Why a goal in `map` means nothing yet; None where it does. `elevation`: its newest status, if any."""
+    if elevation is None or elevation.location in LOCATED:
+        return None
+    return Reason.UNLOCATED, f"{elevation.location_detail}; drive a metre by hand, or set the pose"

@@ -48,6 +48,23 @@ def test_a_saved_map_loads_exactly(tmp_path: Path) -> None:
     assert np.isfinite(mirror.layers["elevation"]).sum() == np.isfinite(got.layers["elevation"]).sum()
 
 
+def test_the_cloud_is_saved_and_a_map_without_one_loads(tmp_path: Path) -> None:
+    elevation = seen_map()
+    assert len(elevation.cloud) > 100
+    elevation.save(tmp_path / "map.npz")
+    again = ElevationMap()
+    again.load_prior(tmp_path / "map.npz")
+    np.testing.assert_array_equal(again.cloud.points, elevation.cloud.points)
+    with np.load(tmp_path / "map.npz") as file:
+        old = {name: file[name] for name in file.files if name != "cloud"}
+    np.savez_compressed(tmp_path / "old.npz", **old)
+    again.load_prior(tmp_path / "old.npz")
+    assert len(again.cloud) == 0
+    np.savez_compressed(tmp_path / "bad.npz", **old, cloud=np.full((3, 3), np.nan))
+    with pytest.raises(MapError, match="damaged cloud"):
+        again.load_prior(tmp_path / "bad.npz")
+
+
 def test_the_same_map_saves_to_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         seen_map().save(tmp_path / f"{name}.npz")

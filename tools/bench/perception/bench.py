@@ -1,9 +1,10 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--poses 20] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
-`--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--no-joints` hides the joints from the odometry.
+`--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
+scenes mapped before, `--only relocalise` does nothing else. `--no-joints` hides the joints from the odometry.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from mapping.odometry.types import OdometryConfig
 from tools.bench.perception import lanes as _perception_lanes
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
+from tools.bench.perception import relocalise as _perception_relocalise
 from tools.bench.perception import soak as _perception_soak
 from tools.bench.perception.odometry import Errors, drive, errors
 from tools.bench.report import Report
@@ -43,9 +45,15 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--lidar", default="xt16,mid360,l1")
     parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
     parser.add_argument("--lanes", type=int, default=4, metavar="N")
+    parser.add_argument("--poses", type=int, default=20, metavar="N")
+    parser.add_argument("--only", choices=("relocalise",))
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
+    if options.poses > 0:
+        _perception_relocalise.rows(report, options.poses, options.seed)
+    if options.only == "relocalise":
+        return report
     for lidar in options.lidar.split(","):
         _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
     _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)

@@ -1,0 +1,117 @@
+"""Where in a prior map does the robot stand? Search, register, verify, decide.
+
+submap ──> places that match the map's columns ──> registered exactly ──> what speaks for and against ──> one, several, none
+          (search: branch and bound)              (verify: small_gicp)    (verify)                        (here)
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mapping.grid import ElevationGrid
+from mapping.relocalise.search import Columns, Place, find_places, same
+from mapping.relocalise.submap import GROUND, Submap
+from mapping.relocalise.verify import Surfaces
+
+ENOUGH = 0.5
+"""A place is possible when this share more of the submap speaks for it than against it."""
+MARGIN = 0.12
+"""Two places whose certainty differs by less than this look the same."""
+STRUCTURE = 150
+"""Points of a submap that stand on the ground below which nothing can be told: open ground."""
+NEAR = (1.0, math.radians(30.0))
+"""A place within this of where the robot is said to stand is that place [m], [rad]."""
+
+Answer = Literal["located", "ambiguous", "not_found", "open_ground"]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A place that is possible."""
+
+    place: Place
+    """Of the ground under the robot, in `map`."""
+    certainty: float
+    """Share of the submap's structure that lies on the map, less the share that contradicts it [-1..1]."""
+    against: float
+    """Share that contradicts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What was found; candidates best first. Located: the first one is it."""
+
+    answer: Answer
+    candidates: tuple[Candidate, ...] = ()
+    hinted: bool = False
+    """Places look the same, and the hint decided."""
+
+
+class PriorMap:
+    """What the search needs of a map, worked out once."""
+
+    def __init__(self, cloud: NDArray[np.float32], ground: ElevationGrid) -> None:
+        """cloud (n, 3) [m] and ground, both in `map`."""
+        self.columns = Columns.of(cloud, ground)
+        self.surfaces = Surfaces(cloud, ground)
+
+
+def locate(
+    prior: PriorMap, submap: Submap, hint: tuple[float, float, float] | None = None, told: bool = False
+) -> Verdict:
+    """Search the whole map. hint: x, y [m], yaw [rad] where the robot is thought to stand: it decides between places that look the same;
+    `told`: by an operator, nothing else is searched.
+    """
+    cloud, eyes = submap.cloud()
+    structure = cloud[cloud[:, 2] > GROUND]
+    if len(structure) < STRUCTURE:
+        return Verdict("open_ground")
+    found: list[Candidate] = []
+    for place in find_places(prior.columns, structure, hint if told else None):
+        exact = prior.surfaces.register(cloud, place)
+        if any(same(exact, other.place) for other in found):
+            continue
+        agree, against = prior.surfaces.evidence(cloud, eyes, exact)
+        found.append(Candidate(exact, agree - against, against))
+    found.sort(key=lambda c: -c.certainty)
+    if not found or found[0].certainty < ENOUGH:
+        return Verdict("not_found", tuple(found))
+    alike = [c for c in found if found[0].certainty - c.certainty < MARGIN]
+    if len(alike) == 1:
+        return Verdict("located", tuple(found))
+    said = [c for c in alike if hint is not None and near(c.place, hint)]
+    if said:
+        return Verdict("located", (said[0], *(c for c in found if c is not said[0])), hinted=True)
+    return Verdict("ambiguous", tuple(alike))
+
+
+def near(place: Place, hint: tuple[float, float, float]) -> bool:
+    """Whether a place is where the robot is said to stand."""
+    turn = (place.yaw - hint[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return math.hypot(place.x - hint[0], place.y - hint[1]) < NEAR[0] and abs(turn) < NEAR[1]
+
+
+def warm_up() -> None:
+    """Compile or load every kernel on a small room."""
+    side = np.linspace(-2.0, 2.0, 40, dtype=np.float32)
+    x, z = (a.ravel() for a in np.meshgrid(side, np.linspace(0.0, 1.0, 10, dtype=np.float32)))
+    walls = np.concatenate(
+        [np.column_stack([x, np.full_like(x, 2.0), z]), np.column_stack([np.full_like(x, -2.0), x, z])]
+    )
+    ground = ElevationGrid(
+        np.zeros((100, 100), np.float32), np.ones((100, 100), np.bool_), (-2.0, -2.0), 0.04
+    )
+    submap = Submap()
+    submap.add(
+        walls - np.array([0.0, 0.0, 0.4], np.float32),
+        np.array([0.0, 0.0, 0.4]),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+        np.zeros(3),
+        0.4,
+    )
+    locate(PriorMap(walls, ground), submap)

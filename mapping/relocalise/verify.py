@@ -1,0 +1,151 @@
+"""What speaks for a place and what against it: points on the map's surfaces, rays through them, things on ground that the map knows."""
+
+from __future__ import annotations
+
+import numpy as np
+import small_gicp
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.rotation import rotation_rpy, wrap
+from mapping.grid import ElevationGrid
+from mapping.relocalise.search import Place
+from mapping.relocalise.submap import GROUND
+from mapping.thin_cloud import FREE, VOXEL, ThinCloud, find_voxel, voxel_key
+
+NEIGHBOURS = 10
+"""Points behind the normal of one."""
+PULL = (*(0.6,) * 6, *(0.3,) * 6)
+"""Farthest partner of a point [m] in each step of the registration."""
+ON = 0.06
+"""A point within this of a surface lies on it [m]."""
+PATCH = 0.35
+"""The surface around a point of the map reaches this far [m]."""
+FACING = 0.35
+"""Cosine of ray and normal above which a ray passes through a surface and not along it."""
+SHORT = 0.5
+"""The two ends of a ray prove nothing [m]."""
+TALL = 1.2
+"""Something up to this high above known ground contradicts it [m]; what hangs higher may always hang there."""
+FLAT = 0.1
+"""Largest range of heights [m] in a square of known ground."""
+
+
+class Surfaces:
+    """The cloud of a map with its normals, and its known flat ground."""
+
+    def __init__(self, cloud: NDArray[np.float32], ground: ElevationGrid) -> None:
+        thin = ThinCloud()
+        thin.enter(cloud)
+        self.points = thin.points.astype(np.float64)
+        self.index = thin.index
+        self.voxel = thin.voxel
+        self.target = small_gicp.PointCloud(self.points)
+        self.tree = small_gicp.KdTree(self.target)
+        small_gicp.estimate_normals_covariances(self.target, self.tree, NEIGHBOURS)
+        self.normals = np.ascontiguousarray(np.asarray(self.target.normals())[:, :3])
+        self.flat, self.corner, self.side = _flat_ground(ground)
+
+    def register(self, cloud: NDArray[np.float64], place: Place) -> Place:
+        """The place of a submap (n, 3), exactly: point to plane in x, y, z and yaw, as gravity is known."""
+        x, y, z, yaw = place.x, place.y, place.z, place.yaw
+        for reach in PULL:
+            pose = pose_of(Place(x, y, z, yaw, place.share))
+            there = cloud @ pose[:3, :3].T + pose[:3, 3]
+            near, square = self._nearest(there)
+            there, near = there[square < reach**2], near[square < reach**2]
+            normal = self.normals[near]
+            off = np.einsum("ij,ij->i", there - self.points[near], normal)
+            arm = there[:, :2] - (x, y)
+            turn = normal[:, 1] * arm[:, 0] - normal[:, 0] * arm[:, 1]
+            jacobian = np.column_stack([normal, turn])
+            weight = 1.0 / (1.0 + (off / (0.25 * reach)) ** 2) ** 2
+            a = (jacobian * weight[:, None]).T @ jacobian + np.eye(4)
+            step = np.linalg.solve(a, -(jacobian * weight[:, None]).T @ off)
+            x, y, z, yaw = x + step[0], y + step[1], z + step[2], wrap(yaw + step[3])
+        return Place(float(x), float(y), float(z), float(yaw), place.share)
+
+    def _nearest(self, there: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Index (n,) of the map's point nearest to each of (n, 3), and the square of its distance (n,) [m^2]."""
+        index, square = self.tree.batch_nearest_neighbor_search(there)
+        return np.asarray(index, np.int64).reshape(-1), np.asarray(square, np.float64).reshape(-1)
+
+    def evidence(
+        self, cloud: NDArray[np.float64], eyes: NDArray[np.float64], place: Place
+    ) -> tuple[float, float]:
+        """Shares [0..1] of the submap's structure that lies on surfaces of the map, and that contradicts it.
+
+        cloud, eyes (n, 3) [m] from the ground under the robot, see `Submap.cloud`.
+        """
+        pose = pose_of(place)
+        there, eye = (x @ pose[:3, :3].T + pose[:3, 3] for x in (cloud, eyes))
+        near, square = self._nearest(there)
+        off = np.abs(np.einsum("ij,ij->i", there - self.points[near], self.normals[near]))
+        on = (square < PATCH**2) & (off < ON)
+        structure = cloud[:, 2] > GROUND
+        met = np.unique(near[on & structure]).size
+        gone = int(pierced(eye, there, self.points, self.normals, *self.index, self.voxel).sum())
+        c, r = (np.floor((there[:, k] - self.corner[k]) / self.side).astype(int) for k in (0, 1))
+        inside = (c >= 0) & (r >= 0) & (c < self.flat.shape[1]) & (r < self.flat.shape[0])
+        height = np.full(len(there), np.nan)
+        height[inside] = there[inside, 2] - self.flat[r[inside], c[inside]]
+        stands = structure & ~on & (height > GROUND) & (height < TALL)
+        agree = share(on, structure) * share(on, ~structure)
+        return agree, share(stands, structure) + gone / max(1, gone + met)
+
+
+def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
+    """Of the points `of` (n,) that are `what` (n,) [0..1]; 1 where there are none."""
+    return float(what[of].mean()) if of.any() else 1.0
+
+
+def _flat_ground(ground: ElevationGrid) -> tuple[NDArray[np.float32], tuple[float, float], float]:
+    """(rows, cols) height of squares whose ground is known and flat, NaN elsewhere [m]; x, y of their corner, their side [m]."""
+    k = max(1, round(VOXEL / ground.resolution))
+    rows, cols = (n // k for n in ground.shape)
+    cut = np.where(ground.trusted, ground.height, np.nan)[: rows * k, : cols * k]
+    blocks = cut.reshape(rows, k, cols, k)
+    low, high = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))  # NaN where any cell is unknown
+    corner = (ground.origin[0] - 0.5 * ground.resolution, ground.origin[1] - 0.5 * ground.resolution)
+    return np.where(high - low < FLAT, low, np.float32(np.nan)), corner, k * ground.resolution
+
+
+def pose_of(place: Place) -> NDArray[np.float64]:
+    """(4, 4) `map` <- ground under the robot."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_rpy(0.0, 0.0, place.yaw)
+    pose[:3, 3] = place.x, place.y, place.z
+    return pose
+
+
+@njit(cache=True)
+def pierced(eyes, ends, surfaces, normals, table, keys, voxel):  # pragma: no cover - compiled
+    """(m,) bool: through which surfaces, points (m, 3) with normals (m, 3) found by their voxels, a ray from eyes to ends (n, 3) passes."""
+    out = np.zeros(len(surfaces), np.bool_)
+    for n in range(len(ends)):
+        dx, dy, dz = ends[n, 0] - eyes[n, 0], ends[n, 1] - eyes[n, 1], ends[n, 2] - eyes[n, 2]
+        length = np.sqrt(dx * dx + dy * dy + dz * dz)
+        if length < 2.0 * SHORT:
+            continue
+        dx, dy, dz = dx / length, dy / length, dz / length
+        s = SHORT
+        last = np.int64(0)
+        while s < length - SHORT:
+            key = voxel_key(eyes[n, 0] + s * dx, eyes[n, 1] + s * dy, eyes[n, 2] + s * dz, voxel)
+            s += 0.4 * voxel
+            if key == last:
+                continue
+            last = key
+            m = table[find_voxel(key, table, keys)]
+            if m == FREE or out[m]:
+                continue
+            facing = dx * normals[m, 0] + dy * normals[m, 1] + dz * normals[m, 2]
+            if abs(facing) < FACING:
+                continue
+            px, py, pz = surfaces[m, 0] - eyes[n, 0], surfaces[m, 1] - eyes[n, 1], surfaces[m, 2] - eyes[n, 2]
+            along = (px * normals[m, 0] + py * normals[m, 1] + pz * normals[m, 2]) / facing
+            if along < SHORT or along > length - SHORT:
+                continue
+            aside = (px - along * dx) ** 2 + (py - along * dy) ** 2 + (pz - along * dz) ** 2
+            out[m] = aside < (0.3 * voxel) ** 2
+    return out

@@ -1,0 +1,213 @@
+"""Finding the robot in a prior map: collects a submap while it stands, asks the search, and keeps what was found until something changes it."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.rotation import wrap
+from mapping.elevation.exchange import MapPatch
+from mapping.elevation.sensor import Sensor
+from mapping.relocalise import Candidate, PriorMap, Submap, locate
+from rbtrg_robot import msg
+from rbtrg_robot.stages.navigation.reasons import LOCATED
+from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
+from rbtrg_robot.wire.frames import MapFrame, stands
+
+Planar = tuple[float, float, float]
+"""x, y [m], yaw [rad]."""
+LOOK = 10
+"""Scans of a look: one second, in which the rings of a LiDAR that stands do not move."""
+WAY = 0.7
+"""From one look to the next [m]."""
+LOOKS = 6
+"""After so many the first ones are forgotten: odometry drifts."""
+SAME = 0.011
+"""Offsets that differ by less [m, rad] are one: the odometry takes none that is nearer."""
+LISTED = 3
+"""Candidates that are named."""
+
+
+class State(StrEnum):
+    """As `MapStatus.location`."""
+
+    NONE = ""
+    SEARCHING = "searching"
+    FOUND = "found"
+    LOCATED = "located"
+    AMBIGUOUS = "ambiguous"
+    NOT_FOUND = "not_found"
+    ASSUMED = "assumed"
+    TOLD = "told"
+
+    @property
+    def known(self) -> bool:
+        """A goal in `map` means something."""
+        return self in LOCATED
+
+
+class Location:
+    """Where `odom` lies in a prior map."""
+
+    def __init__(self) -> None:
+        self.state = State.NONE
+        self.words = ""
+        self.offset: Planar | None = None
+        """Of `odom` in `map`, once found."""
+        self.candidates: tuple[Candidate, ...] = ()
+        self._name = ""
+        self._prior: PriorMap | None = None
+        self._hint: Planar = (0.0, 0.0, 0.0)
+        self._told = False
+        self._submap = Submap()
+        self._looked: NDArray[np.float64] | None = None
+        """Where the newest look began, x, y in `odom` [m]."""
+
+    @property
+    def searchable(self) -> bool:
+        """There is a map with a cloud."""
+        return self._prior is not None
+
+    def begin(self, name: str, patch: MapPatch, cloud: NDArray[np.float32], hint: Planar) -> None:
+        """Search from now on in a map, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
+        self.__init__()  # type: ignore[misc]
+        self._name, self._hint = name, hint
+        if len(cloud):
+            self._prior = PriorMap(cloud, patch.grid())
+            self._say(State.SEARCHING, f"searching the robot in {name}")
+        else:
+            self._say(
+                State.ASSUMED,
+                f"{name} has no cloud and cannot be searched: the robot is taken to stand where the configuration says",
+            )
+
+    def end(self) -> None:
+        """There is no map to search any more."""
+        self.__init__()  # type: ignore[misc]
+
+    def restore(self, status: msg.MapStatus) -> None:
+        """What the process before this one had found."""
+        if status.location in LOCATED:
+            self._name = self._name or "the loaded map"
+            self._say(State(status.location), status.location_detail)
+
+    def tell(self, pose: msg.PoseWithCovarianceStamped, odom: msg.Odometry) -> None:
+        """An operator says where the robot stands: only around there it is searched, and without success it is believed."""
+        place = pose.pose.pose.position
+        offset = offset_of((place.x, place.y, yaw_of(pose.pose.pose.orientation)), odom)
+        if not all(map(math.isfinite, offset)) or not stands(odom) or self.state is State.NONE:
+            return
+        if self._prior is None:
+            self._say(State.TOLD, f"told where the robot stands in {self._name}; the map cannot be searched")
+            return
+        self._hint, self._told = offset, True
+        self._submap, self._looked = Submap(), None
+        self._say(State.SEARCHING, f"searching the robot in {self._name} where it was told to be")
+
+    def scan(
+        self,
+        odom: msg.Odometry,
+        clouds: list[tuple[Sensor, NDArray[np.float32]]],
+        below: float,
+    ) -> None:
+        """One scan of every LiDAR, points in base_link; `below`: how far the ground is under base_link [m]."""
+        if self._prior is None or self.state is State.FOUND or self.state.known:
+            return
+        position = xyz(odom.pose.pose.position)
+        if not stands(odom):
+            return
+        if self._looked is None or math.dist(position[:2], self._looked) > WAY:
+            if self._submap.stands >= LOOKS:
+                self._submap = Submap()
+            self._submap.stand()
+            self._looked = position[:2]
+        elif self._submap.scans >= LOOK:
+            return  # it has been decided from here
+        for sensor, points in clouds:
+            self._submap.add(points, position, xyzw(odom.pose.pose.orientation), sensor.origin, below)
+        if self._submap.scans >= LOOK:
+            self._decide(odom)
+
+    def settle(self, frame: MapFrame) -> bool:
+        """Whether the frames have come to what was found just now."""
+        if self.state is not State.FOUND or self.offset is None:
+            return False
+        x, y, yaw = self.offset
+        if math.dist((x, y), (frame.x, frame.y)) > SAME or abs(wrap(yaw - frame.yaw)) > SAME:
+            return False
+        self._say(State.LOCATED, self.words)
+        return True
+
+    def _decide(self, odom: msg.Odometry) -> None:
+        assert self._prior is not None
+        hint = pose_of(self._hint, odom)
+        verdict = locate(self._prior, self._submap, hint, self._told)
+        self.candidates = verdict.candidates
+        best = verdict.candidates[0] if verdict.candidates else None
+        if verdict.answer == "located" and best is not None:
+            self.offset = offset_of((best.place.x, best.place.y, best.place.yaw), odom)
+            alike = "; other places look the same, the pose that was set decided" if verdict.hinted else ""
+            self._say(
+                State.FOUND,
+                f"located in {self._name} at {_words(best)}, certainty {best.certainty:.0%}{alike}",
+            )
+        elif self._told:
+            self.offset = self._hint
+            sure = f", which {best.certainty:.0%} confirm" if best else ""
+            self._say(
+                State.FOUND, f"told where the robot stands in {self._name}; the scans do not show it{sure}"
+            )
+        elif verdict.answer == "open_ground":
+            self._say(
+                State.ASSUMED,
+                f"nothing stands around here that {self._name} could be searched for: the robot is taken to stand where "
+                "the configuration says",
+            )
+        elif verdict.answer == "ambiguous":
+            places = " and ".join(_words(c) for c in verdict.candidates[:LISTED])
+            self._say(State.AMBIGUOUS, f"ambiguous in {self._name} between {places}")
+        else:
+            self._say(State.NOT_FOUND, f"not found in {self._name}")
+        self._told = False
+
+    def _say(self, state: State, words: str) -> None:
+        self.state, self.words = state, words
+
+    def report(self) -> dict[str, Any]:
+        """Fields of MapStatus."""
+        ambiguous = self.candidates if self.state is State.AMBIGUOUS else ()
+        return {
+            "location": str(self.state),
+            "location_detail": self.words,
+            "odom_in_map": np.array(self.offset or (0.0, 0.0, 0.0)),
+            "candidates": np.array(
+                [value for c in ambiguous for value in (c.place.x, c.place.y, c.place.yaw)], np.float64
+            ),
+        }
+
+
+def _words(candidate: Candidate) -> str:
+    place = candidate.place
+    return f"{place.x:.2f} {place.y:.2f} yaw {math.degrees(place.yaw):.0f} deg"
+
+
+def offset_of(place: Planar, odom: msg.Odometry) -> Planar:
+    """Offset of `odom` in `map` of a robot that stands at `place` in `map`."""
+    here = odom.pose.pose
+    turn = wrap(place[2] - yaw_of(here.orientation))
+    c, s = math.cos(turn), math.sin(turn)
+    x = place[0] - c * here.position.x + s * here.position.y
+    y = place[1] - s * here.position.x - c * here.position.y
+    return x, y, turn
+
+
+def pose_of(offset: Planar, odom: msg.Odometry) -> Planar:
+    """Where a robot stands in `map` whose `odom` lies at `offset`."""
+    frame = MapFrame()
+    frame.x, frame.y, frame.yaw = offset
+    here = odom.pose.pose
+    return frame.pose2(here.position.x, here.position.y, yaw_of(here.orientation))

@@ -58,6 +58,8 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 
 
+NEAR = 1.0
+"""A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
 WAYS = 3
 """Tried, where they begin with ground that cannot be seen."""
 
@@ -301,6 +303,9 @@ class PlannerStage:
             found = BASELINES[self._params.method](self._map.ground(), request)
             return found, self._path_of(found)
         found = self._map.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
+        if found.short > NEAR and not found.transitions:
+            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it"
+            raise NoRoute(NoRouteReason.NO_ROUTE, why)
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)
             return found, rest_of(driven, pose, self._map.ground(), self._body)

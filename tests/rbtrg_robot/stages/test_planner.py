@@ -282,6 +282,24 @@ def test_a_way_leads_over_ground_behind_a_crest_and_is_driven_as_far_as_it_was_s
     assert ask(stage, (float(answer.x[-1]), 1.2), (5.0, 1.2), sequence=2, now=4 * NS).reaches_goal
 
 
+def test_where_nothing_leads_nearer_to_a_goal_that_is_far_there_is_no_route_and_another_graph_is_drawn() -> (
+    None
+):
+    x = np.arange(150) * RES
+    lane = np.where((x < 0.3) | (x > 5.6), 0.8, np.where(x > 3.0, 0.15, 0.0))
+    stage = planner()
+    stage.on(t.MAP_UPDATE, hidden(lane, lane))
+    first = ask(stage, (1.2, 1.2), (5.0, 1.2))
+    assert (first.ok, first.reaches_goal) == (True, False), (
+        "what closes the way from afar may be the map's error"
+    )
+    seed = stage._map.seed
+    there = ask(stage, (float(first.x[-1]), float(first.y[-1])), (5.0, 1.2), sequence=2)
+    assert (there.ok, there.reason) == (False, "no_route")
+    assert "no way leads nearer" in there.detail
+    assert stage._map.seed == seed + 1
+
+
 def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:
     x = np.arange(150) * RES
     pit = (x > 2.6) & (x < 3.6)

@@ -21,8 +21,20 @@ SLIDING = 0.8
 """Standard deviation of a registration along a direction that nothing constrains [m]."""
 NORMAL_NOISE = 0.002
 """Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
-FITS_AGAIN = 0.9, 0.04
-"""Share of points on surfaces and RMS distance from them [m] of a scan that fits beyond doubt."""
+FITS_AGAIN = 0.1, 0.04
+"""Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
+USUAL = 2.0
+"""and never more than this times what is usual,"""
+SPARE = 0.03
+"""with this share of points off the surfaces [0..1] to spare."""
+ON_PLANES = 0.25
+"""Least share of its points in voxels that have a plane."""
+DROP = 0.25, 0.1
+"""Loss of overlap and of points on surfaces [0..1] from one scan to the next that shows that the view is another."""
+TURN_SLACK = 0.1
+"""Turn [rad] that the gyro does not tell, beside its own uncertainty: a square room fits four times."""
+MEMORY = 0.1
+"""Weight of a scan in what is usual."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
 
 
@@ -60,8 +72,13 @@ class HealthConfig(BaseModel):
     disagreement: float = Field(
         default=6.0, description="registration against prediction: degraded above [standard deviations]"
     )
+    strange: float = Field(
+        default=0.1,
+        description="a registration that disagrees and moves the prediction further is doubted [m]",
+    )
+    strange_deg: float = Field(default=3.0, gt=0, description="the same for the attitude [deg]")
     jump: float = Field(
-        default=1.0, description="registration is not used when it moves the prediction further [m]"
+        default=3.0, description="registration is not used when it moves the prediction further [m]"
     )
     young: int = Field(
         default=10, ge=1, description="scans in the local map below which overlap says nothing"
@@ -70,10 +87,10 @@ class HealthConfig(BaseModel):
     gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
     sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
     overlap_again: float = Field(
-        default=0.6, description="after a gap registration is not used below: somewhere else it fits half"
+        default=0.6, description="in doubt registration is not used below: somewhere else it fits half"
     )
     gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
-    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end `lost`")
+    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end doubt and `lost`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,13 +103,15 @@ class Verdict:
     use: bool
     """The pose may correct the filter."""
     insert: bool
-    """The scan may enter the local map: never while lost, or one wrong fit would make the next ones fit."""
+    """The scan may enter the local map: never in doubt, or one wrong fit would make the next ones fit."""
     covariance: Array
     """(6, 6) of the registered pose: position in `odom` [m], rotation about base_link in `odom` axes [rad]."""
     degenerate: Array
     """(3,) direction in `odom` in which the scene constrains least (unit)."""
     degeneracy: float
     """Share of the surface that faces this direction [0..1/3]; 0 means sliding freely."""
+    strange: bool = False
+    """Far from the prediction, more than its covariance allows."""
 
 
 class HealthMonitor:
@@ -101,12 +120,26 @@ class HealthMonitor:
     def __init__(self, params: HealthConfig) -> None:
         self.params = params
         self.lost = False
+        self._doubt = ""
+        """Why the robot may be elsewhere."""
         self._last_fit = 0
         self._fits = 0
+        self._usual = np.array(FITS_AGAIN) / USUAL
+        """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
+        self._last = 0.0, 0.0
+        """Overlap and share on surfaces of the last scan that was used."""
 
     def start(self, stamp: int, lost: bool = False) -> None:
         """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
-        self.lost, self._last_fit, self._fits = lost, stamp, 0
+        self.lost, self._doubt, self._last_fit, self._fits = lost, "", stamp, 0
+
+    def doubt(self, reason: str) -> None:
+        """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row."""
+        self._doubt, self._fits = reason, 0
+
+    def doubts(self, stamp: int) -> bool:
+        """Whether a scan at `stamp` [ns] is searched for: lost, in doubt, or after a gap."""
+        return self.lost or bool(self._doubt) or self.gap(stamp) > self.params.gap_again
 
     def gap(self, stamp: int) -> float:
         """Time without a usable scan [s]."""
@@ -122,6 +155,10 @@ class HealthMonitor:
         if gap > self.params.gap_degraded or reason:
             return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
         return Health.GOOD, ""
+
+    def dropped(self, match: Match) -> bool:
+        """The scan fits much worse than the one before: the robot sees something new, or is elsewhere."""
+        return match.overlap < self._last[0] - DROP[0] or match.inliers < self._last[1] - DROP[1]
 
     def judge(
         self, stamp: int, match: Match, predicted: Array, prior: Array, scans: int, sigma: float
@@ -141,21 +178,26 @@ class HealthMonitor:
         spread = shared * INDEPENDENT * covariance + prior
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
-        bad, weak, again = "", "", False
+        turned = math.degrees(float(np.linalg.norm(difference[3:])))
+        bad, weak, again, strange = "", "", False, False
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
         elif scans:
             young = scans < s.young
-            again = self.lost or self.gap(stamp) > s.gap_again
+            few = match.on_planes < max(ON_PLANES * match.points, s.min_on_planes)
+            again = self.doubts(stamp)
+            strange = off > s.disagreement and (moved > s.strange or turned > s.strange_deg)
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
-            elif match.on_planes < s.min_on_planes and not young:
+            elif few and (match.overlap < s.overlap_low or match.on_planes < s.min_on_planes) and not young:
                 bad = f"only {match.on_planes} points on known surfaces"
             elif match.inliers < s.inliers_lost and not young:
                 bad = f"only {match.inliers:.0%} of the scan lies on the map's surfaces"
             elif moved > s.jump:
                 bad = f"registration jumped by {moved:.2f} m"
-            elif again and not self._fits_again(match):
+            elif (again or strange) and turned > math.degrees(TURN_SLACK + 3.0 * _sigma(prior[3:, 3:])):
+                bad = f"the scan fits where the gyro does not lead, {turned:.0f} deg off"
+            elif (again or strange) and not self.fits_again(match):
                 bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
             elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
@@ -167,27 +209,36 @@ class HealthMonitor:
                 weak = "nothing constrains the direction ({:+.1f}, {:+.1f}, {:+.1f})".format(*direction)
             elif off > s.disagreement:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
+        if strange:
+            self.doubt("scan and dead reckoning disagree")
+        elif again and not self._doubt:
+            self.doubt("no scan fitted for a while")
         if bad:
             bad += CARRIED if again else ""
             health, reason = self.without_match(stamp, _sigma(prior), bad)
             return Verdict(health, reason, False, False, covariance, direction, share)
-        self._last_fit = stamp
+        self._last_fit, self._last = stamp, (match.overlap, match.inliers)
         self._fits += 1
-        if self.lost and self._fits < s.recover:
-            reason = "scans fit again, confirming"
-            return Verdict(Health.LOST, reason, True, False, covariance, direction, share)
-        self.lost = False
+        if (self.lost or self._doubt) and self._fits < s.recover:
+            health = Health.LOST if self.lost else Health.DEGRADED
+            return Verdict(
+                health, "scans fit again, confirming", True, False, covariance, direction, share, strange
+            )
+        self.lost, self._doubt = False, ""
+        if scans >= s.young and self.fits_again(match):
+            self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
-        return Verdict(health, weak, True, True, covariance, direction, share)
+        return Verdict(health, weak, True, True, covariance, direction, share, strange)
 
-    def _fits_again(self, match: Match) -> bool:
-        """A scan after a gap fits as well as one of a robot that knows where it is. Level ground fits everywhere: in a
-        wrong place up to 0.7 of a scan overlaps and up to 0.9 of that lies on surfaces, 5 to 9 cm off them."""
-        s = self.params
+    def fits_again(self, match: Match) -> bool:
+        """A scan after a gap fits as well as those of a robot that knows where it is. Level ground fits everywhere: in a
+        wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm off them."""
+        off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + (SPARE, 0.0))
         return (
-            match.overlap >= s.overlap_again
-            and match.inliers >= FITS_AGAIN[0]
-            and match.residual <= FITS_AGAIN[1]
+            match.overlap >= self.params.overlap_again
+            and match.on_planes >= ON_PLANES * match.points
+            and 1.0 - match.inliers <= off
+            and match.residual <= residual
         )
 
 
@@ -216,7 +267,7 @@ def _variance(match: Match, sigma: float) -> float:
 
 
 def _sigma(covariance: Array) -> float:
-    """Largest standard deviation of the position [m]."""
+    """Largest standard deviation of the first three axes: of the position [m] for a whole covariance."""
     return math.sqrt(float(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
 
 

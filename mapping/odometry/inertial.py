@@ -147,6 +147,11 @@ class InertialFilter:
         self.p = a @ self.p @ a.T + gain @ r @ gain.T
         self.p = 0.5 * (self.p + self.p.T)
 
+    def misplaced(self, moved: float, turned: float) -> None:
+        """The body was put elsewhere, about `moved` [m] and `turned` [rad] from here; how fast it is stays known."""
+        self.p[:3, :3] += moved**2 * np.eye(3)
+        self.p[6:9, 6:9] += turned**2 * np.eye(3)
+
     def pose(self) -> Array:
         """(4, 4) `odom` <- base_link."""
         out = np.eye(4)

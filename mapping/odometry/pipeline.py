@@ -2,6 +2,7 @@
 
     imu, joints ──> predict ──> deskew ──> register ──> judge ──> correct ──> local map
                  (filter)     (to scan end)  (engine)   (health)   (filter)
+                                  └──> search, second opinion (KISS-ICP) ──^
 
 Of several LiDARs the main one is registered; the sweeps of the others come deskewed to the same stamp, for the map. While the main
 one is silent the other takes its place, and the health is `degraded`.
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import XT16_MOUNT
-from hal.rotation import rotation_rpy
+from hal.rotation import rotation_vector
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.health import Health, HealthMonitor, Verdict
@@ -35,14 +36,14 @@ from mapping.odometry.inertial_kernels import SILENCE
 from mapping.odometry.intake import Sweep
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
+from mapping.odometry.registration.witness import Witness
+from mapping.odometry.rehearsal import rehearse
 from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities
 
 ZERO = np.zeros(6)
-HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
-"""Tried in turn after a gap [rad]: registration finds a heading that is 0.15 rad off, a robot out of contact turns further."""
 
 
 class LidarInertialOdometry:
@@ -57,7 +58,8 @@ class LidarInertialOdometry:
         self.params = params
         self.counters: Counter[str] = Counter()
         self.initialised = False
-        self._engine = make_engine(params.engine, params.kiss_icp, params.small_gicp, params.max_range)
+        self._engine = make_engine(params.engine, params.planes, params.small_gicp, params.max_range)
+        self._witness = Witness(params.kiss_icp, params.max_range)
         self._filter = InertialFilter(params.inertial)
         self._monitor = HealthMonitor(params.health)
         self._mounts = {name: mount_matrix(mount) for name, mount in mounts.items()}
@@ -73,6 +75,7 @@ class LidarInertialOdometry:
         self._scale = WheelScale()
         self._rolled = math.nan
         self._misfits = 0
+        self._looks = 0
         self._notes: list[str] = []
         self._health, self._reason = Health.DEGRADED, "waiting for the first scan"
 
@@ -147,21 +150,25 @@ class LidarInertialOdometry:
 
         predicted = self._filter.pose()
         prior = self._filter.output(ZERO).covariance
-        wide = self._monitor.lost or self._monitor.gap(sweep.end) > 0.5
         scans = self._engine.scans
-        match = self._engine.align(
-            cloud, predicted @ self._search(), self.params.threshold_lost if wide else self.params.threshold
-        )
+        self._witness.moved(before, predicted)
+        searching = self._monitor.doubts(sweep.end)
+        match = self._register(cloud, predicted, searching)
         verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
             # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
             # scan to scan: gravity has the last word there.
             measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+            if verdict.strange:
+                apart = np.linalg.inv(predicted) @ match.pose
+                moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
+                self._filter.misplaced(3.0 * float(moved), 3.0 * float(turned))
             self._filter.update_pose(match.pose, measured)
         self._misfits = 0 if verdict.use else self._misfits + 1
         if verdict.insert:
             self._engine.insert(self._filter.pose())
+            self._compare(searching, verdict.health is Health.GOOD)
         self._learn_scale(before, sweep.end - since, verdict)
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
@@ -169,10 +176,31 @@ class LidarInertialOdometry:
             self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
         self._notes.clear()
         self._rejoin()
-        clouds = (
-            {sweep.name: cloud, **others} if verdict.use else {}
-        )  # nothing is mapped from a pose that is not sure
+        # nothing is mapped from a pose that is not sure
+        clouds = {sweep.name: cloud, **others} if verdict.insert else {}
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
+
+    def _register(self, cloud: NDArray[np.float32], predicted: Array, searching: bool) -> Match:
+        """Where the cloud fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
+        self._engine.take(cloud)
+        match = self._engine.align(predicted)
+        if self._monitor.fits_again(match) or not (searching or self._monitor.dropped(match)):
+            return match
+        reach = 3.0 * math.sqrt(self._filter.p[8, 8])
+        found = self._engine.align(self._witness.search(self._engine.frame, predicted, reach, self._misfits))
+        return found if self._monitor.fits_again(found) else match
+
+    def _compare(self, searched: bool, sure: bool) -> None:
+        """Every few scans KISS-ICP says where the robot went; a disagreement puts a pose in doubt that was `sure`."""
+        if searched:
+            self._witness.found(self._filter.pose())
+        self._looks += 1
+        if (self._looks - 1) % self.params.kiss_icp.every:
+            return
+        against = self._witness.look(self._engine.frame, self._filter.pose(), sure)
+        if against:
+            self._monitor.doubt(against)
+            self._notes.append(against)
 
     def _deskewed(self, sweep: Sweep, stamps: NDArray[np.int64], track: Array) -> NDArray[np.float32]:
         """(n, 3) base_link at the end of the track."""
@@ -206,22 +234,14 @@ class LidarInertialOdometry:
         start(self._filter, sweep.end, imu_stamp, imu, joint_stamp, joints, self._wheel_noise)
         if self._before is not None:
             put_at(self._filter, self._before.pose)
-            self._engine.align(self._before.cloud, self._before.pose, self.params.threshold)
+            self._engine.take(self._before.cloud)
             self._engine.insert(self._before.pose)
+            self._witness.look(self._engine.frame, self._before.pose)
         self._stream.start(self._filter)
         self._monitor.start(sweep.end, lost=self._before is not None)
         self._before = None
         self.initialised = True
         self._rejoin()
-
-    def _search(self) -> Array:
-        """(4, 4): after a gap, a heading beside the predicted one, as far as that is uncertain; another for each misfit."""
-        turned = np.eye(4)
-        if self._monitor.lost or self._monitor.gap(self._filter.stamp) > self.params.health.gap_again:
-            reach = 3.0 * math.sqrt(self._filter.p[8, 8])
-            headings = [h for h in HEADINGS if abs(h) <= reach]
-            turned[:3, :3] = rotation_rpy(0.0, 0.0, headings[self._misfits % len(headings)])
-        return turned
 
     def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
         """Advance the filter to `end`; the track it took. Notes which data were missing."""
@@ -320,22 +340,7 @@ class LidarInertialOdometry:
 
     def warm_up(self) -> None:
         """Compile every kernel."""
-        imu = np.tile([0.0, 0.0, 0.0, 0.0, 0.0, 9.81], (3, 1))
-        other = LidarInertialOdometry(self.params.model_copy(update={"use_joints": True}))
-        grid = np.stack(np.meshgrid(np.linspace(-3, 3, 60), np.linspace(-3, 3, 60), [-0.4]), -1).reshape(
-            -1, 3
-        )
-        for k in range(12):  # longer than the rest at the start
-            points = np.zeros(len(grid), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
-            points["x"], points["y"], points["z"] = grid.T
-            points["time"] = np.linspace(0.0, 0.09, len(points))
-            start = NS + k * NS // 10
-            other.add_scan(LidarScan(start, points))
-            for i in range(20):
-                stamp = start + 1 + i * 5_000_000
-                other.add_imu(ImuSample(stamp, imu[0, :3], imu[0, 3:]))
-                other.add_joints(JointSample(stamp, np.zeros(16), np.zeros(16), np.zeros(16)))
-            other.poll()
+        rehearse(LidarInertialOdometry(self.params.model_copy(update={"use_joints": True})))
 
 
 def _rotation_to_body(covariance: Array, pose: Array) -> Array:

@@ -86,9 +86,7 @@ def put_at(state: InertialFilter, pose: Array) -> None:
     )
     state.x[3:6] = heading @ state.x[3:6]
     state.x[:3] = pose[:3, 3] + rotation(state.x[6:10]) @ state.lever
-    state.p[:3, :3] += np.diag([MOVED**2, MOVED**2, (0.2 * MOVED) ** 2])
-    up = rotation(state.x[6:10])[2]  # of `odom`, in base_link: the axis of the heading
-    state.p[6:9, 6:9] += TURNED**2 * np.outer(up, up)
+    state.misplaced(MOVED, TURNED)
 
 
 def resting(imu: Array) -> bool:

@@ -12,7 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from hal.types import Array, LidarName
 from mapping.odometry.health import Health, HealthConfig
 from mapping.odometry.inertial import InertialConfig
-from mapping.odometry.registration.engines import EngineName, GicpConfig, KissConfig
+from mapping.odometry.registration.engines import EngineName, GicpConfig, PlanesConfig
+from mapping.odometry.registration.witness import KissConfig
 
 
 class OdometryConfig(BaseModel):
@@ -21,6 +22,7 @@ class OdometryConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     engine: EngineName = "kiss_icp"
+    planes: PlanesConfig = PlanesConfig()
     kiss_icp: KissConfig = KissConfig()
     small_gicp: GicpConfig = GicpConfig()
     inertial: InertialConfig = InertialConfig()
@@ -30,11 +32,9 @@ class OdometryConfig(BaseModel):
         default=20.0, gt=1, description="farther points are dropped; radius of the local map [m]"
     )
     max_points: int = Field(default=60_000, ge=1000, description="a larger scan is thinned")
-    threshold: float = Field(default=0.2, gt=0, description="correspondence scale given a prediction [m]")
     tilt_sigma: float = Field(
         default=0.5, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
     )
-    threshold_lost: float = Field(default=0.5, gt=0, description="the same after a gap or while lost [m]")
     patience: float = Field(
         default=0.15, gt=0, description="a topic this far behind the others is not waited for [s]"
     )

@@ -1,4 +1,4 @@
-"""Registration engines behind one small interface: KISS-ICP and small_gicp's VGICP, both scan to local map."""
+"""Registration engines behind one small interface: point to plane and small_gicp's VGICP, both scan to local map."""
 
 from __future__ import annotations
 
@@ -15,10 +15,14 @@ from mapping.odometry.registration.planes import VoxelPlanes
 
 EngineName = Literal["kiss_icp", "small_gicp"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
-REFINEMENTS = 3
-"""Point to plane steps after KISS-ICP."""
-REFINE_DAMPING = 2e-3
-"""Share of facing surface below which a direction is not refined."""
+STEPS = 12
+"""Most point to plane steps of a scan."""
+CONVERGED = 1e-4
+"""Smallest step [m, rad] that is followed by another."""
+DAMPING = 2e-3
+"""Share of facing surface below which a direction is not registered: it stays as predicted."""
+WIDE = 0.6
+"""Reach of correspondences of small_gicp [m]."""
 FEW_PLANES = 50
 """Points on planes below which their statistics say nothing."""
 
@@ -52,20 +56,24 @@ class Engine(Protocol):
     """Scans in the local map."""
     sigma: float
     """Systematic error of a registered surface [m]."""
+    frame: Array
+    """(n, 3) base_link: the cloud of the last `take`, thinned."""
 
-    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
-        """Register a deskewed cloud (n, 3) in base_link near `guess` (4, 4); correspondences up to 3 x `threshold` [m]."""
+    def take(self, cloud: NDArray[np.float32]) -> None:
+        """The deskewed cloud (n, 3) in base_link to register next."""
+
+    def align(self, guess: Array) -> Match:
+        """Register the cloud near `guess` (4, 4)."""
 
     def insert(self, pose: Array) -> None:
-        """Add the cloud of the last `align` to the local map at `pose` (4, 4)."""
+        """Add the cloud to the local map at `pose` (4, 4)."""
 
 
-class KissConfig(BaseModel):
-    """KISS-ICP, driven frame by frame."""
+class PlanesConfig(BaseModel):
+    """Point to plane registration, the tracker of the engine `kiss_icp`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    voxel_size: float = Field(default=0.3, gt=0.05, le=2.0, description="of the local map [m]")
     map_voxel: float = Field(
         default=0.15, gt=0.02, le=2.0, description="one point per voxel goes into the map [m]"
     )
@@ -73,12 +81,8 @@ class KissConfig(BaseModel):
         default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
     min_source: int = Field(default=500, ge=0, description="with fewer points the source voxel is halved")
-    max_iterations: int = Field(default=20, ge=1, description="least-squares steps per scan")
     surface_sigma: float = Field(
         default=0.008, gt=0, description="systematic error of a registered surface [m]"
-    )
-    convergence: float = Field(
-        default=1e-3, gt=0, description="smallest step [m, rad] that is followed by another"
     )
 
 
@@ -101,57 +105,37 @@ class GicpConfig(BaseModel):
     )
 
 
-class KissEngine:
-    """KISS-ICP's native registration and map; our planes beside them for the last millimetres, where point to point sticks to
-    the rings of earlier scans, and for the quality it does not report."""
+class PlaneEngine:
+    """Point to plane: Gauss-Newton steps from the prediction onto the planes of the map."""
 
     name: EngineName = "kiss_icp"
 
-    def __init__(self, params: KissConfig, max_range: float) -> None:
-        from kiss_icp.config import KISSConfig
-        from kiss_icp.mapping import get_voxel_hash_map
-        from kiss_icp.registration import get_registration
-
-        config = KISSConfig()
-        config.data.max_range = max_range
-        config.mapping.voxel_size = params.voxel_size
-        config.registration.max_num_threads = 1  # process-wide: the first instance decides
-        config.registration.max_num_iterations = params.max_iterations
-        config.registration.convergence_criterion = params.convergence
+    def __init__(self, params: PlanesConfig, max_range: float) -> None:
         self._params = params
         self.sigma = params.surface_sigma
-        self._map = get_voxel_hash_map(config)
-        self._registration = get_registration(config)
         self._planes = VoxelPlanes(0.4, max_range)
-        self._frame = np.empty((0, 3))
+        self.frame = self._source = np.empty((0, 3))
         self.scans = 0
 
-    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+    def take(self, cloud: NDArray[np.float32]) -> None:
         """See Engine."""
         from kiss_icp.voxelization import voxel_down_sample
 
-        self._frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
+        self.frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
         size = self._params.source_voxel
-        source = voxel_down_sample(self._frame, size)
-        while len(source) < self._params.min_source and size > self._params.map_voxel:
+        self._source = voxel_down_sample(self.frame, size)
+        while len(self._source) < self._params.min_source and size > self._params.map_voxel:
             size *= 0.5  # open terrain: few returns, all of them needed
-            source = voxel_down_sample(self._frame, size)
-        pose = guess
-        if self.scans:
-            pose = self._registration.align_points_to_map(
-                points=source,
-                voxel_map=self._map,
-                initial_guess=guess,
-                max_correspondance_distance=3.0 * threshold,
-                kernel=threshold,
-            )
-            pose = _refine(self._planes, source, np.ascontiguousarray(pose))
-        return _quality(self._planes, source, np.ascontiguousarray(pose))
+            self._source = voxel_down_sample(self.frame, size)
+
+    def align(self, guess: Array) -> Match:
+        """See Engine."""
+        pose = _refine(self._planes, self._source, guess) if self.scans else guess
+        return _quality(self._planes, self._source, np.ascontiguousarray(pose))
 
     def insert(self, pose: Array) -> None:
         """See Engine."""
-        self._map.update(self._frame, pose)
-        self._planes.insert(self._frame, np.ascontiguousarray(pose))
+        self._planes.insert(self.frame, np.ascontiguousarray(pose))
         self.scans += 1
 
 
@@ -169,10 +153,10 @@ class GicpEngine:
         self._planes = VoxelPlanes(0.4, max_range)
         self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
         self._map.set_lru(horizon=params.horizon, clear_cycle=10)
-        self._points = np.empty((0, 3))
+        self.frame = np.empty((0, 3))
         self.scans = 0
 
-    def align(self, cloud: NDArray[np.float32], guess: Array, threshold: float) -> Match:
+    def take(self, cloud: NDArray[np.float32]) -> None:
         """See Engine."""
         import small_gicp
 
@@ -180,35 +164,40 @@ class GicpEngine:
         self._cloud, _ = small_gicp.preprocess_points(
             cloud.astype(np.float64), p.source_voxel, num_neighbors=p.neighbours, num_threads=1
         )
-        self._points = np.ascontiguousarray(self._cloud.points()[:, :3])
+        self.frame = np.ascontiguousarray(self._cloud.points()[:, :3])
+
+    def align(self, guess: Array) -> Match:
+        """See Engine."""
+        import small_gicp
+
         pose = guess
         if self.scans:
             result = small_gicp.align(
                 self._map,
                 self._cloud,
                 guess,
-                max_correspondence_distance=3.0 * threshold,
+                max_correspondence_distance=WIDE,
                 num_threads=1,
-                max_iterations=p.max_iterations,
+                max_iterations=self._params.max_iterations,
             )
             pose = np.ascontiguousarray(result.T_target_source)
-        return _quality(self._planes, self._points, pose)
+        return _quality(self._planes, self.frame, pose)
 
     def insert(self, pose: Array) -> None:
         """See Engine."""
         self._map.insert(self._cloud, pose)
-        self._planes.insert(self._points, np.ascontiguousarray(pose))
+        self._planes.insert(self.frame, np.ascontiguousarray(pose))
         self.scans += 1
 
 
 def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
-    """Point to plane steps from `pose` (4, 4): point to point draws a scan towards the rings of the scans before. Directions
-    that no plane faces stay as they are."""
-    for _ in range(REFINEMENTS):
+    """Point to plane steps from `pose` (4, 4). Directions that no plane faces stay as they are."""
+    pose = np.ascontiguousarray(pose)
+    for _ in range(STEPS):
         h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
         if inliers < FEW_PLANES:
             break
-        step = -np.linalg.solve(h / inliers + REFINE_DAMPING * np.eye(6), b / inliers)
+        step = -np.linalg.solve(h / inliers + DAMPING * np.eye(6), b / inliers)
         if not np.abs(step).max() < 0.2:
             break
         moved = np.eye(4)
@@ -217,6 +206,8 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
         moved[:3, :3] = rotation(turned) @ pose[:3, :3]
         moved[:3, 3] = pose[:3, 3] + step[:3]
         pose = moved
+        if np.abs(step).max() < CONVERGED:
+            break
     return pose
 
 
@@ -234,6 +225,6 @@ def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
     )
 
 
-def make_engine(name: EngineName, kiss: KissConfig, gicp: GicpConfig, max_range: float) -> Engine:
+def make_engine(name: EngineName, planes: PlanesConfig, gicp: GicpConfig, max_range: float) -> Engine:
     """The engine of that name; `max_range` of the points [m]."""
-    return KissEngine(kiss, max_range) if name == "kiss_icp" else GicpEngine(gicp, max_range)
+    return PlaneEngine(planes, max_range) if name == "kiss_icp" else GicpEngine(gicp, max_range)

@@ -323,7 +323,7 @@ def test_a_robot_unheard_for_long_is_found_where_it_may_have_coasted_and_nowhere
         assert "bring it back" in seen[-1].reason
 
 
-@pytest.mark.parametrize(("moved", "found"), [(0.15, True), (2.5, False)])
+@pytest.mark.parametrize(("moved", "found"), [(0.15, True), (1.5, True), (4.0, False)])
 def test_a_second_odometry_goes_on_from_the_last_scan_of_the_first(
     recorded: tuple[SyntheticRun, list[Sample]], moved: float, found: bool
 ) -> None:

@@ -1,10 +1,11 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--poses 20] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
-scenes mapped before, `--only relocalise` does nothing else. `--no-joints` hides the joints from the odometry.
+scenes mapped before, `--only relocalise` does nothing else. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
+`--no-joints` hides the joints from the odometry.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import argparse
 
 from mapping.odometry.types import OdometryConfig
+from tools.bench.perception import basin as _perception_basin
 from tools.bench.perception import lanes as _perception_lanes
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
@@ -47,6 +49,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--lanes", type=int, default=4, metavar="N")
     parser.add_argument("--poses", type=int, default=20, metavar="N")
     parser.add_argument("--only", choices=("relocalise",))
+    parser.add_argument("--basin", type=int, default=24, metavar="N")
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
@@ -58,6 +61,8 @@ def run(args: list[str]) -> Report:
         _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
     _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)
     _perception_lidar.rows(report, options.lidar.split(","))
+    if options.basin > 0:
+        _perception_basin.rows(report, options.basin)
     if options.soak > 0.0:
         _perception_soak.rows(report, options.soak)
     if options.lanes > 0:

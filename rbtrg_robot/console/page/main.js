@@ -120,6 +120,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
     stick.drop();
     document.body.toggleAttribute("data-replay", !!run);
     $("replaybar").hidden = !run;
+    picture.hint();
     view.show();
   }
   put(

@@ -13,9 +13,11 @@ export function makePicture(link, view) {
       words ||
         (view.moving
           ? "Drag to turn the view; two fingers move and zoom."
-          : small
-            ? "Tap the ground for a goal; drag for its heading."
-            : "Tap the ground for a goal; press and drag for its heading. Right button or two fingers: the view."),
+          : link.replay
+            ? "A replay takes no goals."
+            : small
+              ? "Tap the ground for a goal; drag for its heading."
+              : "Tap the ground for a goal; press and drag for its heading. Right button or two fingers: the view."),
     );
   }
   function press(id, on, act) {

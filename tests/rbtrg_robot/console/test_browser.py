@@ -534,6 +534,7 @@ def test_a_run_is_replayed_beside_the_robot_and_run_again(
     until(page, "consoleView.ground.tiles.size > 10")
     assert page.is_visible("#replaybar")
     assert page.inner_text("#lease") == "replay"
+    assert page.inner_text("#hint") == "A replay takes no goals."
     assert page.is_disabled("#ask")
     assert page.inner_text("#live") == ""  # the stop of the log is not the robot's
     robot.deaf = True

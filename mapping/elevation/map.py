@@ -25,9 +25,9 @@ from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import CONTACT, LIDAR, PRIOR, UNKNOWN, TileStore
+from mapping.elevation.tiles import PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import ROUGH, WHEEL_SPOT, behind, support_patch
+from mapping.elevation.wheels_ground import carries, enter, support_patch
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -37,8 +37,6 @@ _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
 UPRIGHT = 0.7
 """Cosine of the tilt of a trunk that stands on its wheels."""
-CONTRADICTED = 0.25
-"""Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 """Steps of the stamps beyond these [ns] are a clock that was set."""
 
@@ -229,40 +227,13 @@ class ElevationMap:
         half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
         world = contacts @ rotation.T + place
-        patch = support_patch(
-            world[[self._carries(contact) for contact in world]], place[:2], yaw, half, p.start_radius if start else None,
-            p.contact_sigma, p.resolution,
-        )  # fmt: skip
+        stands_on = [carries(self.store, p.resolution, contact) for contact in world]
+        radius = p.start_radius if start else None
+        patch = support_patch(world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution)
         if patch is None or rotation[2, 2] < UPRIGHT:
             return 0
         self._fresh = self._fresh and len(contacts) < 3
-        s = self.store
-        cell = s.locate(patch.i, patch.j)
-        old = s.cells[cell]
-        seen = old["source"] == LIDAR
-        off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
-        if np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under):
-            return 0
-        take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
-        if start:
-            take &= ~behind(patch, off, place[:2], p.resolution)
-        cell, new = cell[take], old[take]
-        new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
-        s.cells[cell] = new
-        s.touched[np.unique(cell >> (2 * s.shift))] = 1
-        return int(cell.size)
-
-    def _carries(self, contact: NDArray[np.float64]) -> bool:
-        """Whether known ground can carry a wheel at `contact` (3,): the LiDAR knows some at its height around it, or none at all."""
-        if not np.isfinite(contact).all():
-            return False
-        x, y, z = contact
-        res = self.params.resolution
-        reach = np.arange(-round(WHEEL_SPOT / res), round(WHEEL_SPOT / res) + 1)
-        j, i = np.meshgrid(round(x / res) + reach, round(y / res) + reach)
-        cells = self.store.cells[self.store.locate(i.ravel(), j.ravel())]
-        height = cells["height"][cells["source"] == LIDAR]
-        return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
+        return enter(self.store, patch, place[:2], start, p.resolution)
 
     def clean(self) -> int:
         """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""

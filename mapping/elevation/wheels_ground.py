@@ -7,12 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
+
 ROUGH = 0.04
 """Contacts this far off their common plane [m] stand on steps or rubble: no plane, only the wheels' own spots."""
 WHEEL_SPOT = 0.10
 """Radius of ground known around one wheel contact [m]."""
 MAX_SLOPE = 0.7
 """Steeper planes come from a wheel on a kerb, not from ground."""
+CONTRADICTED = 0.25
+"""Share of the LiDAR's cells off the support plane that tell that the wheels do not stand on one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,3 +99,38 @@ def behind(
     return (inside & blocks[np.clip(i, 0, blocks.shape[0] - 1), np.clip(j, 0, blocks.shape[1] - 1)]).any(
         axis=0
     )
+
+
+def carries(store: TileStore, resolution: float, contact: NDArray[np.float64]) -> bool:
+    """Whether known ground can carry a wheel at `contact` (3,) [m]: the LiDAR knows some at its height around it, or none at all."""
+    if not np.isfinite(contact).all():
+        return False
+    x, y, z = contact
+    reach = np.arange(-round(WHEEL_SPOT / resolution), round(WHEEL_SPOT / resolution) + 1)
+    j, i = np.meshgrid(round(x / resolution) + reach, round(y / resolution) + reach)
+    cells = store.cells[store.locate(i.ravel(), j.ravel())]
+    height = cells["height"][cells["source"] == LIDAR]
+    return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
+
+
+def enter(
+    store: TileStore, patch: SupportPatch, centre: NDArray[np.float64], beyond: bool, resolution: float
+) -> int:
+    """Write a patch where the LiDAR knows nothing and no wheel knew better -> cells written; none where the LiDAR contradicts the plane.
+
+    `centre` (2,) of the body [m]; `beyond`: the patch is larger than the body, so what lies behind an edge is left out.
+    """
+    cell = store.locate(patch.i, patch.j)
+    old = store.cells[cell]
+    seen = old["source"] == LIDAR
+    off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
+    if np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under):
+        return 0
+    take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
+    if beyond:
+        take &= ~behind(patch, off, centre, resolution)
+    cell, new = cell[take], old[take]
+    new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
+    store.cells[cell] = new
+    store.touched[np.unique(cell >> (2 * store.shift))] = 1
+    return int(cell.size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import MOTORS, stand_height
-from hal.types import JointSample, LidarName, MountedLidar
+from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.poses import Course
@@ -24,6 +23,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.location import Location, Planar, State
+from rbtrg_robot.stages.scans import Scan, Scans
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -45,8 +45,6 @@ from rbtrg_robot.wire.convert import (
 from rbtrg_robot.wire.frames import MapFrame, stands
 from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
-WAIT_SCANS = 2
-"""A scan whose cloud or joints are missing is dropped once this many newer ones have come."""
 SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 NOTHING = np.empty((0, 3), np.float32)
@@ -61,9 +59,8 @@ TRUSTED_SENT = 16
 class ElevationStage:
     """Registered scans in, the elevation map out.
     In: poses at the end of each scan, deskewed clouds of every LiDAR, joints, tf_static, requests for the
-    map, another prior map, where an operator says that the robot stands. Out: changed blocks, the window around the robot, the whole map on request, status. It decides
-    which messages belong to one scan, by their stamps, so the order of arrival does not matter. It never
-    plans, never moves the robot and writes no file.
+    map, another prior map, where an operator says that the robot stands. Out: changed blocks, the window around the robot,
+    the whole map on request, status. It never plans, never moves the robot and writes no file.
     """
 
     outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_STATUS)
@@ -98,9 +95,7 @@ class ElevationStage:
         self._sensors = {lidar.name: Sensor.of(lidar) for lidar in lidars}
         self._silent = dict.fromkeys(self._sensors, 0)
         """Scans in a row without points, by LiDAR."""
-        self._poses: OrderedDict[int, msg.Odometry] = OrderedDict()
-        self._clouds: OrderedDict[int, dict[LidarName, NDArray[np.float32]]] = OrderedDict()
-        self._joints: list[JointSample] = []
+        self._waiting = Scans(self._sensors)
         self._frame = MapFrame()
         self._course = Course()
         self._prior = prior
@@ -137,14 +132,13 @@ class ElevationStage:
         """Take one message."""
         try:
             if t.ODOM.carried(message, topic):
-                self._poses[stamp_of(message)] = self._odom = message
+                self._waiting.pose(message)
+                self._odom = message
                 self._stands = stands(message)
             elif topic in self._topics:
-                clouds = self._clouds.setdefault(stamp_of(message), {})
-                clouds[self._topics[topic]] = cloud_points(message)
+                self._waiting.cloud(stamp_of(message), self._topics[topic], cloud_points(message))
             elif t.JOINTS.carried(message, topic):
-                self._joints.append(joint_sample(message))
-                del self._joints[:-100]
+                self._waiting.joints(joint_sample(message))
             elif t.TF_STATIC.carried(message, topic):
                 if self._frame.take(message):
                     self._location.settle(self._frame)
@@ -176,43 +170,13 @@ class ElevationStage:
             return []
 
     def _join(self) -> Outputs:
-        outputs: Outputs = []
-        if (
-            self._restoring or not self._frame.known
-        ):  # where the robot started must be known before anything is mapped
-            return outputs
-        for stamp in sorted(self._poses.keys() & self._clouds.keys()):
-            if stamp not in self._clouds:  # the map began anew meanwhile
-                break
-            joints = self._joints_at(stamp)
-            newer = sum(1 for other in self._clouds if other > stamp)
-            complete = joints is not None and self._clouds[stamp].keys() == self._sensors.keys()
-            if not complete and newer < WAIT_SCANS:
-                break
-            outputs += self._fuse(stamp, self._poses.pop(stamp), self._clouds.pop(stamp), joints)
-            for waiting in (self._poses, self._clouds):
-                for old in [s for s in waiting if s < stamp]:
-                    del waiting[old]
-        while len(self._poses) > 50:
-            self._poses.popitem(last=False)
-        while len(self._clouds) > 10:
-            self._clouds.popitem(last=False)
-        return outputs
+        # Where the robot started must be known before anything is mapped.
+        if self._restoring or not self._frame.known:
+            return []
+        return [output for scan in self._waiting.take() for output in self._fuse(scan)]
 
-    def _joints_at(self, stamp: int) -> JointSample | None:
-        """The last sample at or before `stamp`, once a later one shows that it is the last."""
-        if not self._joints or self._joints[-1].stamp < stamp:
-            return None
-        before = [j for j in self._joints if j.stamp <= stamp]
-        return before[-1] if before else self._joints[0]
-
-    def _fuse(
-        self,
-        stamp: int,
-        odom: msg.Odometry,
-        clouds: dict[LidarName, NDArray[np.float32]],
-        joints: JointSample | None,
-    ) -> Outputs:
+    def _fuse(self, scan: Scan) -> Outputs:
+        stamp, odom, clouds, joints = scan
         position, orientation = self._frame.pose3(
             xyz(odom.pose.pose.position), xyzw(odom.pose.pose.orientation)
         )
@@ -298,8 +262,7 @@ class ElevationStage:
         else:
             known = self.map.begin_on(self._prior_map, self._prior_cloud)
         self._course.forget()
-        self._poses.clear()
-        self._clouds.clear()
+        self._waiting.forget()
         self._detail, self._status_due = f"{why}; {known} cells are known from before", 0
         return self.tick(self.map.stamp)
 

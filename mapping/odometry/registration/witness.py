@@ -21,7 +21,7 @@ LOOKS = 10
 
 
 class KissConfig(BaseModel):
-    """KISS-ICP; the defaults are those of its package."""
+    """KISS-ICP; voxels and threshold are those of its package."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

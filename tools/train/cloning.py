@@ -12,7 +12,8 @@ import optax
 from numpy.typing import NDArray
 
 from tools.train.environment import SEEN
-from tools.train.network import LEAST_SPREAD, Weights, as_tree, forward, fresh
+from tools.train.network import LEAST_SPREAD, Weights, fresh
+from tools.train.perceptron import as_tree, forward
 from tools.train.settings import HIDDEN
 
 BATCH = 1024

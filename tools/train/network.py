@@ -1,4 +1,4 @@
-"""Perceptrons in JAX, and what makes a policy of one."""
+"""Weights of perceptrons as numpy arrays, and what makes a policy of them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,15 +27,6 @@ def fresh(sizes: Sequence[int], last: float, rng: np.random.Generator) -> Weight
     return out
 
 
-def forward(weights: Weights, x: Any) -> Any:
-    """The perceptron with ELU between its layers."""
-    for k, (weight, bias) in enumerate(weights):
-        x = x @ weight + bias
-        if k < len(weights) - 1:
-            x = jax.nn.elu(x)
-    return x
-
-
 def normalised(weights: Weights, mean: NDArray[np.float32], spread: NDArray[np.float32]) -> Weights:
     """The same perceptron for inputs that were not divided by their spread: the first layer does it."""
     first, bias = np.asarray(weights[0][0], np.float64), np.asarray(weights[0][1], np.float64)
@@ -54,8 +43,3 @@ def as_layers(weights: Weights) -> list[Layer]:
         )
         for k, (w, b) in enumerate(weights)
     ]
-
-
-def as_tree(weights: Weights) -> Weights:
-    """As JAX arrays."""
-    return [(jnp.asarray(w), jnp.asarray(b)) for w, b in weights]

@@ -12,7 +12,8 @@ import optax
 from numpy.typing import NDArray
 
 from tools.train.environment import KNOWN, SEEN
-from tools.train.network import Weights, as_tree, forward, fresh
+from tools.train.network import Weights, fresh
+from tools.train.perceptron import as_tree, forward
 from tools.train.settings import CRITIC, Ppo
 
 Float32 = NDArray[np.float32]

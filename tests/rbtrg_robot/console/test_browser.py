@@ -521,6 +521,7 @@ def write_run(folder: Path) -> None:
                 log.write(topic, encode(message), now, now, k + 1)
 
 
+@pytest.mark.campaign
 def test_a_run_is_replayed_beside_the_robot_and_run_again(
     visit: Callable[..., Page], robot: Robot, console: Console
 ) -> None:

@@ -52,6 +52,7 @@ def test_a_goal_in_a_maze_nobody_has_seen_is_reached_without_driving_twice_the_w
 
 
 @needs_shared
+@pytest.mark.campaign
 def test_a_goal_that_cannot_be_reached_ends_in_no_route_once_all_is_seen() -> None:
     state, reason, driven, known = explore(str(TERRAIN / "maze.ply"), "far", 120.0)
     assert known == math.inf, "between a block and the rim of the scan 0.4 m are left"

@@ -11,7 +11,7 @@ pytest.importorskip("optax")
 from rich.console import Console
 
 from hal.locomotion.policy import PolicyController, forward
-from tools.train import network, ppo
+from tools.train import network, perceptron, ppo
 from tools.train.checkpoint import Checkpoint
 from tools.train.cloning import fit
 from tools.train.environment import SEEN
@@ -44,7 +44,7 @@ def test_exported_layers_do_what_the_trained_ones_do() -> None:
     weights = network.fresh([SEEN, *HIDDEN, 16], 1.0, rng)
     mean, spread = rng.normal(size=SEEN).astype(np.float32), rng.uniform(0.1, 2.0, SEEN).astype(np.float32)
     x = rng.normal(size=SEEN).astype(np.float32)
-    wanted = np.asarray(network.forward(network.as_tree(weights), (x - mean) / spread))
+    wanted = np.asarray(perceptron.forward(perceptron.as_tree(weights), (x - mean) / spread))
     got = forward(network.as_layers(network.normalised(weights, mean, spread)), x)
     np.testing.assert_allclose(got, wanted, atol=1e-3)
 

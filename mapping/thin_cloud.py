@@ -39,11 +39,6 @@ class ThinCloud:
         return self._used
 
     @property
-    def full(self) -> bool:
-        """Voxels that are not known yet are left out."""
-        return self._used >= self._limit
-
-    @property
     def points(self) -> NDArray[np.float32]:
         """(n, 3) means [m], in the order in which the voxels were first hit."""
         sums = self._sums[: self._used]

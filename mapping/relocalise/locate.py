@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from mapping.relocalise.search import Columns, Place, find_places, same
 from mapping.relocalise.submap import GROUND, Submap
@@ -92,8 +93,8 @@ def locate(
 
 def near(place: Place, hint: tuple[float, float, float]) -> bool:
     """Whether a place is where the robot is said to stand."""
-    turn = (place.yaw - hint[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(place.x - hint[0], place.y - hint[1]) < NEAR[0] and abs(turn) < NEAR[1]
+    apart = math.hypot(place.x - hint[0], place.y - hint[1])
+    return apart < NEAR[0] and abs(wrap(place.yaw - hint[2])) < NEAR[1]
 
 
 def warm_up() -> None:

@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.rotation import wrap
+from hal.types import Array
 from mapping.grid import ElevationGrid
 from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, pool
 
@@ -127,11 +129,10 @@ def find_places(
     bits = int(sum(int(word).bit_count() for word in words))
     far = max(2.0, float(np.percentile(np.hypot(xy[:, 0], xy[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * far / STEP)
-    yaws = 2.0 * math.pi / turns * np.arange(turns)
+    yaws: Array = np.linspace(0.0, 2.0 * math.pi, turns, endpoint=False)
     window = np.array([0, 0, *columns.ground[0].shape], np.int64)
     if near is not None:
-        off = (yaws - near[2] + math.pi) % (2.0 * math.pi) - math.pi
-        yaws = yaws[np.abs(off) <= turn]
+        yaws = yaws[np.abs(wrap(yaws - near[2])) <= turn]
         row, col = ((near[1 - k] - columns.origin[1 - k]) / columns.cell for k in (0, 1))
         n = radius / columns.cell
         window = np.array([row - n, col - n, row + n + 1, col + n + 1], np.int64)
@@ -158,7 +159,7 @@ def find_places(
             columns.origin[0] + col * columns.cell,
             columns.origin[1] + row * columns.cell,
             columns.base + level * SLICE,
-            float((yaws[k] + math.pi) % (2.0 * math.pi) - math.pi),
+            float(wrap(yaws[k])),
             float(bins[tuple(at)] / bits),
         )
         if not any(same(place, other) for other in places):
@@ -170,8 +171,8 @@ def find_places(
 
 def same(a: Place, b: Place) -> bool:
     """Whether two places are one, found twice."""
-    turn = (a.yaw - b.yaw + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(a.x - b.x, a.y - b.y) < APART[0] and abs(turn) < APART[1] and abs(a.z - b.z) < 1.0
+    near = math.hypot(a.x - b.x, a.y - b.y) < APART[0] and abs(a.z - b.z) < 1.0
+    return near and abs(wrap(a.yaw - b.yaw)) < APART[1]
 
 
 def as_columns(structure: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.uint64]]:

@@ -22,7 +22,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
-from rbtrg_robot.stages.location import Location, Planar, State
+from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.scans import Scan, Scans
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -42,7 +42,7 @@ from rbtrg_robot.wire.convert import (
     xyz,
     xyzw,
 )
-from rbtrg_robot.wire.frames import MapFrame, stands
+from rbtrg_robot.wire.frames import MapFrame, Planar, stands
 from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
 SILENT_SCANS = 5
@@ -103,7 +103,7 @@ class ElevationStage:
         self._prior_cloud = elevation.cloud.points
         self._location = Location()
         if self._prior_map is not None:
-            self._location.begin(name, self._prior_map, self._prior_cloud, start)
+            self._location = Location.begin(name, self._prior_map, self._prior_cloud, start)
             if not self._location.state.known:
                 elevation.reset()  # nothing of it holds before the robot is found in it
         self._prior_stamp = 0
@@ -158,7 +158,7 @@ class ElevationStage:
                 ):  # another one was loaded meanwhile; what was made of it comes back
                     self.map.reset()
                     self._prior, self._prior_map = message.prior, None
-                    self._location.end()
+                    self._location = Location()
                 self._location.restore(message)
                 self.map.epoch = max(self.map.epoch, message.epoch)
                 self.map.alignment.height = message.height_correction
@@ -249,7 +249,7 @@ class ElevationStage:
         self._prior, self._prior_map, self._prior_stamp = message.id, patch, patch.stamp
         self._prior_cloud = cloud
         frame = self._frame
-        self._location.begin("the loaded map", patch, cloud, (frame.x, frame.y, frame.yaw))
+        self._location = Location.begin("the loaded map", patch, cloud, (frame.x, frame.y, frame.yaw))
         return self._begin("the map was loaded")
 
     def _begin(self, why: str) -> Outputs:

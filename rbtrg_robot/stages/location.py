@@ -16,10 +16,8 @@ from mapping.relocalise import Candidate, PriorMap, Submap, locate
 from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.reasons import LOCATED
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
-from rbtrg_robot.wire.frames import MapFrame, stands
+from rbtrg_robot.wire.frames import MapFrame, Planar, offset_of, stands
 
-Planar = tuple[float, float, float]
-"""x, y [m], yaw [rad]."""
 LOOK = 10
 """Scans of a look: one second, in which the rings of a LiDAR that stands do not move."""
 WAY = 0.7
@@ -67,27 +65,20 @@ class Location:
         self._looked: NDArray[np.float64] | None = None
         """Where the newest look began, x, y in `odom` [m]."""
 
-    @property
-    def searchable(self) -> bool:
-        """There is a map with a cloud."""
-        return self._prior is not None
-
-    def begin(self, name: str, patch: MapPatch, cloud: NDArray[np.float32], hint: Planar) -> None:
-        """Search from now on in a map, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
-        self.__init__()  # type: ignore[misc]
-        self._name, self._hint = name, hint
+    @classmethod
+    def begin(cls, name: str, patch: MapPatch, cloud: NDArray[np.float32], hint: Planar) -> Location:
+        """Search in a map, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
+        out = cls()
+        out._name, out._hint = name, hint
         if len(cloud):
-            self._prior = PriorMap(cloud, patch.grid())
-            self._say(State.SEARCHING, f"searching the robot in {name}")
+            out._prior = PriorMap(cloud, patch.grid())
+            out._say(State.SEARCHING, f"searching the robot in {name}")
         else:
-            self._say(
+            out._say(
                 State.ASSUMED,
                 f"{name} has no cloud and cannot be searched: the robot is taken to stand where the configuration says",
             )
-
-    def end(self) -> None:
-        """There is no map to search any more."""
-        self.__init__()  # type: ignore[misc]
+        return out
 
     def restore(self, status: msg.MapStatus) -> None:
         """What the process before this one had found."""
@@ -193,16 +184,6 @@ class Location:
 def _words(candidate: Candidate) -> str:
     place = candidate.place
     return f"{place.x:.2f} {place.y:.2f} yaw {math.degrees(place.yaw):.0f} deg"
-
-
-def offset_of(place: Planar, odom: msg.Odometry) -> Planar:
-    """Offset of `odom` in `map` of a robot that stands at `place` in `map`."""
-    here = odom.pose.pose
-    turn = wrap(place[2] - yaw_of(here.orientation))
-    c, s = math.cos(turn), math.sin(turn)
-    x = place[0] - c * here.position.x + s * here.position.y
-    y = place[1] - s * here.position.x - c * here.position.y
-    return x, y, turn
 
 
 def pose_of(offset: Planar, odom: msg.Odometry) -> Planar:

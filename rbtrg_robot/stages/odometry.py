@@ -39,7 +39,7 @@ from rbtrg_robot.wire.convert import (
     xyzw,
     yaw_of,
 )
-from rbtrg_robot.wire.frames import MapFrame, stands
+from rbtrg_robot.wire.frames import MapFrame, offset_of, stands
 from rbtrg_robot.wire.messages import array, header, stamp_of
 
 TF_EVERY = 4
@@ -172,12 +172,7 @@ class OdometryStage:
         )
         if odom is None or message.header.frame_id not in ("", MAP) or not known or not stands(odom):
             return []
-        here = odom.pose.pose
-        turn = wrap(yaw - yaw_of(here.orientation))
-        c, s = math.cos(turn), math.sin(turn)
-        x = place.x - c * here.position.x + s * here.position.y
-        y = place.y - s * here.position.x - c * here.position.y
-        return self._take_offset(x, y, turn)
+        return self._take_offset(*offset_of((place.x, place.y, yaw), odom))
 
     def _take_offset(self, x: float, y: float, turn: float) -> Outputs:
         """`odom` lies at x, y [m], turned by `turn` [rad] in `map`. Not taken while the robot moves: whoever drives it would lose the way."""

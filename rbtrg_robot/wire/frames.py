@@ -15,6 +15,9 @@ from hal.rotation import wrap
 from rbtrg_robot.msg import Odometry, TFMessage
 from rbtrg_robot.wire.convert import MAP, ODOM, yaw_of
 
+Planar = tuple[float, float, float]
+"""x, y [m], yaw [rad]."""
+
 
 class MapFrame:
     """The offset of `odom` in `map`; both are gravity-aligned, so it is a translation and a heading."""
@@ -37,7 +40,7 @@ class MapFrame:
                 self.known = True
         return before not in (None, (self.x, self.y, self.z, self.yaw))
 
-    def pose2(self, x: float, y: float, yaw: float) -> tuple[float, float, float]:
+    def pose2(self, x: float, y: float, yaw: float) -> Planar:
         """A planar pose in `odom` as one in `map`."""
         c, s = math.cos(self.yaw), math.sin(self.yaw)
         return (
@@ -55,6 +58,16 @@ class MapFrame:
         qx, qy, qz, qw = orientation
         turned = np.array([c * qx - s * qy, c * qy + s * qx, c * qz + s * qw, c * qw - s * qz])
         return np.array([x, y, position[2] + self.z]), turned
+
+
+def offset_of(place: Planar, odom: Odometry) -> Planar:
+    """Offset of `odom` in `map` of a robot that stands at `place` in `map`."""
+    here = odom.pose.pose
+    turn = wrap(place[2] - yaw_of(here.orientation))
+    c, s = math.cos(turn), math.sin(turn)
+    x = place[0] - c * here.position.x + s * here.position.y
+    y = place[1] - s * here.position.x - c * here.position.y
+    return x, y, turn
 
 
 STANDING = (0.05, 0.1)

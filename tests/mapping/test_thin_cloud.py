@@ -33,6 +33,5 @@ def test_points_that_are_not_finite_or_too_far_and_those_beyond_the_limit_are_le
     points = np.array([[0.5, 0, 0], [np.nan, 0, 0], [REACH + 1.0, 0, 0], [3.5, 0, 0]], np.float32)
     cloud.add(points, np.eye(3), np.zeros(3))
     assert cloud.points.tolist() == [[0.5, 0.0, 0.0], [3.5, 0.0, 0.0]]
-    assert cloud.full
     cloud.enter(np.array([[9.5, 0, 0], [0.7, 0, 0]], np.float32))
     np.testing.assert_allclose(cloud.points, [[0.6, 0.0, 0.0], [3.5, 0.0, 0.0]], atol=1e-6)

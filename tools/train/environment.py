@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from hal import go2w
 from hal.locomotion.layout import FRAME, Layout
 from hal.types import Array
+from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots
-from tools.train.settings import FALLEN, PARAMS, PERIOD, Reward, Settings
+from tools.train.settings import PARAMS, PERIOD, Reward, Settings
 from tools.train.terrain import BEFORE, KINDS, LENGTH, LEVELS, OPEN
 
 AGES = PARAMS.ages
@@ -21,8 +22,6 @@ SCAN = np.stack(np.meshgrid(np.linspace(-0.5, 0.9, 11), np.linspace(-0.4, 0.4, 5
 """(55, 2) places in the heading frame [m] whose heights the critic sees."""
 KNOWN = SEEN + 3 + len(SCAN) + 2
 """Numbers that the critic sees: the same, the body's velocity, heights, which way the ground is its own (kind, level)."""
-AIM = 0.7
-"""The heading law aims this far ahead on the middle of a lane [m], as the envelope bench does."""
 TALL = 0.38
 """Height of the trunk over the ground from which the critic's heights are counted [m]."""
 LOW = (0.25, 0.13)
@@ -130,8 +129,7 @@ class Environment:
         b, s = self.body(), self.robots.state
         lanes = self.kind != OPEN
         aside = s[:, 2] - self.robots.ground.middle(self.kind, self.level)
-        steer = np.clip(2.0 * (np.arctan2(-aside, AIM) - b.yaw), -0.8, 0.8)
-        self.command[lanes, 2] = steer[lanes]
+        self.command[lanes, 2] = steering(aside, b.yaw)[lanes]
         n, rng, noise = len(s), self._rng, self.settings.physics.noise
         self._newest = (self._newest + 1) % len(self._frames)
         frame = self._frames[self._newest]
@@ -171,7 +169,7 @@ class Environment:
         total = reward.scale * sum(getattr(reward, name) * value for name, value in terms.items())
         lanes = self.kind != OPEN
         aside = np.abs(s[:, 2] - self.robots.ground.middle(self.kind, self.level))
-        fell = broken | (b.up[:, 2] < FALLEN) | (b.above < LOW[1])
+        fell = broken | (b.up[:, 2] < TIPPED) | (b.above < LOW[1])
         astray = lanes & (aside > 1.0)
         far = ~lanes & ((aside > 6.0) | (np.abs(s[:, 1] - 5.0) > 5.4))
         through = lanes & (s[:, 1] > LENGTH - BEFORE - 1.2)

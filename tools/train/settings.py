@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.locomotion.layout import PolicyParams
@@ -105,5 +103,3 @@ class Settings(BaseModel):
 
 PERIOD = PARAMS.dt * PARAMS.decimation
 """Of a policy step [s]."""
-FALLEN = math.cos(math.radians(60.0))
-"""Cosine of the tilt at which a robot has fallen."""

@@ -17,7 +17,8 @@ from hal.mujoco.sim import Simulation
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
 from tools.bench.envelope.terrain import RESOLUTION, course
-from tools.train.settings import FALLEN, PARAMS
+from tools.bench.envelope.trial import TIPPED, steering
+from tools.train.settings import PARAMS
 
 LEVEL = "ramp_up_0"
 """Level ground, with any command."""
@@ -82,8 +83,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             wish = (float(rng.uniform(-0.8, 1.0) * moving[0]), float(rng.uniform(-0.9, 0.9) * moving[1]))
             change = now + rng.uniform(1.0, 3.0)
         if not free:
-            wz = float(np.clip(2.0 * (np.arctan2(-sim.position[1], 0.7) - sim.yaw), -0.8, 0.8))
-            wish = (speed, wz) if now >= 0.5 else (0.0, 0.0)
+            wish = (speed, float(steering(sim.position[1], sim.yaw))) if now >= 0.5 else (0.0, 0.0)
         if now > push:
             push = now + rng.uniform(2.0, 4.0)
             way, force = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(20.0, 90.0)
@@ -102,7 +102,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         sim.apply(held)
         sim.step()
         x, y, _ = sim.position.tolist()
-        if sim.rotation[2, 2] < FALLEN or abs(y) > 1.0 or not -0.75 < x < 6.9:
+        if sim.rotation[2, 2] < TIPPED or abs(y) > 1.0 or not -0.75 < x < 6.9:
             break
     return np.array(frames), np.array(outputs)
 

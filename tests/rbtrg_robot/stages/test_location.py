@@ -10,10 +10,10 @@ import pytest
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.sensor import XT16
 from rbtrg_robot import msg
-from rbtrg_robot.stages.location import LOOK, Location, State, offset_of, pose_of
+from rbtrg_robot.stages.location import LOOK, Location, State, pose_of
 from rbtrg_robot.stages.navigation.reasons import Reason, unlocated
 from rbtrg_robot.wire.convert import MAP, odometry_msg, point, yaw_quaternion
-from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.frames import MapFrame, offset_of
 from rbtrg_robot.wire.messages import header
 from tests.mapping.relocalise.rooms import BELOW, floor, room, seen_from
 
@@ -35,10 +35,8 @@ def odom(x: float = 2.0, y: float = 3.0, yaw: float = 0.1, speed: float = 0.0) -
 
 
 def searching(hint: tuple[float, float, float], cloud: np.ndarray | None = None) -> Location:
-    location = Location()
     made = room(4.0, 3.0) if cloud is None else cloud
-    location.begin("hall.npz", patch(), made.astype(np.float32), hint)
-    return location
+    return Location.begin("hall.npz", patch(), made.astype(np.float32), hint)
 
 
 def scans(location: Location, seen: np.ndarray, message: msg.Odometry, count: int = LOOK) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from hal.lowlevel import Locomotion, LowState
 from hal.mujoco.driver import Driver
@@ -71,6 +72,12 @@ def noisy(state: LowState, rng: np.random.Generator) -> LowState:
     )
 
 
+def steering(aside: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
+    """Yaw rate [rad/s] of robots `aside` of the line they drive along [m], with heading `yaw` to it [rad]; any shape."""
+    off = np.arctan2(-np.asarray(aside, np.float64), AIM) - np.asarray(yaw, np.float64)
+    return np.clip(2.0 * off, -0.8, 0.8)
+
+
 def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | None = None) -> Outcome:
     """Drive course `name` along y = 0, steered by the true pose, every course by the same law."""
     c = conditions or Conditions()
@@ -92,7 +99,7 @@ def drive(controller: Locomotion, name: str, run: int, conditions: Conditions | 
     pitches = []
     tick = 0
     while sim.time < limit:
-        wz = float(np.clip(2.0 * (np.arctan2(-sim.position[1], AIM) - sim.yaw), -0.8, 0.8))
+        wz = float(steering(sim.position[1], sim.yaw))
         driver.step(*((c.speed, wz) if sim.time >= 0.5 else (0.0, 0.0)))
         tick += 1
         if tick % 4 == 0:

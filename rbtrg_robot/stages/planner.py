@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -11,24 +10,16 @@ import numpy as np
 
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
-from mapping.grid import ElevationGrid
-from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams
 from planning.path import (
     Path,
     PathLimits,
-    ahead_of,
-    drivable,
     face_in_the_way,
-    is_hidden,
-    make_path,
-    rest_of,
     still_safe,
 )
 from planning.risk.body import BodyModel
-from planning.search.frontier import FrontierMemory, is_beside_virtual
-from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
+from planning.search.plan import DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -37,6 +28,7 @@ from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.route_report import RouteBase, path_msg, plan_fields
 from rbtrg_robot.stages.stage import Outputs
+from rbtrg_robot.stages.way import WaySearch
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg
 from rbtrg_robot.wire.messages import header
@@ -51,17 +43,6 @@ REASONS = {
     NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
     NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
 }
-BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
-    "t_hybrid": t_hybrid.plan,
-    "art": art.plan,
-}
-"""Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
-
-
-NEAR = 1.0
-"""A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
-WAYS = 3
-"""Tried, where they begin with ground that cannot be seen."""
 
 
 class PlannerStage:
@@ -85,10 +66,10 @@ class PlannerStage:
     ) -> None:
         """`seed` of the graph's samples."""
         self._params = params
-        self._rules = DriveRules(params.backward, params.turning, straight=True)
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
+        self._ways = WaySearch(params, body, limits)
         self._epoch = 0
         self._updated = 0
         self._start: tuple[float, float] | None = None
@@ -99,12 +80,6 @@ class PlannerStage:
         """The newest path, over virtual ground too."""
         self._path: Path | None = None
         """The part of it that is driven."""
-        self._memory = FrontierMemory()
-        self._memory_goal = ""
-        self._looks_over = False
-        """The frontier on the way to lies beside virtual ground."""
-        self._hidden: list[tuple[float, float, float]] = []
-        """x, y, radius [m] of ground on the way to that goal that cannot be seen from where it begins; kept off until it was seen."""
         self._malformed = 0
         self._verdict = (True, "")
         self._checked_version = -1
@@ -223,9 +198,6 @@ class PlannerStage:
         driven = self._whole if self._verdict[0] and message.goal_id == self._answered[0] else None
         self._answered = (message.goal_id, int(message.sequence))
         self._path, self._whole, self._verdict = None, None, (True, "")
-        if message.goal_id != self._memory_goal:
-            self._memory, self._memory_goal, self._hidden = FrontierMemory(), message.goal_id, []
-        self._memory.at(self._start, self._now / NS, virtual=self._looks_over)
         if self._map.stale or self._map.window is not None or self._map.graph is None:
             self._sync(self._start)
         base: dict[str, Any] = {
@@ -234,7 +206,7 @@ class PlannerStage:
             "sequence": message.sequence,
         }
         try:
-            found, self._whole, path = self._seen_way(message, driven)
+            way = self._ways.find(self._map, message, driven, self._now)
         except NoRoute as none:
             reason = REASONS[none.reason]
             if reason is Reason.NO_ROUTE:
@@ -243,16 +215,14 @@ class PlannerStage:
         except PlanningError as error:
             reason = Reason.INVALID
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
-        self._path = path
+        found, self._whole, self._path = way.plan, way.whole, way.path
         self._checked_version = -1
-        self._memory.chosen, graph = found.frontier, self._map.graph
-        self._looks_over = bool(graph and found.frontier and is_beside_virtual(graph, found.frontier))
         outputs: Outputs = [
-            (t.PLAN, msg.Plan(**base, **plan_fields(found, path, message))),
-            (t.ROUTE, path_msg(path, self._now)),
+            (t.PLAN, msg.Plan(**base, **plan_fields(found, way.path, message))),
+            (t.ROUTE, path_msg(way.path, self._now)),
         ]
         if self._map.table is not None and self._params.method == "rb_trg":
-            report = RouteBase(base["header"], message.goal_id).report(found, path, self._map.table)
+            report = RouteBase(base["header"], message.goal_id).report(found, way.path, self._map.table)
             outputs.append((t.ROUTE_REPORT, report))
         return outputs
 
@@ -266,12 +236,12 @@ class PlannerStage:
         graph = self._map.graph if message.graph else None
         yaw = message.goal_yaw if message.has_goal_yaw else None
         native: Plan | None = None
-        rules = self._rules
+        rules = self._ways.rules
         variant = self._params.variant
         wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
         try:
             found = self._map.search(wanted)
-            path = self._path_of(found)
+            path = self._ways.path_of(self._map, found)
         except NoRoute as none:
             return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], str(none), graph))]
         except PlanningError as error:
@@ -282,61 +252,6 @@ class PlannerStage:
             native = None
         assert self._map.table is not None
         return [(t.ROUTE_REPORT, base.report(found, path, self._map.table, native, graph))]
-
-    def _plan(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
-        """The route, and its path. What is left of the path that is driven, if any, is kept unless another is clearly better."""
-        ahead = driven.ahead(message.start_x, message.start_y) if driven is not None else None
-        request = PlanRequest(
-            start=(message.start_x, message.start_y),
-            goal=(message.goal_x, message.goal_y),
-            start_yaw=message.start_yaw,
-            goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
-            variant=self._params.variant,
-            rules=self._rules,
-            driven=Driven(*ahead) if ahead is not None else None,
-            allow_frontier=True,
-            previous_frontier=self._memory.chosen,
-            seen_frontiers=tuple(self._memory.seen),
-            been=None if self._memory.exhausted else tuple(self._memory.been),
-        )
-        if self._params.method != "rb_trg":
-            found = BASELINES[self._params.method](self._map.ground(), request)
-            return found, self._path_of(found)
-        found = self._map.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
-        if found.short > NEAR and not found.transitions:
-            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it"
-            raise NoRoute(NoRouteReason.NO_ROUTE, why)
-        if found.kept and driven is not None:
-            pose = (message.start_x, message.start_y, message.start_yaw)
-            return found, rest_of(driven, pose, self._map.ground(), self._body)
-        return found, self._path_of(found)
-
-    def _seen_way(self, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path, Path]:
-        """A plan, its path, and the part of it that is driven. A way that cannot be seen from here is left for another."""
-        graph = self._map.graph
-        if self._params.method != "rb_trg" or graph is None:
-            found, whole = self._plan(message, driven)
-            return found, whole, whole
-        self._hidden = [disc for disc in self._hidden if is_hidden(graph, disc[0], disc[1])]
-        for way in range(WAYS):
-            try:
-                found, whole = self._plan(message, driven)
-            except NoRoute:
-                if way == 0:
-                    self._memory.exhausted = True
-                    raise
-                break  # what hides the first way is the reason
-            path = drivable(whole, graph, self._body.width)
-            if path is not None:
-                return found if path is whole else replace(found, reaches_goal=False), whole, path
-            self._hidden.append(ahead_of(whole))
-        raise NoRoute(
-            NoRouteReason.NO_ROUTE,
-            "every way leads over ground that the robot cannot see from where it stands",
-        )
-
-    def _path_of(self, found: Plan) -> Path:
-        return make_path(found, self._map.ground(), self._body, self._limits)
 
 
 def build(config: StackConfig) -> PlannerStage:

@@ -1,0 +1,156 @@
+"""The search for a way to one goal: past ground that cannot be seen from here, to frontiers, and in other graphs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hal.types import NS
+from mapping.grid import ElevationGrid
+from planning.baselines import art, t_hybrid
+from planning.errors import NoRoute, NoRouteReason
+from planning.path import Path, PathLimits, ahead_of, drivable, is_hidden, make_path, rest_of
+from planning.risk.body import BodyModel
+from planning.search.frontier import FrontierMemory, is_beside_virtual
+from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
+from rbtrg_robot import msg
+from rbtrg_robot.stage_config import PlannerConfig
+from rbtrg_robot.stages.map_graph import MapGraph
+
+BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
+    "t_hybrid": t_hybrid.plan,
+    "art": art.plan,
+}
+"""Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
+NEAR = 1.0
+"""A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
+REDRAWS = 2
+"""Other graphs that are searched where a way to the goal was lost."""
+WAYS = 3
+"""Tried, where they begin with ground that cannot be seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """A plan and its path."""
+
+    plan: Plan
+    whole: Path
+    """Over virtual ground too."""
+    path: Path
+    """The part of it that is driven."""
+
+
+class WaySearch:
+    """Finds ways on a `MapGraph` for one goal after the other, and remembers for each goal what was tried."""
+
+    def __init__(self, params: PlannerConfig, body: BodyModel, limits: PathLimits) -> None:
+        self.rules = DriveRules(params.backward, params.turning, straight=True)
+        self._params = params
+        self._body = body
+        self._limits = limits
+        self._begin("")
+
+    def _begin(self, goal: str) -> None:
+        self._goal = goal
+        self._memory = FrontierMemory()
+        self._looks_over = False
+        """The frontier on the way to lies beside virtual ground."""
+        self._hidden: list[tuple[float, float, float]] = []
+        """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen."""
+        self._reached = False
+        """The newest plan led to the goal."""
+
+    def find(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None, now: int) -> Way:
+        """The way from where the robot stands at `now` [ns]. What is left of the path `driven` is kept unless another is clearly better.
+
+        A way that begins with ground that cannot be seen from here is left for another. Raises PlanningError.
+        """
+        if message.goal_id != self._goal:
+            self._begin(message.goal_id)
+        self._memory.at((message.start_x, message.start_y), now / NS, virtual=self._looks_over)
+        way = self._seen(terrain, message, driven)
+        self._memory.chosen, graph = way.plan.frontier, terrain.graph
+        self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
+        return way
+
+    def path_of(self, terrain: MapGraph, found: Plan) -> Path:
+        """The smooth path of a plan."""
+        return make_path(found, terrain.ground(), self._body, self._limits)
+
+    def _seen(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> Way:
+        if self._params.method != "rb_trg" or terrain.graph is None:
+            found, whole = self._plan(terrain, message, driven)
+            return Way(found, whole, whole)
+        before = terrain.graph
+        self._hidden = [disc for disc in self._hidden if is_hidden(before, disc[0], disc[1])]
+        for way in range(WAYS):
+            try:
+                found, whole = self._in_graphs(terrain, message, driven)
+            except NoRoute:
+                if way == 0:
+                    self._memory.exhausted = True
+                    raise
+                break  # what hides the first way is the reason
+            assert terrain.graph is not None
+            path = drivable(whole, terrain.graph, self._body.width)
+            if path is not None:
+                return Way(found if path is whole else replace(found, reaches_goal=False), whole, path)
+            self._hidden.append(ahead_of(whole))
+        raise NoRoute(
+            NoRouteReason.NO_ROUTE,
+            "every way leads over ground that the robot cannot see from where it stands",
+        )
+
+    def _in_graphs(
+        self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None
+    ) -> tuple[Plan, Path]:
+        """As `_plan`. Where the way to the goal was lost, other graphs are searched too: a narrow passage may hold no edge of this one."""
+        had, self._reached = self._reached, False
+        found = self._plan(terrain, message, driven)
+        self._reached = found[0].reaches_goal
+        if self._reached or not had:
+            return found
+        kept = terrain.graph, terrain.table, terrain.seed
+        for _ in range(REDRAWS):
+            terrain.sample_anew()
+            terrain.sync((message.start_x, message.start_y))
+            try:
+                other = self._plan(terrain, message, None)
+            except NoRoute:
+                continue
+            if other[0].reaches_goal:
+                self._reached = True
+                return other
+        terrain.graph, terrain.table, terrain.seed = kept
+        return found
+
+    def _plan(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
+        """The route in the graph of now, and its path."""
+        ahead = driven.ahead(message.start_x, message.start_y) if driven is not None else None
+        request = PlanRequest(
+            start=(message.start_x, message.start_y),
+            goal=(message.goal_x, message.goal_y),
+            start_yaw=message.start_yaw,
+            goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
+            variant=self._params.variant,
+            rules=self.rules,
+            driven=Driven(*ahead) if ahead is not None else None,
+            allow_frontier=True,
+            previous_frontier=self._memory.chosen,
+            seen_frontiers=tuple(self._memory.seen),
+            been=None if self._memory.exhausted else tuple(self._memory.been),
+        )
+        if self._params.method != "rb_trg":
+            found = BASELINES[self._params.method](terrain.ground(), request)
+            return found, self.path_of(terrain, found)
+        found = terrain.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
+        if found.short > NEAR and not found.transitions:
+            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it"
+            raise NoRoute(NoRouteReason.NO_ROUTE, why)
+        if found.kept and driven is not None:
+            pose = (message.start_x, message.start_y, message.start_yaw)
+            return found, rest_of(driven, pose, terrain.ground(), self._body)
+        return found, self.path_of(terrain, found)

@@ -197,7 +197,7 @@ class HealthMonitor:
                 bad = f"registration jumped by {moved:.2f} m"
             elif (again or strange) and turned > math.degrees(TURN_SLACK + 3.0 * _sigma(prior[3:, 3:])):
                 bad = f"the scan fits where the gyro does not lead, {turned:.0f} deg off"
-            elif (again or strange) and not self.fits_again(match):
+            elif (again or strange) and not self.fits_again(match, young):
                 bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
             elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
@@ -225,18 +225,23 @@ class HealthMonitor:
                 health, "scans fit again, confirming", True, False, covariance, direction, share, strange
             )
         self.lost, self._doubt = False, ""
-        if scans >= s.young and self.fits_again(match):
+        if scans >= s.young and self.fits_again(match, False):
             self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
         return Verdict(health, weak, True, True, covariance, direction, share, strange)
 
-    def fits_again(self, match: Match) -> bool:
+    def fits_again(self, match: Match, young: bool) -> bool:
         """A scan after a gap fits as well as those of a robot that knows where it is. Level ground fits everywhere: in a
-        wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm off them."""
+        wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm off them.
+
+        `young`: the local map has few scans. On open ground the rings of one scan make hardly any plane; where there is none, overlap has to do.
+        """
+        if young and match.on_planes < self.params.min_on_planes:
+            return match.overlap >= self.params.overlap_again
         off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + (SPARE, 0.0))
         return (
             match.overlap >= self.params.overlap_again
-            and match.on_planes >= ON_PLANES * match.points
+            and (young or match.on_planes >= ON_PLANES * match.points)
             and 1.0 - match.inliers <= off
             and match.residual <= residual
         )

@@ -184,11 +184,12 @@ class LidarInertialOdometry:
         """Where the cloud fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
         self._engine.take(cloud)
         match = self._engine.align(predicted)
-        if self._monitor.fits_again(match) or not (searching or self._monitor.dropped(match)):
+        young = self._engine.scans < self.params.health.young
+        if self._monitor.fits_again(match, young) or not (searching or self._monitor.dropped(match)):
             return match
         reach = 3.0 * math.sqrt(self._filter.p[8, 8])
         found = self._engine.align(self._witness.search(self._engine.frame, predicted, reach, self._misfits))
-        return found if self._monitor.fits_again(found) else match
+        return found if self._monitor.fits_again(found, young) else match
 
     def _compare(self, searched: bool, sure: bool) -> None:
         """Every few scans KISS-ICP says where the robot went; a disagreement puts a pose in doubt that was `sure`."""

@@ -82,6 +82,21 @@ def test_the_goal_goes_on_after_a_restart(process: str) -> None:
         assert abs(status.height_correction) < 0.03
 
 
+def test_odometry_comes_back_on_open_ground_where_one_scan_makes_hardly_any_plane() -> None:
+    with Lockstep(load(None, ["sim.lidar_step=8"], scene="flat", seed=3)) as stack:
+        stack.wait_ready()
+        stack.kill("odometry")
+        stack.run(0.5)
+        stack.restart("odometry")
+        again = stack.now
+        stack.run_until(
+            lambda: stamp_of(health := stack.newest[t.ODOM_HEALTH]) > again and health.health == "good",
+            3.0,
+            "odometry again",
+        )
+        assert error(stack) < 0.03
+
+
 def test_without_the_planner_a_restarted_map_begins_anew_and_says_so() -> None:
     stage = build_stages(config(), ["elevation"])["elevation"][0]
     stage.on(t.MAP_STATUS, t.MAP_STATUS.kind(known_cells=500, epoch=2, height_correction=0.01))

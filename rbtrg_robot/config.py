@@ -5,11 +5,8 @@ Layers, later ones win: defaults, `--config FILE` (YAML), `--set a.b=c`, the fla
 
 from __future__ import annotations
 
-import hashlib
 import platform
-import subprocess
 from collections.abc import Iterable
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -31,6 +28,7 @@ from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
 from planning.tracking.tracker import TrackerConfig
 from rbtrg_robot import __version__
+from rbtrg_robot.provenance import commit, package_version
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stage_config import (
     ConsoleConfig,
@@ -237,33 +235,8 @@ class StackConfig(BaseModel):
             "seed": str(self.seed),
             "clock": "simulated" if self.simulated else "wall",
             "machine": f"{platform.machine()} {platform.system()} Python {platform.python_version()}",
-            **{f"package.{name}": _version(name) for name in packages},
+            **{f"package.{name}": package_version(name) for name in packages},
         }
-
-
-def fingerprint(map_file: str) -> str:
-    """Hash that names a prior map; empty where there is none. Raises OSError."""
-    return f"sha256:{hashlib.sha256(Path(map_file).read_bytes()).hexdigest()[:16]}" if map_file else ""
-
-
-def _version(package: str) -> str:
-    """Of an installed package; the simulator and DDS are optional."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def commit() -> str:
-    """Git commit of the source tree, or empty when installed from a wheel."""
-    here = Path(__file__).resolve().parent
-    found = subprocess.run(
-        ["git", "-C", str(here), "rev-parse", "--short=12", "HEAD"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return found.stdout.strip() if found.returncode == 0 else ""
 
 
 def load(

@@ -8,7 +8,7 @@ from rbtrg_robot.access.certificates import check, members
 from rbtrg_robot.access.identity import ROBOT, keys_dir, server_tls
 from rbtrg_robot.access.rules import access_control
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.wire.bus import Security
+from rbtrg_robot.wire.session import Security
 
 
 def security(config: StackConfig) -> Security | None:

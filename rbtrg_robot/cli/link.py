@@ -7,7 +7,8 @@ from typing import Any
 from rbtrg_robot.access.identity import NAME, client_tls, problem, remote
 from rbtrg_robot.process.runfiles import read_state
 from rbtrg_robot.scope import Scope
-from rbtrg_robot.wire.bus import Bus, BusError, Security
+from rbtrg_robot.wire.bus import Bus, BusError
+from rbtrg_robot.wire.session import Security
 
 
 def connect(robot: str) -> Bus:

@@ -16,8 +16,8 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import fingerprint
 from rbtrg_robot.orders.order import Order, Outcome
+from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.messages import header

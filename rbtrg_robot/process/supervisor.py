@@ -36,8 +36,8 @@ from rbtrg_robot.process.supervised import Child, end
 from rbtrg_robot.process.zygote import Zygote
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.bus import stack_id
 from rbtrg_robot.wire.clock import SourceClock
+from rbtrg_robot.wire.session import stack_id
 
 log = logging.getLogger(__name__)
 

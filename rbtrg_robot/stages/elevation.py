@@ -20,7 +20,8 @@ from mapping.odometry.contacts import wheel_contacts
 from mapping.relocalise import warm_up
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig, fingerprint
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.scans import Scan, Scans

@@ -10,13 +10,11 @@ Choices that a measured failure stands behind:
 
 from __future__ import annotations
 
-import json
 import logging
-import secrets
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Generic, Self
 
@@ -30,6 +28,7 @@ from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
+from rbtrg_robot.wire.session import Security, session_config
 
 log = logging.getLogger(__name__)
 
@@ -53,61 +52,6 @@ class Received(Generic[M]):
     def decode(self) -> M:
         """The message. Raises MessageError."""
         return messages.decode(self.payload, self.topic.kind)
-
-
-def stack_id() -> str:
-    """What the session ids of one stack's processes begin with: 8 hexadecimal digits, the first not 0."""
-    return f"5{secrets.token_hex(4)[1:]}"
-
-
-@dataclass(frozen=True, slots=True)
-class Security:
-    """Zenoh's settings for sessions between computers."""
-
-    tls: dict[str, Any]
-    listen: tuple[str, ...] = ()
-    """Where the router listens too."""
-    access_control: dict[str, Any] = field(default_factory=dict)
-    """Of the router."""
-
-
-def session_config(
-    endpoint: str, *, router: bool, stack: str = "", security: Security | None = None
-) -> zenoh.Config:
-    """Zenoh configuration of the router (`up`) or of a client of it. `stack`: what the session id begins with."""
-    config: dict[str, Any] = {
-        **({"id": stack + secrets.token_hex(12)} if stack else {}),
-        "mode": "router" if router else "client",
-        "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": True}},
-        "timestamping": {"enabled": True},
-        "transport": {
-            "link": {
-                "tx": {
-                    "lease": 2000,
-                    # A scan is half a megabyte; with the default of two 64 kB batches and 1 ms of patience a busy
-                    # machine loses the first ones.
-                    "queue": {
-                        "size": {"data": 16},
-                        "congestion_control": {"drop": {"wait_before_drop": 20_000}},
-                    },
-                }
-            },
-            # Queries through shared memory are lost silently when the receiver stalls. "init": a lazily made pool
-            # sends the first large messages through the socket.
-            "shared_memory": {"mode": "init", "transport_optimization": {"messages": ["put"]}},
-        },
-    }
-    endpoints = [endpoint]
-    if security is not None:
-        config["transport"]["link"]["tls"] = security.tls
-        endpoints += security.listen
-        if security.access_control:
-            config["access_control"] = security.access_control
-    config["listen" if router else "connect"] = {"endpoints": endpoints}
-    if not router:
-        config["connect"]["timeout_ms"] = 3000
-        config["listen"] = {"endpoints": []}
-    return zenoh.Config.from_json5(json.dumps(config))
 
 
 class Bus:

@@ -25,7 +25,8 @@ from rbtrg_robot.config import load
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.topics import Role, Topic
 from rbtrg_robot.wire import keys as wire
-from rbtrg_robot.wire.bus import Bus, BusError, Security
+from rbtrg_robot.wire.bus import Bus, BusError
+from rbtrg_robot.wire.session import Security
 from tools.bench.ports import free_port
 from tools.bench.report import Report
 

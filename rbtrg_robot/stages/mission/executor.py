@@ -9,7 +9,8 @@ from typing import Any
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig, fingerprint
+from rbtrg_robot.config import StackConfig
+from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stages.mission.mission import Mission, Phase
 from rbtrg_robot.stages.mission.order import (
     EVERYWHERE,

@@ -30,9 +30,10 @@ from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys as wire
-from rbtrg_robot.wire.bus import Bus, BusError, Security
+from rbtrg_robot.wire.bus import Bus, BusError
 from rbtrg_robot.wire.convert import odometry_msg
 from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.session import Security
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.hearsay import map_offset
 from tools.bench import access

@@ -12,7 +12,8 @@ import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.access.identity import client_tls
-from rbtrg_robot.wire.bus import Bus, Security
+from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.session import Security
 from tools.bench.access import Site, site
 
 LIMIT = 60.0

@@ -9,8 +9,9 @@ import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.scope import Scope
-from rbtrg_robot.wire.bus import Bus, BusError, Received, stack_id
+from rbtrg_robot.wire.bus import Bus, BusError, Received
 from rbtrg_robot.wire.messages import header, stamp_of
+from rbtrg_robot.wire.session import stack_id
 from tools.bench.ports import free_endpoint
 
 

@@ -18,9 +18,10 @@ from hal.types import POINT_DTYPE, ImuSample, LidarScan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.scope import Scope
-from rbtrg_robot.wire.bus import Bus, session_config
+from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import BASE, IMU, LIDAR, imu_msg, odometry_msg, scan_msg, transform_msg
 from rbtrg_robot.wire.keys import key
+from rbtrg_robot.wire.session import session_config
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 from tools.bench.ports import free_endpoint
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import fingerprint, load
+from rbtrg_robot.config import load
+from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stages.mission.executor import MissionStage, build
 from rbtrg_robot.stages.mission.order import EVERYWHERE, Kind
 from rbtrg_robot.topics import Topic

@@ -193,8 +193,15 @@ class Watch:
 
 
 def _pids(watch: Watch) -> tuple[int, dict[str, int], list[int]]:
-    """The supervisor, the processes by name, the zygote (the supervisor's other child)."""
-    status = json.loads(watch.ask())
+    """The supervisor, the processes by name, the zygote (the supervisor's other child). Waits until none is being started."""
+    end = time.monotonic() + 10.0
+    while True:
+        status = json.loads(watch.ask())
+        if all(row["pid"] for row in status["processes"]):
+            break
+        if time.monotonic() > end:
+            raise NotDriving(f"a process is missing: {status['processes']}")
+        watch.turn()
     known = {row["process"]: int(row["pid"]) for row in status["processes"]}
     children = [child.pid for child in psutil.Process(status["pid"]).children()]
     return int(status["pid"]), known, [pid for pid in children if pid not in known.values()]
@@ -259,6 +266,7 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
                 back = time.monotonic() - killed
         if watch.goal.state in ENDED and not math.isnan(back):
             break
+    print(f"{label}: at rest after {rest:.2f} s, back after {back:.1f} s, {watch.goal.state}", flush=True)
     report.add(f"speed.{label}", speed, "m/s")
     if row.stops_motion:
         report.add(f"rest_s.{label}", rest, "s", 1.3 if hang else 0.3)

@@ -58,7 +58,7 @@ class FrontierMemory:
         self.been: list[tuple[float, float]] = []
         """Places the robot planned from."""
         self.exhausted = False
-        """No node was left once, also none beside virtual ground: from then on frontiers alone count."""
+        """No node was left, also none beside virtual ground: until a frontier is found again, which shows other ground, frontiers alone count."""
         self._tried: list[tuple[tuple[float, float], float]] = []
         """Nodes beside virtual ground, and how long [s] the robot tried to see more there."""
         self._last: tuple[tuple[float, float], float] | None = None
@@ -75,6 +75,12 @@ class FrontierMemory:
             self.seen.append(self.chosen)
         elif virtual and last is not None and (far < BESIDE or math.dist(xy, last[0]) < STANDS):
             self._try(self.chosen, min(max(now - last[1], 0.0), LONGEST))
+
+    def found(self, frontier: tuple[float, float] | None) -> None:
+        """The newest plan leads to `frontier`, x, y [m]; None: to the goal."""
+        self.chosen = frontier
+        if frontier is not None:
+            self.exhausted = False
 
     def _try(self, place: tuple[float, float], seconds: float) -> None:
         """Nodes of other samples stand beside the same ground: what is near counts as one."""

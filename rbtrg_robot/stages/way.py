@@ -72,7 +72,8 @@ class WaySearch:
             self._begin(message.goal_id)
         self._memory.at((message.start_x, message.start_y), now / NS, virtual=self._looks_over)
         way = self._seen(terrain, message, driven)
-        self._memory.chosen, graph = way.plan.frontier, terrain.graph
+        self._memory.found(way.plan.frontier)
+        graph = terrain.graph
         self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
         return way
 

@@ -130,6 +130,15 @@ def test_a_node_beside_virtual_ground_is_given_up_after_a_while_however_the_samp
     assert driving.seen == []
 
 
+def test_a_frontier_found_later_shows_other_ground_to_look_at() -> None:
+    memory = FrontierMemory()
+    memory.exhausted = True  # as before the first map
+    memory.found(None)
+    assert (memory.chosen, memory.exhausted) == (None, True)
+    memory.found((2.0, 0.0))
+    assert (memory.chosen, memory.exhausted) == ((2.0, 0.0), False)
+
+
 def test_a_frontier_on_the_way_stays_open_until_the_robot_has_come_to_it() -> None:
     grid = flat(4.0, 3.0)
     graph = TraversalGraph.build(grid, (1.0, 1.5))

@@ -190,7 +190,10 @@ PLAIN: dict[Topic, tuple[str, Callable[[Any], dict[str, Any]]]] = {
     t.ODOM_HEALTH: ("odometry", plain("health", "reason", "overlap", "inliers", "residual", "degeneracy")),
     t.MAP_STATUS: (
         "map",
-        plain("epoch", "known_cells", "trusted_cells", "resolution", "restoring", "warning", "detail"),
+        plain(
+            *("epoch", "known_cells", "trusted_cells", "resolution", "restoring", "warning", "detail"),
+            *("location", "location_detail", "candidates"),
+        ),
     ),
     t.TRACKER_STATE: (
         "tracker",

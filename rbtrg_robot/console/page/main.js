@@ -110,6 +110,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
       shown: null,
       mission: null,
       place: null,
+      candidates: null,
       arc: null,
     });
     picture.clear();

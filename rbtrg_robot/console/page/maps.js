@@ -49,6 +49,35 @@ export function makeMaps(link, view, free) {
     const [x, y, yaw] = ["px", "py", "pyaw"].map(number);
     return [x, y, yaw].some((v) => v === null || !Number.isFinite(v)) ? null : { x, y, yaw: (yaw * Math.PI) / 180 };
   }
+  function fill({ x, y, yaw }) {
+    $("px").value = figure(x);
+    $("py").value = figure(y);
+    if (yaw !== null) $("pyaw").value = figure(degrees(yaw), 0);
+    world.place = wanted();
+    view.show();
+  }
+  // What the search in the map says; where several places look alike, each of them is a button.
+  let asked = "";
+  link.on("map", (map) => {
+    put("location", map.location_detail);
+    const found = [];
+    for (let k = 0; k + 2 < map.candidates.length; k += 3) {
+      const [x, y, yaw] = map.candidates.slice(k, k + 3);
+      found.push({ x, y, yaw });
+    }
+    if (JSON.stringify(found) === asked) return;
+    asked = JSON.stringify(found);
+    world.candidates = found;
+    $("candidates").replaceChildren(
+      ...found.map((at) =>
+        button(`${figure(at.x)} ${figure(at.y)}, ${figure(degrees(at.yaw), 0)} deg`, () => {
+          fill(at);
+          put("place-said", "If it stands there, say so below.");
+        }),
+      ),
+    );
+    view.show();
+  });
   function mode(on) {
     $("place-mode").setAttribute("aria-pressed", on);
     if (!on) {
@@ -65,12 +94,8 @@ export function makeMaps(link, view, free) {
   // Whether a press on the ground meant this.
   function pick(x, y, yaw) {
     if ($("maps").hidden || $("place-mode").getAttribute("aria-pressed") !== "true") return false;
-    $("px").value = figure(x);
-    $("py").value = figure(y);
-    if (yaw !== null) $("pyaw").value = figure(degrees(yaw), 0);
-    else put("place-said", "Drag the way it looks, or type its heading.");
-    world.place = wanted();
-    view.show();
+    fill({ x, y, yaw });
+    if (yaw === null) put("place-said", "Drag the way it looks, or type its heading.");
     return true;
   }
   $("place").onsubmit = async (event) => {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -471,6 +472,13 @@ def test_a_map_is_saved_and_loaded_and_the_robot_is_told_where_it_stands(
     page.click(load)
     until(page, "document.querySelector('#map-said').textContent.includes('the map was loaded')")
     assert robot.prior.startswith("sha256:")
+    robot.alike = [1.0, 0.5, 0.0, -1.5, 2.0, math.pi / 2]  # the places that look alike are offered
+    until(page, "consoleView.world.candidates?.length === 2")
+    assert page.inner_text("#location") == "ambiguous in here.npz"
+    page.click("#candidates button:nth-child(2)")
+    assert [page.input_value(f"#{name}") for name in ("px", "py", "pyaw")] == ["-1.50", "2.00", "90"]
+    page.click("#place-set")
+    until(page, "consoleView.world.candidates.length === 0 && Math.abs(consoleView.world.pose.y - 2) < 0.1")
     page.click("#place-mode")
     page.mouse.move(*on_screen(page, 2.0, 0.6))
     page.mouse.down()

@@ -112,6 +112,8 @@ class Robot:
             """Signs of an operator."""
             self.mission = MissionStage()
             self.prior = ""
+            self.alike: list[float] = []
+            """Places in a loaded map that look alike: x, y [m], heading [rad] of each."""
             self._offset(msg.Pose())
 
     def close(self) -> None:
@@ -182,6 +184,7 @@ class Robot:
             self.yaw += 0.05 * twist.angular.z
         elif topic is t.INITIAL_POSE:
             self._offset(message.pose.pose)
+            self.alike = []
         elif topic is t.MAP_PRIOR:
             self.prior, self.epoch = message.id, self.epoch + (message.id != self.prior)
         elif topic is t.PRESENCE:
@@ -239,6 +242,9 @@ class Robot:
             resolution=0.04,
             prior=self.prior,
             detail="the map was loaded; 60000 cells are known from before" if self.prior else "",
+            location="ambiguous" if self.alike else "",
+            location_detail="ambiguous in here.npz" if self.alike else "",
+            candidates=np.array(self.alike),
         )
         self.bus.publish(t.MAP_STATUS, status, stamp)
         told = msg.GoalStatus(header=header(stamp, MAP), state=self.state)

@@ -18,6 +18,7 @@ export function mount(element, options) {
     aim: null,
     mission: null,
     place: null,
+    candidates: null,
     arc: null,
     cloud: null,
     graph: null,

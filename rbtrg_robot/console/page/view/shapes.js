@@ -240,6 +240,8 @@ export function build(world, ground, camera) {
     shapes.line3([goal.x, goal.y, z], [goal.x, goal.y, z + 0.9], 0.04, paint);
     if (goal.yaw !== null && goal.yaw !== undefined) arrow(shapes, goal.x, goal.y, z + 0.08, goal.yaw, 0.75, paint);
   }
+  for (const { x, y, yaw } of world.candidates ?? [])
+    outline(shapes, x, y, onGround(x, y, base), yaw, length, width, COLOUR.preview, 0.08);
   if (world.place)
     outline(
       shapes,

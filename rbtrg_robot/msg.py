@@ -523,6 +523,11 @@ class OdometryHealth(Message):
     correction: float = 0.0
     degenerate: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 3))
     degeneracy: float = 0.0
+    lidar: list[str] = field(default_factory=list)
+    time_offset: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    time_offset_sigma: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    time_applied: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    calibration: str = ""
     counter: list[str] = field(default_factory=list)
     count: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
 

@@ -28,6 +28,10 @@ class LidarConfig(BaseModel):
     topic: str = Field(
         default="", description="DDS topic of its PointCloud2 (unitree); empty takes the usual one"
     )
+    trust_stamps: bool = Field(
+        default=True,
+        description="false: its clock is of no use, a sweep ended when its message came, whatever that took (unitree)",
+    )
     time_offset: float = Field(
         default=0.0, ge=-0.1, le=0.1, description="[s] added to its stamps (unitree; one XT16: -0.005)"
     )

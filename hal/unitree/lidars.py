@@ -46,6 +46,7 @@ class LidarInput:
         """Clouds without a time per point: they cannot be deskewed."""
         self._start: int | None = None
         self._offset = round(lidar.time_offset * NS)
+        self._trusted = lidar.trust_stamps
         self._last: int | None = None
 
     def warm_up(self) -> None:
@@ -58,13 +59,15 @@ class LidarInput:
         if not len(points):
             self.empty += 1
             return []
-        if start == self._start:
+        if self._trusted and start == self._start:
             self.frozen += 1
             return []
         self.heard_at = now
         # The end of the sweep is what was just received; its start lies a sweep earlier.
         duration = round(float(points["time"].max(initial=0.0, where=np.isfinite(points["time"]))) * NS)
         self.untimed += duration == 0
+        if not self._trusted:
+            start = now - duration
         self._count_missed(start, duration)
         self.clock.observe(start + duration, now)
         end = min(self.clock.convert(start + duration, now) + self._offset, now)

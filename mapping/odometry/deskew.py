@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hal.rotation import rotation, rotation_rpy, rotation_vector
-from hal.types import Array, Extrinsics
+from hal.types import Array, Extrinsics, LidarName
+from mapping.odometry.intake import Sweep
 
 
 def mount_matrix(mount: Extrinsics) -> Array:
@@ -89,3 +91,36 @@ def deskew(
         out,
     )
     return out
+
+
+class Deskewer:
+    """Sweeps of all LiDARs, each to the end of the main one's."""
+
+    def __init__(self, mounts: Mapping[LidarName, Extrinsics], lever: Array) -> None:
+        """`mounts`: each LiDAR in base_link; `lever` (3,): IMU in base_link [m]."""
+        self._mounts = {name: mount_matrix(mount).astype(np.float32) for name, mount in mounts.items()}
+        self._lever = lever
+        self._path: tuple[NDArray[np.int64], Array] | None = None
+        """Track of the last scan: a sweep of another LiDAR began before this one did."""
+
+    def forget(self) -> None:
+        """The clock was set."""
+        self._path = None
+
+    def cloud(self, sweep: Sweep, stamps: NDArray[np.int64], track: Array) -> NDArray[np.float32]:
+        """(n, 3) base_link at the end of the track, see `deskew`."""
+        mount = self._mounts[sweep.name]
+        xyz = sweep.xyz @ mount[:3, :3].T + mount[:3, 3]
+        return deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
+
+    def beside(
+        self, sweeps: Iterable[Sweep], stamps: NDArray[np.int64], track: Array
+    ) -> dict[LidarName, NDArray[np.float32]]:
+        """Clouds of the other LiDARs of the same time, at the end of the track. Call it for every track."""
+        path, self._path = self._path, (stamps, track)
+        if path is not None:
+            stamps, track = np.concatenate([path[0], stamps]), np.concatenate([path[1], track])
+        parts: dict[LidarName, list[NDArray[np.float32]]] = {}
+        for sweep in sweeps:
+            parts.setdefault(sweep.name, []).append(self.cloud(sweep, stamps, track))
+        return {name: np.concatenate(clouds) for name, clouds in parts.items()}

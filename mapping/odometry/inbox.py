@@ -7,7 +7,8 @@ ends after it; where the main one is silent, the other sets the pace.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,18 +35,19 @@ class Inbox:
         params: OdometryConfig,
         counters: Counter[str],
         on_jump: Callable[[int], None],
-        lidars: Iterable[LidarName] = ("main",),
+        shift: Mapping[LidarName, int],
     ) -> None:
+        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change."""
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""
         self.joints = SampleBuffer(48, 4_000)
         """Rows position, velocity, effort of 16 motors."""
-        self._sweeps: dict[LidarName, deque[Sweep]] = {name: deque() for name in lidars}
+        self._sweeps: dict[LidarName, deque[Sweep]] = {name: deque() for name in shift}
         self._ends: dict[LidarName, int] = {}
         """End of the newest sweep of each LiDAR [ns]."""
         self._first: int | None = None
         self._joint_stamp = -NS
-        self._params, self._counters, self._on_jump = params, counters, on_jump
+        self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
         self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
@@ -98,6 +100,8 @@ class Inbox:
         near = p.min_range if scan.name == "main" else NEAR
         sweep = clean_scan(scan, near, p.max_range, p.max_points, 0.5, self._counters)
         if sweep is not None:
+            shift = self._shift[scan.name]
+            sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_vector
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
-from mapping.odometry.deskew import deskew, mount_matrix
+from mapping.odometry.calibration import TURNING, Calibration
+from mapping.odometry.deskew import Deskewer
 from mapping.odometry.health import Health, HealthMonitor, Verdict
 from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
@@ -62,14 +63,13 @@ class LidarInertialOdometry:
         self._witness = Witness(params.kiss_icp, params.max_range)
         self._filter = InertialFilter(params.inertial)
         self._monitor = HealthMonitor(params.health)
-        self._mounts = {name: mount_matrix(mount) for name, mount in mounts.items()}
         self._lever = np.array(params.inertial.imu_position)
+        self._deskewer = Deskewer(mounts, self._lever)
+        self._calibration = Calibration(mounts, params.max_time_offset)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._inbox = Inbox(params, self.counters, self._follow_clock, mounts)
+        self._inbox = Inbox(params, self.counters, self._follow_clock, self._calibration.shift)
         self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
-        self._path: tuple[NDArray[np.int64], Array] | None = None
-        """Track of the last scan: a sweep of another LiDAR began before this one did."""
         self._startup = Startup()
         self._before: Before | None = None
         self._scale = WheelScale()
@@ -139,14 +139,14 @@ class LidarInertialOdometry:
         stamps, track = self._predict(sweep.end)
         if sweep.name != "main":
             self._notes.append(f"the main LiDAR is silent, the {sweep.name} LiDAR takes its place")
-        others = self._others(sweep, stamps, track)
+        others = self._deskewer.beside(self._inbox.beside(sweep), stamps, track)
         if sweep.problem:
             return self._dead_reckoned(sweep.problem)
         if sweep.untimed:
             self._notes.append(
                 f"the points of the {sweep.name} LiDAR carry no time: motion during a sweep stays in them"
             )
-        cloud = self._deskewed(sweep, stamps, track)
+        cloud = self._deskewer.cloud(sweep, stamps, track)
 
         predicted = self._filter.pose()
         prior = self._filter.output(ZERO).covariance
@@ -169,6 +169,8 @@ class LidarInertialOdometry:
         if verdict.insert:
             self._engine.insert(self._filter.pose())
             self._compare(searching, verdict.health is Health.GOOD)
+            if sweep.name == "main":
+                self._calibrate(since, before, predicted, match.pose, verdict.covariance, others)
         self._learn_scale(before, sweep.end - since, verdict)
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
@@ -203,23 +205,18 @@ class LidarInertialOdometry:
             self._monitor.doubt(against)
             self._notes.append(against)
 
-    def _deskewed(self, sweep: Sweep, stamps: NDArray[np.int64], track: Array) -> NDArray[np.float32]:
-        """(n, 3) base_link at the end of the track."""
-        mount = self._mounts[sweep.name].astype(np.float32)
-        xyz = sweep.xyz @ mount[:3, :3].T + mount[:3, 3]
-        return deskew(xyz, sweep.time, stamps, track, sweep.start, self._lever)
-
-    def _others(
-        self, sweep: Sweep, stamps: NDArray[np.int64], track: Array
-    ) -> dict[LidarName, NDArray[np.float32]]:
-        """Clouds of the other LiDARs of the same time, each deskewed to the end of the track."""
-        path, self._path = self._path, (stamps, track)
-        if path is not None:
-            stamps, track = np.concatenate([path[0], stamps]), np.concatenate([path[1], track])
-        parts: dict[LidarName, list[NDArray[np.float32]]] = {}
-        for other in self._inbox.beside(sweep):
-            parts.setdefault(other.name, []).append(self._deskewed(other, stamps, track))
-        return {name: np.concatenate(clouds) for name, clouds in parts.items()}
+    def _calibrate(
+        self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, others: Mapping[LidarName, NDArray[np.float32]]
+    ) -> None:  # fmt: skip
+        """The main LiDAR against the gyro, the others against the local map."""
+        now = self._filter.stamp
+        self._calibration.registered(now, before, predicted, since, pose, covariance)
+        state = self._filter.output(ZERO)
+        angular = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
+        for name, cloud in others.items():
+            self._calibration.beside(name, cloud, self._engine, pose, state.linear, angular)
+        if max(np.linalg.norm(angular), np.linalg.norm(state.angular)) > TURNING:
+            self._notes += filter(None, [self._calibration.fault()])
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
@@ -323,6 +320,8 @@ class LidarInertialOdometry:
             degeneracy=share,
             correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
             clouds=clouds,
+            lidars=self._calibration.fits(),
+            fault=self._calibration.fault(),
         )
 
     def _rejoin(self) -> None:
@@ -332,7 +331,7 @@ class LidarInertialOdometry:
 
     def _follow_clock(self, stamp: int) -> None:
         """The source clock was set: go on at the new time with the pose and the map kept."""
-        self._path = None
+        self._deskewer.forget()
         self._filter.move_clock(stamp)
         self._stream.move_clock(stamp)
         # A long time without any message looks the same, and the robot may have been carried meanwhile.

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.types import Array, LidarName
+from mapping.odometry.calibration import LidarFit
 from mapping.odometry.health import Health, HealthConfig
 from mapping.odometry.inertial import InertialConfig
 from mapping.odometry.registration.engines import EngineName, GicpConfig, PlanesConfig
@@ -37,6 +38,12 @@ class OdometryConfig(BaseModel):
     )
     patience: float = Field(
         default=0.15, gt=0, description="a topic this far behind the others is not waited for [s]"
+    )
+    max_time_offset: float = Field(
+        default=0.05,
+        ge=0.0,
+        le=0.1,
+        description="largest offset LiDAR - IMU that is corrected [s]; beyond it is a fault",
     )
     use_joints: bool = Field(default=True, description="wait for and use joint samples")
     smoothing: float = Field(
@@ -77,6 +84,10 @@ class ScanOdometry:
     """Distance by which registration moved the prediction [m]."""
     clouds: Mapping[LidarName, NDArray[np.float32]]
     """(n, 3) [m] of each LiDAR that gave one, deskewed to `stamp`, base_link; none where the registration was refused."""
+    lidars: tuple[LidarFit, ...] = ()
+    """Clock of each LiDAR, as found."""
+    fault: str = ""
+    """What the operator must mend of them, in plain words; empty when all is well."""
 
     @property
     def cloud(self) -> NDArray[np.float32]:

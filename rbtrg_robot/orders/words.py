@@ -37,12 +37,24 @@ def robot_line(robot: dict[str, Any]) -> str:
         words += [f"{robot['pose_age']:.0f} s ago {place}"] if old else [place, f"{robot['speed']:.2f} m/s"]
     if robot.get("localization", "good") != "good":
         words.append(f"localization {robot['localization']}: {robot['localization_reason']}")
+    if robot.get("calibration"):
+        words.append(f"CALIBRATION: {robot['calibration']}")
+    words += clocks(robot.get("lidars", {}))
     if robot.get("location"):
         words.append(robot["location"])
     if robot.get("map_warning"):
         words.append(f"MAP: {robot['map_warning']}")
     words.append(f"real-time factor {robot['realtime_factor']:.2f}")
     return ", ".join(words)
+
+
+def clocks(lidars: dict[str, Any]) -> list[str]:
+    """Which LiDARs' stamps are corrected, from the status' `lidars`."""
+    return [
+        f"stamps of the {name} LiDAR corrected by {1e3 * lidar['applied']:+.1f} ms"
+        for name, lidar in lidars.items()
+        if lidar["applied"]
+    ]
 
 
 def goal_line(robot: dict[str, Any]) -> str:

@@ -88,9 +88,16 @@ class Diagnosis:
         if health is None:
             return self._entry("odometry", STALE, "not heard yet")
         level = {"good": OK, "degraded": WARN}.get(health, ERROR)
-        values = {k: robot[k] for k in ("x", "y", "z", "yaw", "speed", "pose_age") if k in robot}
-        reason = robot["localization_reason"]
-        return self._entry("odometry", level, f"{health}: {reason}" if reason else health, **values)
+        values: dict[str, Any] = {
+            k: robot[k] for k in ("x", "y", "z", "yaw", "speed", "pose_age") if k in robot
+        }
+        for name, lidar in robot["lidars"].items():
+            for key, seconds in lidar.items():
+                values[f"{name} {key} [ms]"] = f"{1e3 * seconds:.2f}"
+        if robot["calibration"]:
+            level = max(level, WARN)
+        words = "; ".join(filter(None, (robot["localization_reason"], robot["calibration"])))
+        return self._entry("odometry", level, f"{health}: {words}" if words else health, **values)
 
     def _map(self, robot: dict[str, Any]) -> DiagnosticStatus:
         warning = robot.get("map_warning")

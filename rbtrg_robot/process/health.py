@@ -172,7 +172,22 @@ class Health:
             }
         health = self.newest.get(t.ODOM_HEALTH)
         if health is not None:
-            row |= {"localization": health.health, "localization_reason": health.reason}
+            row |= {
+                "localization": health.health,
+                "localization_reason": health.reason,
+                "calibration": health.calibration,
+                "lidars": {
+                    name: {"time_offset": offset, "sigma": sigma, "applied": applied}
+                    for name, offset, sigma, applied in zip(
+                        health.lidar,
+                        *(
+                            a.tolist()
+                            for a in (health.time_offset, health.time_offset_sigma, health.time_applied)
+                        ),
+                        strict=True,
+                    )
+                },
+            }
         elevation = self.newest.get(t.MAP_STATUS)
         if elevation is not None:
             row |= {"map_warning": elevation.warning, "location": elevation.location_detail}

@@ -214,6 +214,11 @@ class OdometryStage:
             correction=float(scan.correction),
             degenerate=np.ascontiguousarray(scan.degenerate, np.float64),
             degeneracy=float(scan.degeneracy),
+            lidar=[lidar.name for lidar in scan.lidars],
+            time_offset=array([lidar.offset for lidar in scan.lidars], "float64"),
+            time_offset_sigma=array([lidar.offset_sigma for lidar in scan.lidars], "float64"),
+            time_applied=array([lidar.applied for lidar in scan.lidars], "float64"),
+            calibration=scan.fault,
             counter=list(counters),
             count=array(list(counters.values()), "uint32"),
         )

@@ -38,7 +38,10 @@ PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
     msg.Heartbeat: (("topic", "published", "newest"),),
     msg.Journal: (("taken", "sequence", "stamp"),),
     msg.MissionState: (("action_id", "action_type", "action_status", "result_description"),),
-    msg.OdometryHealth: (("counter", "count"),),
+    msg.OdometryHealth: (
+        ("counter", "count"),
+        ("lidar", "time_offset", "time_offset_sigma", "time_applied"),
+    ),
     msg.PathCommand: (("x", "y", "z", "yaw", "speed"),),
     msg.Plan: (
         ("x", "y", "z", "yaw", "speed"),

@@ -58,6 +58,8 @@ class Engine(Protocol):
     """Systematic error of a registered surface [m]."""
     frame: Array
     """(n, 3) base_link: the cloud of the last `take`, thinned."""
+    planes: VoxelPlanes
+    """Of the local map."""
 
     def take(self, cloud: NDArray[np.float32]) -> None:
         """The deskewed cloud (n, 3) in base_link to register next."""
@@ -113,7 +115,7 @@ class PlaneEngine:
     def __init__(self, params: PlanesConfig, max_range: float) -> None:
         self._params = params
         self.sigma = params.surface_sigma
-        self._planes = VoxelPlanes(0.4, max_range)
+        self.planes = VoxelPlanes(0.4, max_range)
         self.frame = self._source = np.empty((0, 3))
         self.scans = 0
 
@@ -130,12 +132,12 @@ class PlaneEngine:
 
     def align(self, guess: Array) -> Match:
         """See Engine."""
-        pose = _refine(self._planes, self._source, guess) if self.scans else guess
-        return _quality(self._planes, self._source, np.ascontiguousarray(pose))
+        pose = _refine(self.planes, self._source, guess) if self.scans else guess
+        return _quality(self.planes, self._source, np.ascontiguousarray(pose))
 
     def insert(self, pose: Array) -> None:
         """See Engine."""
-        self._planes.insert(self.frame, np.ascontiguousarray(pose))
+        self.planes.insert(self.frame, np.ascontiguousarray(pose))
         self.scans += 1
 
 
@@ -150,7 +152,7 @@ class GicpEngine:
         self._params = params
         self.sigma = params.surface_sigma
         self._max_range = max_range
-        self._planes = VoxelPlanes(0.4, max_range)
+        self.planes = VoxelPlanes(0.4, max_range)
         self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
         self._map.set_lru(horizon=params.horizon, clear_cycle=10)
         self.frame = np.empty((0, 3))
@@ -181,12 +183,12 @@ class GicpEngine:
                 max_iterations=self._params.max_iterations,
             )
             pose = np.ascontiguousarray(result.T_target_source)
-        return _quality(self._planes, self.frame, pose)
+        return _quality(self.planes, self.frame, pose)
 
     def insert(self, pose: Array) -> None:
         """See Engine."""
         self._map.insert(self._cloud, pose)
-        self._planes.insert(self.frame, np.ascontiguousarray(pose))
+        self.planes.insert(self.frame, np.ascontiguousarray(pose))
         self.scans += 1
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hal.lidar.config import DEFAULT_LIDARS, only
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
 from hal.rotation import rotation_rpy
 from hal.types import NS, POINT_DTYPE, TIME_QUANTUM, LidarScan
 from hal.unitree.api import WireError
 from hal.unitree.cloud import RawImu, encode_cloud, encode_imu
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR
+from hal.unitree.lidars import LidarInput
 from hal.unitree.link import CUSTOM, L1_IMU, LOW_STATE
 from hal.unitree.livox import decode_livox, encode_livox
 from hal.unitree.telemetry import Telemetry
@@ -149,3 +150,13 @@ def test_a_jolt_is_no_wrong_mount() -> None:
         telemetry.read(HOST + k * NS // 200)
     assert telemetry.mount_error is not None
     assert telemetry.mount_error < 0.02
+
+
+def test_a_sweep_whose_stamps_are_not_trusted_ended_when_it_came() -> None:
+    """The LiDAR's clock stands still, as that of a publisher that repeats itself does."""
+    came = [5 * NS, 5_130_000_000, 5_200_000_000]
+    for trusted, wanted in ((True, came[:1]), (False, came)):
+        config = LidarConfig(model="l1", trust_stamps=trusted)
+        lidar = LidarInput(config, config.mounted(), "cloud")
+        scans = [s for now in came for s in lidar.take("cloud", encode_cloud(NS, "", ring()), now)]
+        assert [s.stamp + round(float(s.points["time"].max()) * NS) for s in scans] == wanted

@@ -27,6 +27,7 @@ __all__ = ["supervisor"]
 ROBOT = {
     "mode": "ready", "cause": "", "estop": False, "estop_cause": "", "hold": "", "battery": 0.8, "realtime_factor": 1.0,
     "refused": {"stale": 3}, "localization": "good", "localization_reason": "", "map_warning": "",
+    "calibration": "", "lidars": {"main": {"time_offset": 0.0101, "sigma": 0.0002, "applied": 0.0098}},
 }  # fmt: skip
 
 
@@ -63,6 +64,7 @@ ALL_WELL = {
         (status(mode="sitting"), {}),
         (status(localization="degraded"), {"odometry": WARN}),
         (status(localization="lost"), {"odometry": ERROR}),
+        (status(calibration="the stamps are off"), {"odometry": WARN}),
         (status(map_warning="the prior map does not fit"), {"map": WARN}),
         (status(age=5.0), dict.fromkeys([n for n in ALL_WELL if n not in ("topics", "network")], STALE)),
         (
@@ -86,6 +88,8 @@ def test_nothing_heard_yet_is_stale() -> None:
 def test_values_are_those_of_status() -> None:
     entries = {e.name: e for e in Diagnosis("rex").message(status(), 0).status}
     assert {p.key: p.value for p in entries["rbtrg: topics"].values} == {"/odom": "9.7 of 10 Hz"}
+    clock = {p.key: p.value for p in entries["rbtrg: odometry"].values}
+    assert clock["main time_offset [ms]"] == "10.10"
     body = {p.key: p.value for p in entries["rbtrg: robot"].values}
     assert (body["battery"], body["refused: stale"]) == ("0.8", "3")
 

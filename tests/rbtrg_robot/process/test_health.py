@@ -141,3 +141,25 @@ def test_the_status_line_says_why_once(state: dict[str, Any], line: str) -> None
     health = Health(simulated=True)
     take(health, t.ROBOT_STATE, t.ROBOT_STATE.kind(header=header(1, ""), phase="sitting", **state))
     assert robot_line(health.robot_row()).startswith(line + ", real-time")
+
+
+def test_clocks_of_the_lidars_are_in_the_status_line() -> None:
+    health = Health(simulated=True)
+    take(
+        health,
+        t.ROBOT_STATE,
+        t.ROBOT_STATE.kind(header=header(1, ""), phase="ready", realtime_factor=1.0),
+    )
+    odometry = t.ODOM_HEALTH.kind(
+        header=header(1, "odom"),
+        health="good",
+        lidar=["main", "head"],
+        time_offset=array([0.06, 0.0], "float64"),
+        time_offset_sigma=array([0.001, 0.002], "float64"),
+        time_applied=array([0.05, 0.0], "float64"),
+        calibration="beyond",
+    )
+    take(health, t.ODOM_HEALTH, odometry)
+    row = health.robot_row()
+    assert row["lidars"]["main"] == {"time_offset": 0.06, "sigma": 0.001, "applied": 0.05}
+    assert "CALIBRATION: beyond, stamps of the main LiDAR corrected by +50.0 ms, real" in robot_line(row)

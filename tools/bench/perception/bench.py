@@ -1,10 +1,10 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
-scenes mapped before, `--only relocalise` does nothing else. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
+scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU. `--only relocalise`, `--only offset` do nothing else. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
 `--no-joints` hides the joints from the odometry.
 """
 
@@ -17,6 +17,7 @@ from tools.bench.perception import basin as _perception_basin
 from tools.bench.perception import lanes as _perception_lanes
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
+from tools.bench.perception import offset as _perception_offset
 from tools.bench.perception import relocalise as _perception_relocalise
 from tools.bench.perception import soak as _perception_soak
 from tools.bench.perception.odometry import Errors, drive, errors
@@ -48,14 +49,17 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
     parser.add_argument("--lanes", type=int, default=4, metavar="N")
     parser.add_argument("--poses", type=int, default=20, metavar="N")
-    parser.add_argument("--only", choices=("relocalise",))
+    parser.add_argument("--only", choices=("relocalise", "offset"))
     parser.add_argument("--basin", type=int, default=24, metavar="N")
+    parser.add_argument("--offset", type=float, default=20.0, metavar="SECONDS")
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
-    if options.poses > 0:
+    if options.poses > 0 and options.only != "offset":
         _perception_relocalise.rows(report, options.poses, options.seed)
-    if options.only == "relocalise":
+    if options.offset > 0.0 and options.only != "relocalise":
+        _perception_offset.rows(report, options.offset, options.seed)
+    if options.only:
         return report
     for lidar in options.lidar.split(","):
         _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)

@@ -121,7 +121,7 @@ def drive(
         for result in results:
             track = tracks[name]
             track.stamps.append(result.stamp)
-            track.poses.append(_matrix(result.position, result.orientation))
+            track.poses.append(matrix(result.position, result.orientation))
             track.cpu.append(cpu / len(results))
             track.health.append(str(result.health))
             if on_scan:
@@ -172,7 +172,7 @@ def errors(run: Run, track: Track, window: float = 1.0) -> Errors:
     stamps = np.array(track.stamps)
     got = np.array(track.poses)
     position, orientation = run.truth(stamps)
-    wanted = np.array([_matrix(p, q) for p, q in zip(position, orientation, strict=True)])
+    wanted = np.array([matrix(p, q) for p, q in zip(position, orientation, strict=True)])
     later = np.searchsorted(stamps, stamps + int(window * 1e9) - 1_000_000)
     pairs = [(i, j) for i, j in enumerate(later) if j < len(stamps)]
     moved, turned = [], []
@@ -190,7 +190,8 @@ def errors(run: Run, track: Track, window: float = 1.0) -> Errors:
     )
 
 
-def _matrix(position: Array, orientation: Array) -> Array:
+def matrix(position: Array, orientation: Array) -> Array:
+    """(4, 4) of a position (3,) and an orientation (4,) x, y, z, w."""
     out = np.eye(4)
     out[:3, :3] = rotation(np.ascontiguousarray(orientation))
     out[:3, 3] = position

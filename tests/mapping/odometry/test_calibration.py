@@ -1,0 +1,127 @@
+"""Clock of each LiDAR against the IMU: found, corrected up to a bound, told; nothing changes where it is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hal.go2w import L1_MOUNT, XT16_MOUNT
+from hal.lidar import LIDARS
+from hal.rotation import rotation_rpy, rotation_vector
+from hal.types import NS, GroundTruth, LidarScan, Sample
+from mapping.odometry.alignment import GyroFit, LeastSquares
+from mapping.odometry.health import Health
+from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
+from mapping.odometry.types import ScanOdometry
+from tests.mapping.odometry.test_intake import feed
+from tests.mapping.odometry.test_lidars import in_order
+from tools.synthetic import arena_run
+
+
+@pytest.fixture(scope="module")
+def samples() -> list[Sample]:
+    """Figure-eight with a pitching trunk, both LiDARs."""
+    run = replace(arena_run("xt16", duration=7.0, seed=4), lidar=LIDARS["xt16"].decimated(4))
+    out = [s for s in run.samples() if not isinstance(s, GroundTruth)]
+    head = replace(run, lidar=LIDARS["l1"], seed=5)
+    return in_order(out + [replace(s, name="head") for s in head.samples() if isinstance(s, LidarScan)])
+
+
+def driven(samples: list[Sample], main: float, head: float, max_offset: float = 0.05) -> list[ScanOdometry]:
+    """The stamps of each LiDAR lie this long [s] before the truth."""
+    late = {"main": round(main * NS), "head": round(head * NS)}
+    odometry = LidarInertialOdometry(
+        OdometryConfig(max_time_offset=max_offset), {"main": XT16_MOUNT, "head": L1_MOUNT}
+    )
+    return feed(
+        odometry,
+        [replace(s, stamp=s.stamp - late[s.name]) if isinstance(s, LidarScan) else s for s in samples],
+    )
+
+
+def offsets(scan: ScanOdometry) -> dict[str, float]:
+    return {lidar.name: 1e3 * lidar.offset for lidar in scan.lidars}
+
+
+def test_right_clocks_are_left_alone(samples: list[Sample]) -> None:
+    scans = driven(samples, 0.0, 0.0)
+    assert offsets(scans[-1]) == pytest.approx({"main": 0.0, "head": 0.0}, abs=1.0)
+    assert all(lidar.applied == 0.0 for scan in scans for lidar in scan.lidars)
+    assert not any(scan.fault for scan in scans)
+    without = driven(samples, 0.0, 0.0, max_offset=0.0)
+    assert all((a.position == b.position).all() for a, b in zip(scans, without, strict=True))
+
+
+@pytest.mark.parametrize(("main", "head"), [(0.03, -0.02), (-0.01, 0.0)])
+def test_offsets_are_found_and_corrected(samples: list[Sample], main: float, head: float) -> None:
+    scans = driven(samples, main, head)
+    last = {lidar.name: lidar for lidar in scans[-1].lidars}
+    assert last["main"].offset == pytest.approx(main, abs=0.001)
+    assert last["main"].applied == pytest.approx(main, abs=0.0015)
+    assert last["head"].offset == pytest.approx(head, abs=0.003)
+    assert last["head"].applied == pytest.approx(head, abs=0.005)
+    assert not scans[-1].fault
+    stamp = scans[-1].stamp % (NS // 10)
+    assert min(stamp, NS // 10 - stamp) < 2_000_000, "the pose has the stamp of the true end of the sweep"
+
+
+def test_an_offset_beyond_the_bound_is_a_fault_and_never_good_while_the_robot_turns(
+    samples: list[Sample],
+) -> None:
+    scans = driven(samples, 0.08, 0.0)
+    told = [k for k, scan in enumerate(scans) if "stamps of the main LiDAR" in scan.fault]
+    assert told
+    assert told[0] < 25
+    assert scans[-1].fault.startswith("the stamps of the main LiDAR are -")
+    assert scans[-1].fault.endswith("beyond the 50 ms that are corrected: set its time_offset")
+    for scan in scans[told[0] :]:
+        assert scan.lidars[0].applied == 0.05
+        assert scan.health is not Health.GOOD or np.linalg.norm(scan.angular) < 0.1
+
+
+def test_a_second_run_finds_the_same(samples: list[Sample]) -> None:
+    one, two = driven(samples[:2000], 0.02, 0.01), driven(samples[:2000], 0.02, 0.01)
+    assert [offsets(s) for s in one] == [offsets(s) for s in two]
+    assert all((a.position == b.position).all() for a, b in zip(one, two, strict=True))
+
+
+def test_turn_of_the_mount_and_offset_are_told_apart_by_the_gyro() -> None:
+    """Motion about changing axes, exact but for noise; registration through a mount turned by `e`, stamps `offset` late."""
+    random = np.random.default_rng(1)
+    e, offset, dt = np.array([0.01, -0.02, 0.015]), 0.012, 0.1
+
+    def body(t: float) -> np.ndarray:
+        return rotation_rpy(0.1 * np.sin(5.0 * t), 0.15 * np.sin(4.0 * t + 1.0), 0.8 * np.sin(0.9 * t))
+
+    fit, wrong = GyroFit(), rotation_rpy(*e)
+    for k in range(1, 200):
+        before, now = body((k - 1) * dt), body(k * dt)
+        noise = rotation_rpy(*(3e-4 * random.standard_normal(3)))
+        # the middle of a sweep tells where it lies: the rate there is its mean rate
+        middle = body(k * dt + offset - 0.5 * dt) @ body((k - 0.5) * dt).T @ now
+        fit.add(k * NS // 10, before.T @ now, dt, middle @ wrong.T @ noise, 9e-8 * np.eye(3), 0.0)
+    x, sigma = fit.solve()
+    assert x[0] == pytest.approx(offset, abs=3.0 * sigma[0] + 2e-4)
+    assert x[1:] == pytest.approx(rotation_vector(wrong), abs=3e-3)
+    assert sigma.max() < 3e-3
+
+
+def test_least_squares_agrees_with_numpy() -> None:
+    random = np.random.default_rng(2)
+    a, x = random.standard_normal((60, 3)), np.array([0.3, -0.2, 0.1])
+    r = a @ x + 0.01 * random.standard_normal(60)
+    fit = LeastSquares(np.full(3, 1e6))
+    for k in range(0, 60, 6):
+        fit.add(
+            1e4 * a[k : k + 6].T @ a[k : k + 6],
+            1e4 * a[k : k + 6].T @ r[k : k + 6],
+            1e4 * r[k : k + 6] @ r[k : k + 6],
+            6.0,
+        )
+    found, sigma = fit.solve()
+    fade = np.sqrt(np.exp(-np.arange(9, -1, -1) / 300.0)).repeat(6)
+    wanted = np.linalg.lstsq(a * fade[:, None], r * fade, rcond=None)[0]
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    np.testing.assert_allclose(sigma, 0.01 * np.sqrt(np.diag(np.linalg.inv(a.T @ a))), rtol=0.3)

@@ -6,6 +6,7 @@ by e [rad] turns the axis of every motion (hand-eye calibration, Daniilidis 1999
 
     registered - gyro = offset (rate_k - rate_k-1) + e x turn
 
+A robot on wheels drives ahead: a mount that is turned about z makes it drive askew.
 `MapFit`, for every other LiDAR. Its cloud lies beside the planes of the local map by a constant error of the mount, and by the
 motion during the offset.
 """
@@ -31,6 +32,10 @@ CONSECUTIVE = 150_000_000
 """Two scans that end within this time [ns] follow each other."""
 CALM = 0.02
 """A slower turn [rad/s] tells nothing."""
+STRAIGHT, STEP = 0.1, 0.02
+"""Turn rate [rad/s] up to which, and distance from scan to scan [m] from which the robot drives ahead,"""
+SIDEWAYS, SLIP = 0.003, 0.05
+"""by so much to the side [m] and per metre [-], one standard deviation."""
 STRANGE = 0.15
 """A difference between registration and gyro from scan to scan beyond this [rad] is neither clock nor mount."""
 INDEPENDENT = 60
@@ -78,22 +83,28 @@ class GyroFit:
     def __init__(self) -> None:
         self._fit = LeastSquares(np.array([PRIOR_OFFSET, *[PRIOR_TURN] * 3]))
         self._last: tuple[int, Array, Array, Array] | None = None
-        """Stamp [ns], pose (3, 3), covariance (3, 3) and mean rate (3,) of the scan before."""
+        """Stamp [ns], pose (4, 4), covariance (3, 3) and mean rate (3,) of the scan before."""
 
     def add(
         self, stamp: int, turned: Array, seconds: float, pose: Array, covariance: Array, shift: float
     ) -> None:
         """One scan that ended at `stamp` [ns].
 
-        `turned` (3, 3): rotation by the gyro since `seconds` ago; `pose` (3, 3) `odom` <- base_link as registered, its
-        `covariance` (3, 3) in base_link axes [rad^2]; `shift` [s]: was added to the stamp.
+        `turned` (3, 3): rotation by the gyro since `seconds` ago; `pose` (4, 4) `odom` <- base_link as registered, the
+        `covariance` (3, 3) of its rotation in base_link axes [rad^2]; `shift` [s]: was added to the stamp.
         """
         rate = rotation_vector(turned) / seconds
         last, self._last = self._last, (stamp, pose, covariance, rate)
         if last is None or stamp - last[0] > CONSECUTIVE:
             return
         change = rate - turned.T @ last[3]
-        off = rotation_vector(turned.T @ last[1].T @ pose)
+        moved = np.linalg.solve(last[1], pose)
+        ahead, aside = float(moved[0, 3]), float(moved[1, 3])
+        if abs(ahead) > STEP and abs(rate[2]) < STRAIGHT:
+            weight = 1.0 / (SIDEWAYS**2 + (SLIP * ahead) ** 2)
+            row = np.array([0.0, 0.0, 0.0, ahead])
+            self._fit.add(weight * np.outer(row, row), weight * aside * row, weight * aside**2, 1.0)
+        off = rotation_vector(turned.T @ moved[:3, :3])
         if np.abs([change, rate]).max() < CALM or np.abs(off).max() > STRANGE:
             return
         jacobian = np.column_stack([change, -skew(rate * seconds)])

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.types import NS, Array, LidarName
+from hal.types import NS, Array, Extrinsics, LidarName
 from mapping.odometry.alignment import GATE, SCALE, GyroFit, MapFit
+from mapping.odometry.ground_fit import GroundFit
 from mapping.odometry.registration.engines import Engine
 
 CERTAIN = 5.0
@@ -19,6 +21,11 @@ WORTH, SMALL = 0.003, 0.001
 time step: its poses move by the rate at the end of a step, and the gyro's samples are joined by straight lines."""
 KNOWN = 0.002
 """Standard deviation [s] of the main LiDAR's offset up to which the others are compared with its map: until then it is bent."""
+MOUNT = math.radians(1.2), 0.010
+"""Error of a mount that is told [rad], [m]."""
+SYSTEMATIC = math.radians(0.15), 0.003
+"""Error of what is found beside the noise [rad], [m], one standard deviation."""
+AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 TURNING = 0.1
 """Turn rate [rad/s] at which a wrong offset bends it."""
 
@@ -39,11 +46,13 @@ class LidarFit:
 class Calibration:
     """Of all LiDARs of a robot. A function of the scans alone: a re-run finds and applies the same."""
 
-    def __init__(self, names: Iterable[LidarName], max_offset: float) -> None:
-        """`max_offset` [s]: the largest that is corrected."""
+    def __init__(self, mounts: Mapping[LidarName, Extrinsics], max_offset: float) -> None:
+        """`mounts`: each LiDAR in base_link; `max_offset` [s]: the largest that is corrected."""
         self._max = max_offset
+        self._places = {name: np.array(mount.translation) for name, mount in mounts.items()}
+        self._ground = {name: GroundFit() for name in mounts}
         self._gyro = GyroFit()
-        self._beside: dict[LidarName, MapFit] = {name: MapFit() for name in names if name != "main"}
+        self._beside: dict[LidarName, MapFit] = {name: MapFit() for name in mounts if name != "main"}
         self._known: dict[LidarName, tuple[Array, Array]] = {"main": self._gyro.solve()}
         self._known |= {name: fit.solve() for name, fit in self._beside.items()}
         self.shift: dict[LidarName, int] = dict.fromkeys(["main", *self._beside], 0)
@@ -58,25 +67,37 @@ class Calibration:
         (6, 6) with the rotation in `odom` axes.
         """
         turned = before[:3, :3].T @ predicted[:3, :3]
-        rot = pose[:3, :3]
-        seconds = (stamp - since) / NS
-        self._gyro.add(stamp, turned, seconds, rot, rot.T @ covariance[3:, 3:] @ rot, self.shift["main"] / NS)
+        noise = pose[:3, :3].T @ covariance[3:, 3:] @ pose[:3, :3]
+        self._gyro.add(stamp, turned, (stamp - since) / NS, pose, noise, self.shift["main"] / NS)
         if self._settle("main", self._gyro):
             for fit in self._beside.values():
                 fit.shifted()
 
-    def beside(
-        self, name: LidarName, cloud: NDArray[np.float32], engine: Engine, pose: Array, linear: Array, angular: Array
-    ) -> None:  # fmt: skip
-        """The `cloud` (n, 3) of another LiDAR, base_link, beside the local map of `engine`.
+    def clouds(
+        self,
+        clouds: Mapping[LidarName, NDArray[np.float32]],
+        engine: Engine,
+        pose: Array,
+        linear: Array,
+        angular: Array,
+        contacts: Array,
+    ) -> None:
+        """What every LiDAR saw during that scan, (n, 3) base_link, beside the local map of `engine` and the ground under the wheels.
 
-        `pose` (4, 4) `odom` <- base_link; `linear`, `angular` (3,): velocity during its sweep, base_link [m/s, rad/s].
+        `pose` (4, 4) `odom` <- base_link; `linear`, `angular` (3,): velocity during the sweep [m/s, rad/s], `contacts` (k, 3): where wheels
+        touch the ground [m], base_link.
         """
-        fit, shift = self._beside[name], self.shift[name] / NS
-        there, off = fit.pose(pose, linear, angular, shift)
-        found = engine.planes.fit(np.ascontiguousarray(cloud, np.float64), there, GATE, SCALE)
-        fit.add(found, there, off, linear, angular, engine.sigma, shift)
-        self._settle(name, fit, self._known["main"][1][0] < KNOWN)
+        for name, cloud in clouds.items():
+            self._ground[name].add(cloud, contacts, pose[2, :3])
+            if (
+                name == "main" or not self._ground[name].even
+            ):  # on slopes a map that is off in height is off ahead
+                continue
+            fit, shift = self._beside[name], self.shift[name] / NS
+            there, off = fit.pose(pose, linear, angular, shift)
+            found = engine.planes.fit(np.ascontiguousarray(cloud, np.float64), there, GATE, SCALE)
+            fit.add(found, there, off, linear, angular, engine.sigma, shift)
+            self._settle(name, fit, self._known["main"][1][0] < KNOWN)
 
     def _settle(self, name: LidarName, fit: GyroFit | MapFit, sure: bool = True) -> bool:
         """Shift the stamps from now on if the offset is known to differ from what is applied."""
@@ -96,8 +117,8 @@ class Calibration:
             for name, (x, sigma) in self._known.items()
         )
 
-    def fault(self) -> str:
-        """What the operator must mend, in plain words; empty when all is well."""
+    def clock_fault(self) -> str:
+        """Whose clock the operator must mend, in plain words; empty when all are well."""
         words = []
         for fit in self.fits():
             beyond = abs(fit.offset) - max(CERTAIN * fit.offset_sigma, WORTH)
@@ -107,3 +128,63 @@ class Calibration:
                     f" {1e3 * self._max:.0f} ms that are corrected: set its time_offset"
                 )
         return "; ".join(words)
+
+    def fault(self) -> str:
+        """What the operator must mend of clocks and mounts, in plain words; empty when all is well."""
+        words = [self.clock_fault()]
+        for name, (x, sigma) in self._known.items():
+            off = self._ground_fault(name)
+            if name == "main":
+                off = _turns(x, sigma, range(3)) | off
+            elif apart := _turns(x, sigma, (2,)) | _places(x, sigma, self._places[name]):
+                words.append(
+                    f"the mounts of the main and the {name} LiDAR do not fit together: {told(apart)}"
+                )
+            if off:
+                words.append(f"the mount of the {name} LiDAR is off: {told(off)}")
+        return "; ".join(filter(None, words))
+
+    def _ground_fault(self, name: LidarName) -> dict[str, float]:
+        """Roll, pitch [rad] and height [m] of the mount by the ground. What another LiDAR sees in the same way is the ground's."""
+        ground = self._ground[name]
+        if not ground.known:
+            return {}
+        off = ground.beside_wheels()
+        tilt = ground.beside_gravity()
+        apart = [off - g.beside_wheels() for other, g in self._ground.items() if other != name and g.known]
+        limits = np.array([MOUNT[0], MOUNT[0], MOUNT[1]])
+        wrong = np.abs(off) > limits
+        wrong[:2] &= np.abs(tilt) > MOUNT[0]
+        for difference in apart:
+            wrong &= np.abs(difference) > limits
+        # wheels that stand on something else than the ground around say nothing of the height
+        wrong[2] &= bool((wrong[:2] | (np.abs(off[:2]) < limits[:2])).all())
+        height = off[2] + off[0] * self._places[name][1] - off[1] * self._places[name][0]
+        wrong[2] &= abs(height) > MOUNT[1]
+        values = (off[0], off[1], height)
+        return {
+            axis: value for axis, value, w in zip(("roll", "pitch", "z"), values, wrong, strict=True) if w
+        }
+
+
+def told(off: dict[str, float]) -> str:
+    """Turns [rad] and distances [m] by axis, in steps of half a degree and centimetre: what is told does not flicker."""
+    return ", ".join(
+        f"{axis} {0.5 * round(2.0 * math.degrees(value)):+.1f} deg"
+        if axis in AXES[:3]
+        else f"{axis} {0.5 * round(200.0 * value):+.1f} cm"
+        for axis, value in off.items()
+    )
+
+
+def _turns(x: Array, sigma: Array, which: Iterable[int]) -> dict[str, float]:
+    """Turns [rad] about axes of base_link that are certainly more than a mount may be off."""
+    error = 2.0 * np.hypot(sigma[1:4], SYSTEMATIC[0])
+    return {AXES[k]: float(x[1 + k]) for k in which if abs(x[1 + k]) - error[k] > MOUNT[0]}
+
+
+def _places(x: Array, sigma: Array, at: Array) -> dict[str, float]:
+    """The same for the place [m] of a LiDAR that is mounted `at` (3,), ahead and aside; the ground tells its height."""
+    place = x[4:] + np.cross(x[1:4], at)
+    error = 2.0 * np.hypot(sigma[4:], SYSTEMATIC[1])
+    return {AXES[3 + k]: float(place[k]) for k in (0, 1) if abs(place[k]) - error[k] > MOUNT[1]}

@@ -6,8 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import WHEEL_RADIUS, wheel_centres
-from hal.types import JointSample
+from hal.types import Array, JointSample
 from mapping.odometry.wheels import leg_velocity
+
+
+def contacts_of(rows: Array) -> Array:
+    """`wheel_contacts` of the last of `rows` (n, 48): position, velocity, effort of 16 motors; (0, 3) without one."""
+    if not len(rows):
+        return np.zeros((0, 3))
+    return wheel_contacts(JointSample(0, rows[-1, :16], rows[-1, 16:32], rows[-1, 32:]))
 
 
 def wheel_contacts(joints: JointSample) -> NDArray[np.float64]:

@@ -29,6 +29,7 @@ from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_vector
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.calibration import TURNING, Calibration
+from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
 from mapping.odometry.health import Health, HealthMonitor, Verdict
 from mapping.odometry.inbox import Inbox
@@ -170,7 +171,7 @@ class LidarInertialOdometry:
             self._engine.insert(self._filter.pose())
             self._compare(searching, verdict.health is Health.GOOD)
             if sweep.name == "main":
-                self._calibrate(since, before, predicted, match.pose, verdict.covariance, others)
+                self._calibrate(since, before, predicted, match.pose, verdict.covariance, cloud, others)
         self._learn_scale(before, sweep.end - since, verdict)
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
@@ -206,17 +207,16 @@ class LidarInertialOdometry:
             self._notes.append(against)
 
     def _calibrate(
-        self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, others: Mapping[LidarName, NDArray[np.float32]]
+        self, since: int, before: Array, predicted: Array, pose: Array, covariance: Array, cloud: NDArray[np.float32], others: Mapping[LidarName, NDArray[np.float32]]
     ) -> None:  # fmt: skip
-        """The main LiDAR against the gyro, the others against the local map."""
-        now = self._filter.stamp
+        """The main LiDAR against the gyro, the others against the local map, the ground that each sees against the wheels."""
+        now, state = self._filter.stamp, self._filter.output(ZERO)
+        rate = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
+        contacts = contacts_of(self._joints.between(now - NS // 15, now)[1])
         self._calibration.registered(now, before, predicted, since, pose, covariance)
-        state = self._filter.output(ZERO)
-        angular = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
-        for name, cloud in others.items():
-            self._calibration.beside(name, cloud, self._engine, pose, state.linear, angular)
-        if max(np.linalg.norm(angular), np.linalg.norm(state.angular)) > TURNING:
-            self._notes += filter(None, [self._calibration.fault()])
+        self._calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
+        if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING:
+            self._notes += filter(None, [self._calibration.clock_fault()])
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""

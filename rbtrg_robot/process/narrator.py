@@ -40,6 +40,9 @@ class Narrator:
             if message.warning or topic in self._said:
                 self._once(topic, f"map: {message.warning or 'well again'}")
 
+        elif t.ODOM_HEALTH.carried(message, topic) and (message.calibration or topic in self._said):
+            self._once(topic, f"odometry: {message.calibration or 'clocks and mounts are well again'}")
+
     def _robot(self, state: msg.RobotState) -> None:
         if bool(state.estop) != self._estop:
             self._estop = bool(state.estop)

@@ -1,7 +1,8 @@
-"""Clock of each LiDAR against the IMU: found, corrected up to a bound, told; nothing changes where it is right."""
+"""Clock of each LiDAR: found, corrected up to a bound, told. Mounts that are off are told, right ones on any ground are not."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,15 +10,18 @@ import pytest
 
 from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.lidar import LIDARS
-from hal.rotation import rotation_rpy, rotation_vector
-from hal.types import NS, GroundTruth, LidarScan, Sample
+from hal.rotation import rotation_rpy, rotation_vector, rpy_of
+from hal.types import NS, Extrinsics, GroundTruth, LidarName, LidarScan, Sample
 from mapping.odometry.alignment import GyroFit, LeastSquares
+from mapping.odometry.calibration import Calibration
 from mapping.odometry.health import Health
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import ScanOdometry
 from tests.mapping.odometry.test_intake import feed
 from tests.mapping.odometry.test_lidars import in_order
 from tools.synthetic import arena_run
+
+Vector = tuple[float, float, float]
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +105,9 @@ def test_turn_of_the_mount_and_offset_are_told_apart_by_the_gyro() -> None:
         noise = rotation_rpy(*(3e-4 * random.standard_normal(3)))
         # the middle of a sweep tells where it lies: the rate there is its mean rate
         middle = body(k * dt + offset - 0.5 * dt) @ body((k - 0.5) * dt).T @ now
-        fit.add(k * NS // 10, before.T @ now, dt, middle @ wrong.T @ noise, 9e-8 * np.eye(3), 0.0)
+        pose = np.eye(4)
+        pose[:3, :3] = middle @ wrong.T @ noise
+        fit.add(k * NS // 10, before.T @ now, dt, pose, 9e-8 * np.eye(3), 0.0)
     x, sigma = fit.solve()
     assert x[0] == pytest.approx(offset, abs=3.0 * sigma[0] + 2e-4)
     assert x[1:] == pytest.approx(rotation_vector(wrong), abs=3e-3)
@@ -125,3 +131,90 @@ def test_least_squares_agrees_with_numpy() -> None:
     wanted = np.linalg.lstsq(a * fade[:, None], r * fade, rcond=None)[0]
     np.testing.assert_allclose(found, wanted, rtol=1e-6)
     np.testing.assert_allclose(sigma, 0.01 * np.sqrt(np.diag(np.linalg.inv(a.T @ a))), rtol=0.3)
+
+
+def ground(scene: str, random: np.random.Generator) -> np.ndarray:
+    """(n, 3) of ground around a robot whose wheels stand at z = -0.4 m, noise of 1 cm."""
+    xy = random.uniform(-3.5, 3.5, (6000, 2))
+    xy = xy[np.hypot(*xy.T) > 0.6]
+    z = np.full(len(xy), -0.4)
+    if scene == "field":  # blocks of 20 cm, up to 10 cm high
+        cell = np.floor(xy / 0.2).astype(int) + 50
+        z += random.uniform(0.0, 0.1, (100, 100))[cell[:, 0], cell[:, 1]]
+    elif scene == "ramp":  # begins 0.7 m ahead, 15 deg
+        z += np.tan(np.radians(15.0)) * np.maximum(xy[:, 0] - 0.7, 0.0)
+    elif scene == "step":  # 4 cm, beside the robot
+        z[xy[:, 1] > 0.3] += 0.04
+    return np.column_stack([xy, z + 0.01 * random.standard_normal(len(xy))]).astype(np.float32)
+
+
+CONTACTS = np.array([[0.2, -0.2, -0.4], [0.2, 0.2, -0.4], [-0.2, -0.2, -0.4], [-0.2, 0.2, -0.4]])
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def calibration(cloud: Callable[[], np.ndarray], contacts: np.ndarray, e: np.ndarray, z: float) -> str:
+    """What is said after ten scans of a robot at rest whose main LiDAR is turned by `e` and `z` too high, by the configuration."""
+    found = Calibration({"main": XT16_MOUNT}, 0.05)
+    for _ in range(10):
+        seen = (cloud() @ rotation_rpy(*e).T + [0.0, 0.0, z]).astype(np.float32)
+        found.clouds({"main": seen}, None, np.eye(4), np.zeros(3), np.zeros(3), contacts)  # type: ignore[arg-type]
+    return found.fault()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("scene", ["flat", "field", "ramp", "step"])
+def test_right_mounts_are_well_on_even_and_on_rough_ground(scene: str, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    still = ground(scene, random)
+    contacts = CONTACTS.copy()
+    contacts[:, 2] += random.uniform(0.0, 0.1, 4) if scene == "field" else 0.0
+    assert calibration(lambda: still, contacts, np.zeros(3), 0.0) == ""
+
+
+def test_wheels_on_a_plank_are_no_wrong_mount() -> None:
+    random = np.random.default_rng(0)
+    contacts = CONTACTS + [0.0, 0.0, 0.04] * (CONTACTS[:, :1] > 0.0)
+    assert calibration(lambda: ground("flat", random), contacts, np.zeros(3), 0.0) == ""
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("e", "z", "told"),
+    [
+        ((2.0, 0.0, 0.0), 0.0, "roll +2.0 deg"),
+        ((-2.0, 0.0, 0.0), 0.0, "roll -2.0 deg"),
+        ((0.0, 2.0, 0.0), 0.0, "pitch +2.0 deg"),
+        ((0.0, 0.0, 0.0), 0.02, "z +2.0 cm"),
+        ((0.0, 0.0, 0.0), -0.02, "z -2.0 cm"),
+    ],
+)
+def test_a_wrong_mount_is_told_at_rest(e: tuple[float, float, float], z: float, told: str, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    said = calibration(lambda: ground("flat", random), CONTACTS, np.radians(e), z)
+    # turned about the axes of base_link, an XT16 that is 0.16 m ahead is not higher or lower itself
+    assert said.startswith("the mount of the main LiDAR is off: ")
+    assert told in said
+
+
+@pytest.mark.parametrize(
+    ("name", "turn", "place", "told"),
+    [
+        ("main", (0.0, 0.0, 2.0), (0.0, 0.0, 0.0), "the mount of the main LiDAR is off: yaw +2.0 deg"),
+        ("head", (0.0, 0.0, -2.0), (0.0, 0.0, 0.0), "do not fit together: yaw -2.0 deg"),
+        ("head", (0.0, 0.0, 0.0), (0.02, 0.0, 0.0), "do not fit together: x +2.0 cm"),
+        ("head", (0.0, 0.0, 0.0), (0.0, -0.02, 0.0), "do not fit together: y -2.0 cm"),
+        ("head", (0.0, 2.0, 0.0), (0.0, 0.0, 0.0), "the mount of the head LiDAR is off: pitch +2.0 deg"),
+        ("head", (0.0, 0.0, 0.0), (0.0, 0.0, 0.02), "the mount of the head LiDAR is off: z +2.0 cm"),
+    ],
+)
+def test_a_wrong_mount_is_told_while_the_robot_drives(
+    samples: list[Sample], name: LidarName, turn: Vector, place: Vector, told: str
+) -> None:
+    mounts: dict[LidarName, Extrinsics] = {"main": XT16_MOUNT, "head": L1_MOUNT}
+    right = mounts[name]
+    rpy = rpy_of(rotation_rpy(*np.radians(turn)) @ rotation_rpy(*right.rpy))
+    x, y, z = np.add(right.translation, place).tolist()
+    mounts[name] = Extrinsics((x, y, z), rpy)
+    scans = feed(LidarInertialOdometry(mounts=mounts), samples[:1400])
+    assert told in scans[-1].fault
+    assert "stamps" not in scans[-1].fault

@@ -1,0 +1,105 @@
+"""Ground that a LiDAR sees beside the plane under the wheels, and beside gravity: turn and height of its mount."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.types import Array
+
+REACH = 3.5
+"""Ground within this distance [m] is looked at,"""
+BAND, FAN = 0.08, 0.12
+"""within this height of the plane under the wheels [m], and this much more per metre."""
+CELL, POINTS, CELLS = 0.25, 3, 25
+"""Heights are averaged in cells of this size [m] with so many points at least; so many cells make a plane."""
+EVEN = 0.01
+"""Scatter of the cells' heights about the plane up to which ground is even [m]."""
+SPREAD = 0.35
+"""The cells must reach so far in both directions, one standard deviation [m]."""
+KEPT = 60
+"""Looks that count."""
+ENOUGH = 8
+"""Looks that are needed."""
+LATELY = 3
+"""Looks."""
+EVERY = 5
+"""Scans between two looks once there are enough."""
+
+
+class GroundFit:
+    """One LiDAR. All figures as roll, pitch [rad] and height [m] at base_link; the median of the last looks."""
+
+    def __init__(self) -> None:
+        self._looks: deque[Array] = deque(maxlen=KEPT)
+        self._scans = 0
+        self._uneven = LATELY
+        """Looks since the last one that showed even ground."""
+
+    @property
+    def known(self) -> bool:
+        """There were enough looks at even ground."""
+        return len(self._looks) >= ENOUGH
+
+    @property
+    def even(self) -> bool:
+        """The ground was even lately."""
+        return self._uneven < LATELY
+
+    def add(self, cloud: NDArray[np.float32], contacts: Array, up: Array) -> None:
+        """A `cloud` (n, 3), the points where the wheels touch the ground `contacts` (k, 3), the vertical `up` (3,); all in base_link."""
+        self._scans += 1
+        if self.known and self._scans % EVERY:
+            return
+        self._uneven += 1
+        if len(contacts) < 4:
+            return
+        normal = np.cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
+        normal /= math.copysign(float(np.linalg.norm(normal)), normal[2])
+        side = np.cross(normal, [1.0, 0.0, 0.0])
+        side /= np.linalg.norm(side)
+        axes = np.stack([np.cross(side, normal), side, normal])
+        points = cloud @ axes.T - axes @ contacts.mean(axis=0)
+        plane = fit_plane(points)
+        if plane is None:
+            return
+        a, b, c = plane
+        self._uneven = 0
+        x, y, _ = axes @ contacts.mean(axis=0)
+        u = axes @ up
+        height = c - a * x - b * y
+        self._looks.append(np.array([b, -a, height, b + u[1] / u[2], -a - u[0] / u[2]]))
+
+    def beside_wheels(self) -> Array:
+        """(3,) by which the ground of the LiDAR lies beside the plane under the wheels."""
+        return np.median(self._looks, axis=0)[:3]
+
+    def beside_gravity(self) -> Array:
+        """(2,) roll and pitch of the ground of the LiDAR beside the horizontal."""
+        return np.median(self._looks, axis=0)[3:]
+
+
+def fit_plane(points: Array) -> tuple[float, float, float] | None:
+    """z = a x + b y + c [m] through the points (n, 3) near z = 0; None where they show no even ground around."""
+    reach = np.hypot(points[:, 0], points[:, 1])
+    points = points[(reach < REACH) & (np.abs(points[:, 2]) < BAND + FAN * reach)]
+    cell = np.floor(points[:, :2] / CELL).astype(np.int64)
+    _, which, count = np.unique(cell[:, 0] * 1000 + cell[:, 1], return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(which, points[:, k], len(count)) / count for k in range(3)], axis=1)
+    mean = mean[count >= POINTS]
+    if len(mean) < CELLS:
+        return None
+    design = np.column_stack([mean[:, :2], np.ones(len(mean))])
+    keep = np.ones(len(mean), np.bool_)
+    for gate in (0.06, 0.03, 0.03):
+        x, *_ = np.linalg.lstsq(design[keep], mean[keep, 2], rcond=None)
+        off = np.abs(design @ x - mean[:, 2])
+        keep = off < gate
+        if keep.sum() < max(CELLS, 0.7 * len(mean)):
+            return None
+    even = float(np.sqrt(np.mean(off[keep] ** 2))) < EVEN
+    wide = float(np.linalg.eigvalsh(np.cov(mean[keep, :2].T))[0]) > SPREAD**2
+    return (float(x[0]), float(x[1]), float(x[2])) if even and wide else None

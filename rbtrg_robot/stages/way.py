@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.path import Path, PathLimits, ahead_of, drivable, is_hidden, make_path, rest_of
 from planning.risk.body import BodyModel
-from planning.search.frontier import FrontierMemory, is_beside_virtual
+from planning.search.frontier import SAME_FRONTIER, FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
@@ -26,8 +27,10 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
-REDRAWS = 2
-"""Other graphs that are searched where a way to the goal was lost."""
+REDRAWS, REDRAWN_CELLS = 5, 500_000
+"""Other graphs that are searched at once; fewer on large maps: so many cells of the map may be drawn anew together."""
+FAR = 2.0
+"""A way to another frontier that is longer [m] is a reason to search other graphs."""
 WAYS = 3
 """Tried, where they begin with ground that cannot be seen."""
 
@@ -108,25 +111,42 @@ class WaySearch:
     def _in_graphs(
         self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None
     ) -> tuple[Plan, Path]:
-        """As `_plan`. Where the way to the goal was lost, other graphs are searched too: a narrow passage may hold no edge of this one."""
+        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, where the way to the goal was lost, or where
+        the robot would turn away to another frontier, other graphs are searched for a way to the goal."""
         had, self._reached = self._reached, False
-        found = self._plan(terrain, message, driven)
+        found: tuple[Plan, Path] | None = None
+        none = NoRoute(NoRouteReason.NO_ROUTE, "")
+        try:
+            found = self._plan(terrain, message, driven)
+        except NoRoute as error:
+            none = error
+            if none.reason is not NoRouteReason.NO_ROUTE:
+                raise
+        if found is None or (not found[0].reaches_goal and (had or self._turns_away(found[0]))):
+            kept = terrain.graph, terrain.table
+            for _ in range(min(REDRAWS, REDRAWN_CELLS // terrain.ground().height.size)):
+                terrain.sample_anew()
+                terrain.sync((message.start_x, message.start_y))
+                try:
+                    other = self._plan(terrain, message, None)
+                except NoRoute:
+                    continue
+                if found is None or other[0].reaches_goal:
+                    found, kept = other, (terrain.graph, terrain.table)
+                if found[0].reaches_goal:
+                    break
+            terrain.graph, terrain.table = kept
+        if found is None:
+            raise none
         self._reached = found[0].reaches_goal
-        if self._reached or not had:
-            return found
-        kept = terrain.graph, terrain.table, terrain.seed
-        for _ in range(REDRAWS):
-            terrain.sample_anew()
-            terrain.sync((message.start_x, message.start_y))
-            try:
-                other = self._plan(terrain, message, None)
-            except NoRoute:
-                continue
-            if other[0].reaches_goal:
-                self._reached = True
-                return other
-        terrain.graph, terrain.table, terrain.seed = kept
         return found
+
+    def _turns_away(self, found: Plan) -> bool:
+        """Whether the plan leads far and not to the frontier that was driven to so far."""
+        before = self._memory.chosen
+        if before is None or found.frontier is None or found.length < FAR:
+            return False
+        return math.dist(before, found.frontier) > SAME_FRONTIER
 
     def _plan(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
         """The route in the graph of now, and its path."""

@@ -169,22 +169,22 @@ def test_what_the_navigator_wants_avoided_is_driven_around() -> None:
     assert straight.length < answer.length
 
 
-def test_a_passage_that_one_sample_misses_is_found_on_the_next_try() -> None:
-    stages = found = again = 0
+def test_a_passage_that_one_sample_misses_is_found_in_another_at_once() -> None:
+    stages = found = elsewhere = 0
     for seed in range(40):
         z, start, goal = passage(seed, 0.52)
         stage = planner()
         stage.on(t.MAP_UPDATE, patch(z))
-        oks = [ask(stage, start, goal, sequence=k).reaches_goal for k in range(4)]
+        ok = ask(stage, start, goal).reaches_goal
         stages += 1
-        found += oks[0]
-        again += any(oks)
-        if oks[0]:
-            assert all(oks), "a graph that has a route is kept"
-        if again > found and stages >= 10:
+        found += ok
+        elsewhere += ok and stage._map.seed > 0
+        if ok:
+            assert ask(stage, start, goal, sequence=1).reaches_goal, "a graph that has a route is kept"
+        if elsewhere and stages >= 10:
             break
-    assert again > found
-    assert again >= 0.7 * stages
+    assert elsewhere > 0
+    assert found >= 0.7 * stages
 
 
 def test_a_sample_that_held_no_route_is_not_drawn_again_and_one_that_did_is_kept() -> None:
@@ -297,7 +297,7 @@ def test_where_nothing_leads_nearer_to_a_goal_that_is_far_there_is_no_route_and_
     there = ask(stage, (float(first.x[-1]), float(first.y[-1])), (5.0, 1.2), sequence=2)
     assert (there.ok, there.reason) == (False, "no_route")
     assert "no way leads nearer" in there.detail
-    assert stage._map.seed == seed + 1
+    assert stage._map.seed > seed
 
 
 def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:

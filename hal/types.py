@@ -114,7 +114,9 @@ class PostureCommand:
     height: float | None = None
     """base_link above the ground plane [m]; None keeps the default."""
     roll: float = 0.0
+    """[rad], right side down."""
     pitch: float = 0.0
+    """[rad], nose down."""
 
 
 class Phase(StrEnum):
@@ -213,6 +215,8 @@ class Capabilities:
     max_oblique: float = math.radians(30.0)
     """Angle between travel and the normal of a face of `max_step` from which crossing it is a risk [rad]: both simulated controllers
     pass such faces up to here at 0.5 m/s (`tools.bench envelope`, rows `oblique_*`)."""
+    max_trunk_tilt: float = 0.0
+    """Roll and pitch [rad] to which the trunk tilts by command while the robot stands; 0: it cannot."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

@@ -547,6 +547,7 @@ class PathCommand(Message):
     least_speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     has_goal_yaw: bool = False
     goal_yaw: float = 0.0
+    look: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -635,6 +636,8 @@ class RobotState(Message):
     vx: float = 0.0
     vy: float = 0.0
     wz: float = 0.0
+    trunk_roll: float = 0.0
+    trunk_pitch: float = 0.0
     refused_reason: list[str] = field(default_factory=list)
     refused_count: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
     hold: str = ""
@@ -732,6 +735,16 @@ class TrackerState(Message):
     distance_left: float = 0.0
     cross_track: float = 0.0
     heading_error: float = 0.0
+
+
+@dataclass(slots=True, eq=False)
+class TrunkCommand(Message):
+    """rbtrg_msgs/msg/TrunkCommand."""
+
+    __msgtype__ = "rbtrg_msgs/msg/TrunkCommand"
+    header: Header = field(default_factory=Header)
+    roll: float = 0.0
+    pitch: float = 0.0
 
 
 @dataclass(slots=True, eq=False)

@@ -87,6 +87,7 @@ ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.CO
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)
 TELEOP         = Topic("/teleop/cmd_vel",        msg.TwistStamped,     0, Qos.COMMAND,   1, "",          "body velocity by hand; takes the motion from the stack until `resume`", safe_to_replay=False, publish_by=Role.OPERATOR)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
+TRUNK          = Topic("/cmd_trunk",             msg.TrunkCommand,     0, Qos.COMMAND,   1, "tracker",   "tilt of the trunk while the robot stands: it looks at the ground", safe_to_replay=False)
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")
 ODOM           = Topic("/odom",                  msg.Odometry,        10, Qos.STATE,    20, "odometry",  "odom <- base_link at the end of each scan")
 POSE           = Topic("/odom/fast",             msg.Odometry,       200, Qos.SENSOR,    1, "odometry",  "IMU-propagated odom <- base_link, for control", recorded="full")

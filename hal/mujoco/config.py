@@ -19,6 +19,7 @@ CAPABILITIES = {
         max_step=0.10,
         max_slope=math.radians(25.0),
         max_gap=0.10,
+        max_trunk_tilt=math.radians(15.0),
     ),
     "policy": Capabilities(
         "go2w-mujoco-policy",
@@ -35,7 +36,7 @@ CAPABILITIES = {
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` from
-its rows `posts_*`."""
+its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

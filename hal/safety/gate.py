@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 
-from hal.go2w import BODY_WIDTH
 from hal.safety.gate_types import (
     GateConfig,
     GateInputs,
@@ -26,7 +25,8 @@ from hal.safety.gate_types import (
     StopCause,
 )
 from hal.safety.geofence import Geofence
-from hal.types import NS, Capabilities, Phase, VelocityCommand
+from hal.safety.trunk import TrunkTilt
+from hal.types import NS, Capabilities, Phase, PostureCommand, VelocityCommand
 
 __all__ = [
     "GateConfig",
@@ -73,6 +73,7 @@ class SafetyGate:
         self._since: dict[str, int] = {}
         self._zero_since: int | None = None
         self._unchecked = True
+        self._trunk = TrunkTilt(capabilities, self.params)
 
     # -- what comes in ---------------------------------------------------------------------------------------------
 
@@ -88,6 +89,18 @@ class SafetyGate:
         self._fresh_from = min(command.stamp, now)
         self._count += 1
         return None
+
+    def posture(self, command: PostureCommand, now: int) -> Refusal | None:
+        """Take a tilt of the trunk at `now` [ns], or say why not. Like a velocity it must be repeated; the height is not passed on."""
+        refusal = self._trunk.command(command, now, "" if self._cause is None else self._cause.value)
+        if refusal is not None:
+            self._refused[refusal.reason] += 1
+        return refusal
+
+    @property
+    def trunk(self) -> PostureCommand:
+        """Tilt of the trunk for the robot, beside the velocity of `output`."""
+        return self._trunk.output
 
     def _check(self, command: VelocityCommand, now: int) -> Refusal | None:
         p = self.params
@@ -137,12 +150,13 @@ class SafetyGate:
             self._since.clear()
             self._zero_since = None
         self._now = now
+        elapsed = min(max(elapsed, 0.0), 0.1)
         self._watch_robot(now, inputs)
         self._hold = "" if self._cause else self._holds(now, inputs)
         if self._cause or self._hold:
             self._output = VelocityCommand(now)
         else:
-            self._output = self._slewed(now, min(max(elapsed, 0.0), 0.1))
+            self._output = self._slewed(now, elapsed)
             if self._guarded and inputs.limits is not None:
                 self._keep_clear(inputs.limits)
             if self.geofence is not None and inputs.pose is not None:
@@ -150,7 +164,14 @@ class SafetyGate:
         self._watch_motion(now, inputs)
         if self._cause is not None:
             self._hold, self._output = "", VelocityCommand(now)
+        free = self._cause is None and not self._hold and not self._wants_motion
+        self._trunk.step(now, elapsed, inputs, self._zero_since if free else None)
         return self._output
+
+    @property
+    def _wants_motion(self) -> bool:
+        told = self._accepted
+        return told is not None and not told.vx == told.vy == told.wz == 0.0
 
     @property
     def latched(self) -> bool:
@@ -227,7 +248,7 @@ class SafetyGate:
             if abs(age) > self.params.guard_timeout:
                 return f"guard is {age:.1f} s old"
         if self._accepted is not None and (now - self._fresh_from) / NS < self.params.deadman:
-            return ""
+            return "" if self._trunk.level or not self._wants_motion else "the trunk is not level yet"
         if self._refusal is not None and 0 <= (now - self._refusal[1]) / NS < self.params.deadman:
             refusal = self._refusal[0]
             return f"command refused, {refusal.reason.value}: {refusal.detail}"
@@ -281,31 +302,13 @@ class SafetyGate:
         target, out = self._accepted, self._output
         assert target is not None
         wanted, speed = math.hypot(target.vx, target.vy), math.hypot(out.vx, out.vy)
-        most = self._speed_inside(fence, pose, wanted, math.atan2(target.vy, target.vx))
+        course, p = math.atan2(target.vy, target.vx), self.params
+        most = fence.speed(pose, wanted, course, p.fence_margin, p.fence_horizon)
         if speed > most:
             share = most / speed
             self._output = VelocityCommand(out.stamp, share * out.vx, share * out.vy, out.wz)
         if wanted > 0.0 and most == 0.0:
             self._hold = "geofence"
-
-    def _speed_inside(
-        self, fence: Geofence, pose: tuple[float, float, float], speed: float, course: float
-    ) -> float:
-        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the front of the body inside."""
-        x, y, yaw = pose
-        if not all(map(math.isfinite, pose)):
-            return 0.0
-        c, s = math.cos(yaw + course), math.sin(yaw + course)
-        now, most = self.params.fence_margin, speed
-        soon = now + speed * self.params.fence_horizon
-        if fence.outside(x, y) < -(soon + BODY_WIDTH):  # no side is near
-            return most
-        for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
-            here = fence.outside(x + now * c - side * s, y + now * s + side * c)
-            ahead = fence.outside(x + soon * c - side * s, y + soon * s + side * c)
-            if ahead > 0.0 and ahead >= here:
-                most = min(most, max(0.0, -here) / self.params.fence_horizon)
-        return most
 
     def _watch_motion(self, now: int, inputs: GateInputs) -> None:
         """Compare what was commanded with what was measured."""

@@ -70,6 +70,7 @@ class RefusalReason(StrEnum):
     TOO_OLD = "too old"
     OUT_OF_ORDER = "out of order"
     LATCHED = "stopped until resume"
+    NOT_STANDING = "not standing still"
 
 
 class StopCause(StrEnum):

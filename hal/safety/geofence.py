@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hal.errors import OperatorError
+from hal.go2w import BODY_WIDTH
 
 
 class GeofenceError(OperatorError):
@@ -92,3 +93,24 @@ class Geofence:
                 inside = not inside
             previous_x, previous_y = corner_x, corner_y
         return -nearest if inside else nearest
+
+    def speed(
+        self, pose: tuple[float, float, float], speed: float, course: float, margin: float, horizon: float
+    ) -> float:
+        """The most of `speed` [m/s] in direction `course` [rad, base_link] that keeps the front of the body inside.
+
+        `pose`: x, y [m], yaw [rad]; what lies up to `margin` [m] ahead must stay inside for `horizon` [s].
+        """
+        x, y, yaw = pose
+        if not all(map(math.isfinite, pose)):
+            return 0.0
+        c, s = math.cos(yaw + course), math.sin(yaw + course)
+        most, soon = speed, margin + speed * horizon
+        if self.outside(x, y) < -(soon + BODY_WIDTH):  # no side is near
+            return most
+        for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
+            here = self.outside(x + margin * c - side * s, y + margin * s + side * c)
+            ahead = self.outside(x + soon * c - side * s, y + soon * s + side * c)
+            if ahead > 0.0 and ahead >= here:
+                most = min(most, max(0.0, -here) / horizon)
+        return most

@@ -99,5 +99,6 @@ class UnitreeConfig(BaseModel):
             max_step=0.15,
             max_slope=math.radians(25.0),
             max_gap=0.10,
+            max_trunk_tilt=math.radians(15.0),
             lidars=self.mounted(),
         )

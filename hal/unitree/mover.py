@@ -14,6 +14,8 @@ _ZERO_TIME = 0.3
 """[s] of zero Moves after a stop: a single packet may be lost."""
 _EULER_PERIOD = 0.2
 """[s]; an attitude offset must be repeated to hold."""
+_EULER_STEP = 0.05
+"""[s] between two different ones."""
 
 
 class Mover:
@@ -27,8 +29,9 @@ class Mover:
         self._sent_at: int | None = None
         self._rest_since: int | None = None
         self._ignored_since: int | None = None
-        self._posture = PostureCommand(0)
-        self._posture_at = 0
+        self._posture = self._told = (0.0, 0.0)
+        """Roll and pitch [rad] to hold at rest: wanted, and sent last."""
+        self._told_at = 0
         self.note = ""
         """Why the robot is not given the wanted velocity; empty when it is."""
 
@@ -71,8 +74,7 @@ class Mover:
     def posture(self, command: PostureCommand) -> None:
         """Attitude offset to hold at rest."""
         if math.isfinite(command.roll) and math.isfinite(command.pitch):
-            self._posture = command
-            self._posture_at = 0
+            self._posture = (max(-0.75, min(0.75, command.roll)), max(-0.75, min(0.75, command.pitch)))
 
     def pump(self, now: int, allowed: bool) -> None:
         """Send what is due. Not `allowed`: the wanted velocity is dropped."""
@@ -86,11 +88,18 @@ class Mover:
         # A tick early rather than a tick late: host loops are not exact.
         if self.moving and (self._sent_at is None or now - self._sent_at >= 0.9 * self._period):
             self._move(now)
-        tilted = self._posture.roll != 0.0 or self._posture.pitch != 0.0
-        if allowed and not self.moving and tilted and (now - self._posture_at) / NS >= _EULER_PERIOD:
-            self._posture_at = now
-            roll, pitch = (max(-0.75, min(0.75, a)) for a in (self._posture.roll, self._posture.pitch))
-            self._rpc.send(api.SPORT, api.Sport.EULER, now, x=roll, y=pitch, z=0.0)
+        if allowed and not self.moving:
+            self._tilt(now)
+
+    def _tilt(self, now: int) -> None:
+        """Repeat the attitude offset; level is sent once."""
+        same = self._posture == self._told
+        period = _EULER_PERIOD if same else _EULER_STEP
+        if (same and self._told == (0.0, 0.0)) or (now - self._told_at) / NS < period:
+            return
+        self._told, self._told_at = self._posture, now
+        roll, pitch = self._told
+        self._rpc.send(api.SPORT, api.Sport.EULER, now, x=roll, y=pitch, z=0.0)
 
     def _move(self, now: int) -> None:
         self._sent_at = now

@@ -7,7 +7,7 @@ from collections import Counter
 
 from hal.safety.gate import SafetyGate, StopCause
 from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
-from hal.types import ModeRequest, VelocityCommand
+from hal.types import ModeRequest, PostureCommand, VelocityCommand
 from rbtrg_robot import msg
 
 log = logging.getLogger(__name__)
@@ -34,6 +34,20 @@ class CommandPath:
 
     def drive(self, source: Source, message: msg.TwistStamped, stamp: int, sender: str, now: int) -> None:
         """A velocity command of `sender`, valid from `stamp`."""
+        if not self._has_say(source, sender, now):
+            return
+        twist = message.twist
+        command = VelocityCommand(
+            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
+        )
+        self._gate.command(command, now)
+
+    def tilt(self, source: Source, message: msg.TrunkCommand, stamp: int, sender: str, now: int) -> None:
+        """A tilt of the trunk by `sender`, valid from `stamp`."""
+        if self._has_say(source, sender, now):
+            self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
+
+    def _has_say(self, source: Source, sender: str, now: int) -> bool:
         taken, _ = self._mux.taken(now)
         why = self._mux.take(source, sender, now)
         if self._mux.taken(now)[0] != taken:
@@ -41,13 +55,7 @@ class CommandPath:
             self._renew(now)
         if why.startswith("another"):
             self.turned_away[why] += 1
-        if why:
-            return
-        twist = message.twist
-        command = VelocityCommand(
-            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
-        )
-        self._gate.command(command, now)
+        return not why
 
     def request(self, message: msg.RobotCommand, now: int) -> ModeRequest | None:
         """Stop or release the gate. Returns what the backend must hear of, None where the request does not count."""

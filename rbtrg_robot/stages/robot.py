@@ -17,6 +17,7 @@ from hal.types import (
     LidarScan,
     ModeRequest,
     Phase,
+    PostureCommand,
     RobotState,
     Sample,
     VelocityCommand,
@@ -47,13 +48,14 @@ POSE_LIMIT = 0.3
 class RobotStage:
     """Commands in, sensor messages out; a backend and the safety gate between them.
 
-    In: velocity commands, requests, poses, which processes live. Out: IMU, joints, sweeps, robot state, and
-    the simulator's clock and truth. It decides whether a velocity reaches the robot. It never makes a
-    velocity of its own.
+    In: velocity commands, tilts of the trunk, requests, poses, which processes live. Out: IMU, joints, sweeps, robot state, and
+    the simulator's clock and truth. It decides whether a velocity or a tilt reaches the robot. It never makes one
+    of its own.
     """
 
     inputs = (
         t.CMD_VEL,
+        t.TRUNK,
         t.TELEOP,
         t.ROBOT_COMMAND,
         t.ROBOT_STOP,
@@ -87,6 +89,7 @@ class RobotStage:
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
         self._driven = VelocityCommand(0)
+        self._trunk = PostureCommand(0)
         self._commands = CommandPath(gate)
         self.realtime_factor = 1.0
         lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
@@ -124,6 +127,9 @@ class RobotStage:
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
                 self._commands.drive(TRACKER, message, stamp_of(message), sender, self._now)
+        elif t.TRUNK.carried(message, topic):
+            if not self._missing and self._now >= self._settled:
+                self._commands.tilt(TRACKER, message, stamp_of(message), sender, self._now)
         elif t.TELEOP.carried(message, topic):
             # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
             if GUARD not in self._missing:
@@ -166,6 +172,10 @@ class RobotStage:
         state = self.backend.state()
         self._driven = self._gate.output(now, self._inputs(now, state))
         self.backend.drive(self._driven)
+        trunk = self._gate.trunk
+        if (trunk.roll, trunk.pitch) != (self._trunk.roll, self._trunk.pitch):
+            self.backend.posture(trunk)
+        self._trunk = trunk
         outputs: Outputs = []
         for sample in self.backend.read(now):
             outputs += self._publish(sample)
@@ -266,6 +276,8 @@ class RobotStage:
             vx=self._driven.vx,
             vy=self._driven.vy,
             wz=self._driven.wz,
+            trunk_roll=self._trunk.roll,
+            trunk_pitch=self._trunk.pitch,
             refused_reason=list(refused),
             refused_count=array(list(refused.values()), "uint32"),
             hold=hold,

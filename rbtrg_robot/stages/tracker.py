@@ -7,27 +7,31 @@ from typing import Any
 import numpy as np
 
 from hal.types import NS
-from planning.tracking.tracker import PathError, PathTracker, TrackerConfig, TrackOutput
+from planning.tracking.tracker import PathError, PathTracker, TrackerConfig, TrackOutput, TrackPhase
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import FreshnessConfig
+from rbtrg_robot.stages.looking import Look
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import BASE, up_tilt, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import header, stamp_of
 
+LOOKING = "looking"
+"""Phase beside those of `TrackPhase`."""
+
 
 class TrackerStage:
-    """A path in, velocity commands out.
+    """A path or a look in, velocity commands and tilts of the trunk out.
     In: the navigator's path, the control pose, the ages of odometry, map and goal. Out: velocity commands
     at 50 Hz and its state. It decides the velocity along the path, and zero when an input is old. It never
     changes the path and never recovers by itself.
     """
 
     inputs = (t.PATH_COMMAND, t.POSE, t.ODOM, t.ODOM_HEALTH, t.MAP_STATUS, t.GOAL_STATUS, t.TF_STATIC)
-    outputs = (t.CMD_VEL, t.TRACKER_STATE)
+    outputs = (t.CMD_VEL, t.TRUNK, t.TRACKER_STATE)
 
     def __init__(self, params: TrackerConfig, freshness: FreshnessConfig) -> None:
         self._tracker = PathTracker(params)
@@ -42,6 +46,9 @@ class TrackerStage:
         self._lost = ""
         self._path_id = ""
         self._path_fault = ""
+        self._look: Look | None = None
+        self._zero_since = 0
+        """No velocity has been commanded since then [ns]."""
         self._pose: msg.Odometry | None = None
         self._now = 0
         self._ticks = 0
@@ -75,8 +82,11 @@ class TrackerStage:
             return  # a repeat
         self._path_id = message.id
         self._path_fault = ""
+        self._look = None
         if len(message.x) == 0:
             self._tracker.clear()
+            if message.look > 0.0:
+                self._look = Look(message.look)
             return
         points = np.column_stack([message.x, message.y, message.z])
         goal_yaw = message.goal_yaw if message.has_goal_yaw else None
@@ -93,7 +103,7 @@ class TrackerStage:
             self._seen.clear()
         self._now = now
         self._ticks += 1
-        hold = self._hold() if self._tracker.has_path or self._path_fault else ""
+        hold = self._hold() if self._tracker.has_path or self._path_fault or self._look else ""
         if self._pose is None or hold:
             step = TrackOutput()
             self._tracker.pause()
@@ -106,7 +116,11 @@ class TrackerStage:
         command = msg.TwistStamped(header=header(now, BASE))
         command.twist.linear.x = float(step.vx)
         command.twist.angular.z = float(step.wz)
+        if step.vx != 0.0 or step.wz != 0.0:
+            self._zero_since = now
         outputs: Outputs = [(t.CMD_VEL, command)]
+        if self._look is not None and not hold and (pitch := self._look.step(now, self._zero_since)) > 0.0:
+            outputs.append((t.TRUNK, msg.TrunkCommand(header=header(now, BASE), pitch=pitch)))
         if self._ticks % 5 == 0:
             outputs.append((t.TRACKER_STATE, self._state(now, step, hold)))
         return outputs
@@ -135,10 +149,13 @@ class TrackerStage:
         return ""
 
     def _state(self, now: int, step: TrackOutput, hold: str) -> msg.TrackerState:
+        phase = step.phase.value
+        if self._look is not None:
+            phase = TrackPhase.DONE.value if self._look.over else LOOKING
         return msg.TrackerState(
             header=header(now, "map"),
             path_id=self._path_id,
-            phase="stopped" if hold else step.phase.value,
+            phase="stopped" if hold else phase,
             hold=hold or step.fault,
             slow=step.slow,
             distance_left=float(step.distance_left),

@@ -12,6 +12,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, status_of
+from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
@@ -27,6 +28,7 @@ REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
 PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
+LOOKING = "looking at the ground ahead"
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -52,8 +54,15 @@ class NavigatorStage:
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
-    def __init__(self, params: NavigatorConfig, area: GoalArea = GoalArea(), step_vx: float = 0.0) -> None:
-        """`step_vx`: see `Capabilities` [m/s]."""
+    def __init__(
+        self,
+        params: NavigatorConfig,
+        area: GoalArea = GoalArea(),
+        step_vx: float = 0.0,
+        max_trunk_tilt: float = 0.0,
+    ) -> None:
+        """`step_vx` [m/s], `max_trunk_tilt` [rad]: see `Capabilities`."""
+        self._tilt = max_trunk_tilt
         self._params = params
         self._area = area
         self._frame = MapFrame()
@@ -71,6 +80,7 @@ class NavigatorStage:
         self._route = RouteWatch()
         self._short = 0
         self._recovery = Recovery(params)
+        self._looks = Looks(max_trunk_tilt)
         self._order = PathOrder(step_vx)
         self._progress = ProgressMonitor()
         self._trail = Trail()
@@ -140,6 +150,7 @@ class NavigatorStage:
         self._goal = goal
         self._short = 0
         self._recovery = Recovery(self._params)
+        self._looks = Looks(self._tilt)
         self._progress = ProgressMonitor()
         self._plan = None
         self._query.drop()
@@ -175,11 +186,12 @@ class NavigatorStage:
             goal.state = GoalState.MOVING
             goal.detail = ""
             self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
-            self._status()
-            return
+            return self._status()
         reason = Reason.of(message.reason) or Reason.NO_ROUTE
         measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
-        if measure is Measure.LOOK:  # noise can close a passage for a moment
+        if measure is Measure.LOOK_DOWN and self._looks.wanted(self._pose):
+            self._look(goal)
+        elif measure in (Measure.LOOK, Measure.LOOK_DOWN):  # noise can close a passage for a moment
             self._stand(goal, message.detail)
             goal.state = GoalState.PLANNING
         elif measure is Measure.GIVE_UP or reason is Reason.IN_OBSTACLE or not self._move_out(goal):
@@ -233,7 +245,9 @@ class NavigatorStage:
                 self._ask(again=True)
             return None
         if goal.state is GoalState.PLANNING:
-            if self._query.age(now) > LOOK_AGAIN:
+            if self._order.looking(now, self._tracker):
+                return None
+            if goal.detail == LOOKING or self._query.age(now) > LOOK_AGAIN:
                 self._replan(goal)
             return None
         return self._follow(goal)
@@ -332,6 +346,13 @@ class NavigatorStage:
         self._plan = None
         self._out.append((t.PATH_COMMAND, self._order.stand(self._now)))
 
+    def _look(self, goal: Goal) -> None:
+        """Tilt the trunk and look at the ground ahead before the next plan."""
+        self._stand(goal, LOOKING)
+        goal.state = GoalState.PLANNING
+        self._out[-1] = (t.PATH_COMMAND, self._order.look(self._now, goal.id, self._looks.pitch))
+        self._status()
+
     def _stand(self, goal: Goal, why: str) -> None:
         goal.detail = why
         self._halt()
@@ -351,4 +372,5 @@ class NavigatorStage:
 
 def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
-    return NavigatorStage(config.navigator, GoalArea.of(config), config.capabilities().step_vx)
+    robot = config.capabilities()
+    return NavigatorStage(config.navigator, GoalArea.of(config), robot.step_vx, robot.max_trunk_tilt)

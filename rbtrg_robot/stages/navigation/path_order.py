@@ -9,6 +9,7 @@ import numpy as np
 
 from hal.types import NS
 from rbtrg_robot import msg
+from rbtrg_robot.stages.navigation.look import LONGEST
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.wire.messages import header
 
@@ -35,7 +36,7 @@ class PathOrder:
         """`step_speed`: see `Capabilities.step_vx` [m/s]."""
         self._step_speed = step_speed
         self._path: msg.PathCommand | None = None
-        self._sent = 0
+        self._sent = self._begun = 0
 
     def route(self, now: int, plan: msg.Plan) -> msg.PathCommand:
         """Drive the path of a Plan."""
@@ -63,9 +64,19 @@ class PathOrder:
         """Drive nothing."""
         return self._send(now, id="")
 
+    def look(self, now: int, goal_id: str, pitch: float) -> msg.PathCommand:
+        """Tilt the trunk nose-down to `pitch` [rad], and level again."""
+        return self._send(now, id=f"{goal_id}/look-{now}", look=pitch)
+
+    def looking(self, now: int, tracker: msg.TrackerState | None) -> bool:
+        """Whether the newest order is a look that is not over."""
+        if self._path is None or self._path.look == 0.0 or now - self._begun > LONGEST:
+            return False
+        return not (tracker is not None and self.obeyed(tracker) and tracker.phase == "done")
+
     def _send(self, now: int, **fields: Any) -> msg.PathCommand:
         self._path = msg.PathCommand(header=header(now, "map"), **fields)
-        self._sent = now
+        self._sent = self._begun = now
         return self._path
 
     def obeyed(self, tracker: msg.TrackerState | None) -> bool:

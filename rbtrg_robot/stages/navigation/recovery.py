@@ -10,6 +10,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 
 SAME_PLACE = 1.0
 """[m]"""
+LOOK_DOWN_AT = 2
+"""Which try in a row without a route: noise closes many a passage for a moment, and another graph often has a way."""
 
 
 class Measure(StrEnum):
@@ -17,6 +19,8 @@ class Measure(StrEnum):
 
     LOOK = "look"
     """Stand, wait for a newer map and ask again; the planner draws another graph meanwhile."""
+    LOOK_DOWN = "look_down"
+    """The same with the nose down, where the trunk tilts."""
     MOVE_OUT = "move_out"
     """Move straight over ground the body covered, then ask again."""
     GIVE_UP = "give_up"
@@ -25,7 +29,7 @@ class Measure(StrEnum):
 class Recovery:
     """Keeps what was tried for one goal, and what routes must keep off.
 
-    No route: look again a few times; then once more without the places to keep off, because they may be the only way; then move out of the
+    No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then move out of the
     place once, because it may only lack the room to turn; then give up. Stuck: keep off the place and move out, a few times at each place.
     """
 
@@ -45,7 +49,7 @@ class Recovery:
         """The planner found none from `pose`."""
         self._failed += 1
         if self._failed <= self._config.no_route_retries:
-            return Measure.LOOK
+            return Measure.LOOK_DOWN if self._failed == LOOK_DOWN_AT else Measure.LOOK
         self._failed = 0
         if self.avoid:
             self.avoid = []

@@ -209,6 +209,11 @@ def test_attitude_offsets_are_repeated_at_rest_only():
     assert eulers[0] == {"x": 0.2, "y": 0.75, "z": 0.0}
     world.run(1.0, vx=0.3)
     assert len([r for _, _, r in world.sent if r.api == Sport.EULER]) <= len(eulers) + 1
+    world.backend.posture(PostureCommand(world.now))
+    world.run(1.0)
+    world.run(0.5, vx=0.0)
+    eulers = [json.loads(r.parameter) for _, _, r in world.sent if r.api == Sport.EULER][len(eulers) :]
+    assert eulers.count({"x": 0.0, "y": 0.0, "z": 0.0}) == 1, "level is told once"
 
 
 def test_obstacle_avoidance_takes_and_gives_back_the_remote_role():

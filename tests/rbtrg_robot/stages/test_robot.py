@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
 
 from hal.safety.gate import SafetyGate
 from hal.types import NS
+from hal.unitree.api import Sport
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.robot import STEP, RobotStage
@@ -51,6 +53,14 @@ class Rig:
             command = msg.TwistStamped(header=header(max(stamp, 0), "base_link"))
             command.twist.linear.x = speed
             self.stage.on(topic, command, who)
+
+    def tilt(self, seconds: float, who: str = "tracker") -> None:
+        """The trunk nose-down by 0.2 rad; whatever the velocities are."""
+        for _ in range(round(seconds / 0.02)):
+            self.stage.on(
+                t.TRUNK, msg.TrunkCommand(header=header(self.world.now, "base_link"), pitch=0.2), who
+            )
+            self.run(0.02)
 
     def order(self, mode: str, latch: int = 0) -> None:
         self.stage.on(t.ROBOT_COMMAND, msg.RobotCommand(mode=mode, latch=latch, cause="test"))
@@ -175,3 +185,36 @@ def test_a_hand_with_a_broken_command_leaves_the_robot_at_rest(rig: Rig) -> None
     rig.teleop = float("nan")
     rig.run(0.1)
     assert rig.speed == 0.0
+
+
+def test_the_trunk_tilts_at_rest_and_a_stop_levels_it(rig: Rig) -> None:
+    rig.tilt(1.0)
+    assert rig.state.trunk_pitch == 0.0, "it drives"
+    assert refused(rig.state)["not standing still"] > 0
+    rig.tracker = 0.0
+    rig.run(1.0)
+    rig.tilt(1.0)
+    assert rig.state.trunk_pitch == pytest.approx(0.2)
+    eulers = [json.loads(r.parameter)["y"] for _, _, r in rig.world.sent if r.api == Sport.EULER]
+    assert max(eulers) == pytest.approx(0.2)
+    rig.order("stop")
+    rig.tilt(0.5)
+    assert rig.state.trunk_pitch == 0.0
+
+
+@pytest.mark.parametrize("trouble", ["tracker dead", "by hand", "another sender"])
+def test_a_tilt_ends_with_whoever_asked_for_it(rig: Rig, trouble: str) -> None:
+    rig.tracker = 0.0
+    rig.run(1.0)
+    if trouble == "another sender":
+        rig.tilt(0.5, who="somebody")
+        assert refused(rig.state)["another tracker has the say"] > 0
+    else:
+        rig.tilt(0.5)
+        assert rig.state.trunk_pitch == pytest.approx(0.2)
+        if trouble == "tracker dead":
+            rig.stage.alive("tracker", False)
+        else:
+            rig.teleop = 0.0
+        rig.tilt(0.6)
+    assert rig.state.trunk_pitch == 0.0

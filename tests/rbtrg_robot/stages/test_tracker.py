@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.safety.trunk import STANDS, TILT_RATE
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages import tracker
+from rbtrg_robot.stages.looking import HOLD
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
 from rbtrg_robot.wire.messages import header
@@ -27,6 +29,8 @@ class Inputs:
         self.now = 0
         self.silent: set[Topic] = set()
         self.state: Any = None
+        self.pitches: list[tuple[int, float]] = []
+        """Tilts that were commanded: when [ns], nose down [rad]."""
         if placed:
             self.stage.on(t.TF_STATIC, map_offset())
 
@@ -52,6 +56,8 @@ class Inputs:
             for topic, message in self.stage.tick(self.now):
                 if topic is t.CMD_VEL:
                     speeds.append(message.twist.linear.x)
+                elif topic is t.TRUNK:
+                    self.pitches.append((self.now, message.pitch))
                 else:
                     self.state = message
         return speeds
@@ -75,3 +81,46 @@ def test_no_path_is_driven_before_the_start_in_the_map_is_known() -> None:
     world.path("goal/1")
     assert set(world.run(1.0)) == {0.0}
     assert world.state.hold == "no /tf_static yet"
+
+
+def look(world: Inputs, path_id: str = "goal/look-1", pitch: float = 0.25) -> None:
+    world.stage.on(t.PATH_COMMAND, t.PATH_COMMAND.kind(id=path_id, look=pitch))
+
+
+def test_a_look_tilts_the_trunk_and_is_done_when_it_is_level_again() -> None:
+    world = Inputs()
+    world.path("goal/1")
+    assert max(world.run(1.0)) > 0.3
+    look(world)
+    speeds = world.run(0.8)
+    braked = world.now - (len(speeds) - 1 - np.flatnonzero(speeds)[-1]) * NS // 50
+    assert world.state.phase == "looking"
+    world.run(2.0)
+    assert world.state.phase == "done"
+    times = [now - braked for now, _ in world.pitches]
+    assert {pitch for _, pitch in world.pitches} == {0.25}
+    assert times[0] >= STANDS * NS, "the gate refuses it before"
+    assert (times[-1] - times[0]) / NS == pytest.approx(0.25 / TILT_RATE + HOLD, abs=0.03)
+    look(world)  # a repeat of the order
+    world.run(0.5)
+    assert world.pitches[-1][0] - braked == times[-1]
+
+
+@pytest.mark.parametrize("trouble", ["path", "stand", "old input"])
+def test_a_look_ends_with_another_order_and_on_old_inputs(trouble: str) -> None:
+    world = Inputs()
+    world.run(1.0)
+    look(world)
+    world.run(0.2)
+    assert world.pitches
+    if trouble == "path":
+        world.path("goal/2")
+    elif trouble == "stand":
+        world.stage.on(t.PATH_COMMAND, t.PATH_COMMAND.kind(id=""))
+    else:
+        world.silent = {t.POSE}
+        world.run(0.2)  # until its pose is old
+    world.pitches = []
+    world.run(0.3)
+    assert world.pitches == []
+    assert world.state.phase != "looking"

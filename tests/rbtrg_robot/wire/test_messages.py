@@ -60,6 +60,7 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/mission/order",
         "/operator/presence",
         "/cmd_vel",
+        "/cmd_trunk",
         "/goal/request",
         "/goal_pose",
         "/initialpose",

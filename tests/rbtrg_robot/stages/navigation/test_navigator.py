@@ -30,8 +30,9 @@ SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 class World:
     """Plays everyone the navigator talks to."""
 
-    def __init__(self, area: Any = None, *, placed: bool = True) -> None:
-        self.stage = NavigatorStage(NavigatorConfig(), GoalArea(Geofence.of(area) if area else None, 0.46))
+    def __init__(self, area: Any = None, *, placed: bool = True, tilt: float = 0.0) -> None:
+        goals = GoalArea(Geofence.of(area) if area else None, 0.46)
+        self.stage = NavigatorStage(NavigatorConfig(), goals, max_trunk_tilt=tilt)
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
@@ -104,7 +105,12 @@ class World:
         self.send(t.GOAL_REQUEST, id=goal_id, x=x, y=y, **fields)
 
     def answer(
-        self, *, ok: bool = True, reaches: bool = True, reason: str = "", kerb: float = math.inf
+        self,
+        *,
+        ok: bool = True,
+        reaches: bool = True,
+        reason: str = "",
+        kerb: float = math.inf,
     ) -> None:
         """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]."""
         request = self.last(t.PLAN_REQUEST)
@@ -803,3 +809,72 @@ def test_whatever_happens_a_halted_goal_never_leaves_a_path(events: list[str]) -
             assert GoalState(world.status.state).active
             assert world.health == "good"
             assert not world.estop
+
+
+@pytest.fixture
+def looker() -> World:
+    """The same robot with a trunk that tilts."""
+    made = World(tilt=0.3)
+    made.run(0.5)
+    made.tracker_phase = "idle"
+    made.goal()
+    return made
+
+
+def look_over(world: World) -> None:
+    world.tracker_phase = "looking"
+    world.run(1.5)
+    assert (world.status.state, world.status.detail) == ("planning", "looking at the ground ahead")
+    world.tracker_phase = "done"
+    world.run(0.2)
+
+
+def no_way(world: World) -> None:
+    """No route from here, and none again."""
+    world.answer(ok=False, reason="no_route")
+    assert world.last(t.PATH_COMMAND).look == 0.0
+    world.run(1.2)
+    world.answer(ok=False, reason="no_route")
+
+
+def test_it_looks_once_at_each_place_from_which_no_way_leads_on(looker: World) -> None:
+    no_way(looker)
+    order, asked = looker.last(t.PATH_COMMAND), looker.count(t.PLAN_REQUEST)
+    assert len(order.x) == 0
+    assert order.look == pytest.approx(math.radians(15.0))
+    look_over(looker)
+    assert looker.count(t.PLAN_REQUEST) == asked + 1
+    for pose, looks in (((0.1, 0.0, 0.0), False), ((0.1, 0.0, 1.0), True), ((1.0, 0.0, 1.0), True)):
+        looker.answer()
+        looker.pose = pose
+        looker.route_valid = False
+        looker.run(0.2)
+        looker.route_valid = True
+        no_way(looker)
+        assert (looker.last(t.PATH_COMMAND).look > 0.0) == looks, "not twice in one place"
+        looker.run(1.2)
+        if looks:
+            look_over(looker)
+
+
+def test_a_robot_with_a_way_does_not_look(looker: World) -> None:
+    looker.answer(reaches=False)
+    assert looker.status.state == "moving"
+    assert all(m.look == 0.0 for topic, m in looker.out if topic is t.PATH_COMMAND)
+
+
+def test_a_look_that_never_ends_is_given_up(looker: World) -> None:
+    no_way(looker)
+    asked = looker.count(t.PLAN_REQUEST)
+    looker.tracker_phase = "looking"
+    looker.run(2.4)
+    assert looker.count(t.PLAN_REQUEST) == asked
+    looker.run(0.5)
+    assert looker.count(t.PLAN_REQUEST) == asked + 1
+
+
+def test_a_robot_whose_trunk_does_not_tilt_does_not_look(world: World) -> None:
+    world.tracker_phase = "idle"
+    world.goal()
+    no_way(world)
+    assert world.last(t.PATH_COMMAND).look == 0.0

@@ -319,6 +319,17 @@ class Journal(Message):
 
 
 @dataclass(slots=True, eq=False)
+class MapPart(Message):
+    """rbtrg_msgs/msg/MapPart."""
+
+    __msgtype__ = "rbtrg_msgs/msg/MapPart"
+    header: Header = field(default_factory=Header)
+    part: int = 0
+    parts: int = 0
+    map: GridMap = field(default_factory=GridMap)
+
+
+@dataclass(slots=True, eq=False)
 class PointField(Message):
     """sensor_msgs/msg/PointField."""
 
@@ -360,7 +371,7 @@ class MapPrior(Message):
     __msgtype__ = "rbtrg_msgs/msg/MapPrior"
     header: Header = field(default_factory=Header)
     id: str = ""
-    map: GridMap = field(default_factory=GridMap)
+    map: list[GridMap] = field(default_factory=list)
     cloud: PointCloud2 = field(default_factory=PointCloud2)
 
 

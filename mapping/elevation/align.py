@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation_rpy
 from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
-from mapping.elevation.tiles import LIDAR, TileStore
+from mapping.elevation.tiles import TileStore
 
 FLAT = 0.03
 """Largest difference of height within 3 x 3 cells [m] of ground that tells a height: a ramp does, an edge does not."""
@@ -36,18 +36,14 @@ class Alignment:
         self.slopes = np.zeros(2)
         """Of what is to be added, along x and y of `map` [m/m]."""
         self._at = np.zeros(2)
-        self._known: NDArray[np.float32] = np.empty(0, np.float32)
+        self.active = False
+        """Whether there is a prior map to lay the poses onto."""
         self._taken = 0
 
     def to(self, store: TileStore) -> None:
         """Lay poses from now on onto what `store` holds now."""
-        known = np.where(store.cells["source"] == LIDAR, store.cells["height"], np.nan)
-        self._known, self._taken = known.astype(np.float32), 0
-
-    @property
-    def active(self) -> bool:
-        """Whether there is a prior map to lay the poses onto."""
-        return self._known.size > 0
+        store.keep_level()
+        self.active, self._taken = True, 0
 
     def place(
         self, turned: NDArray[np.float64], place: NDArray[np.float64]
@@ -71,7 +67,7 @@ class Alignment:
         which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns whether this was the first one: it has to be placed again.
         """
         n, total, a, b = _normal_equations(
-            which, sums, self._known, store.tiles, store.shift, self._at, resolution
+            which, sums, store.level, store.tiles, store.shift, self._at, resolution
         )
         if n < ENOUGH:
             return False
@@ -93,8 +89,6 @@ def _normal_equations(which, sums, known, tiles, shift, at, resolution):  # prag
     size = np.int64(1) << shift
     for s in range(len(which)):
         index = which[s]
-        if index >= len(known):
-            continue
         r, c = (index >> shift) & (size - 1), index & (size - 1)
         if r == 0 or c == 0 or r == size - 1 or c == size - 1:
             continue

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 from mapping.elevation.fusion import BOTTOM, DEPTH, POINTS, SHARED, TOP, WEIGHT
-from mapping.elevation.tiles import base_of
+from mapping.elevation.tile_kernels import base_of
 
 PASSES = 2
 """The scatter before a face and the face itself."""

@@ -28,18 +28,22 @@ MAX_TILES = 4000
 def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32]) -> None:
     """Write all tiles, and the thinned cloud (n, 3) of the same map; the file appears complete or not at all. Same map, same bytes. Raises OSError."""
     path = Path(path)
-    n = store.used * store.size * store.size
+    keys = store.keys
     arrays: dict[str, Any] = {
         "format": np.array(FORMAT),
         "version": np.array(VERSION),
         "frame": np.array("map"),
         "resolution": np.array(resolution),
         "tile_cells": np.array(store.size),
-        "tiles": store.tiles[: store.used],
+        "tiles": keys.astype(np.int32),
         "cloud": cloud,
     }
-    cells = store.cells[:n]
-    arrays |= {name: cells[name].reshape(store.used, store.size, store.size) for name in SAVED}
+    layers = {name: np.empty((len(keys), store.size, store.size), CELL[name]) for name in SAVED}
+    for k, (row, col) in enumerate(keys.tolist()):
+        cells = store.look_at(row, col)
+        for name, layer in layers.items():
+            layer[k] = cells[name]
+    arrays |= layers
     part = path.with_name(path.name + ".part")
     try:
         with part.open("wb") as file:

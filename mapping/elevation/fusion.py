@@ -7,6 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from mapping.elevation.exchange import FuseReport
 
 DROP_NAN, DROP_RANGE, DROP_BODY, DROP_CEILING, USED, RAYS, NEXT = 0, 1, 2, 3, 4, 5, 6
 """Counters of `project`."""
@@ -15,6 +18,27 @@ CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 TOP, BOTTOM, WEIGHT, DEPTH, POINTS, SHARED, FIRST = 0, 1, 2, 3, 4, 5, 6
 """Columns of a cell's measurement: highest and lowest point [m]; sums over its surface points: weight, weight times
 height under the top, number, shared variance; scratch."""
+
+
+def report_of(
+    points: int, drops: NDArray[np.int64], cells: NDArray[np.int64], z_correction: float
+) -> FuseReport:
+    """The counters of `project` and `fuse` by name."""
+    return FuseReport(
+        points=points,
+        used=int(drops[USED]),
+        invalid=int(drops[DROP_NAN]),
+        out_of_range=int(drops[DROP_RANGE]),
+        body=int(drops[DROP_BODY]),
+        ceiling=int(drops[DROP_CEILING]),
+        cells=int(cells[CELLS]),
+        agreed=int(cells[AGREED]),
+        new=int(cells[NEW]),
+        conflict=int(cells[CONFLICT]),
+        replaced=int(cells[REPLACED]),
+        overhang=int(cells[OVERHANG]),
+        z_correction=z_correction,
+    )
 
 
 _NOWHERE = 1e12

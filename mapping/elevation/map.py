@@ -10,6 +10,8 @@ Same calls, same bytes: no clock, no randomness.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +25,7 @@ from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import load_into, read_cloud, restore_store, save_store
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
-from mapping.elevation.read import MapReader
+from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
@@ -91,6 +93,16 @@ class ElevationMap:
         for patch in other.take_patches():
             patch.with_terrain()
 
+    def put_on(self, folder: Path) -> None:
+        """Put far tiles on this disk and bring them back, from before the first scan on. Nothing that is read out differs by that."""
+        self.store.put_on(folder)
+
+    def _stay_near(self) -> None:
+        side = self.params.tile_cells * self.params.resolution
+        row, col = (math.floor(self._sensor[k] / side) for k in (1, 0))
+        near = math.ceil(self.params.max_range / side) + 1
+        self.store.stay_near(row, col, near, 2 * near)
+
     def reset(self) -> None:
         """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
         self.store.clear()
@@ -136,6 +148,8 @@ class ElevationMap:
                 p.height_sigma if height_sigma is None else height_sigma,
             ]
         )
+        self._sensor = place + rotation @ origin
+        self._stay_near()
         limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope, *sensor.region])
         drops = np.zeros(7, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
@@ -153,7 +167,7 @@ class ElevationMap:
             self._which, self._slot, self._sums,
         )  # fmt: skip
         k = fill_faces(
-            self._z, self._weight, self._shared, self._slot, m, self._ends, self._ray, place + rotation @ origin,
+            self._z, self._weight, self._shared, self._slot, m, self._ends, self._ray, self._sensor,
             p.surface_band, p.resolution, s.directory, s.first, s.shift, s.cells, s.mark, self._which, self._sums, k,
         )  # fmt: skip
         if sensor.levels and self._lay(k):
@@ -172,24 +186,11 @@ class ElevationMap:
             )
         if self.scans % CLOUD_EVERY == 0:
             self.cloud.add(points, rotation, place)
-        self._rays, self._sensor = rays, place + rotation @ origin
+        self._rays = rays
         self._angle = float(np.hypot(noise[1], noise[2]))
         self.scans += 1
-        return FuseReport(
-            points=len(points),
-            used=m,
-            invalid=int(drops[kernels.DROP_NAN]),
-            out_of_range=int(drops[kernels.DROP_RANGE]),
-            body=int(drops[kernels.DROP_BODY]),
-            ceiling=int(drops[kernels.DROP_CEILING]),
-            cells=int(out[kernels.CELLS]),
-            agreed=int(out[kernels.AGREED]),
-            new=int(out[kernels.NEW]),
-            conflict=int(out[kernels.CONFLICT]),
-            replaced=int(out[kernels.REPLACED]),
-            overhang=int(out[kernels.OVERHANG]) + overhangs,
-            z_correction=self.alignment.height,
-        )
+        out[kernels.OVERHANG] += overhangs
+        return kernels.report_of(len(points), drops, out, self.alignment.height)
 
     def _lay(self, k: int) -> bool:
         """Compare the `k` cells of a scan with the prior map. Returns whether the scan has to be placed again."""
@@ -273,15 +274,15 @@ class ElevationMap:
         The first scan takes the map's level, the first few tell whether it fits at all: see `warning`.
         Raises MapError and leaves the present map as it is when the file cannot be used.
         """
-        store = TileStore(self.params.tile_cells)
+        store = TileStore(self.params.tile_cells, self.store.folder)
         known = load_into(store, path, self.params.resolution, self.params.trust_count)
         self._start_on(store, read_cloud(path))
         return known
 
-    def begin_on(self, patch: MapPatch, cloud: NDArray[np.float32]) -> int:
-        """Start anew from a prior map that came as a patch and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
-        store = TileStore(self.params.tile_cells)
-        known = restore_store(store, patch, self.params, PRIOR, sent=False)
+    def begin_on(self, patches: Iterable[MapPatch], cloud: NDArray[np.float32]) -> int:
+        """Start anew from a prior map that came as patches and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
+        store = TileStore(self.params.tile_cells, self.store.folder)
+        known = sum(restore_store(store, patch, self.params, PRIOR, sent=False) for patch in patches)
         self._start_on(store, cloud)
         return known
 
@@ -295,7 +296,8 @@ class ElevationMap:
     @property
     def warning(self) -> str:
         """Warning for the operator about the map, in plain words; empty when all is well."""
-        return self._prior.warning if self._prior is not None else ""
+        fits = self._prior.warning if self._prior is not None else ""
+        return "; ".join(filter(None, (fits, self.store.shelf.trouble)))
 
     def restore(self, patch: MapPatch) -> int:
         """Take over what a reader still has of this map after the map itself was lost; returns the known cells.
@@ -321,11 +323,21 @@ class ElevationMap:
         """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
         return self._reader.read_all(self.stamp, self.epoch)
 
-    def complete(self) -> MapPatch:
-        """`full` for people and their tools: with `age` and the layers of `MapPatch.with_terrain`. Raises MapError."""
-        patch = self.full().with_terrain()
-        row, col = patch.cell
-        seen = self.store.seen((row, col, *patch.shape))
+    def boxes(self) -> list[Box]:
+        """The whole map as few boxes of whole tiles, one where it is small. Raises MapError while it is empty."""
+        return list(self._reader.boxes())
+
+    def read(self, box: Box) -> MapPatch:
+        """One of `boxes`."""
+        patch = self._reader.read(box, self.stamp, self.epoch)
+        self._stay_near()  # what was brought back for this goes again
+        return patch
+
+    def complete(self, box: Box) -> MapPatch:
+        """One of `boxes` for people and their tools: with `age` and the layers of `MapPatch.with_terrain`."""
+        patch = self._reader.read(box, self.stamp, self.epoch).with_terrain()
+        seen = self.store.seen(box)
+        self._stay_near()
         patch.layers["age"] = np.where(seen == PRIOR, np.nan, 1e-3 * (self._clock(self.stamp) - seen)).astype(
             np.float32
         )

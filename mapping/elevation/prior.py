@@ -13,7 +13,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.fusion import DEPTH, TOP, WEIGHT
-from mapping.elevation.tiles import LIDAR, PRIOR, TileStore, base_of
+from mapping.elevation.tile_kernels import base_of
+from mapping.elevation.tiles import LIDAR, PRIOR, TileStore
 
 ENOUGH = 3000
 """Cells of the prior map that are compared before the verdict is final: later on the world may have changed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,14 @@ from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.mirror import blocks_of
 from mapping.elevation.tiles import ASSUMED, BRIDGED, Layers, TileStore
 
 _BLOCK = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
 10 m range touches, so that a driving robot pays for the margin around a block once."""
+
+EMPTY = "the map is empty: nothing was seen yet"
 
 Box = tuple[int, int, int, int]
 """Lattice row and column of the first cell, rows, columns."""
@@ -86,11 +90,18 @@ class MapReader:
         """The whole map. Raises MapError while it is empty, and where it is larger than LARGEST."""
         box = self.store.bounds()
         if box is None:
-            raise MapError("the map is empty: nothing was seen yet")
+            raise MapError(EMPTY)
         if box[2] * box[3] > LARGEST:
             sides = " x ".join(f"{n * self.params.resolution:.0f}" for n in box[2:])
             raise MapError(f"the map is too large to be read as a whole: {sides} m")
         return self.read(box, stamp, epoch)
+
+    def boxes(self) -> Iterator[Box]:
+        """The whole map as few boxes, one where it is small. Raises MapError while it is empty."""
+        keys = self.store.keys
+        if not len(keys):
+            raise MapError(EMPTY)
+        return ((w.row, w.col, w.rows, w.cols) for w in blocks_of(keys, self.store.size))
 
     def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what differs from the last ones sent, within a box."""

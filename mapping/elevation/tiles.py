@@ -2,18 +2,21 @@
 
 Cell (i, j) is centred on `(j * resolution, i * resolution)` in the `map` frame: row i grows with y, column j with x.
 A tile holds `size` x `size` cells; all tiles live in one growing flat pool, so kernels address any cell with one
-integer. A small dense directory maps tile coordinates to pool slots.
+integer. A small dense directory maps tile coordinates to pool slots. Tiles far from the robot may lie on a shelf (on the disk); whoever
+reads or writes them brings them back.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.exchange import MapError
+from mapping.elevation.shelf import Shelf
+from mapping.elevation.tile_kernels import differences, gather, locate
 
 UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
 """Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store."""
@@ -47,7 +50,12 @@ FRESH = np.array([(np.nan, np.nan, np.nan, np.nan, np.inf, 0, 0, 0, UNKNOWN, 0, 
 
 SENT = np.dtype([("height", "<f4"), ("upper", "<f4"), ("state", "u1")])
 """What the last delta said about a cell."""
+AWAY = -2
+"""In the directory: the tile lies on the shelf. -1: there is none."""
 FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
+
+TRUSTED_SENT = 16
+"""`state` of a cell that the last delta called trusted."""
 
 SAVED = ("height", "variance", "below", "upper", "count", "source")
 """Fields that make up a stored map; the others start fresh."""
@@ -67,14 +75,24 @@ class Layers(NamedTuple):
 
 
 class TileStore:
-    """Pool of tiles with a directory. Slots are never freed: `clear` starts over."""
+    """Pool of tiles with a directory. The slots in use are the first `used` ones."""
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, folder: Path | None = None) -> None:
+        """`size`: cells of a tile's side; folder: on whose disk tiles are put away, None: nowhere."""
         if size < 8 or size & (size - 1):
             raise ValueError(f"tile size must be a power of two of at least 8 cells, got {size}")
         self.size = size
         self.shift = size.bit_length() - 1
+        n = size * size
+        self._record = np.empty(1, [("cells", CELL, n), ("sent", SENT, n), ("level", "<f4", n)])
+        self.put_on(folder)
         self.clear()
+
+    def put_on(self, folder: Path | None) -> None:
+        """Where tiles are put away from now on; while none is."""
+        self.folder = folder
+        self.shelf = Shelf(folder)
+        self._middle: tuple[int, int] | None = None
 
     def clear(self) -> None:
         """Forget every tile."""
@@ -84,9 +102,18 @@ class TileStore:
         self.cells = np.zeros(0, dtype=CELL)
         self.sent = np.zeros(0, dtype=SENT)
         self.mark = np.zeros(0, dtype=np.int32)
+        self.level = np.zeros(0, dtype=np.float32)
+        """Heights of the prior map [m], see `keep_level`; empty without one."""
         self.directory = np.full((1, 1), -1, dtype=np.int32)
         self.first = np.zeros(2, dtype=np.int64)
+        self.shelf.clear()
+        self._away: dict[tuple[int, int], tuple[int, int]] = {}
+        """Known and trusted cells of each tile on the shelf."""
         self.reserve(16)
+
+    def keep_level(self) -> None:
+        """Remember the heights that the LiDAR cells have now as `level`."""
+        self.level = np.where(self.cells["source"] == LIDAR, self.cells["height"], np.nan).astype(np.float32)
 
     def reserve(self, capacity: int) -> None:
         """Make room for that many tiles at once."""
@@ -98,8 +125,79 @@ class TileStore:
         self.cells = np.concatenate([self.cells, np.full(cells, FRESH, dtype=CELL)])
         self.sent = np.concatenate([self.sent, np.full(cells, FRESH_SENT, dtype=SENT)])
         self.mark = np.concatenate([self.mark, np.zeros(cells, dtype=np.int32)])
+        if self.level.size:
+            self.level = np.concatenate([self.level, np.full(cells, np.nan, dtype=np.float32)])
         self.touched = np.concatenate([self.touched, np.zeros(capacity - have, dtype=np.uint8)])
         self.tiles = np.concatenate([self.tiles, np.zeros((capacity - have, 2), dtype=np.int32)])
+
+    def stay_near(self, row: int, col: int, near: int, far: int) -> None:
+        """Bring back the tiles up to `near` rows and columns from a tile, put away those beyond `far` of which all changes were read."""
+        if (not self.shelf.open and not len(self.shelf)) or self._middle == (row, col):
+            return
+        self._middle = (row, col)
+        self.bring(row - near, col - near, row + near, col + near)
+        away = np.abs(self.tiles[: self.used] - (row, col)).max(axis=1) > far
+        for slot in np.flatnonzero(away & (self.touched[: self.used] == 0))[::-1].tolist():
+            if not self._put_away(slot):
+                return
+
+    def bring(self, row_lo: int, col_lo: int, row_hi: int, col_hi: int) -> None:
+        """Bring back what is on the shelf of these tile rows and columns (both ends in)."""
+        if not len(self.shelf):
+            return
+        r0, c0 = (max(0, lo - int(f)) for lo, f in zip((row_lo, col_lo), self.first, strict=True))
+        part = self.directory[
+            r0 : max(0, row_hi + 1 - int(self.first[0])), c0 : max(0, col_hi + 1 - int(self.first[1]))
+        ]
+        for r, c in np.argwhere(part == AWAY).tolist():
+            self.allocate(r0 + r + int(self.first[0]), c0 + c + int(self.first[1]))
+        self._middle = None
+
+    def counts(self) -> tuple[int, int, int]:
+        """Tiles; cells with a source; cells that the last delta called trusted: in the pool and on the shelf."""
+        n = self._span(self.used).start
+        known = int(np.count_nonzero(self.cells["source"][:n])) + sum(k for k, _ in self._away.values())
+        trusted = int(np.count_nonzero(self.sent["state"][:n] >= TRUSTED_SENT))
+        return self.used + len(self._away), known, trusted + sum(k for _, k in self._away.values())
+
+    def _put_away(self, slot: int) -> bool:
+        """Move a tile from the pool to the shelf; the last one takes its slot. False where the disk does not take it."""
+        here, record = self._span(slot), self._record
+        record["cells"], record["sent"] = self.cells[here], self.sent[here]
+        record["level"] = self.level[here] if self.level.size else np.nan
+        row, col = (int(k) for k in self.tiles[slot])
+        if not self.shelf.put((row, col), record):
+            return False
+        trusted = np.count_nonzero(record["sent"]["state"] >= TRUSTED_SENT)
+        self._away[row, col] = int(np.count_nonzero(record["cells"]["source"])), int(trusted)
+        last = self.used - 1
+        there = self._span(last)
+        for pool in (self.cells, self.sent, self.level):
+            pool[here] = pool[there]
+        self.cells[there], self.sent[there] = FRESH, FRESH_SENT
+        self.level[there] = np.nan
+        self._enter(row, col, AWAY)
+        if last != slot:
+            self._enter(int(self.tiles[last, 0]), int(self.tiles[last, 1]), slot)
+        self.tiles[slot], self.touched[slot] = self.tiles[last], self.touched[last]
+        self.touched[last], self.used = 0, last
+        return True
+
+    def _take_back(self, row: int, col: int, slot: int) -> None:
+        here, record = self._span(slot), self._record
+        record["cells"], record["sent"], record["level"] = FRESH, FRESH_SENT, np.nan
+        self.shelf.take((row, col), record)
+        del self._away[row, col]
+        self.cells[here], self.sent[here] = record["cells"][0], record["sent"][0]
+        if self.level.size:
+            self.level[here] = record["level"][0]
+
+    def _span(self, slot: int) -> slice:
+        n = self.size * self.size
+        return slice(slot * n, (slot + 1) * n)
+
+    def _enter(self, row: int, col: int, slot: int) -> None:
+        self.directory[row - int(self.first[0]), col - int(self.first[1])] = slot
 
     def cover(self, row_lo: int, col_lo: int, row_hi: int, col_hi: int) -> None:
         """Grow the directory so that it holds the tile rows and columns given (both ends in). Raises MapError beyond WIDEST."""
@@ -122,22 +220,24 @@ class TileStore:
         self.first = np.array([nr0, nc0], dtype=np.int64)
 
     def slot(self, row: int, col: int) -> int:
-        """Pool slot of a tile, -1 when it was never allocated."""
+        """Pool slot of a tile, -1 when it was never allocated, AWAY on the shelf."""
         r, c = row - int(self.first[0]), col - int(self.first[1])
         inside = 0 <= r < self.directory.shape[0] and 0 <= c < self.directory.shape[1]
         return int(self.directory[r, c]) if inside else -1
 
     def allocate(self, row: int, col: int) -> int:
-        """Pool slot of a tile, made when needed."""
-        slot = self.slot(row, col)
-        if slot >= 0:
-            return slot
+        """Pool slot of a tile, made or brought back when needed."""
+        held = self.slot(row, col)
+        if held >= 0:
+            return held
         self.cover(row, col, row, col)
         self.reserve(self.used + 1)
         slot = self.used
         self.used += 1
         self.tiles[slot] = row, col
-        self.directory[row - int(self.first[0]), col - int(self.first[1])] = slot
+        self._enter(row, col, slot)
+        if held == AWAY:
+            self._take_back(row, col, slot)
         return slot
 
     def locate(self, i: NDArray[np.int64], j: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -147,20 +247,31 @@ class TileStore:
             return out
         s = self.shift
         self.cover(int(i.min()) >> s, int(j.min()) >> s, int(i.max()) >> s, int(j.max()) >> s)
-        done = _locate(i, j, self.directory, self.first, s, out, 0)
+        done = locate(i, j, self.directory, self.first, s, out, 0)
         while done < i.size:
             self.allocate(int(i[done]) >> s, int(j[done]) >> s)
-            done = _locate(i, j, self.directory, self.first, s, out, done)
+            done = locate(i, j, self.directory, self.first, s, out, done)
         return out
 
     def tile(self, slot: int) -> NDArray[np.void]:
         """(size, size) view of one tile's cells."""
-        n = self.size * self.size
-        return self.cells[slot * n : (slot + 1) * n].reshape(self.size, self.size)
+        return self.cells[self._span(slot)].reshape(self.size, self.size)
+
+    def look_at(self, row: int, col: int) -> NDArray[np.void]:
+        """(size, size) cells of a tile, to be read before the next call; one on the shelf stays there."""
+        slot = self.slot(row, col)
+        if slot >= 0:
+            return self.tile(slot)
+        self._record["cells"] = FRESH
+        self.shelf.get((row, col), self._record)
+        return self._record["cells"].reshape(self.size, self.size)
 
     def read(self, i0: int, j0: int, out: Layers) -> None:
         """Copy what the cells from (i0, j0) on hold into `out`; those of absent tiles are fresh."""
-        _gather(self.cells, self.directory, self.first, self.shift, i0, j0, *out)
+        rows, cols = out.height.shape
+        s = self.shift
+        self.bring(i0 >> s, j0 >> s, (i0 + rows - 1) >> s, (j0 + cols - 1) >> s)
+        gather(self.cells, self.directory, self.first, self.shift, i0, j0, *out)
 
     def differences(
         self,
@@ -180,122 +291,40 @@ class TileStore:
         """
         bands = -(-height.shape[0] // self.size)
         boxes = np.empty((bands, 4), dtype=np.int64)
-        _differences(
+        differences(
             self.sent, self.directory, self.first, self.shift, i0, j0, height, upper, state, step, boxes
         )
         return [(int(r0), int(r1), int(c0), int(c1)) for r0, r1, c0, c1 in boxes if r1 > r0]
 
     def seen(self, box: tuple[int, int, int, int]) -> NDArray[np.int32]:
-        """`seen` of the cells of a box made of whole tiles (see `bounds`); PRIOR where no height was ever agreed with."""
+        """`seen` of the cells of a box made of whole tiles; PRIOR where no height was ever agreed with."""
         i0, j0, rows, cols = box
+        s = self.shift
+        self.bring(i0 >> s, j0 >> s, (i0 + rows - 1) >> s, (j0 + cols - 1) >> s)
         out = np.full((rows, cols), PRIOR, np.int32)
-        for slot, (row, col) in enumerate(self.tiles[: self.used] * self.size - (i0, j0)):
-            cells = self.tile(slot)
-            part = out[row : row + self.size, col : col + self.size]
-            part[...] = np.where(np.isfinite(cells["height"]), cells["seen"], PRIOR)
+        for slot, (row, col) in enumerate((self.tiles[: self.used] * self.size - (i0, j0)).tolist()):
+            if 0 <= row < rows and 0 <= col < cols:
+                cells = self.tile(slot)
+                part = out[row : row + self.size, col : col + self.size]
+                part[...] = np.where(np.isfinite(cells["height"]), cells["seen"], PRIOR)
         return out
+
+    @property
+    def keys(self) -> NDArray[np.int64]:
+        """(n, 2) row and column of every tile, in the pool or on the shelf, in order."""
+        held = np.concatenate([self.tiles[: self.used], np.array(self.shelf.keys, np.int32).reshape(-1, 2)])
+        return held[np.lexsort(held.T[::-1])].astype(np.int64)
 
     def bounds(self) -> tuple[int, int, int, int] | None:
         """i0, j0, rows, cols of the cells of all tiles, None for an empty store."""
-        if self.used == 0:
+        keys = self.keys
+        if not len(keys):
             return None
-        lo = self.tiles[: self.used].min(axis=0) * self.size
-        hi = (self.tiles[: self.used].max(axis=0) + 1) * self.size
+        lo, hi = keys.min(axis=0) * self.size, (keys.max(axis=0) + 1) * self.size
         return int(lo[0]), int(lo[1]), int(hi[0] - lo[0]), int(hi[1] - lo[1])
 
     @property
     def nbytes(self) -> int:
         """Memory held by the pool [bytes]."""
-        return self.cells.nbytes + self.sent.nbytes + self.mark.nbytes + self.directory.nbytes
-
-
-@njit(cache=True)
-def _locate(i, j, directory, first, shift, out, begin):  # pragma: no cover - compiled
-    """Fill `out` with pool indices from `begin` on; returns the first cell whose tile is absent, or their number."""
-    mask = (1 << shift) - 1
-    area = 2 * shift
-    for k in range(begin, i.size):
-        row, col = i[k] >> shift, j[k] >> shift
-        slot = directory[row - first[0], col - first[1]]
-        if slot < 0:
-            return k
-        out[k] = (np.int64(slot) << area) + ((i[k] & mask) << shift) + (j[k] & mask)
-    return i.size
-
-
-@njit(cache=True)
-def base_of(directory, first, shift, row, col):  # pragma: no cover - compiled
-    """Pool index of the first cell of a tile, -1 when it is absent."""
-    r, c = row - first[0], col - first[1]
-    if 0 <= r < directory.shape[0] and 0 <= c < directory.shape[1] and directory[r, c] >= 0:
-        return np.int64(directory[r, c]) << (2 * shift)
-    return np.int64(-1)
-
-
-@njit(cache=True)
-def _gather(
-    cells, directory, first, shift, i0, j0, height, variance, upper, count, source
-):  # pragma: no cover - compiled
-    """See `TileStore.read`."""
-    rows, cols = height.shape
-    mask = (1 << shift) - 1
-    for r in range(rows):
-        i = i0 + r
-        c = 0
-        while c < cols:
-            j = j0 + c
-            end = min(cols, c + mask + 1 - (j & mask))
-            base = base_of(directory, first, shift, i >> shift, j >> shift)
-            if base < 0:
-                for k in range(c, end):
-                    height[r, k] = variance[r, k] = np.nan
-                    upper[r, k] = np.inf
-                    count[r, k] = source[r, k] = 0
-            else:
-                at = base + ((i & mask) << shift) + (j & mask) - c
-                for k in range(c, end):
-                    cell = cells[at + k]
-                    height[r, k] = cell.height
-                    variance[r, k] = cell.variance
-                    upper[r, k] = cell.upper
-                    count[r, k] = cell.count
-                    source[r, k] = cell.source
-            c = end
-
-
-@njit(cache=True)
-def _differences(
-    sent, directory, first, shift, i0, j0, height, upper, state, step, boxes
-):  # pragma: no cover - compiled
-    """See `TileStore.differences`; an empty box has no rows."""
-    rows, cols = height.shape
-    size = 1 << shift
-    mask = size - 1
-    for band in range(boxes.shape[0]):
-        top, bottom, left, right = rows, 0, cols, 0
-        for write in range(2):  # find the rectangle, then keep it
-            r0, r1 = (top, bottom) if write else (band * size, min((band + 1) * size, rows))
-            for r in range(r0, r1):
-                i = i0 + r
-                c, stop = (left, right) if write else (0, cols)
-                while c < stop:
-                    j = j0 + c
-                    end = min(stop, c + size - (j & mask))
-                    base = base_of(directory, first, shift, i >> shift, j >> shift)
-                    at = base + ((i & mask) << shift) + (j & mask) - c
-                    if base >= 0:
-                        for k in range(c, end):
-                            old = sent[at + k]
-                            h, u = height[r, k], upper[r, k]
-                            if write:
-                                old.height, old.upper, old.state = h, u, state[r, k]
-                                continue
-                            differs = state[r, k] != old.state or abs(h - old.height) > step
-                            if not differs and h != h:
-                                was = old.upper
-                                differs = abs(u - was) > 10.0 * step or (u == u) != (was == was)
-                            if differs:
-                                top, bottom = min(top, r), max(bottom, r + 1)
-                                left, right = min(left, k), max(right, k + 1)
-                    c = end
-        boxes[band, 0], boxes[band, 1], boxes[band, 2], boxes[band, 3] = top, bottom, left, right
+        pool = (self.cells, self.sent, self.mark, self.level, self.directory)
+        return sum(array.nbytes for array in pool)

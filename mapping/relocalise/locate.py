@@ -7,6 +7,7 @@ submap ──> places that match the map's columns ──> registered exactly �
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -56,8 +57,8 @@ class Verdict:
 class PriorMap:
     """What the search needs of a map, worked out once."""
 
-    def __init__(self, cloud: NDArray[np.float32], ground: ElevationGrid) -> None:
-        """cloud (n, 3) [m] and ground, both in `map`."""
+    def __init__(self, cloud: NDArray[np.float32], ground: Sequence[ElevationGrid]) -> None:
+        """cloud (n, 3) [m] and blocks of ground on one lattice, all in `map`."""
         self.columns = Columns.of(cloud, ground)
         self.surfaces = Surfaces(cloud, ground)
 
@@ -115,4 +116,4 @@ def warm_up() -> None:
         np.zeros(3),
         0.4,
     )
-    locate(PriorMap(walls, ground), submap)
+    locate(PriorMap(walls, [ground]), submap)

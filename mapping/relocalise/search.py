@@ -7,6 +7,7 @@ searched only while its bound may still give a place that is worth a closer look
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,16 +54,9 @@ class Columns:
     """The same for levels on which the robot may stand."""
 
     @staticmethod
-    def of(cloud: NDArray[np.float32], ground: ElevationGrid) -> Columns:
-        """From the cloud (n, 3) [m] of a map and its known ground."""
-        r, c = np.nonzero(ground.trusted)
-        stand = np.column_stack(
-            [
-                ground.origin[0] + c * ground.resolution,
-                ground.origin[1] + r * ground.resolution,
-                ground.height[r, c],
-            ]
-        )
+    def of(cloud: NDArray[np.float32], ground: Sequence[ElevationGrid]) -> Columns:
+        """From the cloud (n, 3) [m] of a map and its known ground, block by block."""
+        stand = np.concatenate([_places(block) for block in ground])
         both = np.concatenate([cloud, stand]) if len(stand) else np.zeros((1, 3))
         low, high = both.min(axis=0), both.max(axis=0)
         cell = CELL
@@ -85,6 +79,13 @@ class Columns:
             for k in range(LEVELS - 1):
                 fine.append(pool(fine[-1], 1 << k))
         return Columns((float(x0), float(y0)), base, cell, tuple(pooled[0]), tuple(pooled[1]))
+
+
+def _places(ground: ElevationGrid) -> NDArray[np.float64]:
+    """(n, 3) middle of the trusted cells [m]."""
+    r, c = np.nonzero(ground.trusted)
+    x, y = ground.origin[0] + c * ground.resolution, ground.origin[1] + r * ground.resolution
+    return np.column_stack([x, y, ground.height[r, c]])
 
 
 def _spread(words: NDArray[np.uint64], axis: int, cells: int) -> NDArray[np.uint64]:

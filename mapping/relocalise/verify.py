@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import small_gicp
 from numba import njit
@@ -34,7 +36,7 @@ FLAT = 0.1
 class Surfaces:
     """The cloud of a map with its normals, and its known flat ground."""
 
-    def __init__(self, cloud: NDArray[np.float32], ground: ElevationGrid) -> None:
+    def __init__(self, cloud: NDArray[np.float32], ground: Sequence[ElevationGrid]) -> None:
         thin = ThinCloud()
         thin.enter(cloud)
         self.points = thin.points.astype(np.float64)
@@ -44,7 +46,7 @@ class Surfaces:
         self.tree = small_gicp.KdTree(self.target)
         small_gicp.estimate_normals_covariances(self.target, self.tree, NEIGHBOURS)
         self.normals = np.ascontiguousarray(np.asarray(self.target.normals())[:, :3])
-        self.flat, self.corner, self.side = _flat_ground(ground)
+        self.ground = FlatGround(ground)
 
     def register(self, cloud: NDArray[np.float64], place: Place) -> Place:
         """The place of a submap (n, 3), exactly: point to plane in x, y, z and yaw, as gravity is known."""
@@ -85,10 +87,7 @@ class Surfaces:
         structure = cloud[:, 2] > GROUND
         met = np.unique(near[on & structure]).size
         gone = int(pierced(eye, there, self.points, self.normals, *self.index, self.voxel).sum())
-        c, r = (np.floor((there[:, k] - self.corner[k]) / self.side).astype(int) for k in (0, 1))
-        inside = (c >= 0) & (r >= 0) & (c < self.flat.shape[1]) & (r < self.flat.shape[0])
-        height = np.full(len(there), np.nan)
-        height[inside] = there[inside, 2] - self.flat[r[inside], c[inside]]
+        height = there[:, 2] - self.ground.below(there)
         stands = structure & ~on & (height > GROUND) & (height < TALL)
         agree = share(on, structure) * share(on, ~structure)
         return agree, share(stands, structure) + gone / max(1, gone + met)
@@ -99,15 +98,46 @@ def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
     return float(what[of].mean()) if of.any() else 1.0
 
 
-def _flat_ground(ground: ElevationGrid) -> tuple[NDArray[np.float32], tuple[float, float], float]:
-    """(rows, cols) height of squares whose ground is known and flat, NaN elsewhere [m]; x, y of their corner, their side [m]."""
-    k = max(1, round(VOXEL / ground.resolution))
-    rows, cols = (n // k for n in ground.shape)
-    cut = np.where(ground.trusted, ground.height, np.nan)[: rows * k, : cols * k]
-    blocks = cut.reshape(rows, k, cols, k)
-    low, high = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))  # NaN where any cell is unknown
-    corner = (ground.origin[0] - 0.5 * ground.resolution, ground.origin[1] - 0.5 * ground.resolution)
-    return np.where(high - low < FLAT, low, np.float32(np.nan)), corner, k * ground.resolution
+class FlatGround:
+    """Height of the squares of a map whose ground is known and flat. Blocks in, one sorted list of squares out: memory goes with the ground."""
+
+    def __init__(self, ground: Sequence[ElevationGrid]) -> None:
+        """ground: blocks of one lattice; a square that lies in several is not known."""
+        res = ground[0].resolution
+        k = max(1, round(VOXEL / res))
+        self._side = k * res
+        first = [tuple(round(v / res) for v in block.origin) for block in ground]
+        col, row = min(c for c, _ in first), min(r for _, r in first)
+        self._corner = ((col - 0.5) * res, (row - 0.5) * res)
+        keys, heights = [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        for block, (c0, r0) in zip(ground, first, strict=True):
+            skip_r, skip_c = (row - r0) % k, (col - c0) % k
+            cut = np.where(block.trusted, block.height, np.nan)[skip_r:, skip_c:]
+            rows, cols = (n // k for n in cut.shape)
+            blocks = cut[: rows * k, : cols * k].reshape(rows, k, cols, k)
+            low, high = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))  # NaN where any cell is unknown
+            r, c = np.nonzero(high - low < FLAT)
+            keys.append(_key(r + (r0 + skip_r - row) // k, c + (c0 + skip_c - col) // k))
+            heights.append(low[r, c])
+        key, height = np.concatenate(keys), np.concatenate(heights)
+        order = np.argsort(key)
+        self._keys, self._heights = key[order], height[order]
+
+    def below(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n,) height of the square that each of (n, 3) lies over [m], NaN where it is not known."""
+        out = np.full(len(points), np.nan, np.float32)
+        if len(self._keys):
+            c, r = (np.floor((points[:, k] - self._corner[k]) / self._side).astype(np.int64) for k in (0, 1))
+            key = _key(r, c)
+            at = np.searchsorted(self._keys, key).clip(max=len(self._keys) - 1)
+            here = self._keys[at] == key
+            out[here] = self._heights[at[here]]
+        return out
+
+
+def _key(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Row and column of a square as one number."""
+    return (row << 32) + col
 
 
 def pose_of(place: Place) -> NDArray[np.float64]:

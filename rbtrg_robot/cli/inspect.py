@@ -113,9 +113,9 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
     order = FetchMap()
     with connect(robot) as bus:
         end = follow(bus, order)
-    if order.patch is None:
+    if not order.patches:
         raise MapError(end.words)
-    print(f"{save(order.patch, order.cloud, file)} known cells -> {file}")
+    print(f"{save(order.patches, order.cloud, file)} known cells -> {file}")
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:

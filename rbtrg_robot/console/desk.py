@@ -80,7 +80,15 @@ class Desk:
         *(t.MISSION_REQUEST, t.PRESENCE, t.MAP_PRIOR, t.INITIAL_POSE),
     )
     HEARS = (
-        *(t.ROBOT_STATE, t.GOAL_STATUS, t.ROUTE_REPORT, t.MAP_FULL, t.MAP_STATUS, t.MISSION_STATE),
+        *(
+            t.ROBOT_STATE,
+            t.GOAL_STATUS,
+            t.ROUTE_REPORT,
+            t.MAP_CLOUD,
+            t.MAP_PARTS,
+            t.MAP_STATUS,
+            t.MISSION_STATE,
+        ),
         *(t.ODOM, t.TF_STATIC),
     )
 

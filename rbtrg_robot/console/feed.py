@@ -7,6 +7,7 @@ import json
 import logging
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 from hal.types import Capabilities
@@ -100,9 +101,15 @@ class Feed:
     """`take` runs in the bus' thread; pages join and leave in the server's. Decodes nothing while nobody looks."""
 
     def __init__(
-        self, bus: Bus, robot: Capabilities, loop: asyncio.AbstractEventLoop, *, replayed: bool = False
+        self,
+        bus: Bus,
+        robot: Capabilities,
+        loop: asyncio.AbstractEventLoop,
+        *,
+        replayed: bool = False,
+        folder: Path | None = None,
     ) -> None:
-        """`replayed`: of a log, where nobody sends the whole map."""
+        """`replayed`: of a log, where nobody sends the whole map. folder: see `Terrain`."""
         self._replayed = replayed
         self._bus = bus
         self._loop = loop
@@ -122,7 +129,7 @@ class Feed:
         self.located = False
         self._moving = self._goal_active = False
         self.state: msg.RobotState | None = None
-        self.terrain = Terrain(robot)
+        self.terrain = Terrain(robot, folder)
         self.terrain_lock = threading.Lock()
 
     # --- the server's thread ----------------------------------------------------------------------------------

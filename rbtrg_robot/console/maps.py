@@ -70,9 +70,9 @@ class Maps:
             self._folder.mkdir(parents=True, exist_ok=True)
             order = FetchMap()
             outcome = await self._desk.carry_out(order)
-            if order.patch is None:
+            if not order.patches:
                 raise Refused(outcome.words)
-            known = await run_in_threadpool(save, order.patch, order.cloud, target)
+            known = await run_in_threadpool(save, order.patches, order.cloud, target)
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
         except OSError as error:

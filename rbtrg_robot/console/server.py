@@ -87,7 +87,8 @@ class Serving:
         for received in bus.take(TURN):
             if received.topic in self.desk.HEARS:
                 self.desk.take(received)
-            self.feed.take(received)
+            if received.topic in HEARD:
+                self.feed.take(received)
         self.desk.tick()
         self.feed.tick(time.monotonic())
 
@@ -109,10 +110,10 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     name = f"[{host}]" if ":" in host else host
     door = Door(config.robot, f"{'https' if tls else 'http'}://{name}:{listener.getsockname()[1]}")
     loop = asyncio.new_event_loop()
-    feed = Feed(bus, config.capabilities(), loop)
+    feed = Feed(bus, config.capabilities(), loop, folder=Path(config.log_dir))
     desk = Desk(config, bus, feed, loop)
     site = Site(config, door, desk, feed, loop)
-    bus.subscribe(HEARD)
+    bus.subscribe(tuple(dict.fromkeys((*HEARD, *desk.HEARS))))
     server = uvicorn.Server(
         uvicorn.Config(
             site.app(),

@@ -13,17 +13,19 @@ import struct
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hal.rotation import rotation
 from hal.types import Capabilities
-from mapping.elevation.exchange import CellWindow, MapMirror, MapPatch
+from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
+from mapping.elevation.mirror import SIDE, CellWindow, MapMirror
 from mapping.filling import slope_and_step
 
-SIDE = 64
-"""Cells of a tile's side; `MapMirror` grows in the same steps."""
+SHOWN = ("elevation", "trusted", "source")
+HEIGHT = PATCH_LAYERS.index("elevation")
 HEADER = struct.Struct("<ii")
 LIMIT = 200
 """Ground risk of ground at the robot's limit."""
@@ -53,9 +55,11 @@ class _Tile:
 class Terrain:
     """What the map looks like now. Fed by one thread; times in s of a clock that never goes back."""
 
-    def __init__(self, robot: Capabilities) -> None:
+    def __init__(self, robot: Capabilities, folder: Path | None = None) -> None:
+        """folder: on whose disk the map far from the robot is put; None: it stays in memory."""
         self._slope, self._step = robot.max_slope, robot.max_step
-        self._mirror = MapMirror()
+        self._folder = folder
+        self._mirror = MapMirror(folder)
         self._tiles: dict[Key, _Tile] = {}
         self._version = 0
         slope_and_step(np.zeros((2, 2), np.float32), 0.04)  # compiled now, not while somebody waits
@@ -64,7 +68,7 @@ class Terrain:
     @property
     def empty(self) -> bool:
         """No map was heard of yet."""
-        return not self._mirror.layers
+        return not self._mirror.known
 
     @property
     def resolution(self) -> float:
@@ -73,7 +77,7 @@ class Terrain:
 
     def forget(self) -> None:
         """Nobody kept up: the next map is the first."""
-        self._mirror = MapMirror()
+        self._mirror = MapMirror(self._folder)
         self._tiles.clear()
 
     def take(self, patch: MapPatch) -> None:
@@ -83,6 +87,7 @@ class Terrain:
         window = self._mirror.apply(patch)
         if not (window.rows and window.cols):
             return
+        self._mirror.stay_within(self._mirror.view(patch.middle))
         self._version += 1
         age = patch.layers.get("age")
         for row in range(window.row // SIDE, (window.row + window.rows - 1) // SIDE + 1):
@@ -113,19 +118,21 @@ class Terrain:
             return
         places = points[np.isfinite(points).all(axis=1)] @ rotation(turn).T + position
         row, col = (np.rint(places[:, k] / mirror.resolution).astype(np.int64) for k in (1, 0))
-        height = mirror.layers["elevation"]
-        r, c = row - mirror.row, col - mirror.col
-        inside = (r >= 0) & (r < height.shape[0]) & (c >= 0) & (c < height.shape[1])
-        agrees = np.flatnonzero(inside)
-        agrees = agrees[np.abs(places[agrees, 2] - height[r[agrees], c[agrees]]) < AGREES]
-        row, col = row[agrees], col[agrees]
         now = time.monotonic()
-        tiles = np.stack([row // SIDE, col // SIDE], axis=1)
-        for key in np.unique(tiles, axis=0):
-            tile = self._tiles.get((int(key[0]), int(key[1])))
-            if tile is not None:
-                mine = (tiles == key).all(axis=1)
-                tile.seen[row[mine] % SIDE, col[mine] % SIDE] = now
+        number = (row // SIDE << 32) + (col // SIDE)
+        order = np.argsort(number)
+        _, first = np.unique(number[order], return_index=True)
+        for mine in np.split(order, first[1:]):
+            if not len(mine):
+                continue
+            key = int(row[mine[0]]) // SIDE, int(col[mine[0]]) // SIDE
+            layers, tile = mirror.tile(key), self._tiles.get(key)
+            if layers is None or tile is None:
+                continue
+            r, c = row[mine] % SIDE, col[mine] % SIDE
+            agrees = np.abs(places[mine, 2] - layers[HEIGHT][r, c]) < AGREES
+            if agrees.any():
+                tile.seen[r[agrees], c[agrees]] = now
                 tile.looks += 1
 
     def prepare(self) -> None:
@@ -171,27 +178,24 @@ class Terrain:
 
     def _body(self, key: Key, tile: _Tile) -> bytes:
         mirror = self._mirror
-        row, col = key[0] * SIDE - mirror.row, key[1] * SIDE - mirror.col
         # A cell more on each side, so that slopes do not end at the tile.
-        outer = tuple(slice(max(first - 1, 0), first + SIDE + 1) for first in (row, col))
-        slope, step = slope_and_step(mirror.layers["elevation"][outer], mirror.resolution)
-        inner = tuple(
-            slice(first - part.start, first - part.start + SIDE)
-            for first, part in zip((row, col), outer, strict=True)
-        )
-        where = (slice(row, row + SIDE), slice(col, col + SIDE))
-        height = mirror.layers["elevation"][where]
+        outer = mirror.read(
+            CellWindow(key[0] * SIDE - 1, key[1] * SIDE - 1, SIDE + 2, SIDE + 2), SHOWN
+        ).layers
+        inner = (slice(1, 1 + SIDE), slice(1, 1 + SIDE))
+        slope, step = slope_and_step(outer["elevation"], mirror.resolution)
+        height, trusted, source = (outer[name][inner] for name in SHOWN)
         risk = ground_risk(slope[inner], step[inner], mirror.resolution, self._slope, self._step)
         known = np.isfinite(height)
         millimetres = np.where(known, np.clip(np.nan_to_num(height) * 1000.0, -32767, 32767), UNKNOWN)
         millimetres = millimetres.astype("<i2")
-        measured = np.isin(mirror.layers["source"][where], MEASURED)
+        measured = np.isin(source, MEASURED)
         if not tile.told:  # a height that is new was seen now
             tile.seen[measured & (millimetres != tile.heights)] = time.monotonic()
         tile.seen[~measured] = -np.inf
         tile.heights, tile.told = millimetres, False
         tile.looks += 1
-        trust = trust_of(mirror.layers["trusted"][where], mirror.layers["source"][where])
+        trust = trust_of(trusted, source)
         return millimetres.tobytes() + risk.tobytes() + trust.tobytes()
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from rbtrg_robot import topics
 from rbtrg_robot.hosts.journal import Journal
 from rbtrg_robot.processes import Process
-from rbtrg_robot.stages.stage import Outputs, Stage
+from rbtrg_robot.stages.stage import KeepsMap, Outputs, Stage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus
@@ -17,8 +18,13 @@ from rbtrg_robot.wire.heart import Heart
 class Node:
     """Drives a stage: inbox -> `on`, clock -> `tick`, outputs -> bus."""
 
-    def __init__(self, process: Process, stage: Stage, bus: Bus, *, simulated: bool) -> None:
+    def __init__(
+        self, process: Process, stage: Stage, bus: Bus, *, simulated: bool, folder: str = ""
+    ) -> None:
+        """folder: of the run, where a map puts tiles far from the robot; empty: it keeps all in memory."""
         self._stage = stage
+        if folder and isinstance(stage, KeepsMap):
+            stage.put_on(Path(folder))
         self._bus = bus
         self._simulated = simulated
         self._period = round(process.period * 1e9)

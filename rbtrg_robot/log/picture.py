@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
-from mapping.elevation.exchange import MapMirror
+from mapping.elevation.mirror import MapMirror
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError
 from rbtrg_robot.log.file import read_run

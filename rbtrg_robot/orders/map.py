@@ -20,35 +20,47 @@ from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, cloud_msg, cloud_points, map_patch, patch_msg
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import header, stamp_of
 
 AGAIN, LIMIT = 3.0, 15.0
 """[s] between two requests, and until it is given up."""
 
 
 class FetchMap(Order):
-    """The present map as a patch, and its cloud, which comes before it."""
+    """The present map as patches, and its cloud, which comes before them."""
 
-    hears = (t.MAP_CLOUD, t.MAP_FULL)
+    hears = (t.MAP_CLOUD, t.MAP_PARTS)
     sends = (t.MAP_REQUEST,)
 
     def __init__(self) -> None:
         super().__init__(AGAIN, LIMIT)
-        self.patch: MapPatch | None = None
+        self.patches: list[MapPatch] = []
+        """All of it, once the outcome is there."""
+        self._parts: dict[int, MapPatch] = {}
+        self._sending = 0
+        self._heard = -math.inf
         self.cloud = np.empty((0, 3), np.float32)
 
-    def message(self) -> tuple[Topic, msg.Message]:
-        """The request."""
-        return t.MAP_REQUEST, msg.MapRequest(header=header(time.time_ns(), ""), action="full")
+    def message(self) -> tuple[Topic, msg.Message] | None:
+        """The request, unless parts are coming."""
+        if time.monotonic() - self._heard < AGAIN:
+            return None
+        return t.MAP_REQUEST, msg.MapRequest(header=header(time.time_ns(), ""), action="parts")
 
     def take(self, topic: Topic, message: Any) -> None:
-        """A cloud or a GridMap; one that is broken is none, and it is asked for again."""
+        """A cloud or a MapPart; one that is broken is none, and all are asked for again."""
         with contextlib.suppress(LayoutError):
             if t.MAP_CLOUD.carried(message, topic):
                 self.cloud = cloud_points(message)
                 return
-            self.patch = map_patch(message, 0)
-            self.outcome = Outcome(True, "")
+            stamp = stamp_of(message)
+            if stamp != self._sending:
+                self._sending, self._parts = stamp, {}
+            self._parts[message.part] = map_patch(message.map, 0)
+            self._heard = self.began = time.monotonic()
+            if len(self._parts) == message.parts:
+                self.patches = list(self._parts.values())
+                self.outcome = Outcome(True, "")
 
     def silence(self) -> Outcome:
         """Elevation is gone."""
@@ -92,18 +104,18 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
 
     elevation = ElevationMap(config)
     elevation.load_prior(file)
-    patch = replace(elevation.full(), stamp=time.time_ns())
-    stamp = header(patch.stamp, MAP)
-    cloud = cloud_msg(patch.stamp, MAP, elevation.cloud.points)
-    return msg.MapPrior(header=stamp, id=fingerprint(str(file)), map=patch_msg(patch), cloud=cloud)
+    stamp = time.time_ns()
+    blocks = [patch_msg(replace(elevation.read(box), stamp=stamp)) for box in elevation.boxes()]
+    cloud = cloud_msg(stamp, MAP, elevation.cloud.points)
+    return msg.MapPrior(header=header(stamp, MAP), id=fingerprint(str(file)), map=blocks, cloud=cloud)
 
 
-def save(patch: MapPatch, cloud: NDArray[np.float32], file: Path) -> int:
+def save(patches: list[MapPatch], cloud: NDArray[np.float32], file: Path) -> int:
     """Write it as `up --map` reads it; returns the number of known cells."""
     from mapping.elevation.map import ElevationMap
 
-    elevation = ElevationMap(ElevationConfig(resolution=patch.resolution))
-    known = elevation.restore(patch)
+    elevation = ElevationMap(ElevationConfig(resolution=patches[0].resolution))
+    known = sum(map(elevation.restore, patches))
     elevation.cloud.enter(cloud)
     elevation.save(file)
     return known

@@ -51,7 +51,7 @@ def run(spec: dict[str, Any]) -> int:
         stage = entry(config)
         stage.warm_up()
         with Bus(config.endpoint, name, config.scope, **ours) as bus:
-            node = Node(row, stage, bus, simulated=config.simulated)
+            node = Node(row, stage, bus, simulated=config.simulated, folder=config.log_dir)
             node.restore(restored)
             try:
                 node.run(stop.is_set)

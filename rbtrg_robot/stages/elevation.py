@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import MOTORS, stand_height
+from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
@@ -24,22 +24,19 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.location import Location, State
-from rbtrg_robot.stages.scans import Scan, Scans
+from rbtrg_robot.stages.map_blocks import MapBlocks
+from rbtrg_robot.stages.scans import Scan, Scans, rehearsal
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
-    BASE,
     MAP,
-    ODOM,
     LayoutError,
     cloud_msg,
     cloud_points,
-    joint_msg,
     joint_sample,
+    map_parts,
     map_patch,
-    odometry_msg,
     patch_msg,
-    transform_msg,
     xyz,
     xyzw,
 )
@@ -53,8 +50,6 @@ RESTORE_PATIENCE = 3_000_000_000
 """Longest wait of a restarted process for the planner's copy of the map [ns]."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
-TRUSTED_SENT = 16
-"""`state` of a cell that the last update called trusted."""
 
 
 class ElevationStage:
@@ -64,7 +59,7 @@ class ElevationStage:
     the whole map on request, status. It never plans, never moves the robot and writes no file.
     """
 
-    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_STATUS)
+    outputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_CLOUD, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
 
     def __init__(
         self,
@@ -100,10 +95,11 @@ class ElevationStage:
         self._frame = MapFrame()
         self._course = Course()
         self._prior = prior
-        self._prior_map = elevation.full() if prior else None
+        self._prior_map = tuple(map(elevation.read, elevation.boxes())) if prior else ()
+        """Blocks of the prior map; none without one."""
         self._prior_cloud = elevation.cloud.points
         self._location = Location()
-        if self._prior_map is not None:
+        if self._prior_map:
             self._location = Location.begin(name, self._prior_map, self._prior_cloud, start)
             if not self._location.state.known:
                 elevation.reset()  # nothing of it holds before the robot is found in it
@@ -117,14 +113,21 @@ class ElevationStage:
         self._restoring = False
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
         self._patience = 0
+        self._returned: set[int] = set()
+        """Parts of that copy that have come."""
+        self._sending = MapBlocks()
 
     def warm_up(self) -> None:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
         self.map.warm_up()
         warm_up()
         stage = ElevationStage(ElevationMap(self.map.params), self._params, self._lidars)
-        for topic, message in _rehearsal(tuple(self._topics)):
+        for topic, message in rehearsal(tuple(self._topics)):
             stage.on(topic, decode(encode(message), topic.kind))
+
+    def put_on(self, folder: Path) -> None:
+        """See `KeepsMap`."""
+        self.map.put_on(folder)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -158,7 +161,7 @@ class ElevationStage:
                     message.prior != self._prior
                 ):  # another one was loaded meanwhile; what was made of it comes back
                     self.map.reset()
-                    self._prior, self._prior_map = message.prior, None
+                    self._prior, self._prior_map = message.prior, ()
                     self._location = Location()
                 self._location.restore(message)
                 self.map.epoch = max(self.map.epoch, message.epoch)
@@ -240,40 +243,44 @@ class ElevationStage:
         return "; ".join(words)
 
     def _take_prior(self, message: msg.MapPrior) -> Outputs:
-        patch = map_patch(message.map, self.map.epoch)
-        if patch.stamp == self._prior_stamp:
+        patches = tuple(map_patch(block, self.map.epoch) for block in message.map)
+        if not patches:
+            raise LayoutError("a prior map without a block")
+        if patches[0].stamp == self._prior_stamp:
             return []  # a repeat
         if not self._stands:
             self._detail, self._status_due = "the map was not loaded: the robot moves", 0
             return []
         cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
-        self._prior, self._prior_map, self._prior_stamp = message.id, patch, patch.stamp
+        self._prior, self._prior_map, self._prior_stamp = message.id, patches, patches[0].stamp
         self._prior_cloud = cloud
         frame = self._frame
-        self._location = Location.begin("the loaded map", patch, cloud, (frame.x, frame.y, frame.yaw))
+        self._location = Location.begin("the loaded map", patches, cloud, (frame.x, frame.y, frame.yaw))
         return self._begin("the map was loaded")
 
     def _begin(self, why: str) -> Outputs:
         """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""
         known = 0
-        if self._prior_map is None:
+        if not self._prior_map:
             self._prior = ""
-        if self._prior_map is None or not self._location.state.known:
+        if not self._prior_map or not self._location.state.known:
             self.map.reset()
         else:
             known = self.map.begin_on(self._prior_map, self._prior_cloud)
+        self._sending.stop()
         self._course.forget()
         self._waiting.forget()
         self._detail, self._status_due = f"{why}; {known} cells are known from before", 0
         return self.tick(self.map.stamp)
 
     def _request(self, message: msg.MapRequest) -> Outputs:
-        if message.action == "full":
+        if message.action in ("full", "parts"):
             try:
                 if not self._scans:
                     return []
+                blocks = self._blocks(message.action)
                 cloud = cloud_msg(self.map.stamp, MAP, self.map.cloud.points)
-                return [(t.MAP_CLOUD, cloud), (t.MAP_FULL, patch_msg(self.map.complete()))]
+                return [(t.MAP_CLOUD, cloud), *self._sending.begin(message.action, blocks)]
             except MapError as error:
                 self._detail, self._status_due = str(error), 0
                 raise
@@ -281,10 +288,21 @@ class ElevationStage:
         self._status_due = 0
         return []
 
-    def _restore(self, mirror: msg.GridMap) -> None:
-        known = self.map.restore(map_patch(mirror, self.map.epoch))
+    def _blocks(self, action: str) -> Iterator[tuple[Topic, msg.Message]]:
+        """The map block by block. Raises MapError while it is empty."""
+        boxes = self.map.boxes()
+        if action == "full":
+            return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in boxes)
+        return ((t.MAP_PARTS, part) for part in map_parts(boxes, self.map.read, self.map.stamp))
+
+    def _restore(self, mirror: msg.MapPart) -> None:
+        self.map.restore(map_patch(mirror.map, self.map.epoch))
+        self._returned.add(mirror.part)
+        self._patience = 0
+        if len(self._returned) < mirror.parts:
+            return
         self._restoring = False
-        self._detail = f"restarted; {known} cells came back from the planner"
+        self._detail = f"restarted; {self.map.store.counts()[1]} cells came back from the planner"
         self._status_due = 0
 
     def tick(self, now: int) -> Outputs:
@@ -293,18 +311,20 @@ class ElevationStage:
             self._patience = self._patience or now + RESTORE_PATIENCE
             if now > self._patience:
                 self._restoring = False
-                self._detail = "restarted; the map of before is lost: the planner did not answer"
+                lost = "a part of the map" if self._returned else "the map"
+                self._detail = f"restarted; {lost} of before is lost: the planner did not answer"
+        sent = self._sending.due()
         if now < self._status_due <= now + STATUS_PERIOD:  # a clock that was set back must not silence it
-            return []
+            return sent
         self._status_due = now + STATUS_PERIOD
-        store = self.map.store
+        tiles, known, trusted = self.map.store.counts()
         status = msg.MapStatus(
             header=header(now, "map"),
             epoch=self.map.epoch,
             scans=self._scans,
-            tiles=store.used,
-            known_cells=int(np.count_nonzero(store.cells["source"])),
-            trusted_cells=int(np.count_nonzero(store.sent["state"] >= TRUSTED_SENT)),
+            tiles=tiles,
+            known_cells=known,
+            trusted_cells=trusted,
             resolution=self.map.params.resolution,
             height_correction=self.map.alignment.height,
             restoring=self._restoring,
@@ -314,19 +334,7 @@ class ElevationStage:
             detail=self._detail,
             **self._location.report(),
         )
-        return [(t.MAP_STATUS, status)]
-
-
-def _rehearsal(clouds: tuple[Topic, ...]) -> Iterator[tuple[Topic, msg.Message]]:
-    """One scan as the wire brings it: what comes from there is read-only, and numba compiles for that apart."""
-    turned = (0.0, 0.0, 0.0, 1.0)
-    points = np.array([[2.0, 0.1 * k, -0.4] for k in range(8)], np.float32)
-    still = np.zeros(len(MOTORS))
-    yield t.TF_STATIC, msg.TFMessage(transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
-    yield t.JOINTS, joint_msg(JointSample(0, still, still, still))
-    for topic in clouds:
-        yield topic, cloud_msg(0, BASE, points)
-    yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))
+        return [*sent, (t.MAP_STATUS, status)]
 
 
 def build(config: StackConfig) -> ElevationStage:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -66,12 +67,14 @@ class Location:
         """Where the newest look began, x, y in `odom` [m]."""
 
     @classmethod
-    def begin(cls, name: str, patch: MapPatch, cloud: NDArray[np.float32], hint: Planar) -> Location:
-        """Search in a map, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
+    def begin(
+        cls, name: str, patches: Sequence[MapPatch], cloud: NDArray[np.float32], hint: Planar
+    ) -> Location:
+        """Search in a map that came as patches, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
         out = cls()
         out._name, out._hint = name, hint
         if len(cloud):
-            out._prior = PriorMap(cloud, patch.grid())
+            out._prior = PriorMap(cloud, [patch.grid() for patch in patches])
             out._say(State.SEARCHING, f"searching the robot in {name}")
         else:
             out._say(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from mapping.elevation.exchange import MapError, MapMirror, MapPatch
+from mapping.elevation.exchange import MapError, MapPatch
+from mapping.elevation.mirror import MapMirror, window_of
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
@@ -39,7 +40,7 @@ class MapGraph:
     @property
     def known(self) -> bool:
         """A map was received."""
-        return bool(self.mirror.layers)
+        return self.mirror.known
 
     @property
     def stale(self) -> bool:
@@ -58,24 +59,30 @@ class MapGraph:
         """Bring grid and graph to the newest map. False where the window does not lie on it; it is dropped then."""
         if not self.known:
             return True
-        mirror, changed = self.mirror, self._changed
+        changed = self._changed
         if self._overlaid is not None:
             changed.append(self._overlaid)
             self._overlaid = None
         fits = True
+        if self.window is not None and self.window.epoch < self.mirror.epoch:
+            self.window = None
         if self.window is not None:
             try:
-                mirror = mirror.overlaid(self.window)
-                (row, col), (rows, cols) = self.window.cell, self.window.shape
-                self._overlaid = (row, col, row + rows, col + cols)
+                if abs(self.window.resolution - self.mirror.resolution) > 1e-9:
+                    raise MapError("the window has cells of another size than the map")
+                over = window_of(self.window)
+                self._overlaid = (over.row, over.col, over.row + over.rows, over.col + over.cols)
                 changed.append(self._overlaid)
             except MapError:
                 self.window, fits = None, False
-        windows = [
-            (r0 - mirror.row, c0 - mirror.col, r1 - mirror.row, c1 - mirror.col) for r0, c0, r1, c1 in changed
-        ]
+        view = self.mirror.view(start, self.window)
+        self.mirror.stay_within(view)
         self._changed = []
-        self.refresh(start, mirror.grid(), windows)
+        if not (view.rows and view.cols):  # the robot stands far from all that was seen
+            self.graph = self.grid = None
+            return fits
+        windows = [(r0 - view.row, c0 - view.col, r1 - view.row, c1 - view.col) for r0, c0, r1, c1 in changed]
+        self.refresh(start, self.mirror.grid(view, self.window), windows)
         return fits
 
     def refresh(self, start: tuple[float, float], grid: ElevationGrid, windows: list[Box]) -> None:

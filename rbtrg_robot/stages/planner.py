@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
-from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.errors import NoRoute, PlanningError
 from planning.graph.graph import GraphParams
 from planning.path import (
     Path,
@@ -24,25 +25,15 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import PlannerConfig
+from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
-from rbtrg_robot.stages.route_report import RouteBase, path_msg, plan_fields
+from rbtrg_robot.stages.route_report import REASONS, RouteBase, path_msg, plan_fields
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.stages.way import WaySearch
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import MAP, LayoutError, map_patch, patch_msg
+from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
 from rbtrg_robot.wire.messages import header
-
-REASONS = {
-    NoRouteReason.BAD_INPUT: Reason.INVALID,
-    NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
-    NoRouteReason.OUTSIDE_MAP: Reason.NO_ROUTE,
-    NoRouteReason.START_NOT_ON_GRAPH: Reason.START_OFF_GRAPH,
-    NoRouteReason.NOT_CONNECTED: Reason.NO_ROUTE,
-    NoRouteReason.GOAL_IN_OBSTACLE: Reason.IN_OBSTACLE,
-    NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
-    NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
-}
 
 
 class PlannerStage:
@@ -81,6 +72,7 @@ class PlannerStage:
         self._path: Path | None = None
         """The part of it that is driven."""
         self._malformed = 0
+        self._returning = MapBlocks()
         self._verdict = (True, "")
         self._checked_version = -1
 
@@ -97,6 +89,10 @@ class PlannerStage:
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
 
+    def put_on(self, folder: FilePath) -> None:
+        """See `KeepsMap`."""
+        self._map.mirror.put_on(folder)
+
     def close(self) -> None:
         """Nothing to release."""
 
@@ -108,13 +104,21 @@ class PlannerStage:
             return self._watch(message)
         elif t.MAP_STATUS.carried(message, topic):
             self._epoch = int(message.epoch)
-            if message.restoring and self._map.known:
-                return [(t.MAP_MIRROR, patch_msg(self._map.mirror.patch()))]
+            if not message.restoring:
+                self._returning.stop()
+            elif self._map.known:
+                return self._returning.due() or self._return_map()
         elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
         elif t.ROUTE_QUESTION.carried(message, topic):
             return self._question(message)
         return []
+
+    def _return_map(self) -> Outputs:
+        """The map for an elevation process that lost it, part by part."""
+        mirror = self._map.mirror
+        parts = map_parts(mirror.windows(), mirror.read, mirror.stamp)
+        return self._returning.begin("mirror", ((t.MAP_MIRROR, part) for part in parts))
 
     def _take_patch(self, message: msg.GridMap) -> None:
         try:
@@ -153,10 +157,11 @@ class PlannerStage:
         if self._map.stale and self._start is not None and due:
             self._updated = now
             self._sync(self._start)
+        outputs = self._returning.due()
         if now < self._status_due and now > self._status_due - NS:
-            return []
+            return outputs
         self._status_due = now + NS // 2
-        outputs: Outputs = [(t.ROUTE_STATUS, self._status(now))]
+        outputs.append((t.ROUTE_STATUS, self._status(now)))
         if not self._map.known:  # just started: what was published before must be asked for
             outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")))
         return outputs

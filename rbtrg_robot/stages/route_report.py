@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from planning.errors import NoRouteReason
 from planning.graph.graph import TraversalGraph
 from planning.path import Path
 from planning.risk.table import RiskTable
@@ -20,6 +21,18 @@ from rbtrg_robot.wire.messages import array, header
 F64 = "float64"
 EVERY = 5
 """Samples of the path between two in a report: 0.1 m."""
+
+
+REASONS = {
+    NoRouteReason.BAD_INPUT: Reason.INVALID,
+    NoRouteReason.NO_TERRAIN: Reason.START_OFF_GRAPH,
+    NoRouteReason.OUTSIDE_MAP: Reason.NO_ROUTE,
+    NoRouteReason.START_NOT_ON_GRAPH: Reason.START_OFF_GRAPH,
+    NoRouteReason.NOT_CONNECTED: Reason.NO_ROUTE,
+    NoRouteReason.GOAL_IN_OBSTACLE: Reason.IN_OBSTACLE,
+    NoRouteReason.GOAL_UNKNOWN: Reason.NO_ROUTE,
+    NoRouteReason.NO_ROUTE: Reason.NO_ROUTE,
+}
 
 
 @dataclass(frozen=True, slots=True)

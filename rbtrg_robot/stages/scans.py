@@ -9,8 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.go2w import MOTORS
 from hal.types import JointSample, LidarName
 from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import BASE, MAP, ODOM, cloud_msg, joint_msg, odometry_msg, transform_msg
 from rbtrg_robot.wire.messages import stamp_of
 
 WAIT_SCANS = 2
@@ -80,3 +84,15 @@ class Scans:
             return None
         before = [j for j in self._joints if j.stamp <= stamp]
         return before[-1] if before else self._joints[0]
+
+
+def rehearsal(clouds: tuple[Topic, ...]) -> Iterator[tuple[Topic, msg.Message]]:
+    """One scan as the wire brings it: what comes from there is read-only, and numba compiles for that apart."""
+    turned = (0.0, 0.0, 0.0, 1.0)
+    points = np.array([[2.0, 0.1 * k, -0.4] for k in range(8)], np.float32)
+    still = np.zeros(len(MOTORS))
+    yield t.TF_STATIC, msg.TFMessage(transforms=[transform_msg(0, MAP, ODOM, np.zeros(3), turned)])
+    yield t.JOINTS, joint_msg(JointSample(0, still, still, still))
+    for topic in clouds:
+        yield topic, cloud_msg(0, BASE, points)
+    yield t.ODOM, odometry_msg(0, np.zeros(3), turned, np.zeros(3), np.zeros(3))

@@ -6,7 +6,8 @@ on a log (`rerun`). Messages are what `messages.decode` gives; a stage must not 
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 from rbtrg_robot.msg import Message
 from rbtrg_robot.topics import Topic
@@ -36,3 +37,12 @@ class Stage(Protocol):
 
     def close(self) -> None:
         """Release what was opened."""
+
+
+@runtime_checkable
+class KeepsMap(Protocol):
+    """A stage whose map grows with the ground that was seen."""
+
+    def put_on(self, folder: Path) -> None:
+        """Let the map put tiles far from the robot on this disk. The host calls it once, before the first message; without it everything
+        stays in memory. What the stage publishes does not differ by it."""

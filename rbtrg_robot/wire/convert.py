@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from mapping.grid import FARTHEST
 from rbtrg_robot import msg
 from rbtrg_robot.wire.messages import header, stamp_of
 
+P = TypeVar("P")
 MAP = "map"
 ODOM = "odom"
 BASE = "base_link"
@@ -238,6 +240,12 @@ def patch_msg(patch: MapPatch) -> msg.GridMap:
     )
     message.info.pose.orientation.w = 1.0
     return message
+
+
+def map_parts(places: list[P], read: Callable[[P], MapPatch], stamp: int) -> Iterator[msg.MapPart]:
+    """A whole map as parts that are read as they are asked for; `stamp` tells those of one sending from others'."""
+    for part, place in enumerate(places):
+        yield msg.MapPart(header=header(stamp, MAP), part=part, parts=len(places), map=patch_msg(read(place)))
 
 
 def _layer_msg(layer: NDArray[np.float32]) -> msg.Float32MultiArray:

@@ -32,7 +32,7 @@ def test_the_normal_equations_equal_numpy() -> None:
     sums[:, WEIGHT] = 1.0
     sums[:, TOP] = 0.1 * j[pick] * RES + rng.normal(0.02, 0.05, pick.size)
     at = np.array([0.3, -0.2])
-    n, total, a, b = _normal_equations(index[pick], sums, alignment._known, store.tiles, store.shift, at, RES)
+    n, total, a, b = _normal_equations(index[pick], sums, store.level, store.tiles, store.shift, at, RES)
 
     height = np.full((66, 66), np.nan, np.float32)
     height[i + 33, j + 33] = store.cells["height"][index]

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import MapError, MapMirror
+from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.mirror import MapMirror
 from mapping.elevation.sensor import XT16
 from mapping.elevation.tiles import LIDAR
 from tests.places import TERRAIN, needs_shared
@@ -45,7 +46,7 @@ def test_a_saved_map_loads_exactly(tmp_path: Path) -> None:
     mirror = MapMirror()
     for patch in again.take_patches():
         mirror.apply(patch)
-    assert np.isfinite(mirror.layers["elevation"]).sum() == np.isfinite(got.layers["elevation"]).sum()
+    assert np.isfinite(mirror.patch().layers["elevation"]).sum() == np.isfinite(got.layers["elevation"]).sum()
 
 
 def test_the_cloud_is_saved_and_a_map_without_one_loads(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ from hal.go2w import L1_MOUNT
 from hal.lidar.config import only
 from hal.types import MountedLidar
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import MapError, MapMirror
+from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.mirror import MapMirror, window_of
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import BRIDGED, CONTACT, LIDAR
 from mapping.elevation.wheels_ground import SupportPatch, behind
@@ -68,17 +69,12 @@ def test_a_mirror_fed_with_deltas_equals_the_map() -> None:
     elevation = ElevationMap()
     mirror = drive(elevation, 30)
     whole = elevation.full()
-    row, col = whole.cell
-    rows, cols = whole.shape
-    where = (
-        slice(row - mirror.row, row - mirror.row + rows),
-        slice(col - mirror.col, col - mirror.col + cols),
-    )
+    got = mirror.read(window_of(whole)).layers
     for name in ("trusted", "source"):
-        assert np.array_equal(mirror.layers[name][where], whole.layers[name])
+        assert np.array_equal(got[name], whole.layers[name])
     known = np.isfinite(whole.layers["elevation"])
-    assert np.array_equal(np.isfinite(mirror.layers["elevation"][where]), known)
-    gap = np.abs(mirror.layers["elevation"][where][known] - whole.layers["elevation"][known])
+    assert np.array_equal(np.isfinite(got["elevation"]), known)
+    gap = np.abs(got["elevation"][known] - whole.layers["elevation"][known])
     assert gap.max() <= elevation.params.patch_step + 1e-6
     assert elevation.take_patches() == []
 
@@ -91,7 +87,7 @@ def test_the_whole_map_comes_with_filled_heights_slope_step_and_age() -> None:
     for k in range(3):
         elevation.fuse(points, (0.0, 0.0, HEIGHT), LEVEL, 1 + k * 10**8)
     elevation.fuse(points[y.ravel() < 0.0], (0.0, 0.0, HEIGHT), LEVEL, 1 + 15 * 10**8)
-    patch = elevation.complete()
+    patch = elevation.complete(elevation.boxes()[0])
     layers = patch.layers
     assert np.isfinite(layers["filled"]).all()
     at = lambda name, px, py: layers[name][  # noqa: E731
@@ -239,7 +235,7 @@ def test_a_reset_starts_a_new_epoch_for_readers() -> None:
     for patch in elevation.take_patches():
         mirror.apply(patch)
     assert mirror.epoch == before + 1
-    assert np.isfinite(mirror.layers["elevation"]).sum() == 1
+    assert np.isfinite(mirror.patch().layers["elevation"]).sum() == 1
 
 
 def test_a_lost_map_comes_back_from_a_reader() -> None:

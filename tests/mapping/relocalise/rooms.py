@@ -46,7 +46,7 @@ def corner_room() -> np.ndarray:
 
 def prior_of(cloud: np.ndarray, x: float = 4.0, y: float = 3.0) -> PriorMap:
     """The map of a room whose ground is known up to +-x, +-y."""
-    return PriorMap(cloud.astype(np.float32), ground_of(x, y))
+    return PriorMap(cloud.astype(np.float32), [ground_of(x, y)])
 
 
 def ground_of(x: float, y: float) -> ElevationGrid:

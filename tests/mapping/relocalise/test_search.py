@@ -88,12 +88,12 @@ def test_the_best_place_is_the_robots_within_a_cell(place: tuple[float, float, f
     cloud = corner_room()
     structure = seen_from(cloud, *place).astype(float) + np.array([0.0, 0.0, 0.4])
     structure = structure[structure[:, 2] > 0.2]
-    found = find_places(Columns.of(cloud.astype(np.float32), ground_of(4.0, 3.0)), structure)
+    found = find_places(Columns.of(cloud.astype(np.float32), [ground_of(4.0, 3.0)]), structure)
     assert math.dist((found[0].x, found[0].y), place[:2]) < 0.2
     assert abs(found[0].yaw - place[2]) < 0.1
     assert found[0].share > 0.9
     around = find_places(
-        Columns.of(cloud.astype(np.float32), ground_of(4.0, 3.0)), structure, (0.0, 0.0, 0.0)
+        Columns.of(cloud.astype(np.float32), [ground_of(4.0, 3.0)]), structure, (0.0, 0.0, 0.0)
     )
     assert all(math.hypot(p.x, p.y) < 2.2 and abs(p.yaw) < 0.6 for p in around)
 

@@ -15,7 +15,7 @@ from rbtrg_robot.cli.inspect import map_save
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.wire.bus import Bus
-from rbtrg_robot.wire.convert import patch_msg
+from rbtrg_robot.wire.convert import map_parts
 from tools.bench.ports import free_endpoint
 
 
@@ -41,12 +41,15 @@ def test_the_map_is_asked_for_and_saved(endpoint: str, tmp_path: Path) -> None:
     def answer(bus: Bus) -> None:
         while not done.is_set():
             for received in bus.take(0.1):
-                assert received.decode().action == "full"
-                bus.publish(t.MAP_FULL, patch_msg(elevation.full().with_terrain()), 1)
+                assert received.decode().action == "parts"
+                i0, j0, rows, cols = elevation.boxes()[0]
+                halves = [(i0, j0, rows // 2, cols), (i0 + rows // 2, j0, rows - rows // 2, cols)]
+                for part in map_parts(halves, elevation.read, 1):
+                    bus.publish(t.MAP_PARTS, part, 1)
 
     with Bus(endpoint, "elevation", router=True) as bus:
         bus.subscribe([t.MAP_REQUEST])
-        bus.advertise(t.MAP_FULL)
+        bus.advertise(t.MAP_PARTS)
         lock.write_state(endpoint=endpoint, domain=0, ready=True)
         thread = threading.Thread(target=answer, args=(bus,))
         thread.start()

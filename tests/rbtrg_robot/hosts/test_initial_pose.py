@@ -74,7 +74,7 @@ def test_a_robot_that_started_elsewhere_is_told_its_place_while_it_stands() -> N
         told = placed.told
         # A map that was made of this place takes the place of the present one.
         stack.host.inject(t.MAP_REQUEST, msg.MapRequest(action="full"))
-        prior = msg.MapPrior(header=header(stack.now, MAP), id="sha256:0123456789abcdef", map=placed.map)
+        prior = msg.MapPrior(header=header(stack.now, MAP), id="sha256:0123456789abcdef", map=[placed.map])
         stack.host.inject(t.MAP_PRIOR, prior)
         stack.run(1.0)
         status = stack.newest[t.MAP_STATUS]
@@ -86,7 +86,7 @@ def test_a_robot_that_started_elsewhere_is_told_its_place_while_it_stands() -> N
         stack.run_until(lambda: stack.newest[t.ODOM].twist.twist.linear.x > 0.2, 20.0, "motion")
         placed.say(0.0, 0.0, 0.0)
         placed.map.header = header(1, MAP)
-        stack.host.inject(t.MAP_PRIOR, msg.MapPrior(id="x", map=placed.map))
+        stack.host.inject(t.MAP_PRIOR, msg.MapPrior(id="x", map=[placed.map]))
         assert placed.told == told
         assert stack.finish_goal(20.0).state == "reached"
         assert math.dist(placed.truth[:2], (x + 1.2 * math.cos(yaw), y + 1.2 * math.sin(yaw))) < 0.25

@@ -25,18 +25,18 @@ def mapped(file: Path) -> tuple[float, float, float]:
     got: dict[Topic, bytes] = {}
     with Lockstep(load(None, SPARSE, scene="yard")) as stack:
         stack.host.listen(
-            lambda topic, payload, _now: got.__setitem__(topic, payload), {t.MAP_FULL, t.MAP_CLOUD}
+            lambda topic, payload, _now: got.__setitem__(topic, payload), {t.MAP_PARTS, t.MAP_CLOUD}
         )
         stack.wait_ready()
         placed = Placed(stack)
         stack.run(0.3)
         placed.say(0.0, 0.0, 1.0)
         stack.run(2.0)
-        stack.host.inject(t.MAP_REQUEST, msg.MapRequest(action="full"))
-        patch = map_patch(decode(got[t.MAP_FULL], msg.GridMap), 0)
+        stack.host.inject(t.MAP_REQUEST, msg.MapRequest(action="parts"))
+        patch = map_patch(decode(got[t.MAP_PARTS], msg.MapPart).map, 0)
         cloud = cloud_points(decode(got[t.MAP_CLOUD], msg.PointCloud2))
         assert len(cloud) > 500
-        save(patch, cloud, file)
+        save([patch], cloud, file)
         return placed.here
 
 

@@ -36,7 +36,7 @@ def odom(x: float = 2.0, y: float = 3.0, yaw: float = 0.1, speed: float = 0.0) -
 
 def searching(hint: tuple[float, float, float], cloud: np.ndarray | None = None) -> Location:
     made = room(4.0, 3.0) if cloud is None else cloud
-    return Location.begin("hall.npz", patch(), made.astype(np.float32), hint)
+    return Location.begin("hall.npz", [patch()], made.astype(np.float32), hint)
 
 
 def scans(location: Location, seen: np.ndarray, message: msg.Odometry, count: int = LOOK) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapMirror, MapPatch
+from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.mirror import MapMirror
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.hosts.lockstep import build_stages
@@ -72,9 +73,11 @@ def test_one_patch_far_off_does_not_fill_the_memory() -> None:
     layers = {name: np.zeros((4, 4), np.float32) for name in PATCH_LAYERS}
     mirror = MapMirror()
     mirror.apply(MapPatch((5e6, 5e6), 0.04, 1, 0, layers))
+    mirror.apply(MapPatch((0.0, 0.0), 0.04, 2, 0, layers))
+    assert mirror.nbytes < 200_000
+    assert mirror.grid(mirror.view((0.0, 0.0))).shape == (1536, 1536)
     with pytest.raises(MapError, match="too large"):
-        mirror.apply(MapPatch((0.0, 0.0), 0.04, 2, 0, layers))
-    assert mirror.layers["elevation"].size < 200**2
+        mirror.patch()
 
 
 @pytest.mark.parametrize("field", ["start_x", "start_yaw", "goal_y"])

@@ -88,7 +88,7 @@ class Robot:
         self._turns = 0
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_STATUS)
+        told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
         for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE):
             self.bus.advertise(topic)
         self._thread.start()
@@ -172,7 +172,10 @@ class Robot:
                 self.goals.append(message)
                 self.state = "rejected" if self.latch else "moving"
         elif topic is t.MAP_REQUEST:
-            self.bus.publish(t.MAP_FULL, patch_msg(ground()), 1)
+            if message.action == "full":
+                self.bus.publish(t.MAP_FULL, patch_msg(ground()), 1)
+            else:
+                self.bus.publish(t.MAP_PARTS, msg.MapPart(parts=1, map=patch_msg(ground())), 1)
         elif topic is t.TELEOP:
             twist = message.twist
             self.driven.append((time.monotonic(), twist.linear.x, twist.angular.z))

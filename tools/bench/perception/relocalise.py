@@ -278,7 +278,7 @@ def drive(name: str, poses: int, seed: int) -> Tally:
     eyes = Eyes(world.scene.caster(), seed)
     made = survey(world, eyes, world.boxes())
     cloud, ground = made.cloud.points, made.grid()
-    prior = PriorMap(cloud, ground)
+    prior = PriorMap(cloud, [ground])
     locate(prior, Submap())
     tally = Tally()
     for _ in range(poses):

@@ -177,7 +177,8 @@ class TheConsole:
         received = Received(topic, payload, 0, 0)
         if topic in Desk.HEARS:
             self._desk.take(received)
-        self._feed.take(received)
+        if topic in HEARD:
+            self._feed.take(received)
         self._site._hear(self._page, self._slots, payload[:200].decode("latin1"))
 
     def turn(self, now: int) -> None:

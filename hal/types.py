@@ -217,6 +217,9 @@ class Capabilities:
     pass such faces up to here at 0.5 m/s (`tools.bench envelope`, rows `oblique_*`)."""
     max_trunk_tilt: float = 0.0
     """Roll and pitch [rad] to which the trunk tilts by command while the robot stands; 0: it cannot."""
+    max_posts: float = 0.05
+    """Highest posts of a stepfield driven through [m] (`tools.bench envelope`, rows `posts_*`): faces on all sides of all wheels are harder
+    than one face of `max_step`. The default is that of the model-based controller, the smallest that was measured."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

@@ -68,6 +68,12 @@ class GraphConfig(GraphSettings):
         description="angle to the normal from which crossing a face of max_step costs more [rad]; None = the robot's",
     )
 
+    max_posts: float | None = Field(
+        None,
+        gt=0.0,
+        description="highest posts of a stepfield that is driven through [m]; None = what robot and controller can",
+    )
+
     keep_step: float = Field(
         0.03, ge=0.0, description="ground found drivable stays so up to this much above max_step [m]"
     )
@@ -81,6 +87,7 @@ class GraphConfig(GraphSettings):
                 ("max_slope", robot.max_slope),
                 ("max_gap", robot.max_gap),
                 ("max_oblique", robot.max_oblique),
+                ("max_posts", robot.max_posts),
             )
         }
         return GraphParams(**(self.model_dump() | limits))

@@ -20,6 +20,7 @@ CAPABILITIES = {
         max_slope=math.radians(25.0),
         max_gap=0.10,
         max_trunk_tilt=math.radians(15.0),
+        max_posts=0.05,
     ),
     "policy": Capabilities(
         "go2w-mujoco-policy",
@@ -32,11 +33,12 @@ CAPABILITIES = {
         max_step=0.25,
         max_slope=math.radians(30.0),
         max_gap=0.12,
+        max_posts=0.20,
         strafe=True,
     ),
 }
-"""Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` from
-its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted."""
+"""Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and
+`max_posts` from its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

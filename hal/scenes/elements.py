@@ -32,7 +32,7 @@ ENVELOPE: dict[Controller, dict[str, float]] = {
         "step": 0.10,
         "bar": 0.10,
         "rail": 0.08,
-        "posts": 0.10,
+        "posts": 0.05,
         "gap": 0.10,
         "rough": 0.05,
     },

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from planning.graph.faces import BASE, OBLIQUE_RISK, is_oblique
-from planning.graph.flags import ASSUMED, FACE, HOLE, TIP, UNSEEN, VIRTUAL
+from planning.graph.flags import ASSUMED, FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
@@ -74,7 +74,7 @@ def corridor(
     share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), and for
     the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`).
 
-    Not both sides of a step under it, no tip of a wide pit, no line along the travel over a hole for more than
+    Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
     steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
     `sums` is scratch, (sections, 9) float64.
@@ -115,7 +115,7 @@ def corridor(
             sides |= flag & FACE
             if sides == FACE:
                 return -1.0
-            if flag & TIP:
+            if flag & (TIP | POSTS):
                 return -1.0
             holes |= flag & HOLE > 0
             face_x = faces[r, c, 0]

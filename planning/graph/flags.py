@@ -34,6 +34,8 @@ JUDGED = 128
 VIRTUAL = 256
 """Part of an unseen patch wider than the gap limit over which rays passed low (`ElevationGrid.virtual`): planned over at a
 price, driven on only when it was seen."""
+POSTS = 512
+"""Part of a stepfield whose posts are too high (`planning.graph.fields`)."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""

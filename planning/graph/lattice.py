@@ -18,6 +18,7 @@ from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
 from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
+from planning.graph.fields import mark_fields, reach
 from planning.graph.flags import halo, update_flags
 from planning.graph.nodes import CLEAR_LEVELS, place_nodes
 from planning.graph.params import GraphParams, Window, merge_windows
@@ -78,6 +79,10 @@ class Lattice:
                 p.keep_step,
             )
             update_faces(cells.faces, grid.height, grid.trusted, cells.res, *grown)
+            if p.max_posts is not None:
+                wide = pad + reach(cells.res)
+                grown = (max(0, r0 - wide), max(0, c0 - wide), min(rows, r1 + wide), min(cols, c1 + wide))
+                mark_fields(cells.flags, cells.faces, cells.res, grown, p.max_posts)
             touched.append(grown)
         assumed = assume_blind(cells.flags, *cells.origin, cells.res, *self.first, p.blind_radius)
         if assumed[0] < assumed[2]:

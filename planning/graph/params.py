@@ -77,6 +77,11 @@ class GraphParams(GraphSettings):
         le=0.5 * math.pi,
         description="corrected: angle to the normal from which crossing a face of max_step costs more [rad]; pi/2 = never",
     )
+    max_posts: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="corrected: highest posts of a stepfield that is driven through [m]; None = any up to max_step",
+    )
     keep_step: float = Field(
         default=0.0,
         ge=0.0,

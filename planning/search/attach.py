@@ -18,7 +18,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_edge
 from planning.graph.edges import MARGIN, SECTION, corridor
-from planning.graph.flags import FACE, HOLE, TIP, UNSEEN, VIRTUAL
+from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
@@ -81,7 +81,7 @@ class Ground:
         under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
-        self._flags[r0:r1, c0:c1][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | VIRTUAL)
+        self._flags[r0:r1, c0:c1][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
         self._faces[r0:r1, c0:c1][under] = 0
 
     def added_risk(self, a: XY, b: XY) -> float:

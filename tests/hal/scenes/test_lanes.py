@@ -144,6 +144,7 @@ def test_forty_seeds_hold_every_layout_with_every_kind() -> None:
 def test_no_level_asks_for_more_than_the_capabilities_and_the_fifth_for_much_more(controller) -> None:
     able, asked, beyond = CAPABILITIES[controller], ENVELOPE[controller], BEYOND[controller]
     assert max(asked[k] for k in ("step", "bar", "rail", "posts")) <= able.max_step
+    assert asked["posts"] <= able.max_posts
     assert asked["gap"] <= able.max_gap
     assert asked["slope"] <= degrees(able.max_slope)
     assert beyond["gap"][0] > 1.4 * able.max_gap

@@ -143,7 +143,7 @@ SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_
 """... and the courses that must be passed at them as well."""
 OBLIQUE = {"vmc": (5, 10), "policy": (10, 15, 20, 25)}
 """Heights [cm] of faces and bars up to the capabilities of each controller, met at `ANGLES`."""
-POSTS = {"vmc": (5, 10), "policy": (10, 15, 20)}
+POSTS = {"vmc": (4, 5, 7, 10), "policy": (10, 15, 20)}
 """Heights [cm] of the highest posts of a stepfield..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
 """... and speeds [m/s] at which it is driven through."""

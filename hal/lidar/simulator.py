@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 
 from hal.lidar.beams import measure, moving_rays, turn_beams, unblocked
 from hal.lidar.caster import OrientedBox, TerrainCaster, cast_onto_boxes, pack_boxes
+from hal.lidar.plants import Clump, cast_clumps, pack_clumps
 from hal.lidar.spec import LidarSpec
 from hal.rotation import rotation_rpy
 from hal.types import POINT_DTYPE, Array, Extrinsics, LidarName, LidarScan
 
+PLANTS = 0x9A55
+"""Of the seed that leaves are drawn with."""
 MIXED_GAP = (0.10, 1.0)
 """Depth edges [m] at which one pulse sees both sides; beyond the upper one the echoes separate."""
 
@@ -59,6 +62,8 @@ class _Sweep:
     ranges: NDArray[np.float32]
     cosine: NDArray[np.float32]
     random: np.random.Generator
+    leaves: NDArray[np.float32]
+    """(m, n) uniform draws, one for each clump and ray."""
 
 
 class LidarSimulator:
@@ -76,6 +81,7 @@ class LidarSimulator:
         self_filter: Sequence[OrientedBox] = GO2W_BODY,
         noise: bool = True,
         name: LidarName = "main",
+        plants: Sequence[Clump] = (),
     ) -> None:
         self.spec = spec
         self.name = name
@@ -88,6 +94,7 @@ class LidarSimulator:
         self._offset = np.asarray(mount.translation, np.float64)
         self._body = pack_boxes(tuple(self_filter))
         self._boxes = pack_boxes(())
+        self._plants = pack_clumps(plants)
         self._pattern: (
             tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.uint16], NDArray[np.bool_]] | None
         )
@@ -145,6 +152,10 @@ class LidarSimulator:
         nominal, time, ring, seen = self._pattern
         random = np.random.Generator(np.random.SFC64([*self._seed, number]))
         n = len(nominal)
+        leaves = np.empty((0, n), np.float32)
+        if len(self._plants):  # a generator of its own: what a scene without plants draws stays the same
+            own = np.random.Generator(np.random.SFC64([*self._seed, number, PLANTS]))
+            leaves = own.random((len(self._plants), n), dtype=np.float32)
         beams = np.empty_like(nominal)
         if self._noise and self.spec.angle_sigma > 0.0:
             error = random.random(nominal.shape, dtype=np.float32)
@@ -162,6 +173,7 @@ class LidarSimulator:
             ranges=np.full(n, np.inf, np.float32),
             cosine=np.zeros(n, np.float32),
             random=random,
+            leaves=leaves,
         )
 
     def _unblocked(self, nominal: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -188,6 +200,10 @@ class LidarSimulator:
             terrain = ranges.copy()
             cast_onto_boxes(self._boxes, origins, directions, ranges)
             sweep.cosine[due][ranges < terrain] = 1.0
+        if len(self._plants):
+            leaf = np.zeros(len(ranges), np.bool_)
+            cast_clumps(self._plants, origins, directions, sweep.leaves[:, due], ranges, leaf)
+            sweep.cosine[due][leaf] = 1.0
         sweep.ranges[due] = ranges
 
     def _finish(self, sweep: _Sweep) -> LidarScan:

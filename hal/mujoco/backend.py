@@ -184,7 +184,15 @@ class MujocoBackend:
     def _simulated(self, lidar: LidarConfig, caster: TerrainCaster) -> LidarSimulator:
         o = self.config
         spec = lidar.spec.decimated(o.lidar_step) if lidar.name == "main" else lidar.spec
-        return LidarSimulator(spec, lidar.mounted().mount, caster, self._seed, noise=o.noise, name=lidar.name)
+        return LidarSimulator(
+            spec,
+            lidar.mounted().mount,
+            caster,
+            self._seed,
+            noise=o.noise,
+            name=lidar.name,
+            plants=self.scene.plants,
+        )
 
     def _check_connected(self) -> None:
         if not self._connected:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from hal.scenes import lanes, rescue
 from hal.scenes.maze import maze
+from hal.scenes.meadow import meadow
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
 from hal.scenes.yard import flat, yard
 
@@ -19,6 +20,7 @@ _BUILT_IN: dict[str, Callable[[], Scene]] = {
     "flat": flat,
     "yard": yard,
     "maze": maze,
+    "meadow": meadow,
     "rescue_slopes": rescue.slopes,
     "rescue_platform": rescue.platform,
     "rescue_steps": rescue.steps,

@@ -13,6 +13,7 @@ from hal.errors import OperatorError
 
 if TYPE_CHECKING:
     from hal.lidar.caster import TerrainCaster
+    from hal.lidar.plants import Clump
 
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad]."""
@@ -58,6 +59,9 @@ class Scene:
     """Start and goal of each benchmark query, frozen."""
     mesh: Geometry | None = None
     """What the LiDAR sees instead of `height` where surfaces lie above one another; the robot stands on `height`."""
+
+    plants: tuple[Clump, ...] = ()
+    """Grass and bushes: the LiDAR sees them, the robot drives through them."""
 
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, np.float32)

@@ -30,14 +30,16 @@ ASSUMED = 30.0
 """Measurements that the assumed noise counts for beside those that were made."""
 CONSECUTIVE = 150_000_000
 """Two scans that end within this time [ns] follow each other."""
-CALM = 0.02
+WAVER = 5e-4
+"""Rotation [rad] by which one registration differs from the next beside what its covariance tells."""
+CALM = 0.05
 """A slower turn [rad/s] tells nothing."""
 STRAIGHT, STEP = 0.1, 0.02
 """Turn rate [rad/s] up to which, and distance from scan to scan [m] from which the robot drives ahead,"""
 SIDEWAYS, SLIP = 0.003, 0.05
 """by so much to the side [m] and per metre [-], one standard deviation."""
-STRANGE = 0.15
-"""A difference between registration and gyro from scan to scan beyond this [rad] is neither clock nor mount."""
+STRANGE = 5.0
+"""A difference between registration and gyro from scan to scan is neither clock nor mount beyond this [standard deviations]."""
 INDEPENDENT = 60
 """Points of a cloud whose errors are independent."""
 GATE, SCALE = 0.15, 0.05
@@ -81,7 +83,8 @@ class GyroFit:
     """Unknowns (4,): offset of the stamps [s], turn of the mount [rad] in base_link."""
 
     def __init__(self) -> None:
-        self._fit = LeastSquares(np.array([PRIOR_OFFSET, *[PRIOR_TURN] * 3]))
+        self._prior = np.array([PRIOR_OFFSET, *[PRIOR_TURN] * 3])
+        self._fit = LeastSquares(self._prior)
         self._last: tuple[int, Array, Array, Array] | None = None
         """Stamp [ns], pose (4, 4), covariance (3, 3) and mean rate (3,) of the scan before."""
 
@@ -105,13 +108,15 @@ class GyroFit:
             row = np.array([0.0, 0.0, 0.0, ahead])
             self._fit.add(weight * np.outer(row, row), weight * aside * row, weight * aside**2, 1.0)
         off = rotation_vector(turned.T @ moved[:3, :3])
-        if np.abs([change, rate]).max() < CALM or np.abs(off).max() > STRANGE:
+        if np.abs([change, rate]).max() < CALM:
             return
         jacobian = np.column_stack([change, -skew(rate * seconds)])
         residual = off + shift * change
-        weighted = np.linalg.solve(
-            covariance + turned.T @ last[2] @ turned, np.column_stack([jacobian, residual])
-        )
+        noise = covariance + turned.T @ last[2] @ turned + WAVER**2 * np.eye(3)
+        usual = noise + (jacobian * self._prior**2) @ jacobian.T
+        if off @ np.linalg.solve(usual, off) > STRANGE**2:
+            return
+        weighted = np.linalg.solve(noise, np.column_stack([jacobian, residual]))
         a = jacobian.T @ weighted
         self._fit.add(a[:, :4], a[:, 4], float(residual @ weighted[:, 4]), 3.0)
 

@@ -19,7 +19,9 @@ CERTAIN = 5.0
 WORTH, SMALL = 0.003, 0.001
 """Offset [s] from which a clock is corrected, and what a correction may leave. Simulated physics has 2 to 2.5 ms, half of its
 time step: its poses move by the rate at the end of a step, and the gyro's samples are joined by straight lines."""
-KNOWN = 0.002
+YOUNG = 10
+"""Scans in the local map below which nothing is compared with it."""
+KNOWN = 0.001
 """Standard deviation [s] of the main LiDAR's offset up to which the others are compared with its map: until then it is bent."""
 MOUNT = math.radians(1.2), 0.010
 """Error of a mount that is told [rad], [m]."""
@@ -43,6 +45,19 @@ class LidarFit:
     """and as applied [s]."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MountFit:
+    """By how much the configured mount of a LiDAR is off, axes of base_link."""
+
+    turn: Array
+    """(3,) [rad]"""
+    turn_sigma: Array
+    place: Array
+    """(3,) of the LiDAR itself [m]"""
+    place_sigma: Array
+    """Standard deviations, that of what cannot be seen is infinite."""
+
+
 class Calibration:
     """Of all LiDARs of a robot. A function of the scans alone: a re-run finds and applies the same."""
 
@@ -59,13 +74,15 @@ class Calibration:
         """Added to the stamps of each LiDAR [ns]."""
 
     def registered(
-        self, stamp: int, before: Array, predicted: Array, since: int, pose: Array, covariance: Array
-    ) -> None:
-        """A scan of the main LiDAR was registered.
+        self, stamp: int, before: Array, predicted: Array, since: int, pose: Array, covariance: Array, engine: Engine
+    ) -> None:  # fmt: skip
+        """A scan of the main LiDAR was registered to the local map of `engine`.
 
         It ended at `stamp` [ns]; the gyro went from `before` (4, 4), at the stamp `since`, to `predicted`; registration says `pose`, `covariance`
         (6, 6) with the rotation in `odom` axes.
         """
+        if engine.scans < YOUNG:
+            return
         turned = before[:3, :3].T @ predicted[:3, :3]
         noise = pose[:3, :3].T @ covariance[3:, 3:] @ pose[:3, :3]
         self._gyro.add(stamp, turned, (stamp - since) / NS, pose, noise, self.shift["main"] / NS)
@@ -89,9 +106,8 @@ class Calibration:
         """
         for name, cloud in clouds.items():
             self._ground[name].add(cloud, contacts, pose[2, :3])
-            if (
-                name == "main" or not self._ground[name].even
-            ):  # on slopes a map that is off in height is off ahead
+            # on slopes a map that is off in height is off ahead
+            if name == "main" or engine.scans < YOUNG or not self._ground[name].even:
                 continue
             fit, shift = self._beside[name], self.shift[name] / NS
             there, off = fit.pose(pose, linear, angular, shift)
@@ -117,12 +133,35 @@ class Calibration:
             for name, (x, sigma) in self._known.items()
         )
 
+    def mounts(self) -> dict[LidarName, MountFit]:
+        """What is known of the mounts. The place of the main LiDAR ahead and aside is taken for right: the others are placed beside it."""
+        out: dict[LidarName, MountFit] = {}
+        for name, (x, sigma) in self._known.items():
+            at = self._places[name]
+            turn, turn_sigma = x[1:4].copy(), np.hypot(sigma[1:4], SYSTEMATIC[0])
+            place, place_sigma = np.zeros(3), np.full(3, np.inf)
+            if name != "main":
+                main = out["main"]
+                turn += main.turn
+                turn_sigma = np.hypot(turn_sigma, main.turn_sigma)
+                place = x[4:] + main.place - np.cross(main.turn, self._places["main"]) + np.cross(turn, at)
+                place_sigma = np.hypot(sigma[4:], SYSTEMATIC[1])
+            if self._ground[name].known:
+                roll, pitch, height = self._ground[name].beside_wheels()
+                ground, drive = SYSTEMATIC[0] ** -2, turn_sigma[:2] ** -2
+                turn[:2] = (ground * np.array([roll, pitch]) + drive * turn[:2]) / (ground + drive)
+                turn_sigma[:2] = 1.0 / np.sqrt(ground + drive)
+                place[2] = height + roll * at[1] - pitch * at[0]
+                place_sigma[2] = SYSTEMATIC[1]
+            out[name] = MountFit(turn, turn_sigma, place, place_sigma)
+        return out
+
     def clock_fault(self) -> str:
         """Whose clock the operator must mend, in plain words; empty when all are well."""
         words = []
         for fit in self.fits():
-            beyond = abs(fit.offset) - max(CERTAIN * fit.offset_sigma, WORTH)
-            if beyond > self._max:
+            sure = 0.0 if abs(fit.applied) >= self._max else CERTAIN * fit.offset_sigma
+            if abs(fit.offset) - max(sure, WORTH) > self._max:
                 words.append(
                     f"the stamps of the {fit.name} LiDAR are {-1e3 * fit.offset:+.0f} ms off the IMU, beyond the"
                     f" {1e3 * self._max:.0f} ms that are corrected: set its time_offset"

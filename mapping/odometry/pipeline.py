@@ -66,9 +66,9 @@ class LidarInertialOdometry:
         self._monitor = HealthMonitor(params.health)
         self._lever = np.array(params.inertial.imu_position)
         self._deskewer = Deskewer(mounts, self._lever)
-        self._calibration = Calibration(mounts, params.max_time_offset)
+        self.calibration = Calibration(mounts, params.max_time_offset)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._inbox = Inbox(params, self.counters, self._follow_clock, self._calibration.shift)
+        self._inbox = Inbox(params, self.counters, self._follow_clock, self.calibration.shift)
         self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._startup = Startup()
@@ -213,10 +213,10 @@ class LidarInertialOdometry:
         now, state = self._filter.stamp, self._filter.output(ZERO)
         rate = rotation_vector(before[:3, :3].T @ predicted[:3, :3]) * NS / (now - since)
         contacts = contacts_of(self._joints.between(now - NS // 15, now)[1])
-        self._calibration.registered(now, before, predicted, since, pose, covariance)
-        self._calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
+        self.calibration.registered(now, before, predicted, since, pose, covariance, self._engine)
+        self.calibration.clouds({"main": cloud, **others}, self._engine, pose, state.linear, rate, contacts)
         if max(np.linalg.norm(rate), np.linalg.norm(state.angular)) > TURNING:
-            self._notes += filter(None, [self._calibration.clock_fault()])
+            self._notes += filter(None, [self.calibration.clock_fault()])
 
     def _initialise(self, sweep: Sweep) -> None:
         """The sweep tells when; IMU and joints up to its end tell attitude, velocity and height."""
@@ -320,8 +320,8 @@ class LidarInertialOdometry:
             degeneracy=share,
             correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
             clouds=clouds,
-            lidars=self._calibration.fits(),
-            fault=self._calibration.fault(),
+            lidars=self.calibration.fits(),
+            fault=self.calibration.fault(),
         )
 
     def _rejoin(self) -> None:

@@ -9,6 +9,7 @@ import typer
 
 from rbtrg_robot import __version__
 from rbtrg_robot.cli import (
+    calibrate,
     drive,
     foxglove,
     inspect,
@@ -58,6 +59,7 @@ topic.register(app)
 inspect.register(app)
 service.register(app)
 keys.register(app)
+calibrate.register(app)
 policy.register(app)
 
 

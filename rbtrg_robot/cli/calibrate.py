@@ -1,0 +1,114 @@
+"""`calibrate`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rbtrg_robot.scope import NAMED, ROBOT
+
+if TYPE_CHECKING:
+    from rbtrg_robot.hosts.calibrate import Sample
+
+Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
+calibrate_app = typer.Typer(help="Find how sensors are mounted.", no_args_is_help=True)
+PERIOD = 0.05
+"""[s] between two velocities; the robot lets go after 0.2 s of silence."""
+COURSE = (
+    (2.0, 0.0, 0.0),
+    (5.0, 0.0, 0.6),
+    (5.0, 0.0, -0.6),
+    (2.5, 0.3, 0.0),
+    (2.5, -0.3, 0.0),
+    (1.0, 0.0, 0.0),
+)
+"""For so long [s], ahead [m/s], turning [rad/s]."""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.add_typer(calibrate_app, name="calibrate")
+
+
+@calibrate_app.callback()
+def _group() -> None:
+    pass
+
+
+@calibrate_app.command("lidar")
+def calibrate_lidar(
+    log: Annotated[Path | None, typer.Option("--log", help="A log of a motion instead of the robot.")] = None,
+    drive: Annotated[
+        bool, typer.Option("--drive", help="Drive: turn on the spot both ways, 0.75 m ahead and back.")
+    ] = False,
+    seconds: Annotated[float, typer.Option(min=5.0, max=120.0, help="How long to watch.")] = 20.0,
+    config: Annotated[Path | None, typer.Option(help="Configuration of the stack, YAML.")] = None,
+    sets: Annotated[list[str] | None, typer.Option("--set", help="One value of it: a.b=c.")] = None,
+    robot: Robot = ROBOT,
+) -> None:
+    """Print mounts and time offsets of the LiDARs with their certainty, for the configuration.
+
+    Let the robot stand for a second on level ground with walls in sight, then turn and drive it. Moves nothing without --drive.
+    """
+    from rbtrg_robot.config import ConfigError, load, of_log
+    from rbtrg_robot.hosts.calibrate import as_yaml, calibrate, samples_of
+    from rbtrg_robot.log.file import CONFIG, first_of
+
+    if log is not None:
+        if drive:
+            raise ConfigError("--log and --drive: choose one")
+        base = of_log(first_of(log).attachments.get(CONFIG, b""))[0]
+        stack = load(config, sets or (), base=base)
+        samples = list(samples_of(log))
+    else:
+        stack = load(config, sets or ())
+        samples = _watch(robot, seconds, drive)
+    found = calibrate(samples, stack.mounted_lidars(), stack.odometry)
+    print(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
+
+
+def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
+    """What the sensors say from now on; drives `COURSE` by hand's right of way if told to."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.hosts.calibrate import HEARD, sample_of
+
+    out: list[Sample] = []
+    with connect(robot) as bus:
+        bus.subscribe(HEARD)
+        if drive:
+            bus.advertise(t.TELEOP)
+        began = time.monotonic()
+        length = sum(part[0] for part in COURSE) if drive else seconds
+        print(f"watching for {length:.0f} s", file=sys.stderr)
+        while (now := time.monotonic() - began) < length:
+            if drive:
+                bus.publish(t.TELEOP, _velocity(now), time.time_ns())
+            end = time.monotonic() + PERIOD
+            while (left := end - time.monotonic()) > 0.0:
+                for received in bus.take(left):
+                    message = bus.open(received)
+                    sample = None if message is None else sample_of(received.topic, message)
+                    out += [] if sample is None else [sample]
+        if drive:
+            bus.publish(t.TELEOP, _velocity(-1.0), time.time_ns())
+            print("`rbtrg-robot resume` gives the motion back to the stack", file=sys.stderr)
+    return out
+
+
+def _velocity(now: float) -> Any:
+    """geometry_msgs/TwistStamped of `COURSE` after `now` [s]; rest outside it."""
+    from rbtrg_robot import msg
+    from rbtrg_robot.wire.messages import header
+
+    message = msg.TwistStamped(header=header(time.time_ns(), "base_link"))
+    for lasts, ahead, turning in COURSE:
+        if 0.0 <= now < lasts:
+            message.twist.linear.x, message.twist.angular.z = ahead, turning
+            break
+        now -= lasts
+    return message

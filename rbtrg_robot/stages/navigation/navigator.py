@@ -12,11 +12,12 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, status_of
+from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
 from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
-from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, absence, hindrance, unlocated
+from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance, unlocated
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -70,11 +71,7 @@ class NavigatorStage:
         self._goal: Goal | None = None
         self._known: deque[str] = deque(maxlen=KNOWN)
         self._pose: Pose2 | None = None
-        self._seen: dict[Topic, int] = {}
-        self._health: msg.OdometryHealth | None = None
-        self._robot: msg.RobotState | None = None
-        self._tracker: msg.TrackerState | None = None
-        self._map: msg.MapStatus | None = None
+        self._inputs = Inputs()
         self._query = PlanQuery(params.replan_period)
         self._plan: msg.Plan | None = None
         self._route = RouteWatch()
@@ -97,20 +94,12 @@ class NavigatorStage:
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
         self._out = []
-        self._seen[topic] = self._now
+        self._inputs.take(topic, message, self._now)
         if t.ODOM.carried(message, topic):
             if self._frame.known:
                 pose = message.pose.pose
                 self._pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
                 self._trail.add(self._pose)
-        elif t.ODOM_HEALTH.carried(message, topic):
-            self._health = message
-        elif t.MAP_STATUS.carried(message, topic):
-            self._map = message
-        elif t.TRACKER_STATE.carried(message, topic):
-            self._tracker = message
-        elif t.ROBOT_STATE.carried(message, topic):
-            self._robot = message
         elif t.TF_STATIC.carried(message, topic):
             if self._frame.take(message):
                 self._moved()
@@ -155,7 +144,8 @@ class NavigatorStage:
         self._plan = None
         self._query.drop()
         self._missing_since = 0
-        trouble = stray or unlocated(self._map) or goal.misplaced(self._area) or hindrance(self._robot)
+        heard = self._inputs
+        trouble = stray or unlocated(heard.map) or goal.misplaced(self._area) or hindrance(heard.robot)
         if trouble is not None:
             self._end(GoalState.REJECTED, *trouble)
         else:
@@ -202,7 +192,7 @@ class NavigatorStage:
     def tick(self, now: int) -> Outputs:
         """Supervise the goal."""
         if now < self._now:  # the clock was reset: stamps of before mean nothing
-            self._seen.clear()
+            self._inputs.restart()
         self._now = now
         self._out = []
         goal = self._goal
@@ -210,7 +200,7 @@ class NavigatorStage:
             self._supervise(goal)
         if now >= self._status_due or now < self._status_due - NS:
             self._status()
-        if (again := self._order.repeat(now, self._tracker)) is not None:
+        if (again := self._order.repeat(now, self._inputs.tracker)) is not None:
             self._out.append((t.PATH_COMMAND, again))
         return self._out
 
@@ -218,9 +208,9 @@ class NavigatorStage:
         now, p = self._now, self._params
         if goal.timeout > 0 and now - goal.accepted > goal.timeout * NS:
             return self._end(GoalState.ABORTED, Reason.TIMEOUT, f"after {goal.timeout:.0f} s")
-        if (trouble := hindrance(self._robot)) is not None:
+        if (trouble := hindrance(self._inputs.robot)) is not None:
             return self._end(GoalState.ABORTED, *trouble)
-        if (missing := self._missing()) is not None:
+        if (missing := self._inputs.missing(now, p.input_timeout, frame=self._frame.known)) is not None:
             reason, detail = missing
             if not self._missing_since:
                 self._missing_since = now
@@ -245,44 +235,39 @@ class NavigatorStage:
                 self._ask(again=True)
             return None
         if goal.state is GoalState.PLANNING:
-            if self._order.looking(now, self._tracker):
-                return None
-            if goal.detail == LOOKING or self._query.age(now) > LOOK_AGAIN:
+            waits = self._order.looking(now, self._inputs.tracker)
+            if not waits and (goal.detail == LOOKING or self._query.age(now) > LOOK_AGAIN):
                 self._replan(goal)
             return None
         return self._follow(goal)
 
     def _follow(self, goal: Goal) -> None:
-        now, p = self._now, self._params
-        on_path = self._order.obeyed(self._tracker)
-        if self._tracker is not None and on_path and self._tracker.phase == "done":
-            self._arrive(goal)
-            return
-        if goal.state is GoalState.MOVING and (broken := self._route.broken(now, self._plan, self._pose)):
+        now = self._now
+        on_path = self._order.obeyed(self._inputs.tracker)
+        if on_path and self._inputs.phase == "done":
+            return self._arrive(goal)
+        broken = self._route.broken(now, self._plan, self._pose) if goal.state is GoalState.MOVING else ""
+        if not broken and self._inputs.silent(t.ROUTE_STATUS, now, self._params.plan_retry):
+            broken = PLANNER_SILENT
+        if broken:
             self._stand(goal, broken)
-            self._replan(goal)
-            return
-        if now - self._seen.get(t.ROUTE_STATUS, now) > p.plan_retry * NS:
-            self._stand(goal, PLANNER_SILENT)
-            self._replan(goal)
-            return
-        if on_path and self._tracker is not None and self._tracker.phase == "final_turn":
+            return self._replan(goal)
+        if on_path and self._inputs.phase == "final_turn":
             self._progress.reset()  # the tracker ends that in time by itself
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
-            self._recover(goal)
-            return
-        look = goal.state is GoalState.MOVING and goal.frontier and self._query.due(now, self._tracker)
+            return self._recover(goal)
+        look = goal.state is GoalState.MOVING and goal.frontier and self._query.due(now, self._inputs.tracker)
         if look and not self._route.over_edge(self._plan, self._pose):
             self._replan(goal)  # on an edge it could not turn into another route
+        return None
 
     def _arrive(self, goal: Goal) -> None:
         """At the end of a path: that is the goal, a frontier, or the last drivable place before the goal."""
         if goal.state is GoalState.RECOVERING or goal.frontier:
             goal.state = GoalState.MOVING
-            self._replan(goal)
-            return
+            return self._replan(goal)
         short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
-        askew = heading_off(goal.yaw, self._tracker)
+        askew = heading_off(goal.yaw, self._inputs.tracker)
         if short <= self._params.goal_tolerance:
             ended = (GoalState.ABORTED, Reason.STUCK) if askew else (GoalState.REACHED, Reason.NONE)
             self._end(*ended, askew)
@@ -291,24 +276,13 @@ class NavigatorStage:
             self._replan(goal)
         else:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
-
-    def _missing(self) -> tuple[Reason, str] | None:
-        if (away := absence(self._robot, self._health)) is not None:
-            return away
-        if (lost := unlocated(self._map)) is not None:
-            return lost
-        if not self._frame.known:
-            return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
-        ages = ((topic, (self._now - self._seen.get(topic, 0)) / NS) for topic in (t.ODOM, t.MAP_STATUS))
-        old = (f"no {x.name} for {age:.1f} s" for x, age in ages if age > self._params.input_timeout)
-        return next(((Reason.PROCESS_LOST, why) for why in old), None)
+        return None
 
     def _recover(self, goal: Goal) -> None:
         """Move out of the place, then replan around it; give up where that was done often enough."""
         self._progress.reset()
         assert self._pose is not None
-        turning = self._tracker is not None and self._tracker.phase in TURNING
-        if self._recovery.stuck(self._pose, turning=turning) is Measure.GIVE_UP:
+        if self._recovery.stuck(self._pose, turning=self._inputs.phase in TURNING) is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
             self._end(GoalState.ABORTED, Reason.STUCK, tried)
         elif not self._move_out(goal):
@@ -366,7 +340,7 @@ class NavigatorStage:
 
     def _status(self) -> None:
         self._status_due = self._now + NS // 2
-        left = self._tracker.distance_left if self._tracker else 0.0
+        left = self._inputs.tracker.distance_left if self._inputs.tracker else 0.0
         self._out.append((t.GOAL_STATUS, status_of(self._goal, self._now, left)))
 
 

@@ -1,0 +1,59 @@
+"""What the navigator heard last from the others, and what of it is missing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hal.types import NS
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.reasons import Reason, absence, unlocated
+from rbtrg_robot.topics import Topic
+
+
+class Inputs:
+    """Newest states of robot, tracker, odometry and map, and when each topic was heard. Times in ns."""
+
+    def __init__(self) -> None:
+        self.robot: msg.RobotState | None = None
+        self.tracker: msg.TrackerState | None = None
+        self.map: msg.MapStatus | None = None
+        self._health: msg.OdometryHealth | None = None
+        self._heard: dict[Topic, int] = {}
+
+    @property
+    def phase(self) -> str:
+        """Of the tracker; empty before it was heard."""
+        return self.tracker.phase if self.tracker is not None else ""
+
+    def take(self, topic: Topic, message: Any, now: int) -> None:
+        """Note one message of any topic."""
+        self._heard[topic] = now
+        if t.ODOM_HEALTH.carried(message, topic):
+            self._health = message
+        elif t.MAP_STATUS.carried(message, topic):
+            self.map = message
+        elif t.TRACKER_STATE.carried(message, topic):
+            self.tracker = message
+        elif t.ROBOT_STATE.carried(message, topic):
+            self.robot = message
+
+    def restart(self) -> None:
+        """The clock was reset: stamps of before mean nothing."""
+        self._heard.clear()
+
+    def silent(self, topic: Topic, now: int, seconds: float) -> bool:
+        """Whether a topic that was heard once has not been heard for so long [s]."""
+        return now - self._heard.get(topic, now) > seconds * NS
+
+    def missing(self, now: int, timeout: float, *, frame: bool) -> tuple[Reason, str] | None:
+        """Why a goal must wait. `timeout` [s] for odometry and map; `frame`: it is known where `odom` lies in `map`."""
+        if (away := absence(self.robot, self._health)) is not None:
+            return away
+        if (lost := unlocated(self.map)) is not None:
+            return lost
+        if not frame:
+            return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
+        ages = ((topic, (now - self._heard.get(topic, 0)) / NS) for topic in (t.ODOM, t.MAP_STATUS))
+        old = (f"no {x.name} for {age:.1f} s" for x, age in ages if age > timeout)
+        return next(((Reason.PROCESS_LOST, why) for why in old), None)

@@ -23,6 +23,7 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import load_into, read_cloud, restore_store, save_store
+from mapping.elevation.mirror import PART
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
@@ -323,9 +324,9 @@ class ElevationMap:
         """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
         return self._reader.read_all(self.stamp, self.epoch)
 
-    def boxes(self) -> list[Box]:
-        """The whole map as few boxes of whole tiles, one where it is small. Raises MapError while it is empty."""
-        return list(self._reader.boxes())
+    def boxes(self, most: int = PART) -> list[Box]:
+        """The whole map as few boxes of whole tiles, one if that has at most so many cells. Raises MapError while it is empty."""
+        return list(self._reader.boxes(most))
 
     def read(self, box: Box) -> MapPatch:
         """One of `boxes`."""

@@ -21,7 +21,9 @@ STEP = 8 * SIDE
 BLOCK = 8
 """Tiles of the side of a block of a map that is sent in several patches."""
 WHOLE = 6_250_000
-"""Cells of a map that is sent in one patch: 100 x 100 m of 4 cm."""
+"""Cells of a map that people and their tools get in one patch: 100 x 100 m of 4 cm."""
+PART = 600_000
+"""The same for our own processes, which put patches together again. No stage stands still for longer than 0.1 s."""
 _UNSEEN = np.array([np.nan, np.nan, 0.0, np.nan, 0.0], np.float32)
 """A fresh cell, in the order of PATCH_LAYERS."""
 
@@ -62,10 +64,10 @@ class CellWindow:
                 yield row, col
 
 
-def blocks_of(keys: NDArray[np.integer], side: int) -> Iterator[CellWindow]:
-    """Windows that hold all tiles (n, 2) of `side` cells: one if that is small enough, else blocks of 8 x 8 tiles, each cut to what it holds."""
+def blocks_of(keys: NDArray[np.integer], side: int, most: int = PART) -> Iterator[CellWindow]:
+    """Windows that hold all tiles (n, 2) of `side` cells: one if that has at most so many cells, else blocks of 8 x 8 tiles, each cut to what it holds."""
     whole = _window(keys, side)
-    if whole.rows * whole.cols <= WHOLE:
+    if whole.rows * whole.cols <= most:
         yield whole
         return
     block = keys // BLOCK
@@ -90,18 +92,18 @@ class MapMirror:
         self.stamp = 0
         self._tiles: dict[Key, NDArray[np.float32]] = {}
         """(5, SIDE, SIDE) each, in the order of PATCH_LAYERS."""
-        self._shelf = Shelf(folder)
+        self.shelf = Shelf(folder)
         self._kept: CellWindow | None = None
 
     @property
     def known(self) -> bool:
         """A patch was received."""
-        return bool(self._tiles) or len(self._shelf) > 0
+        return bool(self._tiles) or len(self.shelf) > 0
 
     @property
     def trouble(self) -> str:
         """What is wrong with the disk that tiles are put on; words for the operator."""
-        return self._shelf.trouble
+        return self.shelf.trouble
 
     @property
     def nbytes(self) -> int:
@@ -110,7 +112,7 @@ class MapMirror:
 
     def put_on(self, folder: Path) -> None:
         """Put far tiles on this disk from now on; while there are none."""
-        self._shelf = Shelf(folder)
+        self.shelf = Shelf(folder)
 
     def apply(self, patch: MapPatch) -> CellWindow:
         """Take a patch in; returns the cells that it wrote. A new epoch or resolution starts over.
@@ -123,7 +125,7 @@ class MapMirror:
         if patch.epoch > self.epoch or abs(patch.resolution - self.resolution) > 1e-9:
             self.epoch, self.resolution = patch.epoch, patch.resolution
             self._tiles.clear()
-            self._shelf.clear()
+            self.shelf.clear()
         for key in window.tiles:
             here = CellWindow(key[0] * SIDE, key[1] * SIDE, SIDE, SIDE)
             tile = self._own(key)
@@ -134,9 +136,9 @@ class MapMirror:
 
     def tile(self, key: Key) -> NDArray[np.float32] | None:
         """(5, SIDE, SIDE) layers of a tile in the order of PATCH_LAYERS, None where nothing was seen. Not to be written to."""
-        if key in self._shelf:
+        if key in self.shelf:
             out = fresh_tile()
-            self._shelf.get(key, out)
+            self.shelf.get(key, out)
             return out
         return self._tiles.get(key)
 
@@ -192,14 +194,14 @@ class MapMirror:
 
     def stay_within(self, window: CellWindow) -> None:
         """Put the tiles outside of a window away and bring those inside back, where there is a disk."""
-        if window == self._kept or not (self._shelf.open or len(self._shelf)):
+        if window == self._kept or not (self.shelf.open or len(self.shelf)):
             return
         self._kept = window
         inside = set(window.tiles)
-        for key in [key for key in self._shelf.keys if key in inside]:
+        for key in [key for key in self.shelf.keys if key in inside]:
             self._own(key)
         for key in [key for key in self._tiles if key not in inside]:
-            if not self._shelf.put(key, self._tiles[key]):
+            if not self.shelf.put(key, self._tiles[key]):
                 return
             del self._tiles[key]
 
@@ -207,19 +209,19 @@ class MapMirror:
         """A tile to be written to."""
         if key not in self._tiles:
             self._tiles[key] = fresh_tile()
-            if key in self._shelf:
-                self._shelf.take(key, self._tiles[key])
+            if key in self.shelf:
+                self.shelf.take(key, self._tiles[key])
             self._kept = None
         return self._tiles[key]
 
     def _keys(self) -> NDArray[np.int64]:
         if not self.known:
             raise MapError("no map yet: no patch was received")
-        return np.array(sorted([*self._tiles, *self._shelf.keys]), np.int64)
+        return np.array(sorted([*self._tiles, *self.shelf.keys]), np.int64)
 
     def _within(self, window: CellWindow) -> Iterator[Key]:
         """Tiles of a window of which something was seen."""
-        return (key for key in window.tiles if key in self._tiles or key in self._shelf)
+        return (key for key in window.tiles if key in self._tiles or key in self.shelf)
 
 
 def fresh_tile() -> NDArray[np.float32]:

@@ -96,12 +96,12 @@ class MapReader:
             raise MapError(f"the map is too large to be read as a whole: {sides} m")
         return self.read(box, stamp, epoch)
 
-    def boxes(self) -> Iterator[Box]:
-        """The whole map as few boxes, one where it is small. Raises MapError while it is empty."""
+    def boxes(self, most: int) -> Iterator[Box]:
+        """The whole map as few boxes, one if that has at most so many cells. Raises MapError while it is empty."""
         keys = self.store.keys
         if not len(keys):
             raise MapError(EMPTY)
-        return ((w.row, w.col, w.rows, w.cols) for w in blocks_of(keys, self.store.size))
+        return ((w.row, w.col, w.rows, w.cols) for w in blocks_of(keys, self.store.size, most))
 
     def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what differs from the last ones sent, within a box."""

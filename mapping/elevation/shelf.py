@@ -38,6 +38,11 @@ class Shelf:
         """The tiles on the disk."""
         return list(self._places)
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the file [bytes]."""
+        return self._end
+
     def __len__(self) -> int:
         return len(self._places)
 

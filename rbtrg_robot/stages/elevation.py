@@ -14,6 +14,7 @@ from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.mirror import WHOLE
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
@@ -290,10 +291,9 @@ class ElevationStage:
 
     def _blocks(self, action: str) -> Iterator[tuple[Topic, msg.Message]]:
         """The map block by block. Raises MapError while it is empty."""
-        boxes = self.map.boxes()
         if action == "full":
-            return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in boxes)
-        return ((t.MAP_PARTS, part) for part in map_parts(boxes, self.map.read, self.map.stamp))
+            return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in self.map.boxes(WHOLE))
+        return ((t.MAP_PARTS, part) for part in map_parts(self.map.boxes(), self.map.read, self.map.stamp))
 
     def _restore(self, mirror: msg.MapPart) -> None:
         self.map.restore(map_patch(mirror.map, self.map.epoch))

@@ -92,7 +92,7 @@ def test_blocks_hold_every_tile_once() -> None:
         cell = CellWindow(row * SIDE, col * SIDE, SIDE, SIDE)
         assert sum(cell.within(w).rows == SIDE and cell.within(w).cols == SIDE for w in windows) == 1
     side = int(WHOLE**0.5) // SIDE
-    assert len(list(blocks_of(np.array([(0, 0), (side - 1, side - 1)]), SIDE))) == 1
+    assert len(list(blocks_of(np.array([(0, 0), (side - 1, side - 1)]), SIDE, WHOLE))) == 1
 
 
 def scans(elevation: ElevationMap, mirror: MapMirror) -> list[bytes]:

@@ -18,6 +18,8 @@ CELL, POINTS, CELLS = 0.25, 3, 25
 """Heights are averaged in cells of this size [m] with so many points at least; so many cells make a plane."""
 EVEN = 0.01
 """Scatter of the cells' heights about the plane up to which ground is even [m]."""
+MOST = 0.6
+"""Share of the cells that must lie on the plane: others are walls and steps."""
 SPREAD = 0.35
 """The cells must reach so far in both directions, one standard deviation [m]."""
 KEPT = 60
@@ -93,12 +95,12 @@ def fit_plane(points: Array) -> tuple[float, float, float] | None:
     if len(mean) < CELLS:
         return None
     design = np.column_stack([mean[:, :2], np.ones(len(mean))])
-    keep = np.ones(len(mean), np.bool_)
+    keep = np.abs(mean[:, 2] - np.median(mean[:, 2])) < 0.03 + 0.05 * np.hypot(mean[:, 0], mean[:, 1])
     for gate in (0.06, 0.03, 0.03):
         x, *_ = np.linalg.lstsq(design[keep], mean[keep, 2], rcond=None)
         off = np.abs(design @ x - mean[:, 2])
         keep = off < gate
-        if keep.sum() < max(CELLS, 0.7 * len(mean)):
+        if keep.sum() < max(CELLS, MOST * len(mean)):
             return None
     even = float(np.sqrt(np.mean(off[keep] ** 2))) < EVEN
     wide = float(np.linalg.eigvalsh(np.cov(mean[keep, :2].T))[0]) > SPREAD**2

@@ -1,11 +1,11 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
-    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--metres 1000]
-                                    [--only relocalise|offset|map_1km|map|soak] [--no-joints]
+    python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--mounts 15] [--metres 1000]
+                                    [--only relocalise|offset|mounts|map_1km|map|soak] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
-scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
+scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU, `--mounts 15` with mounts that are off. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
 `--no-joints` hides the joints from the odometry.
 """
 
@@ -19,6 +19,7 @@ from tools.bench.perception import kilometre as _perception_kilometre
 from tools.bench.perception import lanes as _perception_lanes
 from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
+from tools.bench.perception import mounts as _perception_mounts
 from tools.bench.perception import offset as _perception_offset
 from tools.bench.perception import relocalise as _perception_relocalise
 from tools.bench.perception import soak as _perception_soak
@@ -51,16 +52,19 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
     parser.add_argument("--lanes", type=int, default=4, metavar="N")
     parser.add_argument("--poses", type=int, default=20, metavar="N")
-    parser.add_argument("--only", choices=("relocalise", "offset", "map_1km", "map", "soak"))
+    parser.add_argument("--only", choices=("relocalise", "offset", "mounts", "map_1km", "map", "soak"))
     parser.add_argument("--metres", type=float, default=1000.0)
     parser.add_argument("--basin", type=int, default=24, metavar="N")
+    parser.add_argument("--mounts", type=float, default=15.0, metavar="SECONDS")
     parser.add_argument("--offset", type=float, default=20.0, metavar="SECONDS")
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
-    asked = {options.only} if options.only else {"relocalise", "offset", "map_1km", "map", "soak"}
+    asked = {options.only} if options.only else {"relocalise", "offset", "mounts", "map_1km", "map", "soak"}
     if options.poses > 0 and "relocalise" in asked:
         _perception_relocalise.rows(report, options.poses, options.seed)
+    if options.mounts > 0.0 and "mounts" in asked:
+        _perception_mounts.rows(report, options.mounts, options.seed)
     if options.offset > 0.0 and "offset" in asked:
         _perception_offset.rows(report, options.offset, options.seed)
     if options.metres > 0.0 and "map_1km" in asked:

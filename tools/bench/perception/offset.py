@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import TypeVar
 
 from hal.lidar.spec import LIDARS
-from hal.types import NS, Extrinsics, GroundTruth, ImuSample, JointSample, LidarName, LidarScan, Sample
+from hal.types import NS, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import ScanOdometry
 from tools.bench.perception.odometry import Track, errors, matrix
 from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run
 
+Measured = ImuSample | JointSample | LidarScan
+S = TypeVar("S", bound=Measured)
 OFFSETS = (0, 10, 20, 30, -10)
 """Of the main LiDAR [ms]; the head's are the opposite."""
 FOUND_LIMIT = {"main": 1.0, "head": 3.0}
@@ -21,17 +24,24 @@ MOTION_LIMIT = 6.0
 """RMS over 1 s, the seconds until the offset is found included [mm]."""
 
 
-def two_lidars(seconds: float, seed: int) -> tuple[SyntheticRun, list[Sample]]:
+def two_lidars(seconds: float, seed: int) -> tuple[SyntheticRun, list[Measured]]:
     """The arena run of an XT16 with every fourth firing, an L1 in the head; in order of arrival."""
     run = replace(arena_run("xt16", duration=seconds, seed=seed), lidar=LIDARS["xt16"].decimated(4))
     head = replace(run, lidar=LIDARS["l1"], seed=seed + 100)
-    samples = [s for s in run.samples() if not isinstance(s, GroundTruth)]
+    samples = [s for s in run.samples() if isinstance(s, Measured)]
     samples += [replace(s, name="head") for s in head.samples() if isinstance(s, LidarScan)]
     return run, sorted(samples, key=lambda s: s.stamp + NS // 10 * isinstance(s, LidarScan))
 
 
+def delayed(sample: S, late: Mapping[LidarName, float]) -> S:
+    """A scan whose stamp lies `late` [s] before the truth; another sample as it is."""
+    if isinstance(sample, LidarScan):
+        return replace(sample, stamp=sample.stamp - round(late[sample.name] * NS))
+    return sample
+
+
 def driven(
-    samples: list[Sample],
+    samples: list[Measured],
     params: OdometryConfig,
     mounts: Mapping[LidarName, Extrinsics],
     late: Mapping[LidarName, float],
@@ -44,7 +54,7 @@ def driven(
         elif isinstance(sample, JointSample):
             odometry.add_joints(sample)
         elif isinstance(sample, LidarScan):
-            odometry.add_scan(replace(sample, stamp=sample.stamp - round(late[sample.name] * NS)))
+            odometry.add_scan(delayed(sample, late))
         yield from odometry.poll()
 
 

@@ -26,6 +26,8 @@ KEPT = 60
 """Looks that count."""
 ENOUGH = 8
 """Looks that are needed."""
+UPRIGHT = 0.5
+"""Cosine of the tilt of the wheels' plane up to which one looks."""
 LATELY = 3
 """Looks."""
 EVERY = 5
@@ -60,7 +62,9 @@ class GroundFit:
         if len(contacts) < 4:
             return
         normal = np.cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
-        normal /= math.copysign(float(np.linalg.norm(normal)), normal[2])
+        normal /= math.copysign(max(float(np.linalg.norm(normal)), 1e-9), normal[2])
+        if min(normal[2], normal @ up) < UPRIGHT:
+            return
         side = np.cross(normal, [1.0, 0.0, 0.0])
         side /= np.linalg.norm(side)
         axes = np.stack([np.cross(side, normal), side, normal])

@@ -218,3 +218,13 @@ def test_a_wrong_mount_is_told_while_the_robot_drives(
     scans = feed(LidarInertialOdometry(mounts=mounts), samples[:1400])
     assert told in scans[-1].fault
     assert "stamps" not in scans[-1].fault
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [np.zeros((4, 3)), CONTACTS[:2], CONTACTS[:, [2, 1, 0]], CONTACTS * [1.0, 0.0, 1.0]],
+    ids=["one point", "two wheels", "on its side", "in a line"],
+)
+def test_wheels_that_make_no_ground_are_not_looked_at(contacts: np.ndarray) -> None:
+    random = np.random.default_rng(0)
+    assert calibration(lambda: ground("flat", random), contacts, np.radians([5.0, 0.0, 0.0]), 0.0) == ""

@@ -92,15 +92,22 @@ class FrontierMemory:
 
 
 def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
-    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground.
+    """(n,) frontier nodes that are worth driving to from node `start`; where there are none, nodes beside virtual ground. Those around the
+    frontier driven to so far count as well where no other frontier is near it: else the robot would turn away to a far one at each crest.
 
     The one that the robot is on its way to stays open until the robot has come to it.
     """
     seen, previous = request.seen_frontiers, request.previous_frontier
     out = _far(graph, start, seen, graph.frontier, previous)
-    if out.any() or request.been is None:
+    if request.been is None:
         return out
-    return _far(graph, start, (*seen, *request.been), _beside_virtual(graph), previous)
+    beside = _far(graph, start, (*seen, *request.been), _beside_virtual(graph), previous)
+    if not out.any():
+        return beside
+    if previous is None:
+        return out
+    near = np.hypot(*(graph.nodes[:, :2] - np.array(previous)).T) <= SAME_FRONTIER
+    return out if (out & near).any() else out | (beside & near)
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:

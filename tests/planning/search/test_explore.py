@@ -154,3 +154,26 @@ def test_a_frontier_on_the_way_stays_open_until_the_robot_has_come_to_it() -> No
     assert np.flatnonzero(on_the_way).tolist() == [near]
     seen = replace(request, previous_frontier=(x, y), seen_frontiers=((x, y),))
     assert not open_frontiers(graph, start, seen).any()
+
+
+def test_a_robot_before_a_crest_looks_behind_it_before_it_turns_away_to_a_far_frontier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph = TraversalGraph.build(flat(6.0, 3.0), (1.0, 1.5))
+    start, far, crest = (int(np.hypot(*(graph.nodes[:, :2] - (x, 1.5)).T).argmin()) for x in (1.0, 5.0, 2.2))
+    x, y = graph.nodes[crest, :2].tolist()
+    around = np.hypot(*(graph.nodes[:, :2] - (x, y)).T) <= 0.2
+    beside = around.copy()
+    beside[int(np.hypot(*(graph.nodes[:, :2] - (4.2, 1.5)).T).argmin())] = True  # another crest
+    monkeypatch.setattr("planning.search.frontier._beside_virtual", lambda graph: beside)
+    graph.frontier[:] = False
+    graph.frontier[far] = True
+    request = PlanRequest((1.0, 1.5), (9.0, 1.5), previous_frontier=(x, y))
+    np.testing.assert_array_equal(open_frontiers(graph, start, request), around | graph.frontier)
+    new = replace(request, previous_frontier=None)
+    assert np.flatnonzero(open_frontiers(graph, start, new)).tolist() == [far]
+    close = int(np.hypot(*(graph.nodes[:, :2] - (x + 0.6, y)).T).argmin())
+    graph.frontier[close] = True
+    assert np.flatnonzero(open_frontiers(graph, start, request)).tolist() == sorted((far, close))
+    graph.frontier[:] = False
+    np.testing.assert_array_equal(open_frontiers(graph, start, request), beside)

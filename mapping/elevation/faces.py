@@ -43,8 +43,11 @@ def fill_faces(
     inv = 1.0 / resolution
     size = np.int64(1) << shift
     # the ground that a face stands on: seen in this scan, known in the cell, or in the cells before it
-    ground = np.empty(m, np.float32)
-    tall, open_ = np.zeros(m, np.bool_), np.zeros(m, np.bool_)
+    ground = np.empty(k, np.float32)
+    tall, open_ = np.zeros(k, np.bool_), np.zeros(k, np.bool_)
+    # few cells are tall or open; all the rest is worked out for those alone
+    some, number = np.empty(k, np.int32), np.empty(k, np.int32)
+    n = 0
     for t in range(k):
         cell = cells[which[t]]
         ground[t] = sums[t, BOTTOM]
@@ -52,15 +55,27 @@ def fill_faces(
             ground[t] = min(ground[t], cell.height)
         open_[t] = cell.source != 2
         tall[t] = sums[t, TOP] - ground[t] > 2.0 * band
-    place = np.zeros((m, 2), np.int64)
-    for p in range(m):
-        t = slot[p]
+        number[t] = -1
         if tall[t] or open_[t]:
-            place[t, 0] = np.int64(np.floor(ends[ray[p], 1] * inv + 0.5))
-            place[t, 1] = np.int64(np.floor(ends[ray[p], 0] * inv + 0.5))
-    for t in range(k):
+            number[t] = n
+            some[n] = t
+            n += 1
+    place = np.empty((n, 2), np.int64)
+    left = n
+    for p in range(m - 1, -1, -1):
+        if left == 0:
+            break
+        c = number[slot[p]]
+        if c >= 0:
+            number[slot[p]] = -1
+            left -= 1
+            place[c, 0] = np.int64(np.floor(ends[ray[p], 1] * inv + 0.5))
+            place[c, 1] = np.int64(np.floor(ends[ray[p], 0] * inv + 0.5))
+    faces = 0
+    for c in range(n):
+        t = some[c]
         if open_[t]:
-            i, j = place[t, 0], place[t, 1]
+            i, j = place[c, 0], place[c, 1]
             di = np.int64(1) if i * resolution > sensor[1] else np.int64(-1)
             dj = np.int64(1) if j * resolution > sensor[0] else np.int64(-1)
             for axis in range(2):
@@ -68,56 +83,71 @@ def fill_faces(
                 if near >= 0 and cells[near].source == 2:
                     ground[t] = min(ground[t], cells[near].height)
             tall[t] = sums[t, TOP] - ground[t] > 2.0 * band
+        if tall[t]:
+            some[faces], place[faces, 0], place[faces, 1] = t, place[c, 0], place[c, 1]
+            number[t] = faces
+            faces += 1
+    if faces == 0:
+        return k
     # points, their sums of x and y from the middle of the cell: on the face, on face and top
-    face, above = np.zeros((m, 3)), np.zeros((m, 3))
+    face, above = np.zeros((faces, 3)), np.zeros((faces, 3))
     for p in range(m):
         t = slot[p]
-        if not tall[t] or z[p] <= ground[t] + band:
+        c = number[t]
+        if c < 0 or z[p] <= ground[t] + band:
             continue
-        x = np.float64(ends[ray[p], 0]) - place[t, 1] * resolution
-        y = np.float64(ends[ray[p], 1]) - place[t, 0] * resolution
-        above[t, 0] += 1.0
-        above[t, 1] += x
-        above[t, 2] += y
+        x = np.float64(ends[ray[p], 0]) - place[c, 1] * resolution
+        y = np.float64(ends[ray[p], 1]) - place[c, 0] * resolution
+        above[c, 0] += 1.0
+        above[c, 1] += x
+        above[c, 2] += y
         if z[p] < sums[t, TOP] - band:
-            face[t, 0] += 1.0
-            face[t, 1] += x
-            face[t, 2] += y
-    handed, given = np.zeros(m, np.uint8), np.zeros(m, np.bool_)
-    rows = k
+            face[c, 0] += 1.0
+            face[c, 1] += x
+            face[c, 2] += y
+    most = k + PASSES * faces
+    handed, given = np.zeros(most, np.uint8), np.zeros(most, np.bool_)
+    again = np.ones(faces, np.bool_)
+    rows, gone = k, False
     for _ in range(PASSES):
         front = tall.copy()
-        for t in range(k):
-            if not front[t] or given[t]:
+        for q in range(faces):
+            t = some[q]
+            if not again[q] or not front[t] or given[t] or above[q, 0] == 0.0:
                 continue
+            again[q] = False  # without a face before it nothing changes until the next pass
             # points of a top fill their cell, those of a face alone stand where it is
-            on, least = (face[t], 0.0) if face[t, 0] > 0.0 else (above[t], 0.25 * resolution)
-            i, j = place[t, 0], place[t, 1]
+            on_face = face[q, 0] > 0.0
+            points = face[q, 0] if on_face else above[q, 0]
+            best, behind, before = 0.0 if on_face else 0.25 * resolution, np.int64(-1), np.int64(-1)
+            i, j = place[q, 0], place[q, 1]
             dx, dy = j * resolution - sensor[0], i * resolution - sensor[1]
             far = np.sqrt(dx * dx + dy * dy)
-            best, behind, before = least, np.int64(-1), np.int64(-1)
             for axis in range(2):
                 along = dx if axis == 0 else dy
                 if abs(along) < SIDEWAYS * far:
                     continue
                 d = np.int64(1) if along > 0.0 else np.int64(-1)
                 di, dj = (np.int64(0), d) if axis == 0 else (d, np.int64(0))
+                depth = d * (face[q, 1 + axis] if on_face else above[q, 1 + axis]) / points
+                if not depth > best:
+                    continue
                 near = _pool(directory, first, shift, size, i - di, j - dj)
                 s = _entry(mark, which, k, near)
                 if s >= 0 and front[s]:
+                    again[q] = True
                     continue
-                wide = True
-                for side in (-1, 1):
-                    beside = False
+                wide, side = True, np.int64(-1)
+                while wide and side <= 1:
+                    wide = False
                     for deep in range(2):
                         r, c = i + deep * di + side * dj, j + deep * dj + side * di
                         s = _entry(mark, which, k, _pool(directory, first, shift, size, r, c))
-                        beside = beside or (s >= 0 and 2.0 * above[s, 0] >= above[t, 0])
-                    wide = wide and beside
-                if not wide:
-                    continue
-                depth = d * on[1 + axis] / on[0]
-                if depth > best:
+                        if s >= 0 and number[s] >= 0 and 2.0 * above[number[s], 0] >= above[q, 0]:
+                            wide = True
+                            break
+                    side += 2
+                if wide:
                     best, before = depth, near
                     behind = _pool(directory, first, shift, size, i + di, j + dj)
             if behind < 0:
@@ -128,19 +158,22 @@ def fill_faces(
                 rows += 1
                 mark[behind] = s
                 which[s] = behind
-                sums[s] = sums[t]
+                _copy_row(sums, t, s)
             elif handed[s] != 0 or sums[s, TOP] < sums[t, TOP] - band:
                 foot = sums[s, BOTTOM]
-                sums[s] = sums[t]
+                _copy_row(sums, t, s)
                 sums[s, BOTTOM] = foot
                 handed[s] = 0
             given[s] = True
             tall[t] = False
+            gone = True
             foot = sums[t, BOTTOM]
             s = _entry(mark, which, k, before)
             level = before >= 0 and cells[before].source == 2 and abs(cells[before].height - foot) <= band
             level = level or (s >= 0 and abs(sums[s, TOP] - foot) <= band)
             handed[t] = 1 if level and foot <= ground[t] + band else 2
+    if not gone:
+        return k
     for t in range(k):
         if handed[t] == 1:
             sums[t, TOP] = sums[t, BOTTOM]
@@ -156,10 +189,18 @@ def fill_faces(
     n = 0
     for t in range(rows):
         if handed[t] != 2:
-            which[n] = which[t]
-            sums[n] = sums[t]
+            if n < t:
+                which[n] = which[t]
+                _copy_row(sums, t, n)
             n += 1
     return n
+
+
+@njit(cache=True)
+def _copy_row(sums, of, to):  # pragma: no cover
+    """One row onto another, without the views that an assignment of rows makes."""
+    for column in range(sums.shape[1]):
+        sums[to, column] = sums[of, column]
 
 
 @njit(cache=True)

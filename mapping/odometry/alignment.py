@@ -36,8 +36,8 @@ CALM = 0.05
 """A slower turn [rad/s] tells nothing."""
 STRAIGHT, STEP = 0.1, 0.02
 """Turn rate [rad/s] up to which, and distance from scan to scan [m] from which the robot drives ahead,"""
-SIDEWAYS, SLIP = 0.003, 0.05
-"""by so much to the side [m] and per metre [-], one standard deviation."""
+SIDEWAYS, SLIP = 0.003, 0.1
+"""by so much to the side [m] and per metre [-], one standard deviation: a skid-steered robot drives up to a degree or so askew."""
 STRANGE = 5.0
 """A difference between registration and gyro from scan to scan is neither clock nor mount beyond this [standard deviations]."""
 INDEPENDENT = 60

@@ -14,8 +14,8 @@ from mapping.odometry.alignment import GATE, SCALE, GyroFit, MapFit
 from mapping.odometry.ground_fit import GroundFit
 from mapping.odometry.registration.engines import Engine
 
-CERTAIN = 5.0
-"""Standard deviations beyond which a difference is believed: it is looked at after every scan."""
+CERTAIN, REFINED = 5.0, 3.0
+"""Standard deviations beyond which a difference is believed: it is looked at after every scan. Fewer where a clock is corrected already."""
 WORTH, SMALL = 0.003, 0.001
 """Offset [s] from which a clock is corrected, and what a correction may leave. Simulated physics has 2 to 2.5 ms, half of its
 time step: its poses move by the rate at the end of a step, and the gyro's samples are joined by straight lines."""
@@ -120,7 +120,8 @@ class Calibration:
         x, sigma = self._known[name] = fit.solve()
         wanted = round(min(max(float(x[0]), -self._max), self._max) * NS)
         off = abs(wanted - self.shift[name]) / NS
-        if not sure or off <= max(CERTAIN * float(sigma[0]), SMALL if self.shift[name] else WORTH):
+        beyond, least = (REFINED, SMALL) if self.shift[name] else (CERTAIN, WORTH)
+        if not sure or off <= max(beyond * float(sigma[0]), least):
             return False
         self.shift[name] = wanted
         fit.shifted()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -79,7 +80,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
 
     out: list[Sample] = []
     with connect(robot) as bus:
-        bus.subscribe(HEARD)
+        bus.subscribe([replace(topic, depth=10_000) for topic in HEARD])  # every sample counts
         if drive:
             bus.advertise(t.TELEOP)
         began = time.monotonic()
@@ -92,7 +93,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
             while (left := end - time.monotonic()) > 0.0:
                 for received in bus.take(left):
                     message = bus.open(received)
-                    sample = None if message is None else sample_of(received.topic, message)
+                    sample = None if message is None else sample_of(t.BY_NAME[received.topic.name], message)
                     out += [] if sample is None else [sample]
         if drive:
             bus.publish(t.TELEOP, _velocity(-1.0), time.time_ns())

@@ -202,9 +202,8 @@ class ElevationMap:
                 self.alignment.height -= higher
                 return True
             self._prior.take(self.store, which, sums)
-        p = self.params
         return self.alignment.active and self.alignment.take(
-            self.store, which, sums, p.resolution, p.drift_gain
+            self.store, which, sums, self.params.resolution, self.params.drift_gain
         )
 
     def fuse_ground(
@@ -316,9 +315,8 @@ class ElevationMap:
         """The square of half width `half` [m] around (x, y)."""
         r = self.params.resolution
         n = int(np.ceil(half / r))
-        return self._reader.read(
-            (round(y / r) - n, round(x / r) - n, 2 * n + 1, 2 * n + 1), self.stamp, self.epoch
-        )
+        box = (round(y / r) - n, round(x / r) - n, 2 * n + 1, 2 * n + 1)
+        return self._reader.read(box, self.stamp, self.epoch)
 
     def full(self) -> MapPatch:
         """The whole map. Raises MapError while it is empty, and where it is too large for one patch."""
@@ -339,9 +337,8 @@ class ElevationMap:
         patch = self._reader.read(box, self.stamp, self.epoch).with_terrain()
         seen = self.store.seen(box)
         self._stay_near()
-        patch.layers["age"] = np.where(seen == PRIOR, np.nan, 1e-3 * (self._clock(self.stamp) - seen)).astype(
-            np.float32
-        )
+        age = np.where(seen == PRIOR, np.nan, 1e-3 * (self._clock(self.stamp) - seen))
+        patch.layers["age"] = age.astype(np.float32)
         return patch
 
     def grid(self) -> ElevationGrid:

@@ -76,14 +76,8 @@ class ElevationStage:
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
-            t.ODOM,
-            *clouds,
-            t.JOINTS,
-            t.TF_STATIC,
-            t.MAP_REQUEST,
-            t.MAP_PRIOR,
-            t.MAP_MIRROR,
-            t.INITIAL_POSE,
+            *(t.ODOM, *clouds, t.JOINTS, t.TF_STATIC),
+            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.INITIAL_POSE),
         )
         self.map = elevation
         self._params = params

@@ -45,7 +45,12 @@ def soon(page: Page, condition: Callable[[], bool]) -> None:
 
 def on_screen(page: Page, x: float, y: float) -> tuple[float, float]:
     """Where on the page a place on the ground is drawn [px], once the view rests."""
-    script = "([x, y]) => consoleView.camera.project([x, y, consoleView.ground.height(x, y)])"
+    script = """([x, y]) => {
+        const { camera, ground, kind } = consoleView;
+        if (kind === "3D") return camera.project([x, y, ground.height(x, y)]);
+        const scale = camera.height / (2 * camera.distance * Math.tan(camera.fov / 2));
+        return [camera.width / 2 + (x - camera.at[0]) * scale, camera.height / 2 - (y - camera.at[1]) * scale];
+    }"""
     at, end = page.evaluate(script, [x, y]), time.monotonic() + LIMIT
     while True:
         page.wait_for_timeout(150)

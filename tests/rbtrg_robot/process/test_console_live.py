@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import urljoin
 
 import pytest
 from playwright.sync_api import Page
@@ -48,6 +49,8 @@ def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: 
     with chromium() as browser:
         page = browser.new_page(viewport={"width": 800, "height": 600}, reduced_motion="reduce")
         page.goto(address)
+        # 3D without a graphics card takes the robot's share of the processor
+        page.goto(urljoin(address, "/?flat"))
         until(
             page,
             "!!window.consoleView && consoleView.world.pose && consoleView.ground.tiles.size > 3 "

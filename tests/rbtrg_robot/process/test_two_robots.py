@@ -17,7 +17,7 @@ import pytest
 from rbtrg_robot.process.runfiles import console_address
 from tools.bench.ports import free_port
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.timeout(300), pytest.mark.campaign]
 START_LIMIT, LIMIT = 200.0, 60.0
 JOIN = ("--set", "network.join=true")
 ABSENT = ("recorder", "mission", "odometry", "elevation", "planner", "navigator", "tracker", "guard")

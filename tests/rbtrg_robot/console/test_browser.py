@@ -603,6 +603,7 @@ SEEN = """(() => {
 """Many colours: terrain is drawn, and not one colour."""
 
 
+@pytest.mark.campaign
 def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_from_above(
     visit: Callable[..., Page], robot: Robot
 ) -> None:

@@ -139,6 +139,7 @@ def test_a_guard_that_sees_nothing_new_allows_nothing(silent: str) -> None:
         assert stack.newest[t.ROBOT_STATE].hold != ""
 
 
+@pytest.mark.campaign
 def test_a_goal_waits_while_somebody_drives_and_goes_on_when_told_to() -> None:
     with stack_with() as stack:
         stack.wait_ready()

@@ -46,7 +46,8 @@ def driving(stack: Lockstep) -> None:
     stack.run_until(lambda: math.dist(truth(stack)[:2], (x, y)) > 1.0 and speed(stack) > 0.3, 20.0, "motion")
 
 
-@pytest.mark.parametrize("process", [pytest.param("odometry", marks=pytest.mark.campaign), "elevation"])
+@pytest.mark.campaign
+@pytest.mark.parametrize("process", ["odometry", "elevation"])
 def test_the_goal_goes_on_after_a_restart(process: str) -> None:
     with Lockstep(config()) as stack:
         driving(stack)

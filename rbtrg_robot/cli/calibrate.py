@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 import time
 from dataclasses import replace
@@ -47,7 +48,10 @@ def calibrate_lidar(
         bool, typer.Option("--drive", help="Drive: turn on the spot both ways, 0.75 m ahead and back.")
     ] = False,
     seconds: Annotated[float, typer.Option(min=5.0, max=120.0, help="How long to watch.")] = 20.0,
-    config: Annotated[Path | None, typer.Option(help="Configuration of the stack, YAML.")] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Configuration of the stack, YAML; else that of the running one, or of the log."),
+    ] = None,
     sets: Annotated[list[str] | None, typer.Option("--set", help="One value of it: a.b=c.")] = None,
     robot: Robot = ROBOT,
 ) -> None:
@@ -66,10 +70,27 @@ def calibrate_lidar(
         stack = load(config, sets or (), base=base)
         samples = list(samples_of(log))
     else:
-        stack = load(config, sets or ())
+        base = {} if config is not None else of_log(_running(robot))[0]
+        stack = load(config, sets or (), base=base)
         samples = _watch(robot, seconds, drive)
     found = calibrate(samples, stack.mounted_lidars(), stack.odometry)
     print(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
+
+
+def _running(robot: str) -> bytes:
+    """Configuration of the running stack, YAML: mounts are found as an error of the configured ones. Raises ConfigError where it is not on this computer."""
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.config import ConfigError
+    from rbtrg_robot.log.file import CONFIG
+
+    with connect(robot) as bus:
+        folder = json.loads(bus.ask("status") or b"{}").get("log_dir", "")
+    file = Path(folder) / CONFIG
+    if not folder or not file.is_file():
+        raise ConfigError(
+            "the configuration of the running stack is not on this computer, or it records nothing: name its file with --config"
+        )
+    return file.read_bytes()
 
 
 def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:

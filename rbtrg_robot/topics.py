@@ -86,6 +86,7 @@ ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LA
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)
 TELEOP         = Topic("/teleop/cmd_vel",        msg.TwistStamped,     0, Qos.COMMAND,   1, "",          "body velocity by hand; takes the motion from the stack until `resume`", safe_to_replay=False, publish_by=Role.OPERATOR)
+TELEOP_TRUNK   = Topic("/teleop/trunk",         msg.TrunkCommand,     0, Qos.COMMAND,   1, "",          "tilt of the trunk by hand while the robot stands; takes the motion as well", safe_to_replay=False, publish_by=Role.OPERATOR)
 CMD_VEL        = Topic("/cmd_vel",               msg.TwistStamped,    50, Qos.COMMAND,   1, "tracker",   "body velocity, base_link", safe_to_replay=False)
 TRUNK          = Topic("/cmd_trunk",             msg.TrunkCommand,     0, Qos.COMMAND,   1, "tracker",   "tilt of the trunk while the robot stands: it looks at the ground", safe_to_replay=False)
 TRUTH          = Topic("/ground_truth/odom",     msg.Odometry,        50, Qos.SENSOR,    1, "robot",     "simulator's truth, for evaluation only")

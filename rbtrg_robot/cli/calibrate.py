@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,20 +15,43 @@ from rbtrg_robot.scope import NAMED, ROBOT
 
 if TYPE_CHECKING:
     from rbtrg_robot.hosts.calibrate import Sample
+    from rbtrg_robot.topics import Topic
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 calibrate_app = typer.Typer(help="Find how sensors are mounted.", no_args_is_help=True)
 PERIOD = 0.05
 """[s] between two velocities; the robot lets go after 0.2 s of silence."""
+TILT = 0.2
+"""[rad] of the trunk to either side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Of the motion that is driven: for so long [s]."""
+
+    lasts: float
+    ahead: float = 0.0
+    """[m/s]"""
+    turning: float = 0.0
+    """[rad/s]"""
+    roll: float = 0.0
+    """Of the trunk [rad],"""
+    pitch: float = 0.0
+    """nose-down positive."""
+
+
 COURSE = (
-    (2.0, 0.0, 0.0),
-    (5.0, 0.0, 0.6),
-    (5.0, 0.0, -0.6),
-    (2.5, 0.3, 0.0),
-    (2.5, -0.3, 0.0),
-    (1.0, 0.0, 0.0),
+    Part(2.0),
+    Part(5.0, turning=0.6),
+    Part(5.0, turning=-0.6),
+    Part(2.5, ahead=0.3),
+    Part(2.5, ahead=-0.3),
+    Part(1.5),
+    *[Part(0.8, pitch=side * TILT) for side in (1.0, -1.0)] * 3,
+    *[Part(0.8, roll=side * TILT) for side in (1.0, -1.0)] * 3,
+    Part(1.0),
 )
-"""For so long [s], ahead [m/s], turning [rad/s]."""
+"""Turns show roll and pitch of a mount, tilts of the trunk its yaw, and the way ahead the clock of the LiDAR in the head."""
 
 
 def register(app: typer.Typer) -> None:
@@ -45,7 +68,10 @@ def _group() -> None:
 def calibrate_lidar(
     log: Annotated[Path | None, typer.Option("--log", help="A log of a motion instead of the robot.")] = None,
     drive: Annotated[
-        bool, typer.Option("--drive", help="Drive: turn on the spot both ways, 0.75 m ahead and back.")
+        bool,
+        typer.Option(
+            "--drive", help="Drive: turn on the spot both ways, 0.75 m ahead and back, tilt the trunk."
+        ),
     ] = False,
     seconds: Annotated[float, typer.Option(min=5.0, max=120.0, help="How long to watch.")] = 20.0,
     config: Annotated[
@@ -104,12 +130,14 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
         bus.subscribe([replace(topic, depth=10_000) for topic in HEARD])  # every sample counts
         if drive:
             bus.advertise(t.TELEOP)
+            bus.advertise(t.TELEOP_TRUNK)
         began = time.monotonic()
-        length = sum(part[0] for part in COURSE) if drive else seconds
+        length = sum(part.lasts for part in COURSE) if drive else seconds
         print(f"watching for {length:.0f} s", file=sys.stderr)
         while (now := time.monotonic() - began) < length:
             if drive:
-                bus.publish(t.TELEOP, _velocity(now), time.time_ns())
+                for topic, message in orders(now, time.time_ns()):
+                    bus.publish(topic, message, time.time_ns())
             end = time.monotonic() + PERIOD
             while (left := end - time.monotonic()) > 0.0:
                 for received in bus.take(left):
@@ -117,20 +145,27 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
                     sample = None if message is None else sample_of(t.BY_NAME[received.topic.name], message)
                     out += [] if sample is None else [sample]
         if drive:
-            bus.publish(t.TELEOP, _velocity(-1.0), time.time_ns())
+            bus.publish(t.TELEOP, orders(length, time.time_ns())[0][1], time.time_ns())
             print("`rbtrg-robot resume` gives the motion back to the stack", file=sys.stderr)
     return out
 
 
-def _velocity(now: float) -> Any:
-    """geometry_msgs/TwistStamped of `COURSE` after `now` [s]; rest outside it."""
+def orders(after: float, stamp: int) -> list[tuple[Topic, Any]]:
+    """The velocity, and the tilt of the trunk, of `COURSE` `after` its begin [s], stamped with `stamp` [ns]; rest when it is over."""
     from rbtrg_robot import msg
+    from rbtrg_robot import topics as t
     from rbtrg_robot.wire.messages import header
 
-    message = msg.TwistStamped(header=header(time.time_ns(), "base_link"))
-    for lasts, ahead, turning in COURSE:
-        if 0.0 <= now < lasts:
-            message.twist.linear.x, message.twist.angular.z = ahead, turning
+    part = Part(0.0)
+    for candidate in COURSE:
+        if after < candidate.lasts:
+            part = candidate
             break
-        now -= lasts
-    return message
+        after -= candidate.lasts
+    velocity = msg.TwistStamped(header=header(stamp, "base_link"))
+    velocity.twist.linear.x, velocity.twist.angular.z = part.ahead, part.turning
+    out: list[tuple[Topic, Any]] = [(t.TELEOP, velocity)]
+    if part.roll or part.pitch:
+        tilt = msg.TrunkCommand(header=header(stamp, "base_link"), roll=part.roll, pitch=part.pitch)
+        out.append((t.TELEOP_TRUNK, tilt))
+    return out

@@ -57,6 +57,7 @@ class RobotStage:
         t.CMD_VEL,
         t.TRUNK,
         t.TELEOP,
+        t.TELEOP_TRUNK,
         t.ROBOT_COMMAND,
         t.ROBOT_STOP,
         t.POSE,
@@ -134,6 +135,9 @@ class RobotStage:
             # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
             if GUARD not in self._missing:
                 self._commands.drive(TELEOP, message, self._now, sender, self._now)
+        elif t.TELEOP_TRUNK.carried(message, topic):
+            if GUARD not in self._missing:
+                self._commands.tilt(TELEOP, message, self._now, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):

@@ -37,6 +37,7 @@ OPERATOR_MAY = OBSERVER_MAY | {
     "/goal_pose",
     "/elevation_map/request",
     "/teleop/cmd_vel",
+    "/teleop/trunk",
     "/mission/request",
     "/operator/presence",
     "/initialpose",

@@ -54,12 +54,10 @@ class Rig:
             command.twist.linear.x = speed
             self.stage.on(topic, command, who)
 
-    def tilt(self, seconds: float, who: str = "tracker") -> None:
+    def tilt(self, seconds: float, who: str = "tracker", topic: Topic = t.TRUNK) -> None:
         """The trunk nose-down by 0.2 rad; whatever the velocities are."""
         for _ in range(round(seconds / 0.02)):
-            self.stage.on(
-                t.TRUNK, msg.TrunkCommand(header=header(self.world.now, "base_link"), pitch=0.2), who
-            )
+            self.stage.on(topic, msg.TrunkCommand(header=header(self.world.now, "base_link"), pitch=0.2), who)
             self.run(0.02)
 
     def order(self, mode: str, latch: int = 0) -> None:
@@ -217,4 +215,22 @@ def test_a_tilt_ends_with_whoever_asked_for_it(rig: Rig, trouble: str) -> None:
         else:
             rig.teleop = 0.0
         rig.tilt(0.6)
+    assert rig.state.trunk_pitch == 0.0
+
+
+def test_a_hand_tilts_the_trunk_and_has_the_motion_then(rig: Rig) -> None:
+    rig.tilt(0.1, "hand", t.TELEOP_TRUNK)
+    rig.run(1.0)
+    assert rig.speed == 0.0, "the tracker lost the motion"
+    rig.tilt(0.5, "hand", t.TELEOP_TRUNK)
+    assert rig.state.trunk_pitch == 0.0, "no velocity of zero beside it"
+    rig.teleop = 0.0
+    rig.run(0.5)
+    rig.tilt(0.5, "somebody", t.TELEOP_TRUNK)
+    assert rig.state.trunk_pitch == 0.0
+    assert refused(rig.state)["another teleop has the say"] > 0
+    rig.tilt(0.5, "hand", t.TELEOP_TRUNK)
+    assert rig.state.trunk_pitch == pytest.approx(0.2)
+    rig.stage.alive("guard", False)
+    rig.tilt(0.6, "hand", t.TELEOP_TRUNK)
     assert rig.state.trunk_pitch == 0.0

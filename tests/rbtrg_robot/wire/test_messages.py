@@ -55,6 +55,7 @@ def test_what_moves_a_robot_is_never_safe_to_replay() -> None:
         "/robot/command",
         "/robot/stop",
         "/teleop/cmd_vel",
+        "/teleop/trunk",
         "/guard/limits",
         "/mission/request",
         "/mission/order",

@@ -7,6 +7,7 @@ import pytest
 
 from hal.mujoco.sim import Simulation
 from hal.scenes.lanes import lane
+from tools.bench import goals
 from tools.bench.lanes.bench import numbers
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, Watch
@@ -51,6 +52,20 @@ def test_the_table_counts_by_controller_map_and_level() -> None:
     assert rows["lanes.vmc.seen.all.time"].value == 2.5
     assert "of 4" in table(records).to_text()
     assert '"trials": 4' in table(records).to_json()
+
+
+def test_the_table_of_goals_counts_by_scene_and_goal() -> None:
+    outcomes = ["reached", "fell", "reached", "refused"]
+    trials = [Trial(seed, 0, "vmc", "seen", goal="yard/a") for seed in range(4)]
+    records = [
+        record(key=x.key, outcome=o, time=10.0 * x.seed) for x, o in zip(trials, outcomes, strict=True)
+    ]
+    rows = {r.key: r for r in goals.table(records).rows}
+    assert rows["goals.vmc.seen.yard.a.reached"].value == 0.5
+    assert rows["goals.vmc.seen.yard.a.fell"].bound == pytest.approx(1 - least_rate(3, 4))
+    assert rows["goals.vmc.seen.yard.a.refused"].trials == 4
+    assert rows["goals.vmc.seen.yard.a.time"].value == 10.0
+    assert trials[0].lane().scene.goals["a"][:2] == (-0.5, -4.4)
 
 
 def test_no_trials_make_no_rate() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +55,17 @@ def run(args: list[str]) -> Report:
         for controller in options.controller.split(",")
         for level in numbers(options.levels)
     ]
+    return table(driven(trials, options.out, options.pictures, options.workers, options.scheduler))
+
+
+def driven(
+    trials: Sequence[Trial], out: Path | None, pictures: Path | None, workers: int, scheduler: str
+) -> list[dict[str, Any]]:
+    """Records of `trials`, those that stand in the file `out` and those that are driven now; see `spread`. `pictures`: a folder."""
     wanted = {trial.key for trial in trials}
-    done = {r["key"]: r for r in _read(options.out) if r["key"] in wanted}
+    done = {r["key"]: r for r in _read(out) if r["key"] in wanted}
     left = [trial for trial in trials if trial.key not in done]
-    for record in spread(drive, [(trial,) for trial in left], options.workers, options.scheduler):
+    for record in spread(drive, [(trial,) for trial in left], workers, scheduler):
         done[record["key"]] = record
         told = f"{record['outcome']} {record['reason']} {record['detail']}"
         print(
@@ -65,12 +73,12 @@ def run(args: list[str]) -> Report:
             file=sys.stderr,
             flush=True,
         )
-        if options.out:
-            with options.out.open("a") as file:
+        if out:
+            with out.open("a") as file:
                 file.write(json.dumps(record) + "\n")
-        if options.pictures and record["outcome"] != ("refused" if record["level"] == 5 else "reached"):
-            draw(record, options.pictures / f"{record['key']}.png")
-    return table(done.values())
+        if pictures and record["outcome"] != ("refused" if record["level"] == 5 else "reached"):
+            draw(record, pictures / f"{record['key']}.png")
+    return list(done.values())
 
 
 def numbers(text: str) -> list[int]:

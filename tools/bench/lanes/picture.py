@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hal.scenes.lanes import named
+from hal.scenes import load_scene
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
+from tools.bench.lanes.trial import Trial
 
 TRACK = (90, 200, 255)
 LEAST = 1.0
@@ -16,7 +17,10 @@ LEAST = 1.0
 
 def draw(record: Mapping[str, Any], out: Path) -> None:
     """Write FILE.png for the record of a trial."""
-    scene = named(f"lanes:{record['seed']},level={record['level']},controller={record['controller']}").scene
+    trial = Trial(
+        record["seed"], record["level"], record["controller"], record["map"], goal=record.get("goal", "")
+    )
+    scene = load_scene(trial.scene)
     view = TopView(scene.height, scene.trusted, scene.origin, scene.resolution, 1400)
     track = record["track"]
     view.line([(p[1], p[2]) for p in track], TRACK, 2)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
+from statistics import median
 from typing import Any
 
 from tools.bench.report import Report
@@ -50,13 +50,11 @@ def table(records: Iterable[Record]) -> Report:
         report.rate(f"{key}.all.falls", fell, len(mine), FALLS[controller], at_least=False)
         got = [r for r in mine if r["outcome"] == "reached"]
         if got:
-            report.add(
-                f"{key}.all.length", _median(r["driven"] / r["shortest"] for r in got), "ratio", DETOUR
-            )
+            report.add(f"{key}.all.length", median(r["driven"] / r["shortest"] for r in got), "ratio", DETOUR)
         both = [r for r in got if (controller, r["level"], r["seed"]) in with_map]
         if how == "seen" and both:
             slower = (r["time"] / with_map[controller, r["level"], r["seed"]] for r in both)
-            report.add(f"{key}.all.time", _median(slower), "ratio", SLOWER)
+            report.add(f"{key}.all.time", median(slower), "ratio", SLOWER)
         report.add(f"{key}.all.wall_body", sum(r["wall_body"] for r in mine), "touches", 0.0)
         report.add(f"{key}.all.wall_wheels", sum(r["wall_wheels"] for r in mine), "touches")
         speed = sum(r["simulated"] for r in mine) / max(sum(r["cpu"] for r in mine), 1e-9)
@@ -66,15 +64,3 @@ def table(records: Iterable[Record]) -> Report:
 
 def _reached(report: Report, key: str, records: list[Record], limit: float | None) -> None:
     report.rate(f"{key}.reached", sum(r["outcome"] == "reached" for r in records), len(records), limit)
-
-
-def _median(values: Iterable[float]) -> float:
-    ordered = sorted(values)
-    half = len(ordered) // 2
-    return (
-        ordered[half]
-        if len(ordered) % 2
-        else 0.5 * (ordered[half - 1] + ordered[half])
-        if ordered
-        else math.nan
-    )

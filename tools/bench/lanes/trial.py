@@ -1,4 +1,4 @@
-"""One drive of the whole stack through one lane, in lockstep, judged by the truth."""
+"""One drive of the whole stack in lockstep, judged by the truth: through a lane, or to a named goal of another scene."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hal.mujoco.sim import Simulation
+from hal.scenes import load_scene
 from hal.scenes.lanes import Lane, named
 from hal.scenes.shortest import shortest
 from rbtrg_robot import topics as t
@@ -51,19 +52,37 @@ class Trial:
     sets: tuple[str, ...] = ()
     log: str = ""
     """Folder for the MCAP log of the drive; empty: none."""
+    goal: str = ""
+    """`SCENE/GOAL` instead of the end of a lane; `seed` is that of the simulation then, and `level` says nothing."""
 
     @property
     def key(self) -> str:
         """Name of the trial in records."""
-        return f"{self.controller}.{self.map}.{self.level}.{self.seed}"
+        return f"{self.controller}.{self.map}.{self.goal.replace('/', '.') or self.level}.{self.seed}"
+
+    @property
+    def scene(self) -> str:
+        """Name of the scene."""
+        if self.goal:
+            return self.goal.partition("/")[0]
+        return f"lanes:{self.seed},level={self.level},controller={self.controller}"
+
+    def lane(self) -> Lane:
+        """The lane; another scene is one without walls that are known. Raises SceneError."""
+        if not self.goal:
+            return named(self.scene)
+        scene = load_scene(self.scene)
+        return Lane(
+            scene=scene, level=0, controller="vmc", map="", layout="", width=math.inf, line=np.empty((0, 2)),
+            walls=np.empty((0, 5)), floor=scene.height, elements=(), beyond=None,
+        )  # fmt: skip
 
 
 def drive(trial: Trial) -> dict[str, Any]:
     """The record of a trial: what was driven, `outcome` and `reason`, times, lengths, contacts, states on the way, and the track."""
-    name = f"lanes:{trial.seed},level={trial.level},controller={trial.controller}"
-    lane = named(name)
-    x, y, _ = lane.scene.goals["end"]
-    least = shortest(lane.walls, lane.scene.start[:2], (x, y), HALF_WIDTH)
+    lane = trial.lane()
+    goal = lane.scene.goals[trial.goal.partition("/")[2] or "end"]
+    least = shortest(lane.walls, lane.scene.start[:2], goal[:2], HALF_WIDTH)
     with tempfile.TemporaryDirectory() as folder:
         prior = ""
         if trial.map == "prior":
@@ -74,7 +93,7 @@ def drive(trial: Trial) -> dict[str, Any]:
         config = load(
             None,
             trial.sets,
-            scene=name,
+            scene=trial.scene,
             seed=trial.seed,
             controller=trial.controller,
             policy_dir=trial.policy or None,
@@ -84,14 +103,16 @@ def drive(trial: Trial) -> dict[str, Any]:
         began = time.process_time()
         with Lockstep(config, log) as stack:
             watch = Watch(lane, stack.robot.backend.simulation)  # type: ignore[attr-defined]
-            result = _run(stack, watch, (x, y), timeout=40.0 + 15.0 * least)
+            result = _run(stack, watch, goal, timeout=40.0 + 15.0 * least)
             seconds = stack.seconds
     described = {"layout": lane.layout, "made_of": lane.map, "elements": lane.elements, "shortest": least}
     cost = {"cpu": time.process_time() - began, "simulated": seconds}
     return {"key": trial.key, **asdict(trial), **described, **result, **watch.record(), **cost}
 
 
-def _run(stack: Lockstep, watch: Watch, goal: tuple[float, float], timeout: float) -> dict[str, Any]:
+def _run(
+    stack: Lockstep, watch: Watch, goal: tuple[float, float, float | None], timeout: float
+) -> dict[str, Any]:
     """Drive to the goal; how it ended."""
     try:
         stack.wait_ready()
@@ -112,7 +133,7 @@ def _run(stack: Lockstep, watch: Watch, goal: tuple[float, float], timeout: floa
     for _ in range(round(AFTER / 0.005)):  # a goal ends at the first sign of a fall
         stack.step()
         watch.look(stack.seconds - start, status, stack.newest.get(t.ROBOT_STATE))
-    away = math.dist(watch.place, goal)
+    away = math.dist(watch.place, goal[:2])
     outcome = status.state if status is not None else "not_ready"
     if watch.fell:
         outcome = "fell"
@@ -187,7 +208,7 @@ class Watch:
         contacts = self._sim.contacts()
         places, normals = contacts.places, contacts.normals
         steep = np.abs(normals[:, 2]) < 0.7
-        if not steep.any():
+        if not steep.any() or not len(self._lane.walls):
             return
         walls, scene = self._lane.walls, self._lane.scene
         a, d = walls[:, :2], walls[:, 2:4] - walls[:, :2]

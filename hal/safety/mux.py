@@ -1,6 +1,7 @@
 """Arbitration of motion: one source at a time has it, the one with the highest priority that speaks.
 
-A source is silent once its timeout has passed. Each has one owner: whoever spoke first keeps it while he speaks. A source that
+A source is silent once its timeout has passed. Each has one owner a channel (velocity, tilt of the trunk): whoever spoke first keeps
+it while he speaks. Publishers are told apart by topic, so the same hand is another owner on another channel. A source that
 took the motion from a lower one keeps it until `release`, though it falls silent: a robot that was driven by hand goes on
 by itself only when told to. The emergency stop stands above all sources; it is the gate's.
 """
@@ -32,21 +33,24 @@ class _Voice:
     owner: str
     at: int
 
+    def speaks(self, source: Source, now: int) -> bool:
+        return abs(now - self.at) / NS < source.timeout
+
 
 class CommandMux:
     """Call `take` for every command. Times in ns of the source clock."""
 
     def __init__(self, *sources: Source) -> None:
         self._sources = sorted(sources, key=lambda source: -source.priority)
-        self._voices: dict[Source, _Voice] = {}
+        self._voices: dict[tuple[Source, str], _Voice] = {}
         self._held: Source | None = None
 
-    def take(self, source: Source, owner: str, now: int) -> str:
+    def take(self, source: Source, owner: str, now: int, channel: str = "") -> str:
         """Why a command of `owner` through `source` does not count; empty where it does. `owner`: any name that is his own."""
-        voice = self._voices.get(source)
-        if voice is not None and voice.owner != owner and self._speaks(source, now):
+        voice = self._voices.get((source, channel))
+        if voice is not None and voice.owner != owner and voice.speaks(source, now):
             return f"another {source.name} has the say"
-        self._voices[source] = _Voice(owner, now)
+        self._voices[source, channel] = _Voice(owner, now)
         if self._held is None or self._held.priority < source.priority:
             lower = [other for other in self._sources if other.priority < source.priority]
             self._held = source if lower else self._held
@@ -73,5 +77,4 @@ class CommandMux:
         return True
 
     def _speaks(self, source: Source, now: int) -> bool:
-        voice = self._voices.get(source)
-        return voice is not None and abs(now - voice.at) / NS < source.timeout
+        return any(voice.speaks(source, now) for (of, _), voice in self._voices.items() if of == source)

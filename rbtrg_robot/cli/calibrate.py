@@ -99,6 +99,7 @@ def calibrate_lidar(
         base = {} if config is not None else of_log(_running(robot))[0]
         stack = load(config, sets or (), base=base)
         samples = _watch(robot, seconds, drive)
+    print("comparing what gyro, wheels and LiDARs saw", file=sys.stderr)
     found = calibrate(samples, stack.mounted_lidars(), stack.odometry)
     print(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
 

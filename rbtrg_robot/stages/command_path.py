@@ -44,12 +44,12 @@ class CommandPath:
 
     def tilt(self, source: Source, message: msg.TrunkCommand, stamp: int, sender: str, now: int) -> None:
         """A tilt of the trunk by `sender`, valid from `stamp`."""
-        if self._has_say(source, sender, now):
+        if self._has_say(source, sender, now, "trunk"):
             self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
 
-    def _has_say(self, source: Source, sender: str, now: int) -> bool:
+    def _has_say(self, source: Source, sender: str, now: int, channel: str = "") -> bool:
         taken, _ = self._mux.taken(now)
-        why = self._mux.take(source, sender, now)
+        why = self._mux.take(source, sender, now, channel)
         if self._mux.taken(now)[0] != taken:
             self._gate.forget()
             self._renew(now)

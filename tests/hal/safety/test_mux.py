@@ -57,6 +57,16 @@ def test_what_was_taken_before_a_restart_stays_taken() -> None:
     assert mux.take(TRACKER, "a", 0) == "teleop took the motion"
 
 
+def test_a_source_has_an_owner_on_each_channel() -> None:
+    mux = CommandMux(TRACKER, TELEOP)
+    assert mux.take(TELEOP, "a", 0) == ""
+    assert mux.take(TELEOP, "b", 0, "trunk") == "", "publishers are told apart by topic"
+    assert mux.take(TELEOP, "c", 100 * MS, "trunk") == "another teleop has the say"
+    assert mux.take(TELEOP, "b", 150 * MS, "trunk") == ""
+    assert mux.take(TELEOP, "c", 200 * MS) == "", "the velocity's owner fell silent"
+    assert not mux.release(340 * MS), "one of the channels still speaks"
+
+
 @given(st.lists(st.tuples(st.sampled_from([TRACKER, TELEOP]), st.sampled_from("ab"), st.integers(0, 150))))
 @settings(max_examples=300, deadline=None)
 def test_at_no_time_two_have_the_say(steps: list[tuple]) -> None:

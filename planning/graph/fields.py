@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.flags import POSTS
@@ -38,29 +38,67 @@ def mark_fields(
     faces: (rows, cols, 2) [mm], see `planning.graph.faces`, known around the window as far as `reach`. Sums are of whole numbers, so that a
     part gives exactly what the whole map gives.
     """
-    rows, cols = flags.shape
-    r0, c0, r1, c1 = window
-    pad = reach(res)
-    ra, ca, rb, cb = max(0, r0 - pad), max(0, c0 - pad), min(rows, r1 + pad), min(cols, c1 + pad)
     local, wide = round(0.5 * LOCAL / res), round(0.5 * FIELD / res)
-    part = faces[ra:rb, ca:cb].astype(np.int64)
-    size = np.hypot(part[..., 0], part[..., 1])
-    part[(size < 1000.0 * LEAST) | (size > 1000.0 * WALL)] = 0
-    xx, yy, xy = (_sum(part[..., i] * part[..., j], local) for i, j in ((0, 0), (1, 1), (0, 1)))
-    smaller = 0.5 * (xx + yy) - np.hypot(0.5 * (xx - yy), xy)
-    open_ground = _sum(size > 1000.0 * WALL, local) == 0
-    both = open_ground & (smaller > FACES * (1000.0 * max_posts) ** 2 * (2 * local + 1) ** 2)
-    ground = _sum(open_ground, wide)
-    field = (_sum(both, wide) > SHARE * ground) & (ground > (1.0 - SHARE) * (2 * wide + 1) ** 2)
-    inner = flags[r0:r1, c0:c1]
-    inner[...] = np.where(
-        field[r0 - ra : r1 - ra, c0 - ca : c1 - ca], inner | POSTS, inner & ~np.uint16(POSTS)
-    )
+    least = FACES * (1000.0 * max_posts) ** 2 * (2 * local + 1) ** 2
+    _mark(flags, faces, *window, reach(res), local, wide, least)
 
 
-def _sum(values: NDArray[Any], k: int) -> NDArray[np.int64]:
-    """Sum of (rows, cols) over the square of 2 k + 1 cells around each; nothing outside."""
-    side = 2 * k + 1
-    total = np.cumsum(np.cumsum(np.pad(values.astype(np.int64), ((k + 1, k), (k + 1, k))), axis=0), axis=1)
-    square = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
-    return np.asarray(square)
+@njit(cache=True)
+def _mark(flags, faces, r0, c0, r1, c1, pad, local, wide, least):
+    """See `mark_fields`; `least`: sum of the smaller eigenvalue over a local square."""
+    ra, ca = max(0, r0 - pad), max(0, c0 - pad)
+    rows, cols = min(flags.shape[0], r1 + pad) - ra, min(flags.shape[1], c1 + pad) - ca
+    xx = np.zeros((rows, cols), np.int32)
+    yy = np.zeros((rows, cols), np.int32)
+    xy = np.zeros((rows, cols), np.int32)
+    walls = np.zeros((rows, cols), np.int32)
+    for r in range(rows):
+        for c in range(cols):
+            x = np.int64(faces[ra + r, ca + c, 0])
+            y = np.int64(faces[ra + r, ca + c, 1])
+            size2 = x * x + y * y
+            if size2 > (1000.0 * WALL) ** 2:
+                walls[r, c] = 1
+            elif size2 >= (1000.0 * LEAST) ** 2:
+                xx[r, c], yy[r, c], xy[r, c] = x * x, y * y, x * y
+    xx, yy, xy, walls = sums(xx, local), sums(yy, local), sums(xy, local), sums(walls, local)
+    ground = np.zeros((rows, cols), np.int32)
+    both = np.zeros((rows, cols), np.int32)
+    for r in range(rows):
+        for c in range(cols):
+            if walls[r, c] == 0:
+                ground[r, c] = 1
+                # the smaller eigenvalue, mean - hypot(half, xy), is above `least`; without the root
+                mean, half = 0.5 * (xx[r, c] + yy[r, c]), 0.5 * (xx[r, c] - yy[r, c])
+                off = float(xy[r, c])
+                both[r, c] = mean > least and (mean - least) ** 2 > half * half + off * off
+    ground, both = sums(ground, wide), sums(both, wide)
+    enough = (1.0 - SHARE) * (2 * wide + 1) ** 2
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            area = ground[r - ra, c - ca]
+            if area > enough and both[r - ra, c - ca] > SHARE * area:
+                flags[r, c] |= POSTS
+            else:
+                flags[r, c] &= ~np.uint16(POSTS)
+
+
+@njit(cache=True)
+def sums(values, k):
+    """Sum of `values` (rows, cols) int32 over the square of 2 k + 1 cells around each; nothing outside."""
+    rows, cols = values.shape
+    out = np.empty((rows, cols), np.int32)
+    column = np.zeros(cols, np.int32)
+    for r in range(min(k, rows)):
+        column += values[r]
+    before = np.zeros(cols + 2 * k + 1, np.int32)  # sum of the columns before each one, from k + 1 left of the first on
+    for r in range(rows):
+        if r + k < rows:
+            column += values[r + k]
+        if r > k:
+            column -= values[r - k - 1]
+        for c in range(cols + k):
+            before[c + k + 1] = before[c + k] + (column[c] if c < cols else 0)
+        for c in range(cols):
+            out[r, c] = before[c + 2 * k + 1] - before[c]
+    return out

@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planning.graph.closing import closed, covered
+
 HIGH = 1
 """The cell is the upper side of a step above the limit."""
 LOW = 4
@@ -94,10 +96,7 @@ def update_flags(
             ground = *piece, np.ascontiguousarray(virtual[ra:rb, ca:cb]), res
             rest = math.tan(max_slope), _gap_cells(res, max_gap), round(WIDE * max_gap / res)
             inner = np.s_[r0 - ra : r1 - ra, c0 - ca : c1 - ca]
-            enter = cell_flags(*ground, max_step, *rest)[inner]
-            stay = enter
-            if keep_step > 0.0 and (enter & (FACE | HOLE | TIP)).any():
-                stay = cell_flags(*ground, max_step + keep_step, *rest)[inner]
+            enter, stay = (found[inner] for found in cell_flags(*ground, max_step, keep_step, *rest))
             _put(flags[r0:r1, c0:c1], enter, stay, ground[1][inner])
 
 
@@ -119,155 +118,130 @@ def _put(flags, enter, stay, trusted):
 
 
 @njit(cache=True)
-def _running(values, m, largest, forward):
-    """Running maximum or minimum over m cells per axis, starting (forward) or ending at each cell; NaN ignored."""
-    rows, cols = values.shape
-    out = values.copy()
-    for axis in range(2):
-        src = out.copy()
-        for s in range(1, m):
-            dr = s if axis == 0 else 0
-            dc = s if axis == 1 else 0
-            if forward:
-                for r in range(rows - dr):
-                    for c in range(cols - dc):
-                        z = src[r + dr, c + dc]
-                        o = out[r, c]
-                        out[r, c] = z if (z > o if largest else z < o) else o
-            else:
-                for r in range(dr, rows):
-                    for c in range(dc, cols):
-                        z = src[r - dr, c - dc]
-                        o = out[r, c]
-                        out[r, c] = z if (z > o if largest else z < o) else o
-    return out
+def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap, pit):
+    """Flags (2, rows, cols) uint16 of a map or a piece of one: up to steps of `max_step`, and of `max_step + keep_step` [m].
 
-
-@njit(cache=True)
-def _unseen(trusted, m):
-    """1.0 where an m x m square of untrusted cells covers the cell, else 0.0; none reaches over the border."""
-    rows, cols = trusted.shape
-    square = np.zeros((rows, cols), np.float32)
-    side = np.zeros(cols + 1, np.int32)  # of the largest such square that ends at each cell of this row
-    for r in range(rows):
-        above_left = 0
-        for c in range(cols):
-            above = side[c + 1]
-            side[c + 1] = 0 if trusted[r, c] else min(min(above, above_left), side[c]) + 1
-            above_left = above
-            square[r, c] = side[c + 1] >= m
-    return _running(square, m, True, True)
-
-
-@njit(cache=True)
-def cell_flags(height, trusted, virtual, res, max_step, max_tan, gap, pit):
-    """Flags (rows, cols) uint16 of a map or a piece of one. Cells nearer than `halo` to a cut border are not reliable."""
+    Cells nearer than `halo` to a cut border are not reliable.
+    """
     rows, cols = height.shape
-    flags = np.zeros((rows, cols), np.uint16)
-    unmeasured = _unseen(trusted, gap)
-    unseen = _unseen(trusted | virtual, gap)
+    flags = np.zeros((2, rows, cols), np.uint16)
+    unmeasured = covered(trusted, gap)
+    unseen = covered(trusted | virtual, gap)
+    z = closed(height, gap)
+    limits = (max_step + STEP_TOLERANCE, max_step + keep_step + STEP_TOLERANCE)
+    holes = np.zeros(2, np.bool_)
     for r in range(rows):
         for c in range(cols):
-            if unseen[r, c]:
-                flags[r, c] = UNSEEN
-            elif unmeasured[r, c]:
-                flags[r, c] = VIRTUAL
-    # Closing: what is narrower than the gap limit is bridged.
-    z = _running(_running(height, gap, True, True), gap, False, False)
-    limit = max_step + STEP_TOLERANCE
-    holes = False
-    for r in range(rows):
-        for c in range(cols):
-            if z[r, c] - height[r, c] > limit:
-                flags[r, c] |= HOLE
-                holes = True
+            flag = UNSEEN if unseen[r, c] else VIRTUAL if unmeasured[r, c] else 0
+            for k in range(2):
+                hole = z[r, c] - height[r, c] > limits[k]
+                flags[k, r, c] = flag | (HOLE if hole else 0)
+                holes[k] |= hole
     diff = np.empty((rows, cols), np.float32)
-    mean = np.empty((rows, cols), np.float32)
     for direction in range(4):
         dr = 0 if direction == 0 else 1
         dc = (1, 0, 1, -1)[direction]
         scale = res if direction < 2 else res * math.sqrt(2.0)
         n = max(1, round(BASE / scale))
         side = round(0.5 * LATERAL / scale) if res < 0.075 else 0
-        lr = dc
-        lc = -dr
-        slope_cap = max_tan * n * scale
-        # diff at c: from c to c + n; the largest so far decides whether there is anything to do in this direction
-        largest = np.float32(0.0)
-        for r in range(rows):
-            for c in range(cols):
-                rb = r + n * dr
-                cb = c + n * dc
-                d = np.float32(0.0)
-                if rb < rows and 0 <= cb < cols:
-                    d = z[rb, cb] - z[r, c]
-                    if d != d:
-                        d = np.float32(0.0)
-                diff[r, c] = d
-                if abs(d) > largest:
-                    largest = abs(d)
-        if largest <= limit:
-            continue
-        for r in range(rows):
-            for c in range(cols):
-                if abs(diff[r, c]) <= 0.5 * limit:
-                    # averaged only where the cell itself sees a good part of the step, or the face would be misplaced
-                    mean[r, c] = diff[r, c]
-                    continue
-                total = np.float32(0.0)
-                count = 0
-                for k in range(-side, side + 1):
-                    rr = r + k * lr
-                    cc = c + k * lc
-                    if 0 <= rr < rows and 0 <= cc < cols:
-                        total += diff[rr, cc]
-                        count += 1
-                mean[r, c] = total / np.float32(count)
+        # diff at c: from c to c + n; the largest decides whether there is anything to do in this direction
+        most = np.float32(0.0)
+        diff[:] = 0.0
+        left = max(0, -n * dc)
+        wide = max(0, cols - n * abs(dc))
         for r in range(rows - n * dr):
-            for c in range(max(0, -n * dc), min(cols, cols - n * dc)):
-                step = abs(mean[r, c])
-                own = abs(diff[r, c])
-                if step <= limit and own <= limit + OUTLIER:
-                    continue
-                # slope common to both sides
-                slope = 0.0
-                ra = r - n * dr
-                ca = c - n * dc
-                rb = r + n * dr
-                cb = c + n * dc
-                if ra >= 0 and 0 <= ca < cols:
-                    before = mean[ra, ca]
-                    after = mean[rb, cb]
-                    common = min(before, after) if mean[r, c] > 0.0 else -max(before, after)
-                    slope = min(max(common, 0.0), slope_cap)
-                if step - slope <= limit and own - slope <= limit + OUTLIER:
-                    continue
-                if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
-                    continue
-                # the face is where the height changes most on the way, over an unknown stretch if there is one
-                last = 0
-                low = 0
-                high = n
-                most = np.float32(-1.0)
-                for k in range(1, n + 1):
-                    here = z[r + k * dr, c + k * dc]
-                    if here == here:
-                        jump = abs(here - z[r + last * dr, c + last * dc])
-                        if jump > most:
-                            most = jump
-                            low = last
-                            high = k
-                        last = k
-                up = z[r + high * dr, c + high * dc] > z[r + low * dr, c + low * dc]
-                flags[r + low * dr, c + low * dc] |= LOW if up else HIGH
-                flags[r + high * dr, c + high * dc] |= HIGH if up else LOW
-                for k in range(low + 1, high):
-                    flags[r + k * dr, c + k * dc] |= FACE
-    _complete_corners(z, trusted, flags, limit)
-    if holes:
-        wide = _running(_running(height, pit, True, True), pit, False, False)
-        _mark_tips(z, wide, height, flags, gap, limit)
+            ahead = z[r + n * dr, left + n * dc :]
+            most = max(most, _rises(diff[r, left : left + wide], z[r, left : left + wide], ahead))
+        for k in range(2):
+            if most > limits[k]:
+                _mark_steps(flags[k], z, diff, trusted, dr, dc, n, side, limits[k], max_tan * n * scale)
+    floor = closed(height, pit) if holes.any() else z
+    for k in range(2):
+        _complete_corners(z, trusted, flags[k], limits[k])
+        if holes[k]:
+            _mark_tips(z, floor, height, flags[k], gap, limits[k])
     return flags
+
+
+@njit(cache=True)
+def _mark_steps(flags, z, diff, trusted, dr, dc, n, side, limit, slope_cap):
+    """Mark both sides of the steps above `limit` [m] along (dr, dc); `diff`: the rise over n cells from each."""
+    rows, cols = z.shape
+    lr = dc
+    lc = -dr
+    for r in range(rows - n * dr):
+        for c in range(max(0, -n * dc), min(cols, cols - n * dc)):
+            own = abs(diff[r, c])
+            if own <= 0.5 * limit:
+                continue
+            mean = _mean(diff, r, c, lr, lc, side, limit)
+            step = abs(mean)
+            if step <= limit and own <= limit + OUTLIER:
+                continue
+            # slope common to both sides
+            slope = 0.0
+            ra = r - n * dr
+            ca = c - n * dc
+            rb = r + n * dr
+            cb = c + n * dc
+            if ra >= 0 and 0 <= ca < cols:
+                before = _mean(diff, ra, ca, lr, lc, side, limit)
+                after = _mean(diff, rb, cb, lr, lc, side, limit)
+                common = min(before, after) if mean > 0.0 else -max(before, after)
+                slope = min(max(common, 0.0), slope_cap)
+            if step - slope <= limit and own - slope <= limit + OUTLIER:
+                continue
+            if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
+                continue
+            # the face is where the height changes most on the way, over an unknown stretch if there is one
+            last = 0
+            low = 0
+            high = n
+            most = np.float32(-1.0)
+            for k in range(1, n + 1):
+                here = z[r + k * dr, c + k * dc]
+                if here == here:
+                    jump = abs(here - z[r + last * dr, c + last * dc])
+                    if jump > most:
+                        most = jump
+                        low = last
+                        high = k
+                    last = k
+            up = z[r + high * dr, c + high * dc] > z[r + low * dr, c + low * dc]
+            flags[r + low * dr, c + low * dc] |= LOW if up else HIGH
+            flags[r + high * dr, c + high * dc] |= HIGH if up else LOW
+            for k in range(low + 1, high):
+                flags[r + k * dr, c + k * dc] |= FACE
+
+
+@njit(cache=True)
+def _rises(out, low, high):
+    """`high` - `low` (n,), 0 where either is unknown; returns the largest size."""
+    most = np.float32(0.0)
+    for i in range(len(out)):
+        d = high[i] - low[i]
+        d = d if d == d else np.float32(0.0)
+        out[i] = d
+        most = max(most, abs(d))
+    return most
+
+
+@njit(cache=True)
+def _mean(diff, r, c, lr, lc, side, limit):
+    """Mean of the rises `diff` along the edge of a step, `side` cells to both sides along (lr, lc). A low rise counts by itself: averaged where the cell
+    does not see a good part of the step, the face would be misplaced."""
+    if abs(diff[r, c]) <= 0.5 * limit:
+        return diff[r, c]
+    rows, cols = diff.shape
+    total = np.float32(0.0)
+    count = 0
+    for k in range(-side, side + 1):
+        rr = r + k * lr
+        cc = c + k * lc
+        if 0 <= rr < rows and 0 <= cc < cols:
+            total += diff[rr, cc]
+            count += 1
+    return total / np.float32(count)
 
 
 @njit(cache=True)

@@ -8,7 +8,7 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.faces import update_faces
-from planning.graph.fields import _sum, mark_fields
+from planning.graph.fields import mark_fields, sums
 from planning.graph.flags import POSTS
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.search.plan import PlanRequest, plan
@@ -57,9 +57,9 @@ def test_bars_kerbs_walls_and_rough_ground_are_no_fields() -> None:
 
 
 def test_sums_over_squares_are_those_of_a_loop() -> None:
-    values = np.random.default_rng(0).integers(-50, 50, (9, 7))
+    values = np.random.default_rng(0).integers(-50, 50, (9, 7)).astype(np.int32)
     want = [[values[max(0, r - 2) : r + 3, max(0, c - 2) : c + 3].sum() for c in range(7)] for r in range(9)]
-    np.testing.assert_array_equal(_sum(values, 2), want)
+    np.testing.assert_array_equal(sums(values, 2), want)
 
 
 @pytest.mark.parametrize("limit", [None, 0.05])

@@ -91,7 +91,8 @@ def sums(values, k):
     column = np.zeros(cols, np.int32)
     for r in range(min(k, rows)):
         column += values[r]
-    before = np.zeros(cols + 2 * k + 1, np.int32)  # sum of the columns before each one, from k + 1 left of the first on
+    # sum of the columns before each one, from k left of the first on
+    before = np.zeros(cols + 2 * k + 1, np.int32)
     for r in range(rows):
         if r + k < rows:
             column += values[r + k]

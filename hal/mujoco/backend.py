@@ -203,6 +203,10 @@ class MujocoBackend:
         """Push the trunk with `force` [N], world axes, for `duration` [s] from now."""
         self.simulation.push(force, duration)
 
+    def placed(self) -> None:
+        """The simulation was given another attitude from outside, which no gyro felt: the attitude filter settles there."""
+        self._sensors.placed()
+
     # --- one physics step ------------------------------------------------------------------------------------------
     def _advance(self) -> None:
         if self._steps % self._control_steps == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hal.lowlevel import Locomotion, LowState
+from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 
@@ -12,7 +13,8 @@ from hal.types import PostureCommand, VelocityCommand
 class Driver:
     """Velocity in, motion out: each `step` is one physics step, the controller runs at its own period.
 
-    `sense` may change what the controller is told of the state, such as by noise. It never touches the physics.
+    The attitude that the controller is told is that of the IMU's filter on exact gyro and accelerometer. `sense` may change what the
+    controller is told of the state, such as by noise. It never touches the physics.
     """
 
     def __init__(
@@ -24,17 +26,20 @@ class Driver:
         self.simulation, self.controller, self.sense = simulation, controller, sense
         self._every = max(1, round(controller.period / simulation.timestep))
         self._posture = PostureCommand(0)
+        self._attitude = AttitudeFilter()
         self.restart()
 
     def restart(self) -> None:
         """Forget the controller's state: the robot was placed anew."""
         self.controller.reset()
+        self._attitude.restart()
         self._tick = 0
 
     def step(self, vx: float = 0.0, wz: float = 0.0) -> None:
         """One physics step under a forward speed [m/s] and a yaw rate [rad/s]."""
+        state = self.simulation.low_state()
+        self._attitude.measure(state)
         if self._tick % self._every == 0:
-            state = self.simulation.low_state()
             if self.sense is not None:
                 state = self.sense(state)
             command = VelocityCommand(0, vx, 0.0, wz)

@@ -7,14 +7,13 @@ from collections import deque
 import numpy as np
 
 from hal.lowlevel import LowState
+from hal.mujoco.attitude import AttitudeFilter
 from hal.types import Array, ImuSample, JointSample, Sample
 
 GYRO_SIGMA, GYRO_BIAS = 0.003, 0.002
 """White noise per sample and constant offset drawn per seed [rad/s]."""
 ACCEL_SIGMA, ACCEL_BIAS = 0.06, 0.03
 """[m/s^2]"""
-TILT_BIAS = 0.003
-"""Constant error of the attitude filter, per axis [rad]."""
 POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA = 0.0005, 0.02, 0.1
 """Joint encoders and torque estimate: [rad], [rad/s], [Nm]."""
 
@@ -45,10 +44,10 @@ class Sensors:
     def __init__(self, seed: int, noise: bool) -> None:
         self._noise = noise
         streams = np.random.SeedSequence([seed, 0x1A7]).spawn(2)
-        constant = np.random.default_rng(streams[0]).standard_normal(8)
+        constant = np.random.default_rng(streams[0]).standard_normal(6)
         self._gyro_bias = GYRO_BIAS * constant[:3]
         self._accel_bias = ACCEL_BIAS * constant[3:6]
-        self._tilt = TILT_BIAS * constant[6:8]
+        self._attitude = AttitudeFilter(self._gyro_bias, self._accel_bias)
         self._gaussian = Gaussian(np.random.default_rng(streams[1]), 6 + 48)
         self._imu_scale = np.array([GYRO_SIGMA] * 3 + [ACCEL_SIGMA] * 3)
 
@@ -65,16 +64,12 @@ class Sensors:
         state.q += POSITION_SIGMA * row[6:22]
         state.dq += VELOCITY_SIGMA * row[22:38]
         state.tau += EFFORT_SIGMA * row[38:54]
-        state.quaternion[:] = _tilted(state.quaternion, self._tilt)
+        self._attitude.measure(state)
         return state
 
-
-def _tilted(q: Array, tilt: Array) -> Array:
-    """`q` (w, x, y, z) turned by a small body-fixed roll and pitch [rad]."""
-    w, x, y, z = q.tolist()
-    a, b = 0.5 * float(tilt[0]), 0.5 * float(tilt[1])
-    out = np.array([w - x * a - y * b, x + w * a - z * b, y + w * b + z * a, z + x * b - y * a])
-    return out / np.sqrt(out @ out)
+    def placed(self) -> None:
+        """The robot was put elsewhere: the attitude filter settles there."""
+        self._attitude.restart()
 
 
 def imu_sample(stamp: int, state: LowState) -> ImuSample:

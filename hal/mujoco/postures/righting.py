@@ -2,7 +2,7 @@
 
 On its side the robot draws the legs it lies on inwards, so that the trunk sinks towards its belly; then their thighs swing the
 feet around behind the trunk and press down on the far side, which lifts the trunk over. On its back the legs of one side reach
-over the back (the thighs turn that far), stretch fast and throw the trunk onto its other side. After each try the attitude
+over the back (the thighs turn that far), stretch fast and throw the trunk onto its other side, downhill and uphill in turn. After each try the attitude
 decides what comes next. The keyframes were found by random search in simulation (friction 0.6 and 0.9).
 """
 
@@ -38,7 +38,7 @@ class Righting:
         self.failed = False
         self._frames: list[Frame] = []
         self._from = state.q.copy()
-        self._tries = 0
+        self._throws = 0
         kd = np.full(16, 4.0)
         self._command = LowCommand(state.q.copy(), np.zeros(16), np.zeros(16), np.zeros(16), kd)
 
@@ -63,12 +63,13 @@ class Righting:
         _, left_up, height = up_of(state.quaternion)
         self.upright = height > UPRIGHT
         self.failed = not self.upright and state.time > self._until
-        self._tries += 1
         if self.upright or self.failed:
             return [(0.3, 120.0, go2w.FOLDED)]
         if height > ON_BACK:
             return lever_over(low=-1.0 if left_up > 0.0 else 1.0)
-        return throw_over(side=1.0 if self._tries % 2 == 0 else -1.0)
+        self._throws += 1
+        downhill = 1.0 if left_up > 0.0 else -1.0  # the legs of the upper side throw it onto the lower one
+        return throw_over(side=downhill if self._throws % 2 == 1 else -downhill)
 
 
 def legs(side: float, these: tuple[float, float, float], others: tuple[float, float, float]) -> Array:
@@ -97,5 +98,4 @@ def throw_over(side: float) -> list[Frame]:
         (0.64, 250.0, legs(side, (0.05, 2.89, -2.13), (0.29, 0.41, -2.59))),
         (0.12, 250.0, legs(side, (0.97, 3.08, -0.85), (-0.64, 2.48, -0.85))),
         (0.34, 250.0, legs(side, (0.72, 2.16, -1.01), (-0.76, 2.31, -2.58))),
-        (0.50, 250.0, legs(side, (0.0, 0.8, -1.5), (0.0, 0.8, -1.5))),
     ]

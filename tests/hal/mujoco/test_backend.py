@@ -66,6 +66,7 @@ class Robot:
         sim.data.qpos[3:7] = [np.cos(roll / 2), np.sin(roll / 2), 0.0, 0.0]
         sim.data.qvel[:] = 0.0
         mujoco.mj_forward(sim.model, sim.data)
+        self.backend.placed()
 
     @property
     def phase(self) -> Phase:
@@ -337,9 +338,8 @@ def test_recover_turns_a_fallen_robot_over_and_stands_it_up(roll: float) -> None
     assert np.linalg.norm(r.backend.simulation.position[:2] - place) > 0.4
 
 
-@pytest.mark.parametrize(("seed", "gets_up"), [(6, True), (10, True), (16, False)])
-def test_recover_on_a_slope_of_15_degrees_stands_or_asks_for_hands(seed: int, gets_up: bool) -> None:
-    """From random attitudes it gets up in three of four; where it slides down for ever it must end and say so."""
+@pytest.mark.parametrize("seed", [6, 10, 16])
+def test_recover_gets_up_from_random_attitudes_on_a_slope_of_15_degrees(seed: int) -> None:
     n = 601
     height = np.tile(np.tan(np.radians(15.0)) * (np.arange(n) - 300) * 0.05, (n, 1)).astype(np.float32)
     scene = Scene("slope", height, 0.05, (-15.0, -15.0), (0.0, 0.0, 0.0), {})
@@ -361,8 +361,7 @@ def test_recover_on_a_slope_of_15_degrees_stands_or_asks_for_hands(seed: int, ge
         r.run(0.5)
         if r.phase is not Phase.STANDING:
             break
-    assert r.phase is (Phase.READY if gets_up else Phase.FAULT), r.cause
-    assert gets_up or "put it on its wheels, then request recover" in r.cause
+    assert r.phase is Phase.READY, r.cause
 
 
 def test_a_robot_that_cannot_turn_over_says_so() -> None:

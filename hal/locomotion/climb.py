@@ -18,6 +18,20 @@ from hal.types import Array
 
 DRIVE, SHIFT, LIFT, REACH, LOWER = range(5)
 """Values of the memory field `mode`."""
+PACE_FILTER = 0.3
+"""Time constant [s] of the speed by which a robot is stuck: the wheels' own estimate chatters while an edge holds them."""
+
+BACK_TIME = 0.6
+"""A climb that finds no footing drives back for this long [s], so that the wheels come under the trunk again..."""
+BACK_SPEED = 0.15
+"""... at this speed [m/s]."""
+
+
+@njit(cache=True)
+def back_off(m, wanted: float, dt: float) -> float:
+    """The speed [m/s] to drive at instead of `wanted`, after a climb that found no footing. Call it while no wheel is being lifted."""
+    m.retreat = max(m.retreat - dt, 0.0) if wanted * m.way > 0.0 else 0.0
+    return -m.way * BACK_SPEED if m.retreat > 0.0 else wanted
 
 
 @njit(cache=True)
@@ -28,13 +42,16 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     """
     found = -1
     worst = p.blocked_time
-    # A turn pushes wheels back as well: the faster it turns, the more it takes.
-    caution = 1.0 + 6.0 * max(0.0, abs(m.wz) - 0.1)
-    # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
-    caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08
     straight = abs(m.wz) < min(0.15, 0.2 * abs(m.vx))
-    stuck = way * m.speed < 0.3 * abs(m.vx)
+    m.pace += dt / (dt + PACE_FILTER) * (way * m.speed - m.pace)
+    stuck = m.pace < 0.4 * abs(m.vx)
+    caution = 1.0
+    if not stuck:
+        # A turn pushes wheels back as well: the faster it turns, the more it takes.
+        caution += 6.0 * max(0.0, abs(m.wz) - 0.1)
+        # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
+        caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
     weight = m.force[0, 2] + m.force[1, 2] + m.force[2, 2] + m.force[3, 2]
     for leg in range(4):
@@ -57,7 +74,7 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
             # Pushed back weakly but for long: on slippery ground the others cannot push harder.
             m.blocked[leg] += 0.15 * dt
         else:
-            m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
+            m.blocked[leg] = max(0.0, m.blocked[leg] - (0.15 if stuck else 2.0) * dt)
         if m.blocked[leg] > worst:
             worst = m.blocked[leg]
             found = leg
@@ -127,7 +144,7 @@ def climb_tick(
     """
     m.timer += dt
     way = 0.0
-    if abs(m.vx) > 0.1 and abs(command_vx) > 0.1 and m.cliff == 0.0:
+    if abs(m.vx) > 0.1 and abs(command_vx) > 0.1 and m.cliff == 0.0 and m.retreat == 0.0:
         way = 1.0 if m.vx > 0.0 else -1.0
     if m.mode == DRIVE:
         leg = detect_blocked(m, centres, way, dt, p)
@@ -156,6 +173,7 @@ def climb_tick(
             m.lift_x = centres[leg, 0]
         elif m.timer > 1.0:
             finish(m)
+            m.retreat = BACK_TIME
     elif m.mode == LIFT:
         top = hip_z - p.stroke_lift
         m.foot[2] = min(m.foot[2] + p.lift_rate * dt, top)

@@ -37,7 +37,9 @@ MEMORY = np.dtype(
         ("queued", "i8"),  # lifted next, or -1
         ("way", "f8"),  # +1 climbing forward, -1 backward
         ("timer", "f8"),  # in this mode [s]
+        ("retreat", "f8"),  # still to drive back after a climb without footing [s]
         ("blocked", "f8", (4,)),  # for how long [s]
+        ("pace", "f8"),  # ground speed in the wanted direction, filtered [m/s]
         ("shift_goal", "f8", (2,)),  # wheels relative to the trunk [m]
         ("shift", "f8", (2,)),
         ("shift_rate", "f8", (2,)),  # [m/s]

@@ -75,6 +75,10 @@ class VmcParams(NamedTuple):
     """Force [N] beyond what friction explains, by which an edge holds a wheel, at which turning on the spot has stopped."""
     turn_strain: float = 0.08
     """How far [m] a wheel may be dragged from its place under the trunk by turning on the spot; slower from 0.6 of it."""
+    astray: float = 0.03
+    """How far [m] a wheel may be from its place under the trunk before it rolls back to it..."""
+    astray_rate: float = 5.0
+    """... at this speed for every metre beyond [1/s]."""
     place_rate: float = 0.40
     """Speed of wheel placement relative to the trunk [m/s]."""
 
@@ -116,7 +120,7 @@ class VmcParams(NamedTuple):
     """How far [m] the centre of mass must be inside the support triangle before the wheel is lifted."""
     shift_time: float = 0.1
     """Shortest time for unloading the wheel [s]."""
-    lift_tilt: float = 0.08
+    lift_tilt: float = 0.14
     """Roll or pitch off the wanted one [rad] from which no wheel is lifted."""
     lift_swing: float = 0.4
     """The same for roll and pitch rate [rad/s]."""

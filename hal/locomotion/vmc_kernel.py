@@ -27,7 +27,7 @@ from hal.go2w import (
     wheel_jacobians,
 )
 from hal.locomotion.cliff import TUCK, TUCK_RATE, feel_edges
-from hal.locomotion.climb import DRIVE, SHIFT, climb_tick
+from hal.locomotion.climb import DRIVE, SHIFT, back_off, climb_tick
 from hal.locomotion.contact import clip, estimate_contacts, turn_share
 from hal.locomotion.geometry import (
     GRAVITY,
@@ -100,7 +100,9 @@ def vmc_tick(
         m.queued = -1
     m.ticks += 1
     estimate_contacts(m, tau, weight_torque, jac, dt, p)
-    wanted = feel_edges(m, tau, dq, centres, rot, command[0], dt, p) if m.mode == DRIVE else command[0]
+    wanted = command[0]
+    if m.mode == DRIVE:
+        wanted = back_off(m, feel_edges(m, tau, dq, centres, rot, wanted, dt, p), dt)
     climb_tick(m, centres, com, rot, command[0], omega, dt, p)
     lifted = m.leg if m.mode > SHIFT else -1
 
@@ -265,6 +267,7 @@ def vmc_tick(
             error_x = m.foot[0] - centres[leg, 0]
             error_z = m.foot[2] - centres[leg, 2]
         inv = inverse3(jac[leg])
+        stands = jac[leg, 0, 1] < -0.1  # below its hip, not thrown about in a fall
         wheel = 12 + leg
         # The wheel's feed-forward holds the vertical load on the slope; its motor-side speed loop does the rest.
         hold_torque = WHEEL_RADIUS * forward[leg, 2] * m.load[leg]
@@ -282,9 +285,13 @@ def vmc_tick(
                 # The wheel motor's reaction turns the calf; carry it up to the trunk.
                 t += extra
             out[OUT_TAU, i] = t
-            delta = clip(
-                inv[joint, 0] * error_x + inv[joint, 1] * error_y + inv[joint, 2] * error_z, -0.3, 0.3
-            )
+            if joint == 1 and leg != lifted and stands:
+                # The calf has no spring: the thigh alone moves the wheel back, however straight the leg is.
+                delta = clip(error_x / jac[leg, 0, 1], -0.3, 0.3)
+            else:
+                delta = clip(
+                    inv[joint, 0] * error_x + inv[joint, 1] * error_y + inv[joint, 2] * error_z, -0.3, 0.3
+                )
             out[OUT_Q, i] = q[i] + delta
             out[OUT_DQ, i] = inv[joint, 0] * (m.shift_rate[0] + rate_x) + inv[joint, 1] * m.shift_rate[1]
             out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
@@ -296,7 +303,9 @@ def vmc_tick(
             out[OUT_TAU, thigh + 1] += (
                 p.calf_share * clip(p.leg_kp * (out[OUT_Q, thigh] - q[thigh]), -20.0, 20.0) * ratio
             )
-        ground_speed = m.vx - turn * points[leg, 1] + rate_x
+        # A wheel that is far from its place rolls back to it: one that is held must not let the others drive on under the trunk.
+        astray = error_x - clip(error_x, -p.astray, p.astray) if stands else 0.0
+        ground_speed = m.vx - turn * points[leg, 1] + rate_x + p.astray_rate * astray
         want = ground_speed / radius - spin[leg]
         band = limit / p.wheel_kd
         want = clip(want, dq[wheel] - band, dq[wheel] + band)

@@ -72,7 +72,6 @@ def up(
     with Zygote() as zygote:  # imports while this process does
         from rbtrg_robot.config import ConfigError, load
         from rbtrg_robot.log.keep import prune
-        from rbtrg_robot.process.leftovers import reap_segments
         from rbtrg_robot.processes import BY_NAME
 
         without = [*(without or []), *(["console"] if no_console else [])]
@@ -109,7 +108,6 @@ def up(
         if loaded.viewer and not loaded.simulated:
             raise ConfigError("--viewer shows a simulated robot: only with --backend sim")
         refuse_second(loaded.robot)
-        reap_segments()
         _check(loaded)
         folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
         loaded = loaded.model_copy(update={"log_dir": str(folder)})
@@ -243,22 +241,16 @@ def _detach() -> None:
 
 
 def down(robot: Robot = ROBOT) -> None:
-    """Stop the stack of a robot, and remove the shared memory that a killed one left."""
-    from rbtrg_robot.process.leftovers import reap_segments
+    """Stop the stack of a robot."""
     from rbtrg_robot.process.runfiles import NotRunning, read_state
 
-    try:
-        pid = int(read_state(robot)["pid"])
-    except NotRunning:
-        reap_segments()
-        raise
+    pid = int(read_state(robot)["pid"])
     os.kill(pid, signal.SIGTERM)
     deadline = time.monotonic() + DOWN_LIMIT
     while time.monotonic() < deadline:
         try:
             read_state(robot)
         except NotRunning:
-            reap_segments()
             print("down")
             return
         time.sleep(0.05)

@@ -80,6 +80,13 @@ def test_seeds_are_given_as_ranges_and_lists() -> None:
     assert Trial(3, 4, "vmc", "prior").key == "vmc.prior.4.3"
 
 
+def test_a_trial_of_chosen_elements_has_a_scene_and_a_key_of_its_own() -> None:
+    trial = Trial(3, 4, "vmc", "prior", made_of="bars")
+    assert trial.key == "vmc.prior.4.3.bars"
+    assert trial.scene == "lanes:3,level=4,controller=vmc,map=bars"
+    assert Trial(3, 4, "vmc", "prior").scene == "lanes:3,level=4,controller=vmc"
+
+
 def test_a_robot_pushed_onto_a_wall_has_touched_it_and_one_on_a_bar_has_not() -> None:
     one = lane(0, level=1)
     sim = Simulation(one.scene.height, one.scene.resolution, one.scene.origin)

@@ -21,6 +21,8 @@ from hal.lowlevel import Locomotion
 from hal.mujoco.config import CAPABILITIES
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
+from tools.bench.envelope.lane import LANES, through_lane
+from tools.bench.envelope.lane import WAYS as LANE_WAYS
 from tools.bench.envelope.response import along, turning, turning_while_driving
 from tools.bench.envelope.terrain import ANGLES
 from tools.bench.envelope.trial import RUNS, Conditions, drive
@@ -172,6 +174,7 @@ def run(args: list[str]) -> Report:
     bench.courses()
     bench.conditions()
     bench.faces()
+    bench.lanes()
     bench.edges_and_turns()
     bench.responses()
     bench.driving()
@@ -265,6 +268,23 @@ class _Bench:
                 if self._wanted(f"posts_{height}_{speed}"):
                     successes = self._passed(f"posts_{height}", Conditions(speed=speed))
                     add(f"posts_{height}_{speed}.{name}", successes, f"of {len(RUNS)}")
+
+    def lanes(self) -> None:
+        """Rescue lanes of level 4 made of faces at an angle."""
+        name = self.name
+        for kind in ("kerbs", "bars", "rails"):
+            if self._wanted(f"lane_{kind}"):
+                ends = [
+                    through_lane(self.controller, seed, kind, way, "vmc" if name == "vmc" else "policy")
+                    for seed in LANES
+                    for way in LANE_WAYS
+                ]
+                passed = sum(end.passed for end in ends)
+                self.report.add(
+                    f"lane_{kind}.{name}", passed, f"of {len(ends)}", self._least(10.0), at_least=True
+                )
+                falls = sum(end.tipped for end in ends)
+                self.report.add(f"lane_{kind}_falls.{name}", falls, f"of {len(ends)}", self._least(0.0))
 
     def edges_and_turns(self) -> None:
         """Creeping to an edge, turning astride bars and on ramps."""

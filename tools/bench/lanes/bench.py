@@ -31,6 +31,9 @@ def run(args: list[str]) -> Report:
         help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
     )
     parser.add_argument("--map", default="prior", help="prior, seen or both: prior,seen")
+    parser.add_argument(
+        "--made-of", default="", help="elements instead of the seed's own, such as kerbs or kerbs,bars,rails"
+    )
     parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
     parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
     parser.add_argument(
@@ -49,8 +52,18 @@ def run(args: list[str]) -> Report:
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
     trials = [
-        Trial(seed, level, controller, how, options.policy, tuple(options.set), str(options.logs or ""))
+        Trial(
+            seed,
+            level,
+            controller,
+            how,
+            options.policy,
+            tuple(options.set),
+            str(options.logs or ""),
+            made_of=made_of,
+        )
         for seed in numbers(options.seeds)
+        for made_of in options.made_of.split(",")
         for how in options.map.split(",")
         for controller in options.controller.split(",")
         for level in numbers(options.levels)

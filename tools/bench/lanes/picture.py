@@ -18,7 +18,12 @@ LEAST = 1.0
 def draw(record: Mapping[str, Any], out: Path) -> None:
     """Write FILE.png for the record of a trial."""
     trial = Trial(
-        record["seed"], record["level"], record["controller"], record["map"], goal=record.get("goal", "")
+        record["seed"],
+        record["level"],
+        record["controller"],
+        record["map"],
+        goal=record.get("goal", ""),
+        made_of=record["made_of"],
     )
     scene = load_scene(trial.scene)
     view = TopView(scene.height, scene.trusted, scene.origin, scene.resolution, 1400)

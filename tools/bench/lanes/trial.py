@@ -54,18 +54,22 @@ class Trial:
     """Folder for the MCAP log of the drive; empty: none."""
     goal: str = ""
     """`SCENE/GOAL` instead of the end of a lane; `seed` is that of the simulation then, and `level` says nothing."""
+    made_of: str = ""
+    """Elements of the lane, a name in `hal.scenes.elements.MAPS`; empty: the seed's own."""
 
     @property
     def key(self) -> str:
         """Name of the trial in records."""
-        return f"{self.controller}.{self.map}.{self.goal.replace('/', '.') or self.level}.{self.seed}"
+        key = f"{self.controller}.{self.map}.{self.goal.replace('/', '.') or self.level}.{self.seed}"
+        return f"{key}.{self.made_of}" if self.made_of else key
 
     @property
     def scene(self) -> str:
         """Name of the scene."""
         if self.goal:
             return self.goal.partition("/")[0]
-        return f"lanes:{self.seed},level={self.level},controller={self.controller}"
+        name = f"lanes:{self.seed},level={self.level},controller={self.controller}"
+        return f"{name},map={self.made_of}" if self.made_of else name
 
     def lane(self) -> Lane:
         """The lane; another scene is one without walls that are known. Raises SceneError."""

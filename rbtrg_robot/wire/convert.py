@@ -273,6 +273,8 @@ def map_patch(message: msg.GridMap, epoch: int) -> MapPatch:
     cols, rows = round(info.length_x / info.resolution), round(info.length_y / info.resolution)
     if cols < 1 or rows < 1:
         raise LayoutError(f"a map of {rows} x {cols} cells")
+    if len(message.layers) != len(message.data):
+        raise LayoutError(f"a map of {len(message.layers)} names for {len(message.data)} layers")
     layers = {}
     for name, data in zip(message.layers, message.data, strict=True):
         if data.data.size != rows * cols:

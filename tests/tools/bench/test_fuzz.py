@@ -87,3 +87,11 @@ def test_a_plan_request_that_is_not_finite_is_not_answered(field: str) -> None:
     assert planner.on(t.PLAN_REQUEST, request) != []
     setattr(request, field, math.inf)
     assert planner.on(t.PLAN_REQUEST, request) == []
+
+
+@pytest.mark.parametrize("spoil", ["name", "layer"])
+def test_a_map_with_more_names_than_layers_or_fewer_is_refused(samples: Samples, spoil: str) -> None:
+    message = decode(samples[t.MAP_WINDOW][0], msg.GridMap)
+    (message.layers if spoil == "name" else message.data).pop()
+    with pytest.raises(LayoutError, match="names for"):
+        map_patch(message, 0)

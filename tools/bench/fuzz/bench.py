@@ -24,10 +24,13 @@ from typing import Any
 import psutil
 
 from hal.types import NS
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import BASE, MAP
+from rbtrg_robot.wire.messages import decode, encode, header
 from tools.bench.fuzz.mutate import Mutator
 from tools.bench.fuzz.targets import TARGETS, Samples, newest_stamp
 from tools.bench.report import Report
@@ -56,7 +59,7 @@ def fuzz_config() -> StackConfig:
 
 
 def record(config: StackConfig, seconds: float = 6.0) -> Samples:
-    """A drive to a goal with commands and teleoperation in it: payloads by topic."""
+    """A drive to a goal with commands in it, and what people send beside it: payloads by topic."""
     samples: Samples = {}
     with Lockstep(config) as stack:
 
@@ -74,9 +77,60 @@ def record(config: StackConfig, seconds: float = 6.0) -> Samples:
         stack.run(0.2)
         stack.command("resume")
         stack.run(0.4 * seconds)
+        for topic, message in by_people(stack.now):
+            stack.host.inject(topic, message)
+            stack.run(0.2)
+    samples.setdefault(t.MAP_MIRROR, samples[t.MAP_PARTS])
+    maps = [decode(payload, msg.GridMap) for payload in samples[t.MAP_FULL]]
+    prior = msg.MapPrior(
+        header=maps[0].header, id="fuzz", map=maps, cloud=decode(samples[t.MAP_CLOUD][0], msg.PointCloud2)
+    )
+    samples[t.MAP_PRIOR] = [encode(prior)]
     blank = [topic for topic in t.TOPICS if topic not in samples]
     samples |= {topic: [Mutator.blank(topic)] for topic in blank}
     return samples
+
+
+def by_people(now: int) -> list[tuple[Topic, Any]]:
+    """What a drive to a goal has not: maps asked for, a mission, a question, places told, teleoperation; [ns]."""
+    place = msg.Pose(position=msg.Point(x=1.0, y=0.2))
+    placed = msg.PoseWithCovarianceStamped(header=header(now, MAP))
+    placed.pose.pose = place
+    steps = [
+        msg.MissionStep(id="s1", kind="wait", blocking_type="HARD", on_failure="stop", duration=0.2),
+        msg.MissionStep(
+            id="s2", kind="ask", blocking_type="HARD", on_failure="skip", text="on?", choices=["yes", "no"]
+        ),
+        msg.MissionStep(
+            id="s3", kind="goto", blocking_type="HARD", on_failure="retry", retries=1, x=1.0, timeout=9.0
+        ),
+    ]
+    order = msg.MissionOrder(
+        order_id="o1",
+        name="round",
+        frame=MAP,
+        on_comms_loss="continue",
+        comms_timeout=5.0,
+        start=1,
+        steps=steps,
+    )
+    stamp = header(now, BASE)
+    return [
+        (t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")),
+        (t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="parts")),
+        (t.ROUTE_QUESTION, msg.RouteQuestion(header=header(now, MAP), id="q1", goal_x=2.0, goal_y=0.5)),
+        (t.PRESENCE, msg.Presence(header=stamp, owner="p1")),
+        (t.MISSION_REQUEST, msg.MissionRequest(id="1", owner="p1", action="run", order=order)),
+        (
+            t.MISSION_REQUEST,
+            msg.MissionRequest(id="2", owner="p1", action="answer", order_id="o1", step=2, answer="yes"),
+        ),
+        (t.INITIAL_POSE, placed),
+        (t.GOAL_POSE, msg.PoseStamped(header=header(now, MAP), pose=place)),
+        (t.TELEOP, msg.TwistStamped(header=stamp, twist=msg.Twist(linear=msg.Vector3(x=0.2)))),
+        (t.TRUNK, msg.TrunkCommand(header=stamp, pitch=0.1)),
+        (t.TELEOP_TRUNK, msg.TrunkCommand(header=stamp, roll=-0.1, pitch=0.2)),
+    ]
 
 
 def fuzz(

@@ -300,15 +300,15 @@ def numbered(order: msg.MissionOrder) -> Iterator[str]:
 
 
 def describe(step: msg.MissionStep) -> str:
-    """A step in a few words."""
-    words = {
+    """A step in a few words; its kind alone where that is none of ours."""
+    words: dict[str, str] = {
         Kind.GOTO: f"goto {step.x:.2f} {step.y:.2f}"
         + (f" yaw {math.degrees(step.yaw):.0f} deg" if step.has_yaw else ""),
         Kind.WAIT: f"wait {step.duration:g} s",
         Kind.ASK: f"ask {step.text!r} ({', '.join(step.choices)})",
         Kind.RECORD: f"record {step.text}".strip(),
     }
-    return words.get(Kind(step.kind), step.kind)
+    return words.get(step.kind, step.kind)
 
 
 def _explain(error: ValidationError) -> str:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from rbtrg_robot import msg
+from rbtrg_robot.missions.file import describe
 from rbtrg_robot.missions.words import lines
 
 
@@ -32,3 +33,10 @@ def test_the_step_and_its_reason_are_told() -> None:
 @pytest.mark.parametrize("step", [0, 3, 65535])
 def test_a_step_that_the_mission_does_not_have_is_told_without_a_name(step: int) -> None:
     assert lines(state(step=step))[0] == f"mission round running, step {step} of 2"
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"), [("wait", "wait 2.5 s"), ("sit", "sit"), ("go\x00", "go\x00"), ("", "")]
+)
+def test_a_step_is_told_by_its_kind_whatever_that_is(kind: str, words: str) -> None:
+    assert describe(msg.MissionStep(kind=kind, duration=2.5)) == words

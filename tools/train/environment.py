@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hal import go2w
 from hal.locomotion.layout import FRAME, Layout
+from hal.mujoco.attitude import GAIN, GRAVITY
 from hal.types import Array
 from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots
@@ -74,6 +75,20 @@ def rewards(
     }
 
 
+def felt(acceleration: Array) -> Array:
+    """(n, 2) where an accelerometer sees the vertical, x and y of the world, under accelerations (n, 3) [m/s^2]; see `hal.mujoco.attitude`."""
+    force = acceleration + np.array([0.0, 0.0, GRAVITY])
+    return force[:, :2] / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-6)
+
+
+def in_body(quaternion: Array, level: Array) -> Array:
+    """(n, 3) horizontal vectors of the world (n, 2) in the axes of bodies with attitudes (n, 4), w, x, y, z."""
+    vector = np.pad(level, ((0, 0), (0, 1)))
+    axis = -quaternion[:, 1:]
+    turned = 2.0 * np.cross(axis, vector)
+    return vector + quaternion[:, :1] * turned + np.cross(axis, turned)
+
+
 class Environment:
     """`n` robots. `observe` and `step` in turn."""
 
@@ -91,6 +106,8 @@ class Environment:
         self._began = np.zeros(n)
         """x at the start [m]."""
         self._age = np.zeros(n, int)
+        self._lean = np.zeros((n, 2))
+        """Error of the attitude that the robot's IMU tells: its vertical less the true one, x and y of the world."""
         self._frames = np.zeros((AGES[-1] + 1, n, FRAME), np.float32)
         self._newest = 0
         self._fresh = np.ones(n, bool)
@@ -127,6 +144,7 @@ class Environment:
     def observe(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """What the policy sees (n, SEEN) and what the critic sees (n, KNOWN); commands in lanes follow the lane."""
         b, s = self.body(), self.robots.state
+        told = b.up + in_body(s[:, 4:8], self._lean)
         lanes = self.kind != OPEN
         aside = s[:, 2] - self.robots.ground.middle(self.kind, self.level)
         self.command[lanes, 2] = steering(aside, b.yaw)[lanes]
@@ -135,7 +153,7 @@ class Environment:
         frame = self._frames[self._newest]
         self.layout.frame(
             b.spin + rng.normal(0.0, noise["gyro"], (n, 3)),
-            b.up + rng.normal(0.0, noise["up"], (n, 3)),
+            told + rng.normal(0.0, noise["up"], (n, 3)),
             self.command,
             b.q,
             b.dq + rng.normal(0.0, noise["dq"], (n, 16)),
@@ -161,7 +179,9 @@ class Environment:
         reward: Reward = self.settings.reward
         before = self.action
         self.action = np.clip(output, self.layout.lower, self.layout.upper)
+        speed = self.robots.state[:, 24:27].copy()
         broken = self.robots.step(self.action)
+        self._lean += GAIN * PERIOD * (felt((self.robots.state[:, 24:27] - speed) / PERIOD) - self._lean)
         self._age += 1
         self._asked += np.abs(self.command[:, 0]) * PERIOD
         b, s = self.body(), self.robots.state
@@ -211,6 +231,7 @@ class Environment:
         yaw = np.where(free, rng.uniform(-np.pi, np.pi, n), rng.uniform(-0.2, 0.2, n))
         self.robots.place(which, x, y, yaw)
         self.action[which] = 0.0
+        self._lean[which] = 0.0
         self._age[which], self._asked[which], self._began[which] = 0, 0.0, x
         self._fresh[which] = True
         self._draw(which)

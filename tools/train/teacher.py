@@ -13,6 +13,7 @@ from hal import go2w
 from hal.locomotion.layout import FRAME, Layout
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.attitude import AttitudeFilter
 from hal.mujoco.sim import Simulation
 from hal.rotation import up_of
 from hal.types import Array, PostureCommand, VelocityCommand
@@ -68,7 +69,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         rng.uniform(-0.15, 0.15),
         rng.uniform(-np.pi, np.pi) if free else rng.uniform(-0.2, 0.2),
     )
-    teacher, layout = VmcController(), Layout(PARAMS)
+    teacher, layout, attitude = VmcController(), Layout(PARAMS), AttitudeFilter()
     held = LowCommand(layout.default.copy(), np.zeros(16), np.zeros(16), layout.kp.copy(), layout.kd.copy())
     frames: list[NDArray[np.float32]] = []
     outputs: list[NDArray[np.float32]] = []
@@ -89,6 +90,7 @@ def episode(seed: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
             way, force = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(20.0, 90.0)
             sim.push((force * np.cos(way), force * np.sin(way), 0.0), 0.1)
         state = sim.low_state()
+        attitude.measure(state)
         shown = teacher.step(state, VelocityCommand(0, wish[0], 0.0, wish[1]), PostureCommand(0))
         if tick % PARAMS.decimation == 0:
             frame, output = np.empty(FRAME, np.float32), as_output(layout, state, shown)

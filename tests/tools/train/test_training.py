@@ -11,10 +11,13 @@ from hal.locomotion.policy import PolicyController
 from hal.locomotion.torchfile import Layer
 from hal.locomotion.weights import save_weights
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.attitude import GAIN, AttitudeFilter
+from hal.rotation import rotation as matrix_of
+from hal.rotation import up_of
 from hal.types import PostureCommand, VelocityCommand
 from tools.train import teacher
 from tools.train.checkpoint import Checkpoint
-from tools.train.environment import KNOWN, SEEN, Body, Environment, rewards
+from tools.train.environment import KNOWN, SEEN, Body, Environment, felt, in_body, rewards
 from tools.train.settings import PARAMS, Physics, Settings
 from tools.train.terrain import KINDS, LEVELS, OPEN, RESOLUTION, Ground, lane
 
@@ -175,3 +178,21 @@ def test_a_checkpoint_comes_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.critic[0][0], net[0][0], atol=2e-3)
     np.testing.assert_array_equal(back.level, np.arange(5))
     assert [f.name for f in tmp_path.iterdir()] == ["checkpoint.npz"]
+
+
+def test_training_knows_the_errors_of_the_attitude_that_the_robot_reads() -> None:
+    """One accelerometer reading away from rest, of a robot that is turned any way: the IMU's filter moves as far."""
+    rng = np.random.default_rng(8)
+    quaternion = rng.normal(size=(20, 4))
+    quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
+    acceleration = rng.uniform(-3.0, 3.0, (20, 3))
+    told = in_body(quaternion, GAIN * 0.02 * felt(acceleration))
+    for q, a, moved in zip(quaternion, acceleration, told, strict=True):
+        rotation = matrix_of(q[[1, 2, 3, 0]])
+        low = LowState(0.0, *np.zeros((3, 16)), q.copy(), np.zeros(3), rotation.T @ [0.0, 0.0, 9.81])
+        imu = AttitudeFilter()
+        imu.measure(low)
+        low.time, low.accel = 0.02, rotation.T @ (a + np.array([0.0, 0.0, 9.81]))
+        imu.measure(low)
+        np.testing.assert_allclose(np.array(up_of(low.quaternion)) - up_of(q), moved, atol=1e-4)
+        assert 1e-4 < np.linalg.norm(moved) < 0.01

@@ -51,8 +51,9 @@ class Alignment:
         """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the robot is."""
         self.height += float(self.slopes @ (place[:2] - self._at))
         self._at = place[:2].copy()
-        turn = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0)
-        return turn @ turned, place + np.array([0.0, 0.0, self.height])
+        if self.slopes.any():
+            turned = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0) @ turned
+        return turned, place + np.array([0.0, 0.0, self.height])
 
     def take(
         self,

@@ -181,10 +181,9 @@ class ElevationMap:
         )  # fmt: skip
         if sensor.levels and not self.alignment.active and residuals[1] >= p.drift_min_cells:
             # a dead band, or the estimate would walk: the map follows the corrected scans
-            mean = residuals[0] / residuals[1]
-            self.alignment.height -= p.drift_gain * float(
-                np.clip(mean, -0.05, 0.05) - np.clip(mean, -p.drift_free, p.drift_free)
-            )
+            mean = float(residuals[0] / residuals[1])
+            most, free = min(max(mean, -0.05), 0.05), min(max(mean, -p.drift_free), p.drift_free)
+            self.alignment.height -= p.drift_gain * (most - free)
         if self.scans % CLOUD_EVERY == 0:
             self.cloud.add(points, rotation, place)
         self._rays = rays

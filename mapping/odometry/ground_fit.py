@@ -39,6 +39,7 @@ class GroundFit:
 
     def __init__(self) -> None:
         self._looks: deque[Array] = deque(maxlen=KEPT)
+        self._median = np.zeros(5)
         self._scans = 0
         self._uneven = LATELY
         """Looks since the last one that showed even ground."""
@@ -78,14 +79,15 @@ class GroundFit:
         u = axes @ up
         height = c - a * x - b * y
         self._looks.append(np.array([b, -a, height, b + u[1] / u[2], -a - u[0] / u[2]]))
+        self._median = np.median(self._looks, axis=0)
 
     def beside_wheels(self) -> Array:
         """(3,) by which the ground of the LiDAR lies beside the plane under the wheels."""
-        return np.median(self._looks, axis=0)[:3]
+        return self._median[:3]
 
     def beside_gravity(self) -> Array:
         """(2,) roll and pitch of the ground of the LiDAR beside the horizontal."""
-        return np.median(self._looks, axis=0)[3:]
+        return self._median[3:]
 
 
 def fit_plane(points: Array) -> tuple[float, float, float] | None:

@@ -86,6 +86,8 @@ class GuardStage:
         self._around: Surroundings | None = None
         self._filled: NDArray[np.float32] = np.zeros((1, 1), np.float32)
         self._stamp = 0
+        self._laid = True
+        """Nothing came since the newest sweep was laid over the window."""
         self._malformed = 0
         p = params
         around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
@@ -126,17 +128,22 @@ class GuardStage:
         elif t.MAP_STATUS.carried(message, topic):
             self._correction = message.height_correction
         elif t.ODOM.carried(message, topic):
-            self._odoms[stamp_of(message)] = message
-            self._sweep()
+            self._keep(self._odoms, stamp_of(message), message)
         elif t.CLOUD.carried(message, topic):
             try:
-                self._clouds[stamp_of(message)] = cloud_points(message)
+                self._keep(self._clouds, stamp_of(message), cloud_points(message))
             except LayoutError:
                 self._malformed += 1
-            self._sweep()
         elif t.MAP_WINDOW.carried(message, topic):
             self._window(message)
         return []
+
+    def _keep(self, kept: OrderedDict[int, Any], stamp: int, what: Any) -> None:
+        """With the newest of its kind: a pose may come before the cloud of its scan, or after it."""
+        kept[stamp] = what
+        if len(kept) > 20:
+            kept.popitem(last=False)
+        self._laid = False
 
     def _window(self, message: msg.GridMap) -> None:
         try:
@@ -157,13 +164,13 @@ class GuardStage:
             patch.resolution,
         )
         self._stamp = patch.stamp
-        self._sweep()
+        self._laid = False
 
     def _sweep(self) -> None:
-        """Lay the newest sweep whose pose is known over the window."""
-        for kept in (self._clouds, self._odoms):
-            while len(kept) > 20:
-                kept.popitem(last=False)
+        """Lay the newest sweep whose pose is known over the window, once for all that came since the last time."""
+        if self._laid:
+            return
+        self._laid = True
         both = self._clouds.keys() & self._odoms.keys()
         if not both or self._around is None or not self._frame.known:
             return
@@ -190,6 +197,7 @@ class GuardStage:
             return [(t.MOTION_LIMITS, msg.MotionLimits(header=header(now, BASE), reason=missing))]
         assert self._pose is not None
         assert self._around is not None
+        self._sweep()
         pose = self._pose.pose.pose
         here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
         _, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))

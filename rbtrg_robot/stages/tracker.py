@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from rbtrg_robot.wire.messages import header, stamp_of
 
 LOOKING = "looking"
 """Phase beside those of `TrackPhase`."""
+STEEPEST = 0.5 * math.pi
+"""A look down by more is a broken message [rad]."""
 
 
 class TrackerStage:
@@ -85,8 +88,10 @@ class TrackerStage:
         self._look = None
         if len(message.x) == 0:
             self._tracker.clear()
-            if message.look > 0.0:
+            if 0.0 < message.look <= STEEPEST:
                 self._look = Look(message.look)
+            elif message.look != 0.0:
+                self._path_fault = f"path refused: nobody looks down by {message.look:g} rad"
             return
         points = np.column_stack([message.x, message.y, message.z])
         goal_yaw = message.goal_yaw if message.has_goal_yaw else None

@@ -124,3 +124,13 @@ def test_a_look_ends_with_another_order_and_on_old_inputs(trouble: str) -> None:
     world.run(0.3)
     assert world.pitches == []
     assert world.state.phase != "looking"
+
+
+@pytest.mark.parametrize("pitch", [np.inf, 1e38, -0.1, np.nan])
+def test_a_look_that_nobody_can_do_is_refused(pitch: float) -> None:
+    world = Inputs()
+    world.run(1.0)
+    look(world, pitch=pitch)
+    world.run(1.0)
+    assert world.pitches == []
+    assert "path refused: nobody looks down by" in world.state.hold

@@ -24,7 +24,7 @@ class VmcParams(NamedTuple):
     roll_d: float = 6.0
     """[Nm s/rad], on top of the motors' own damping."""
     pitch_k: float = 200.0
-    pitch_d: float = 8.0
+    pitch_d: float = 14.0
     trim: float = 1.0
     """Rate [1/s] at which load the model does not know (payload) is learnt from the height error."""
     force_max: float = 170.0

@@ -10,12 +10,13 @@ from hal.lowlevel import LowState
 from hal.rotation import up_of
 from hal.types import Array
 
-GAIN = 0.5
-"""Pull of the accelerometer [1/s]: Kp of Mahony's own implementation. An error of attitude fades with a time constant of 1/GAIN."""
+GAIN = 0.2
+"""Pull of the accelerometer [1/s]: an error of attitude fades with a time constant of 1/GAIN. What a Go2-W's IMU has is not public; inertial
+units of its class have some seconds."""
 GRAVITY = 9.81
 LONGEST = 0.05
 """A step between two samples counts as at most this [s]."""
-SETTLED = 10.0
+SETTLED = 5.0 / GAIN
 """The filter has run for this long [s] at rest before its first sample."""
 
 
@@ -23,8 +24,8 @@ class AttitudeFilter:
     """Mahony's complementary filter (IEEE TAC 53(5), 2008, eq. 48) without its estimate of the gyro's bias.
 
     The gyro turns the attitude, and the measured specific force pulls its vertical at the rate GAIN. As in Mahony's implementation every
-    sample counts by its direction alone, however large it is: a speed that changes by 2 m/s^2 for 0.3 s tilts it by 1.6 deg, one sample
-    of an impact by at most GAIN times its duration, 0.14 deg at 200 Hz. Nothing holds the heading, which begins at the true one.
+    sample counts by its direction alone, however large it is: a speed that changes by 2 m/s^2 for 0.3 s tilts it by 0.7 deg, one sample
+    of an impact by at most GAIN times its duration, 0.06 deg at 200 Hz. Nothing holds the heading, which begins at the true one.
     """
 
     def __init__(self, gyro_bias: Array | None = None, accel_bias: Array | None = None) -> None:

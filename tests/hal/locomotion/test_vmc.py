@@ -317,7 +317,7 @@ def test_holds_its_place_level_on_a_slope() -> None:
 @pytest.mark.parametrize(
     ("speed", "yaw_rate", "degrees", "friction", "limit"),
     [
-        (0.5, 0.0, 0.0, 0.8, 0.16),
+        (0.5, 0.0, 0.0, 0.8, 0.20),
         (0.8, 0.0, 0.0, 0.6, 0.25),
         (0.5, 0.8, 0.0, 0.8, 0.28),
         (0.5, 0.0, 15.0, 0.8, 0.22),

@@ -71,12 +71,12 @@ def test_at_rest_it_settles_where_accelerometer_and_gyro_say() -> None:
     )
     up = np.array(up_of(q))
     away = []
-    for k in range(4000):
+    for k in range(16000):
         told = sensors.measure(state(k * DT, q, np.zeros(3), G * up))
         away.append(np.cross(up_of(told.quaternion), up))
     mean, spread = np.mean(away, axis=0), np.std(away, axis=0)
     expected = np.cross(accel_bias / G, up) + (gyro_bias - gyro_bias @ up * up) / GAIN
-    np.testing.assert_allclose(mean, expected, atol=3e-4)
+    np.testing.assert_allclose(mean, expected, atol=4e-4)
     assert 1e-4 < np.linalg.norm(expected) < 0.02
     # A first-order filter lets through half of GAIN * DT of the variance of the accelerometer, and integrates that of the gyro.
     white = np.sqrt(0.5 * GAIN * DT * (ACCEL_SIGMA / G) ** 2 + 0.5 * DT / GAIN * GYRO_SIGMA**2)
@@ -85,7 +85,7 @@ def test_at_rest_it_settles_where_accelerometer_and_gyro_say() -> None:
 
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
-@pytest.mark.parametrize(("push", "least", "most"), [(1.0, 0.6, 1.0), (2.0, 1.4, 1.7), (3.0, 2.0, 2.4)])
+@pytest.mark.parametrize(("push", "least", "most"), [(1.0, 0.3, 0.4), (2.0, 0.6, 0.75), (3.0, 0.9, 1.1)])
 def test_braking_and_driving_off_tilt_it(push: float, least: float, most: float, way: float) -> None:
     """For 0.3 s; the tilt fades with 1 / GAIN when the push ends."""
     filter_ = AttitudeFilter()

@@ -37,6 +37,7 @@ def rig_of(**options: Any) -> Rig:
         sim.data.qpos[3:7] = [np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0]
         sim.data.qvel[:] = 0.0
         mujoco.mj_forward(sim.model, sim.data)
+        backend.placed()
 
     def hinder(on: bool) -> None:
         """The motors hold what they were last told."""

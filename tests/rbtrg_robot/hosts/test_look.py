@@ -14,7 +14,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 
-LEVEL = math.radians(2.0)
+LEVEL = math.radians(3.0)
+"""What the robot takes for level is off by the error of its IMU's attitude."""
 LOW = math.radians(10.0)
 
 

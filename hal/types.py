@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 NS = 1_000_000_000
 """Nanoseconds in a second."""
 
+GRAVITY = 9.81
+"""[m/s^2]"""
+
 LidarName = Literal["main", "head"]
 """What a LiDAR is for: `main` localises and maps all around, `head` sees the ground in front of the feet."""
 

@@ -21,9 +21,19 @@ from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.simulator import LidarSimulator
 from hal.lidar.spec import LIDARS, LidarSpec
 from hal.scenes import Scene
-from hal.types import NS, Array, Extrinsics, GroundTruth, ImuSample, JointSample, MountedLidar, Sample
+from hal.types import (
+    GRAVITY,
+    NS,
+    Array,
+    Extrinsics,
+    GroundTruth,
+    ImuSample,
+    JointSample,
+    MountedLidar,
+    Sample,
+)
 from mapping.elevation.sensor import Sensor
-from tools.synthetic_motion import GRAVITY, Motion, legs, quaternions
+from tools.synthetic_motion import Motion, legs, quaternions
 from tools.synthetic_scenes import FEATURES, OBSTACLE, arena, corridor, feature_scene
 
 TICK = NS // 200

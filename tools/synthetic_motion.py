@@ -14,7 +14,7 @@ import numpy as np
 
 from hal.go2w import CALF, HIP_X, HIP_Y, IMU_POSITION, SX, SY, THIGH, THIGH_Y, TREAD_Y, WHEEL_RADIUS
 from hal.rotation import rotation_rpy
-from hal.types import Array
+from hal.types import GRAVITY, Array
 
 Kind = Literal["figure_eight", "straight", "standstill"]
 
@@ -22,7 +22,6 @@ EIGHT = (3.2, 1.5)
 """Half extents of the figure-eight along x and y [m]."""
 RAMP = 1.0
 """Seconds to get from rest to full motion and back."""
-GRAVITY = 9.81
 
 
 @dataclass(frozen=True, slots=True)

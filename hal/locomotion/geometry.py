@@ -28,9 +28,8 @@ from hal.go2w import (
     WHEEL_RADIUS,
 )
 from hal.rotation import up_of
-from hal.types import Array
+from hal.types import GRAVITY, Array
 
-GRAVITY = 9.81
 _BASE_M = BASE.mass
 _BASE_X = BASE.com[0]
 _BASE_Z = BASE.com[2]

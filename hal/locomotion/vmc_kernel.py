@@ -30,7 +30,6 @@ from hal.locomotion.cliff import TUCK, TUCK_RATE, feel_edges
 from hal.locomotion.climb import DRIVE, SHIFT, back_off, climb_tick
 from hal.locomotion.contact import clip, estimate_contacts, turn_share
 from hal.locomotion.geometry import (
-    GRAVITY,
     contact_geometry,
     distribute,
     fit_plane,
@@ -40,7 +39,7 @@ from hal.locomotion.geometry import (
 )
 from hal.locomotion.params import VmcParams
 from hal.locomotion.traction import FRICTION_MAX, learn_friction, limit_traction
-from hal.types import Array
+from hal.types import GRAVITY, Array
 from hal.wheel_force import inverse3
 
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)

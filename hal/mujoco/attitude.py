@@ -8,12 +8,11 @@ import numpy as np
 
 from hal.lowlevel import LowState
 from hal.rotation import up_of
-from hal.types import Array
+from hal.types import GRAVITY, Array
 
 GAIN = 0.2
 """Pull of the accelerometer [1/s]: an error of attitude fades with a time constant of 1/GAIN. What a Go2-W's IMU has is not public; inertial
 units of its class have some seconds."""
-GRAVITY = 9.81
 LONGEST = 0.05
 """A step between two samples counts as at most this [s]."""
 SETTLED = 5.0 / GAIN

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.go2w import IMU_POSITION
 from hal.rotation import rotation, rotation_vector, skew, turn
-from hal.types import Array
-from mapping.odometry.inertial_kernels import GRAVITY, correct, output, run, settle
+from hal.types import GRAVITY, Array
+from mapping.odometry.inertial_kernels import correct, output, run, settle
 
 
 class InertialConfig(BaseModel):

@@ -7,10 +7,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hal.rotation import rotation, turn
-from hal.types import Array
+from hal.types import GRAVITY, Array
 
-GRAVITY = 9.81
-"""[m/s^2]"""
 MAX_STEP = 0.05
 """An inertial gap longer than this [s] is bridged at constant velocity with a large uncertainty."""
 SILENCE = 500_000_000

@@ -51,7 +51,7 @@ COURSE = (
     *[Part(0.8, roll=side * TILT) for side in (1.0, -1.0)] * 3,
     Part(1.0),
 )
-"""Turns show roll and pitch of a mount, tilts of the trunk its yaw, and the way ahead the clock of the LiDAR in the head."""
+"""Turns show clocks, and roll and pitch of a mount. Tilts of the trunk show its yaw; driving ahead shows it where the trunk cannot tilt."""
 
 
 def register(app: typer.Typer) -> None:
@@ -137,8 +137,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
         print(f"watching for {length:.0f} s", file=sys.stderr)
         while (now := time.monotonic() - began) < length:
             if drive:
-                for topic, message in orders(now, time.time_ns()):
-                    bus.publish(topic, message, time.time_ns())
+                _order(bus, now)
             end = time.monotonic() + PERIOD
             while (left := end - time.monotonic()) > 0.0:
                 for received in bus.take(left):
@@ -146,9 +145,16 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
                     sample = None if message is None else sample_of(t.BY_NAME[received.topic.name], message)
                     out += [] if sample is None else [sample]
         if drive:
-            bus.publish(t.TELEOP, orders(length, time.time_ns())[0][1], time.time_ns())
+            _order(bus, length)
             print("`rbtrg-robot resume` gives the motion back to the stack", file=sys.stderr)
     return out
+
+
+def _order(bus: Any, after: float) -> None:
+    """What `COURSE` asks for `after` its begin [s]."""
+    stamp = time.time_ns()
+    for topic, message in orders(after, stamp):
+        bus.publish(topic, message, stamp)
 
 
 def orders(after: float, stamp: int) -> list[tuple[Topic, Any]]:

@@ -8,11 +8,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from itertools import product
-from pathlib import Path
 from statistics import median
 from typing import Any
 
-from tools.bench.lanes.bench import driven, numbers
+from hal.scenes import load_scene
+from tools.bench.lanes.bench import driven, drives, numbers
 from tools.bench.lanes.trial import Trial
 from tools.bench.report import Report
 
@@ -31,27 +31,20 @@ def run(args: list[str]) -> Report:
         "--goals", default=",".join(RESCUE), help="SCENE/GOAL,...; default: the rescue scenes"
     )
     parser.add_argument("--seeds", default="0-9", help="such as 0-9 or 3,7,12")
-    parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
-    parser.add_argument(
-        "--policy", default="", help="folder of the learnt policy; else the one that was fetched"
-    )
-    parser.add_argument("--map", default="seen", help="prior, seen or both: prior,seen")
-    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
-    parser.add_argument("--pictures", type=Path, help="folder for a picture of every goal not reached")
-    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
-    parser.add_argument(
-        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
-    )
-    options = parser.parse_args(args)
-    if options.pictures:
-        options.pictures.mkdir(parents=True, exist_ok=True)
+    options = drives(parser, args, "seen")
+    goals = options.goals.split(",")
+    for goal in goals:
+        scene, _, name = goal.partition("/")
+        known = load_scene(scene).goals
+        if name not in known:
+            parser.error(f"--goals: {goal}: the goals of {scene} are {', '.join(known)}")
     trials = [
         Trial(seed, 0, controller, how, options.policy, goal=goal)
         for seed, how, controller, goal in product(
             numbers(options.seeds),
             options.map.split(","),
             options.controller.split(","),
-            options.goals.split(","),
+            goals,
         )
     ]
     return table(driven(trials, options.out, options.pictures, options.workers, options.scheduler))

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from hal import go2w
 from hal.locomotion.layout import FRAME, Layout
-from hal.mujoco.attitude import GAIN, GRAVITY
-from hal.types import Array
+from hal.mujoco.attitude import GAIN
+from hal.types import GRAVITY, Array
 from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots
 from tools.train.settings import PARAMS, PERIOD, Reward, Settings

@@ -24,33 +24,14 @@ def run(args: list[str]) -> Report:
     parser = argparse.ArgumentParser(prog="python -m tools.bench lanes", description=__doc__)
     parser.add_argument("--seeds", default="0-39", help="such as 0-39 or 3,7,12")
     parser.add_argument("--levels", default="1-5")
-    parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
-    parser.add_argument(
-        "--policy",
-        default="",
-        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
-    )
-    parser.add_argument("--map", default="prior", help="prior, seen or both: prior,seen")
     parser.add_argument(
         "--made-of", default="", help="elements instead of the seed's own, such as kerbs or kerbs,bars,rails"
     )
     parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
-    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
-    parser.add_argument(
-        "--pictures", type=Path, help="folder for a picture of every trial not as it should be"
-    )
     parser.add_argument("--logs", type=Path, help="folder for the log of every trial")
-    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
-    parser.add_argument(
-        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
-    )
-    options = parser.parse_args(args)
-    for name, known in (("controller", {"vmc", "policy"}), ("map", {"prior", "seen"})):
-        if unknown := set(getattr(options, name).split(",")) - known:
-            parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
-    for folder in (options.logs, options.pictures):
-        if folder:
-            folder.mkdir(parents=True, exist_ok=True)
+    options = drives(parser, args, "prior")
+    if options.logs:
+        options.logs.mkdir(parents=True, exist_ok=True)
     trials = [
         Trial(
             seed,
@@ -69,6 +50,32 @@ def run(args: list[str]) -> Report:
         for level in numbers(options.levels)
     ]
     return table(driven(trials, options.out, options.pictures, options.workers, options.scheduler))
+
+
+def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argparse.Namespace:
+    """Add what benches of drives have in common and read their command line; `how`: the map unless told."""
+    parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
+    parser.add_argument(
+        "--policy",
+        default="",
+        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
+    )
+    parser.add_argument("--map", default=how, help="prior, seen or both: prior,seen")
+    parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")
+    parser.add_argument(
+        "--pictures", type=Path, help="folder for a picture of every trial not as it should be"
+    )
+    parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
+    parser.add_argument(
+        "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
+    )
+    options = parser.parse_args(args)
+    for name, known in (("controller", {"vmc", "policy"}), ("map", {"prior", "seen"})):
+        if unknown := set(getattr(options, name).split(",")) - known:
+            parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
+    if options.pictures:
+        options.pictures.mkdir(parents=True, exist_ok=True)
+    return options
 
 
 def driven(

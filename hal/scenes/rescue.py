@@ -1,6 +1,6 @@
 """Four benchmark scenes built from the dimensions of rescue-robot test lanes (RoboCup Rescue, ASTM E54, NIST).
 
-Each has ten start and goal pairs and a survey with unseen cells; the numbers below are metres unless said.
+Each has forty start and goal pairs, the first ten are those of the studies, and a survey with unseen cells; the numbers below are metres unless said.
 """
 
 from __future__ import annotations

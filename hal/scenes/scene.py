@@ -56,7 +56,7 @@ class Scene:
     survey: NDArray[np.float32] | None = None
     """(rows, cols) heights as scanner stations measured them: with noise, NaN where none saw the cell. None: as `height`."""
     pairs: tuple[Pair, ...] = field(default=())
-    """Start and goal of each benchmark query, frozen."""
+    """Start and goal of each benchmark query, frozen. Studies take the first ten unless told otherwise."""
     mesh: Geometry | None = None
     """What the LiDAR sees instead of `height` where surfaces lie above one another; the robot stands on `height`."""
 

@@ -82,12 +82,12 @@ def draw_pairs(
     lanes: Sequence[tuple[float, float, float, float]],
     seed: int,
     *,
-    count: int = 10,
+    count: int = 40,
     length: tuple[float, float] = (4.2, 6.2),
     highest: float = 1.2,
     must: Sequence[tuple[float, float, float, float]] = (),
 ) -> tuple[Pair, ...]:
-    """Start and goal pairs inside `lanes` (x_min, x_max, y_min, y_max), `length` [m] apart.
+    """Start and goal pairs inside `lanes` (x_min, x_max, y_min, y_max), `length` [m] apart; the first ones do not depend on `count`.
 
     Endpoints keep 0.26 m from anything `highest` [m] above or below them. Pair number k starts inside `must[k]` when
     there is one: elements that the benchmark wants an endpoint on.

@@ -17,7 +17,7 @@ def profile(scene: Scene, x: np.ndarray, y: float) -> np.ndarray:
 def untrusted_along(scene: Scene) -> float:
     """Mean share of unseen cells under a strip 0.4 m wide along the straight lines of the pairs."""
     shares = []
-    for start, goal in scene.pairs:
+    for start, goal in scene.pairs[:10]:
         a, b = np.array(start), np.array(goal)
         u = (b - a) / np.linalg.norm(b - a)
         s, w = np.meshgrid(np.arange(0, np.linalg.norm(b - a), 0.02), np.arange(-0.2, 0.21, 0.02))
@@ -29,10 +29,10 @@ def untrusted_along(scene: Scene) -> float:
 
 
 @pytest.mark.parametrize("name", RESCUE)
-def test_rescue_scenes_have_ten_pairs_and_about_a_tenth_unseen(name: str) -> None:
+def test_rescue_scenes_have_forty_pairs_and_about_a_tenth_unseen(name: str) -> None:
     scene = load_scene(name)
     assert scene.resolution == 0.02
-    assert len(scene.pairs) == 10
+    assert len(scene.pairs) == len(set(scene.pairs)) == 40
     length = [np.hypot(b[0] - a[0], b[1] - a[1]) for a, b in scene.pairs]
     assert min(length) >= 4.2
     assert max(length) <= 6.2
@@ -63,7 +63,7 @@ def test_the_platform_has_its_ramp_and_curbs() -> None:
     assert np.degrees(np.arctan(rise / 0.6)) == pytest.approx(20.0, abs=0.1)
     assert [scene.z(x, 1.0) for x in (2.6, 6.2)] == pytest.approx([0.05, 0.10], abs=1e-6)
     assert scene.z(4.4, 1.3) == pytest.approx(0.095, abs=1e-6)
-    assert any(2.2 < a[0] < 3.0 and 3.3 < a[1] < 3.9 for a, _ in scene.pairs)
+    assert any(2.2 < a[0] < 3.0 and 3.3 < a[1] < 3.9 for a, _ in scene.pairs[:10])
 
 
 def test_the_stepfield_has_its_hill_and_the_detour_is_flat() -> None:

@@ -204,6 +204,23 @@ def test_a_study_goes_on_where_it_was_cut_off(tmp_path: Path, monkeypatch: pytes
     assert "8 trials, 2 draws" in (tmp_path / "tables.md").read_text()
 
 
+def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_path: Path) -> None:
+    args = ["--controller", "vmc", "--scenes", "rescue_slopes", "--queries", "1", "--draws", "1"]
+    records = {}
+    for workers in ("0", "2"):
+        out = tmp_path / workers
+        bench.run([*args, "--out", str(out), "--methods", "native,ours", "--workers", workers])
+        records[workers] = {
+            r["key"]: {k: v for k, v in r.items() if k != "cpu"} for r in bench.read(out / "trials.jsonl")
+        }
+        assert bench.read(out / "routes.jsonl")
+        assert "2 trials" in (out / "tables.md").read_text()
+        assert list(out.glob("*.png"))
+    assert len(records["0"]) == 2
+    assert any(r["success"] for r in records["0"].values())
+    assert records["2"] == records["0"]
+
+
 def vars_of(route: Route) -> dict[str, object]:
     return {name: getattr(route, name) for name in Route.__slots__}
 
@@ -238,7 +255,7 @@ def test_wrong_names_are_refused(
     for args, word in (
         (["--methods", "best"], "best"),
         (["--draws", "1"], "policy get go2w_rl_sar"),
-        (["--controller", "vmc", "--queries", "11"], "1..10"),
+        (["--controller", "vmc", "--queries", "41"], "1..40"),
     ):
         with pytest.raises(SystemExit):
             bench.run(["--out", "x", *args])

@@ -65,7 +65,7 @@ def cases(
     }
     out = []
     for scene in protocol.SCENES:
-        for query in range(protocol.QUERIES):
+        for query in sorted({q for s, q, _, _ in mine if s == scene}):
             draws = sorted({d for s, q, d, _ in mine if (s, q) == (scene, query)})
             pairs = [tuple(mine.get((scene, query, d, m)) for m in methods) for d in draws]
             both = [(a, b) for a, b in pairs if a is not None and b is not None]

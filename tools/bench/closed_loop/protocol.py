@@ -11,7 +11,9 @@ from planning.tracking import TrackerConfig
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
 QUERIES = 10
-"""Start-goal pairs per scene."""
+"""Start-goal pairs per scene: those of the results in `docs/evaluation.md`."""
+MOST_QUERIES = 40
+"""Pairs that each scene has, for studies that resolve smaller differences."""
 SHARED = ("native", "edge-only", "mean-only", "full", "refined")
 """Methods that share one graph per query, its snapped endpoints and the smoothing that looks at no risk."""
 OWN = ("guarded", "ours")

@@ -29,7 +29,7 @@ def run(args: list[str]) -> Report:
     parser = argparse.ArgumentParser(prog="tools.bench static")
     parser.add_argument("--out", type=Path, required=True, help="folder for the table and the pictures")
     parser.add_argument("--seeds", type=int, default=10, help="graphs per scene and mode")
-    parser.add_argument("--pairs", type=int, default=5, help="start-goal pairs per graph, at most 10")
+    parser.add_argument("--pairs", type=int, default=5, help="start-goal pairs per graph, at most 40")
     options = parser.parse_args(args)
     options.out.mkdir(parents=True, exist_ok=True)
     instances, drawn, missing = study(options.seeds, options.pairs)

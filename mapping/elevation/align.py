@@ -23,8 +23,10 @@ SCALE = 0.05
 """Differences of this size [m] count a quarter."""
 SLOPES_HELD = 1.0
 """Mean square reach of the ground that is compared [m^2] at which half of a slope is taken."""
-ENOUGH = 200
-"""Cells that are compared at least."""
+ENOUGH = 50
+"""Cells of ground that are compared at least: between the walls of a lane a scan of the XT16 meets about 100."""
+LEVEL_OFF = 0.05
+"""A map that lies higher or lower than this on the whole [m] is taken at its level: it counts from another start."""
 
 
 class Alignment:
@@ -65,13 +67,14 @@ class Alignment:
     ) -> bool:
         """Move the plane by a share `gain` of what one scan lies off the prior map; the first scans count in full.
 
-        which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns whether this was the first one: it has to be placed again.
+        which (k,) and sums (k, 8): the scan, see `fusion.reduce_cells`. Returns whether the scan has to be placed again: the first one.
         """
-        n, total, a, b = _normal_equations(
-            which, sums, store.level, store.tiles, store.shift, self._at, resolution
-        )
+        off = _over_ground(which, sums, store.level, store.shift)
+        level = self._take_level(off) if self._taken == 0 else np.float32(0.0)
+        off -= level
+        n, total, a, b = _normal_equations(off, which, store.tiles, store.shift, self._at, resolution)
         if n < ENOUGH:
-            return False
+            return bool(level)
         self._taken += 1
         step = np.linalg.solve(a / total + np.diag([0.0, SLOPES_HELD, SLOPES_HELD]), b / total)
         step *= max(gain, 1.0 / self._taken)
@@ -79,15 +82,27 @@ class Alignment:
         self.slopes -= step[1:]
         return self._taken == 1
 
+    def _take_level(self, off: NDArray[np.float32]) -> np.float32:
+        """Take the level of a prior map that counts from another start; -> how much higher [m] the scan lay. off: see `_over_ground`."""
+        told = off[np.isfinite(off)]
+        if len(told) < ENOUGH:
+            return np.float32(0.0)
+        middle = np.median(told)
+        one_level = np.median(np.abs(told - middle)) < LEVEL_OFF
+        if not one_level or abs(middle) <= LEVEL_OFF:
+            return np.float32(0.0)
+        self.height -= float(middle)
+        return np.float32(middle)
+
 
 @njit(cache=True)
-def _normal_equations(which, sums, known, tiles, shift, at, resolution):  # pragma: no cover - compiled
-    """Least squares of the scan's height over the prior map, height + slopes . (x, y from `at` (2,)): number of cells compared, sum of
-    their weights, matrix (3, 3), right side (3,)."""
-    n, total = 0, 0.0
-    a, b = np.zeros((3, 3)), np.zeros(3)
-    j = np.ones(3)
+def _over_ground(which, sums, known, shift):  # pragma: no cover - compiled
+    """(k,) how much higher than the prior map's heights `known` the cells of a scan lie [m]; NaN where that is no flat ground.
+
+    The scan meets a wall below its top, so a wall tells no height, and in a lane most of a scan is walls.
+    """
     size = np.int64(1) << shift
+    off = np.full(len(which), np.nan, np.float32)
     for s in range(len(which)):
         index = which[s]
         r, c = (index >> shift) & (size - 1), index & (size - 1)
@@ -100,20 +115,33 @@ def _normal_equations(which, sums, known, tiles, shift, at, resolution):  # prag
                 seen += h == h
                 low = h if h < low else low
                 high = h if h > high else high
-        if seen < 9 or high - low > FLAT:
+        if seen == 9 and high - low <= FLAT:
+            off[s] = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT] - known[index]
+    return off
+
+
+@njit(cache=True)
+def _normal_equations(off, which, tiles, shift, at, resolution):  # pragma: no cover - compiled
+    """Least squares of a scan's heights `off` (k,) over the prior map, height + slopes . (x, y from `at` (2,)): number of cells compared,
+    sum of their weights, matrix (3, 3), right side (3,)."""
+    n, total = 0, 0.0
+    a, b = np.zeros((3, 3)), np.zeros(3)
+    j = np.ones(3)
+    size = np.int64(1) << shift
+    for s in range(len(which)):
+        if not abs(off[s]) <= GATE:
             continue
-        off = np.float64(sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT] - known[index])
-        if abs(off) > GATE:
-            continue
+        index = which[s]
+        r, c = (index >> shift) & (size - 1), index & (size - 1)
         slot = index >> (2 * shift)
         j[1] = (tiles[slot, 1] * size + c) * resolution - at[0]
         j[2] = (tiles[slot, 0] * size + r) * resolution - at[1]
-        w = 1.0 / (1.0 + (off / SCALE) ** 2)
+        w = 1.0 / (1.0 + (off[s] / SCALE) ** 2)
         w *= w
         n += 1
         total += w
         for k in range(3):
-            b[k] += w * j[k] * off
+            b[k] += w * j[k] * off[s]
             for m in range(3):
                 a[k, m] += w * j[k] * j[m]
     return n, total, a, b

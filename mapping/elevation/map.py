@@ -195,15 +195,13 @@ class ElevationMap:
     def _lay(self, k: int) -> bool:
         """Compare the `k` cells of a scan with the prior map. Returns whether the scan has to be placed again."""
         which, sums = self._which[:k], self._sums[:k]
-        if self._prior is not None and not self._prior.done:
-            higher = self._prior.level(self.store, which, sums)
-            if higher != 0.0:  # the prior map counts from another start: take its level
-                self.alignment.height -= higher
-                return True
-            self._prior.take(self.store, which, sums)
-        return self.alignment.active and self.alignment.take(
+        if self.alignment.active and self.alignment.take(
             self.store, which, sums, self.params.resolution, self.params.drift_gain
-        )
+        ):
+            return True
+        if self._prior is not None and not self._prior.done:
+            self._prior.take(self.store, which, sums)
+        return False
 
     def fuse_ground(
         self,

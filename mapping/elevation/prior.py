@@ -1,4 +1,4 @@
-"""Does a prior map fit? Told by the first scans: what stands where the map says ground, and how high the map lies.
+"""Does a prior map fit? Told by the first scans: what stands where the map says ground.
 
 A prior map of another place, or a start pose that is not the robot's, looks right on level ground and fails at walls. The
 evidence is one-sided: a scan may see less of a wall than the map has, but never something where the map knows ground all
@@ -26,8 +26,6 @@ KNOWN = 6
 """Cells of the 3 x 3 that must be known for a comparison: where a wall's foot was never seen it may stand."""
 MISFIT = 0.01
 """Share of such cells of a map that does not fit."""
-LEVEL_OFF = 0.05
-"""A map that lies higher or lower than this on the whole [m] is taken at its level: it counts from another start."""
 
 
 class PriorCheck:
@@ -36,7 +34,6 @@ class PriorCheck:
     def __init__(self) -> None:
         self.tested = 0
         self.higher = 0
-        self._levelled = False
 
     @property
     def done(self) -> bool:
@@ -53,24 +50,9 @@ class PriorCheck:
             "wrong file or start pose: start again with the right one, or without a prior map"
         )
 
-    def level(self, store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]) -> float:
-        """How much higher the first scan that meets the prior map lies on the whole [m]; 0 from then on, and within noise.
-
-        which (k,) and sums (k, 8): the scan, see `elevation_kernels.reduce_cells`.
-        """
-        if self._levelled:
-            return 0.0
-        _, off, _ = _differences(store, which, sums)
-        if len(off) < FEW // 2:
-            return 0.0
-        self._levelled = True
-        middle = float(np.median(off))
-        one_level = float(np.median(np.abs(off - middle))) < LEVEL_OFF
-        return middle if one_level and abs(middle) > LEVEL_OFF else 0.0
-
     def take(self, store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]) -> None:
-        """Compare one scan; see `level`. The cells it met no longer count as those of a prior map."""
-        met, _, higher = _differences(store, which, sums)
+        """Compare one scan: which (k,) and sums (k, 8), see `fusion.reduce_cells`. The cells it met no longer count as those of a prior map."""
+        met, higher = _differences(store, which, sums)
         self.tested += len(met)
         self.higher += higher
         store.cells["seen"][met] = 0
@@ -78,17 +60,17 @@ class PriorCheck:
 
 def _differences(
     store: TileStore, which: NDArray[np.int64], sums: NDArray[np.float32]
-) -> tuple[NDArray[np.int64], NDArray[np.float32], int]:
-    """Cells (n,) of the prior map not met before, how much higher the scan lies there (n,) [m], and how many contradict."""
-    met, off = np.empty(len(which), np.int64), np.empty(len(which), np.float32)
+) -> tuple[NDArray[np.int64], int]:
+    """Cells (n,) of the prior map not met before, and how many contradict."""
+    met = np.empty(len(which), np.int64)
     n, higher = _compare(
-        which, sums, store.cells, store.tiles, store.directory, store.first, store.shift, met, off
+        which, sums, store.cells, store.tiles, store.directory, store.first, store.shift, met
     )
-    return met[:n], off[:n], higher
+    return met[:n], higher
 
 
 @njit(cache=True)
-def _compare(which, sums, cells, tiles, directory, first, shift, met, off):  # pragma: no cover - compiled
+def _compare(which, sums, cells, tiles, directory, first, shift, met):  # pragma: no cover - compiled
     """See `_differences`; returns n and how many contradict."""
     n, higher = 0, 0
     mask = (1 << shift) - 1
@@ -111,7 +93,7 @@ def _compare(which, sums, cells, tiles, directory, first, shift, met, off):  # p
         if known < KNOWN:
             continue
         z = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT]
-        met[n], off[n] = index, z - cell.height
+        met[n] = index
         n += 1
         higher += z - top > STANDS
     return n, higher

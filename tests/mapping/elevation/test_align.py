@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hal.rotation import quaternion, rotation_rpy
-from mapping.elevation.align import FLAT, GATE, SCALE, Alignment, _normal_equations
+from mapping.elevation.align import FLAT, GATE, SCALE, Alignment, _normal_equations, _over_ground
 from mapping.elevation.fusion import TOP, WEIGHT
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.tiles import LIDAR, TileStore
@@ -32,7 +32,8 @@ def test_the_normal_equations_equal_numpy() -> None:
     sums[:, WEIGHT] = 1.0
     sums[:, TOP] = 0.1 * j[pick] * RES + rng.normal(0.02, 0.05, pick.size)
     at = np.array([0.3, -0.2])
-    n, total, a, b = _normal_equations(index[pick], sums, store.level, store.tiles, store.shift, at, RES)
+    over = _over_ground(index[pick], sums, store.level, store.shift)
+    n, total, a, b = _normal_equations(over, index[pick], store.tiles, store.shift, at, RES)
 
     height = np.full((66, 66), np.nan, np.float32)
     height[i + 33, j + 33] = store.cells["height"][index]
@@ -75,3 +76,23 @@ def test_without_a_prior_map_slopes_stay_zero() -> None:
         elevation.fuse(flat_scan(rng), tilt @ (0.1 * k, 0.0, HEIGHT), quaternion(tilt), 10**9 + k * 10**8)
     assert not elevation.alignment.active
     assert not elevation.alignment.slopes.any()
+
+
+@pytest.mark.parametrize("off", [0.0, 0.012, 0.3])
+def test_walls_do_not_tell_the_level_of_a_prior_map(tmp_path: Path, off: float) -> None:
+    """In a lane a scan meets little ground, and walls everywhere below their tops."""
+    path = tmp_path / "lane.npz"
+    height = np.zeros((100, 300), np.float32)
+    height[33:36], height[64:67] = 0.5, 0.5
+    np.savez(path, height=height, resolution=RES, origin=(0.0, 0.0))
+    elevation, rng = ElevationMap(), np.random.default_rng(3)
+    elevation.load_prior(path)
+    ground = np.column_stack([rng.uniform(3.9, 4.1, 600), rng.uniform(1.6, 2.4, 600), np.zeros(600)])
+    # faces of the walls, 6 to 8 cm below their tops
+    rows = RES * np.repeat([35.0, 64.0], 2500)
+    walls = np.column_stack([rng.uniform(2.5, 11.5, 5000), rows, rng.uniform(0.42, 0.44, 5000)])
+    place = np.array([2.0, 2.0, HEIGHT])
+    points = (np.concatenate([ground, walls]) - place + rng.normal(0.0, 0.002, (5600, 3))).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(points, (2.0, 2.0, HEIGHT + off), (0.0, 0.0, 0.0, 1.0), 10**9 + k * 10**8)
+    assert elevation.alignment.height == pytest.approx(-off, abs=0.004)

@@ -213,7 +213,7 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
     rule: gate [sigmas], smallest gate [m], face [m], clearance [m], scans until a higher and until a lower surface takes
     over, smallest variance, drift variance per ms, largest variance, points of an established cell, memory of a
     contradiction [ms].
-    A measurement beyond the gate builds up the cell's second mode, which takes over after enough scans in a row. A lower
+    A measurement beyond the gate builds up the cell's second mode, which takes over after enough scans in a row and as many points as an established cell has. A lower
     measurement on a face (vertical extent in this scan) contradicts nothing: the wall's top is only out of view.
     residuals: [sum of z - h over agreeing established cells, their number], for the drift estimate. touched: flag per
     tile of 1 << area cells.
@@ -293,7 +293,8 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
             cell.alt = z
             cell.streak = 1
         cell.alt_seen = now
-        if cell.streak >= (rule[4] if dz > 0.0 else rule[5]):
+        # fewer points would leave a cell that is not read out, and that the next stray point begins anew
+        if cell.streak >= (rule[4] if dz > 0.0 else rule[5]) and n * np.int64(cell.streak) >= settled:
             if dz > 0.0:
                 if not cell.below < h:
                     cell.below = cell.height

@@ -146,7 +146,7 @@ class CellOracle:
             self.alt, self.streak = z, 1
         self.alt_seen = now
         up = z > self.h
-        if self.streak >= (2 if up else 5):
+        if self.streak >= (2 if up else 5) and n * self.streak >= 3:
             if up and (self.below is None or self.below >= self.h):
                 self.below = self.h
             if not up and self.below is not None and self.below >= self.alt - gate:

@@ -65,7 +65,7 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
     report.add("soak.minutes", minutes, "min")
     report.add("soak.latency_ratio", ratio, "1", limit=1.2)
     report.add("soak.memory_mb", growth, "MB", limit=20.0)
-    report.add("soak.eroded_cells_pct", eroded(before, elevation.grid()), "%", limit=0.5)
+    report.add("soak.eroded_cells_pct", eroded(before, elevation.grid()), "%", limit=0.1)
     report.add("soak.height_correction_mm", 1e3 * elevation.alignment.height, "mm")
     report.add("soak.latency_ms", 1e3 * float(np.median(cpu)), "ms")
 

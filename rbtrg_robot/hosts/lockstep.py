@@ -82,10 +82,16 @@ class Newest(Mapping[Topic, Any]):
 class Lockstep:
     """The whole stack on the simulated robot."""
 
-    def __init__(self, config: StackConfig, log: LogWriter | None = None) -> None:
-        """Stages named in `config.without` are left out."""
+    def __init__(
+        self,
+        config: StackConfig,
+        log: LogWriter | None = None,
+        placed: tuple[float, float, float] | None = None,
+    ) -> None:
+        """Stages named in `config.without` are left out. `placed`: x, y [m], yaw [rad] where the simulator puts the robot; None: where
+        `config` says that it is."""
         names = [p.name for p in PROCESSES if p.hosted and p.name not in config.without]
-        self.robot = build(config)
+        self.robot = build(config if placed is None else config.model_copy(update={"origin": placed}))
         stages: dict[str, tuple[Stage, float]] = {"robot": (self.robot, STEP / NS)}
         stages |= build_stages(config, names)
         self._log = log

@@ -18,7 +18,11 @@ import pytest
 from dask import config
 
 from hal.scenes import load_scene
-from tools.bench.closed_loop import bench, protocol
+from rbtrg_robot import topics
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.convert import yaw_of
+from tools.bench.closed_loop import bench, protocol, stack
 from tools.bench.closed_loop.protocol import Trial, conditions, trials
 from tools.bench.closed_loop.routes import Route, crosses_wall, routes
 from tools.bench.closed_loop.statistics import difference, interval, mean, resampled
@@ -309,3 +313,17 @@ def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None
             process.kill()
             process.wait()
     assert got == [0]
+
+
+def test_the_stack_is_told_where_the_robot_stands_after_taking_its_stance() -> None:
+    placed = (3.62, 0.79, 0.9)  # among posts: it turns while it stands up
+    config = load(None, [], scene="rescue_steps", origin=placed)
+    x, y, yaw = stack.stands(config, placed)
+    assert 0.005 < np.hypot(x - placed[0], y - placed[1]) < 0.2
+    with Lockstep(config.model_copy(update={"without": stack.WITHOUT})) as run:
+        run.run_until(lambda: topics.ODOM in run.newest, 15.0, "odometry")
+        run.run(0.5)
+        truth, odom = run.newest[topics.TRUTH].pose.pose, run.newest[topics.ODOM].pose.pose
+    along = np.exp(1j * yaw) * complex(odom.position.x, odom.position.y) + complex(x, y)
+    assert abs(along - complex(truth.position.x, truth.position.y)) < 0.01
+    assert yaw + yaw_of(odom.orientation) == pytest.approx(yaw_of(truth.orientation), abs=0.01)

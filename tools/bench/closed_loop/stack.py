@@ -13,15 +13,22 @@ from typing import Any
 import numpy as np
 
 from hal.mujoco.sim import Simulation
+from hal.rotation import wrap
+from hal.scenes import Pose
 from hal.scenes.files import save_scene
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import load
+from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.closed_loop import protocol as p
 from tools.bench.closed_loop.routes import Route, scene_of
 from tools.bench.closed_loop.trial import EVERY, Watch, attitude, heading
 
+WITHOUT = ("elevation", "planner", "navigator", "mission", "tracker", "guard")
+"""Processes that are not needed to see where odometry begins."""
+SETTLING = 15.0
+"""So long the robot may take to stand [s]."""
 AFTER = 1.5
 """The stack ends a goal at the first sign of a fall: how long the robot is watched then [s]."""
 
@@ -52,6 +59,7 @@ def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
     start, goal = scene_of(trial.scene).pairs[trial.query]
     yaw = heading(route if route.line else replace(route, line=[list(start), list(goal)])) + given["dyaw"]
     ground, survey = files(trial.scene)
+    placed = (start[0] + given["dx"], start[1] + given["dy"], yaw)
     config = load(
         None,
         [f"sim.friction={given['friction']}"],
@@ -60,12 +68,27 @@ def drive(trial: p.Trial, route: Route, policy: str = "") -> dict[str, Any]:
         controller=trial.controller,
         policy_dir=policy or None,
         map_file=survey if trial.method == "ours-mapped" else "",
-        origin=(start[0] + given["dx"], start[1] + given["dy"], yaw),
+        origin=placed,
     )
+    config = config.model_copy(update={"origin": stands(config, placed)})
     record: dict[str, Any] = {"key": trial.key, **asdict(trial), **given, "wall": route.wall}
-    with Lockstep(config) as stack:
+    with Lockstep(config, placed=placed) as stack:
         record |= _follow(stack, goal)
         return record | {"cpu": time.process_time() - began, "simulated": stack.seconds}
+
+
+def stands(config: StackConfig, placed: Pose) -> Pose:
+    """x, y [m], yaw [rad] at which odometry begins when the robot is put at `placed`: on rubble it moves while it takes its stance."""
+    with Lockstep(config.model_copy(update={"without": WITHOUT})) as stack:
+        try:
+            stack.run_until(lambda: t.ODOM in stack.newest, SETTLING, "odometry")
+        except LockstepTimeout:
+            return placed
+        truth, odom = stack.newest[t.TRUTH].pose.pose, stack.newest[t.ODOM].pose.pose
+        yaw = wrap(yaw_of(truth.orientation) - yaw_of(odom.orientation))
+        x, y = odom.position.x, odom.position.y
+        c, s = math.cos(yaw), math.sin(yaw)
+        return truth.position.x - c * x + s * y, truth.position.y - s * x - c * y, yaw
 
 
 def _follow(stack: Lockstep, goal: tuple[float, float]) -> dict[str, Any]:

@@ -25,6 +25,8 @@ BACK_TIME = 0.6
 """A climb that finds no footing drives back for this long [s], so that the wheels come under the trunk again..."""
 BACK_SPEED = 0.15
 """... at this speed [m/s]."""
+TIPPING = 1.4
+"""A trunk that tilts by so many times the tilt that forbids lifting tips: the lifted wheel is put down again."""
 
 
 @njit(cache=True)
@@ -174,6 +176,12 @@ def climb_tick(
         elif m.timer > 1.0:
             finish(m)
             m.retreat = BACK_TIME
+    elif (m.mode == LIFT or m.mode == REACH) and max(abs(m.tilt[0]), abs(m.tilt[1])) > TIPPING * p.lift_tilt:
+        # The wheel is needed on the ground.
+        m.mode = LOWER
+        m.timer = 0.0
+        m.foot[0] = centres[leg, 0]
+        m.foot[2] = centres[leg, 2]
     elif m.mode == LIFT:
         top = hip_z - p.stroke_lift
         m.foot[2] = min(m.foot[2] + p.lift_rate * dt, top)

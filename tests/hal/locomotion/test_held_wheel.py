@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 
 from hal import go2w
-from hal.locomotion.climb import BACK_SPEED, BACK_TIME, back_off, detect_blocked
+from hal.locomotion.climb import (
+    BACK_SPEED,
+    BACK_TIME,
+    LIFT,
+    LOWER,
+    REACH,
+    TIPPING,
+    back_off,
+    climb_tick,
+    detect_blocked,
+)
 from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import VmcParams
 from hal.locomotion.vmc import VmcController
@@ -93,6 +103,23 @@ def test_a_climb_without_footing_drives_back_for_a_while_and_not_once_commanded_
     m.retreat = BACK_TIME
     assert back_off.py_func(m, -0.4, DT) == -0.4
     assert back_off.py_func(m, 0.4, DT) == 0.4
+
+
+@pytest.mark.parametrize("mode", [LIFT, REACH])
+@pytest.mark.parametrize(("share", "after"), [(0.95, None), (1.05, LOWER)])
+def test_a_wheel_in_the_air_is_put_down_where_it_is_when_the_trunk_tips(
+    mode: int, share: float, after: int | None
+) -> None:
+    m, params = _memory(), VmcParams()
+    centres = go2w.wheel_centres(np.array([0.0, 0.67, -1.3] * 4 + [0.0] * 4))
+    m.mode, m.leg, m.way, m.vx = mode, 1, 1.0, 0.3
+    m.foot[:] = centres[1] + [0.05, 0.0, 0.03]
+    m.lift_x = centres[1, 0]
+    m.tilt[0] = -share * TIPPING * params.lift_tilt
+    climb_tick(m, centres, np.zeros(3), np.eye(3), 0.3, np.zeros(3), DT, params)
+    assert m.mode == (mode if after is None else after)
+    if after is not None:
+        assert m.foot[[0, 2]] == pytest.approx(centres[1, [0, 2]])
 
 
 def test_the_kerbs_of_a_lane_are_crossed_askew_without_tipping() -> None:

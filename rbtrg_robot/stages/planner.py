@@ -151,11 +151,10 @@ class PlannerStage:
     # --- graph ------------------------------------------------------------------------------------------------
 
     def tick(self, now: int) -> Outputs:
-        """Keep the graph up to date; report twice a second."""
+        """Let the graph follow the map while a path is driven on it; report twice a second."""
         self._now = now
         due = now - self._updated >= self._params.update_period * NS or now < self._updated
-        if self._map.stale and self._start is not None and due:
-            self._updated = now
+        if due and self._path is not None and self._start is not None and self._map.stale:
             self._sync(self._start)
         outputs = self._returning.due()
         if now < self._status_due and now > self._status_due - NS:
@@ -167,6 +166,7 @@ class PlannerStage:
         return outputs
 
     def _sync(self, start: tuple[float, float]) -> None:
+        self._updated = self._now
         self._malformed += not self._map.sync(start)
 
     def _status(self, now: int) -> msg.RouteStatus:

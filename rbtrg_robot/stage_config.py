@@ -135,7 +135,9 @@ class PlannerConfig(BaseModel):
         description="cost of a turn [m/rad]; half of the way at 0.5 m/s in the time of a turn at 0.8 rad/s; 0 = as in the paper",
     )
     update_period: float = Field(
-        2.0, gt=0, description="the graph follows the map this often while a path is driven, and at each request [s]"
+        2.0,
+        gt=0,
+        description="the graph follows the map this often while a path is driven, and at each request [s]",
     )
 
 

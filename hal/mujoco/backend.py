@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -153,7 +154,7 @@ class MujocoBackend:
 
     def drive(self, command: VelocityCommand) -> None:
         """Velocity until the next call; takes effect at the next control tick."""
-        if not np.isfinite((command.vx, command.vy, command.wz)).all():
+        if not all(map(math.isfinite, (command.vx, command.vy, command.wz))):
             raise BackendError("velocity must be finite: put the safety gate in front of the backend")
         self._modes.drive(command)
 

@@ -109,8 +109,10 @@ class Geofence:
         if self.outside(x, y) < -(soon + BODY_WIDTH):  # no side is near
             return most
         for side in (0.0, 0.5 * BODY_WIDTH, -0.5 * BODY_WIDTH):
-            here = self.outside(x + margin * c - side * s, y + margin * s + side * c)
             ahead = self.outside(x + soon * c - side * s, y + soon * s + side * c)
-            if ahead > 0.0 and ahead >= here:
+            if ahead <= 0.0:
+                continue
+            here = self.outside(x + margin * c - side * s, y + margin * s + side * c)
+            if ahead >= here:
                 most = min(most, max(0.0, -here) / horizon)
         return most

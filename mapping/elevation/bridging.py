@@ -34,7 +34,9 @@ def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
 
 
 @njit(cache=True)
-def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes, kind):  # pragma: no cover
+def _span(
+    height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes, kind, found
+):  # pragma: no cover
     """Bridge the n - 1 unknown cells before known cell (r, c), back along (-dr, -dc) to the known cell there; see `bridge`."""
     step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
     d = n * step
@@ -75,7 +77,10 @@ def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes
         z = ha + slope * k * step
         u = upper[ra + k * dr, ca + k * dc]
         if u < z - rule[5]:
-            holes[ra + k * dr, ca + k * dc] = 1
+            if holes[ra + k * dr, ca + k * dc] == 0:
+                holes[ra + k * dr, ca + k * dc] = 1
+                found[1, 1 + found[1, 0]] = (ra + k * dr) * source.shape[1] + ca + k * dc
+                found[1, 0] += 1
             fits = False
         elif not (small or blind or u <= z + rule[4]):
             fits = False
@@ -84,6 +89,9 @@ def _span(height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes
     for k in range(1, n):
         rk, ck = ra + k * dr, ca + k * dc
         if d < gap[rk, ck]:
+            if gap[rk, ck] == np.inf:
+                found[0, 1 + found[0, 0]] = rk * source.shape[1] + ck
+                found[0, 0] += 1
             gap[rk, ck] = d
             hides = source[ra, ca] == ASSUMED or source[r, c] == ASSUMED or d > rule[7]
             kind[rk, ck] = BESIDE if blind else (ASSUMED if hides else OVER)
@@ -129,7 +137,7 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
 
 
 @njit(cache=True)
-def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind):  # pragma: no cover
+def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found):  # pragma: no cover
     """One pass over the cells in memory order: each known cell looks back along its row, column and both diagonals to the
     last known one."""
     rows, cols = source.shape
@@ -144,36 +152,37 @@ def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind):  # 
                 continue
             f, g = c - r + rows, c + r
             if c - last > 1 and last != far:
-                _span(height, source, trusted, upper, r, c, 0, 1, c - last, rule, out, gap, holes, kind)
+                _span(
+                    height, source, trusted, upper, r, c, 0, 1, c - last, rule, out, gap, holes, kind, found
+                )
             n = r - falling[f]
             if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind)
+                _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind, found)
             n = r - rising[g]
             if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind)
+                _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind, found)
             n = r - column[c]
             if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind)
+                _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind, found)
             last = c
             column[c] = falling[f] = rising[g] = r
 
 
 @njit(cache=True)
-def _drop_rims(height, source, trusted, level, depth):  # pragma: no cover
-    """Unbridge what lies within `depth` unknown cells of a proven hole (`level` 1, scratch): beside its near edge no ray
-    comes low enough to tell."""
+def _drop_rims(height, source, trusted, level, holes, depth):  # pragma: no cover
+    """Unbridge what lies within `depth` unknown cells of the proven `holes` (n,), flat indices: beside the near edge of one no ray
+    comes low enough to tell. `level` (rows, cols) is scratch."""
     rows, cols = source.shape
-    queue = np.empty((source.size, 2), np.int32)
+    level[:] = 0
+    queue = np.empty(source.size, np.int32)
     n = 0
-    for r in range(rows):
-        for c in range(cols):
-            if level[r, c] == 1:
-                queue[n, 0] = r
-                queue[n, 1] = c
-                n += 1
+    for at in holes:
+        level[at // cols, at % cols] = 1
+        queue[n] = at
+        n += 1
     head = 0
     while head < n:
-        i, j = np.int64(queue[head, 0]), np.int64(queue[head, 1])
+        i, j = np.int64(queue[head] // cols), np.int64(queue[head] % cols)
         head += 1
         if source[i, j] >= OVER:
             source[i, j] = 0
@@ -185,8 +194,7 @@ def _drop_rims(height, source, trusted, level, depth):  # pragma: no cover
             inside = 0 <= a < rows and 0 <= b < cols
             if inside and level[a, b] == 0 and (source[a, b] == 0 or source[a, b] >= OVER):
                 level[a, b] = level[i, j] + 1
-                queue[n, 0] = a
-                queue[n, 1] = b
+                queue[n] = a * cols + b
                 n += 1
 
 
@@ -204,27 +212,30 @@ def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no
     rows, cols = height.shape
     kind, holes, level = marks[0], marks[1], marks[2]
     holes[:] = 0
+    # Flat indices, their number in front: cells that a bridge leads over in this round, proven holes of both.
+    found = np.empty((2, source.size + 1), np.int32)
+    found[1, 0] = 0
     for _ in range(2):
         gap[:] = np.inf
-        _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind)
-        for r in range(rows):
-            for c in range(cols):
-                if gap[r, c] == np.inf:
-                    continue
-                n = 0
-                for a in range(max(r - 1, 0), min(r + 2, rows)):
-                    for b in range(max(c - 1, 0), min(c + 2, cols)):
-                        n += source[a, b] != 0 or gap[a, b] < np.inf
-                if n < 6:  # itself included
-                    kind[r, c] = 0
-        for r in range(rows):
-            for c in range(cols):
-                if gap[r, c] < np.inf and kind[r, c] != 0:
-                    height[r, c] = out[r, c]
-                    source[r, c] = kind[r, c]
-                    trusted[r, c] = True
-        level[:] = holes
-        _drop_rims(height, source, trusted, level, int(RIM / rule[0]))
+        found[0, 0] = 0
+        _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found)
+        over = found[0, 1 : 1 + found[0, 0]]
+        for at in over:
+            r, c = at // cols, at % cols
+            n = 0
+            for a in range(max(r - 1, 0), min(r + 2, rows)):
+                for b in range(max(c - 1, 0), min(c + 2, cols)):
+                    n += source[a, b] != 0 or gap[a, b] < np.inf
+            if n < 6:  # itself included
+                kind[r, c] = 0
+        for at in over:
+            r, c = at // cols, at % cols
+            if kind[r, c] != 0:
+                height[r, c] = out[r, c]
+                source[r, c] = kind[r, c]
+                trusted[r, c] = True
+        if found[1, 0] > 0:
+            _drop_rims(height, source, trusted, level, found[1, 1 : 1 + found[1, 0]], int(RIM / rule[0]))
     for r in range(rows):
         for c in range(cols):
             if source[r, c] == ASSUMED:

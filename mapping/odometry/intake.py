@@ -6,6 +6,7 @@ from collections import Counter, deque
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from hal.types import NS, Array, LidarName, LidarScan
@@ -69,18 +70,21 @@ class SampleBuffer:
 
     def between(self, after: int, until: int, beyond: int = 0) -> tuple[NDArray[np.int64], Array]:
         """Samples with after < stamp <= until, and up to `beyond` more after them: stamps (n,), rows (n, width)."""
-        picked = []
+        stamps, rows = [], []
         extra = 0
-        for i in range(len(self._stamps) - 1, -1, -1):  # from the newest: only few are ever needed
-            if self._stamps[i] <= after:
+        for stamp, row in zip(
+            reversed(self._stamps), reversed(self._rows), strict=True
+        ):  # few are ever needed
+            if stamp <= after:
                 break
-            picked.append(i)
-            extra += self._stamps[i] > until
-        picked.reverse()
-        picked = picked[: len(picked) - max(extra - beyond, 0)]
-        if not picked:
+            stamps.append(stamp)
+            rows.append(row)
+            extra += stamp > until
+        last = max(extra - beyond, 0)
+        stamps, rows = stamps[last:][::-1], rows[last:][::-1]
+        if not stamps:
             return np.empty(0, np.int64), np.empty((0, self._width))
-        return np.array([self._stamps[i] for i in picked]), np.stack([self._rows[i] for i in picked])
+        return np.array(stamps), np.concatenate(rows).reshape(len(rows), self._width)
 
     def forget(self, until: int) -> None:
         """Drop samples with stamp <= until."""
@@ -136,24 +140,46 @@ def clean_scan(
     if len(points) > max_points:
         counters["scan_too_many_points"] += 1
         points = points[:: -(-len(points) // max_points)]
-    xyz = np.stack([points["x"], points["y"], points["z"]], axis=1).astype(np.float32, copy=False)
-    with np.errstate(invalid="ignore"):
-        time = points["time"].astype(np.float64)
-    finite = np.isfinite(xyz).all(axis=1) & np.isfinite(time)
-    if not finite.all():
-        counters["scan_points_not_finite"] += int(len(finite) - finite.sum())
-    in_time = (time >= 0.0) & (time <= max_duration)
-    if not (in_time | ~finite).all():
-        counters["scan_points_out_of_time"] += int((finite & ~in_time).sum())
     with np.errstate(invalid="ignore", over="ignore"):
-        square = np.einsum("ij,ij->i", xyz, xyz)
-        keep = finite & in_time & (square >= min_range**2) & (square <= max_range**2)
-    end = start + round(float(time[finite & in_time].max(initial=0.0)) * NS)
+        x, y, z = (np.ascontiguousarray(points[axis], np.float32) for axis in "xyz")
+        time = np.ascontiguousarray(points["time"], np.float64)
+    xyz, times = np.empty((len(points), 3), np.float32), np.empty(len(points))
+    limits = np.array([min_range**2, max_range**2], np.float32)
+    kept, strange, late, longest = _usable(x, y, z, time, limits, max_duration, xyz, times)
+    if strange:
+        counters["scan_points_not_finite"] += strange
+    if late:
+        counters["scan_points_out_of_time"] += late
+    end = start + round(longest * NS)
     problem = ""
     if not len(points):
         counters["scan_empty"] += 1
         problem = "scan is empty"
-    elif not keep.any():
+    elif not kept:
         counters["scan_no_usable_points"] += 1
         problem = "scan has no usable points"
-    return Sweep(start, end, xyz[keep], time[keep], problem, scan.name)
+    return Sweep(start, end, xyz[:kept], times[:kept], problem, scan.name)
+
+
+@njit(cache=True)
+def _usable(x, y, z, time, limits, max_duration, xyz, times):  # pragma: no cover - compiled
+    """Copy the points of squared ranges within `limits` and times from 0 to `max_duration` to the front of `xyz`, `times`.
+
+    Returns their number, how many points are not finite, how many finite ones are out of time, and the latest time of the others [s].
+    """
+    kept = strange = late = 0
+    longest = 0.0
+    for i in range(len(x)):
+        if not (np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i]) and np.isfinite(time[i])):
+            strange += 1
+            continue
+        if not 0.0 <= time[i] <= max_duration:
+            late += 1
+            continue
+        longest = max(longest, time[i])
+        square = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
+        if limits[0] <= square <= limits[1]:
+            xyz[kept, 0], xyz[kept, 1], xyz[kept, 2] = x[i], y[i], z[i]
+            times[kept] = time[i]
+            kept += 1
+    return kept, strange, late, longest

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -99,48 +100,68 @@ class Terrain:
         return self._samplers[length, width]
 
     def _sample(self, length: float, width: float) -> Sampler:
-        along = offsets(length, self.resolution) / self.resolution
-        across = offsets(width, self.resolution) / self.resolution
-        u, v = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))
-        limit_u, limit_v = along[-1] / 2 - 1e-6, across[-1] / 2 - 1e-6
-        band = (np.abs(u) >= limit_u) & (np.abs(v) >= limit_v)
-        tiles_across = -(-len(across) // TILE)
-        row, col = np.divmod(np.arange(len(u)), len(across))
-        # Samples in the order of their part: corners FL, FR, BL, BR are 0..3, tiles of the rest follow.
-        part = np.where(band, 2 * (u < 0) + (v < 0), 4 + row // TILE * tiles_across + col // TILE)
-        order = np.argsort(part, kind="stable")
-        u, v, part = u[order], v[order], part[order]
-        starts = np.append(np.flatnonzero(np.diff(part, prepend=-1)), len(part))
-        size = np.diff(starts)
-        centre_u, centre_v = (np.add.reduceat(a, starts[:-1]) / size for a in (u, v))
-        away = np.hypot(u - np.repeat(centre_u, size), v - np.repeat(centre_v, size))
-        corner = int(size[0])
-        # A sample reads cells less than one cell away, its part's centre lies within half a cell of a cell centre.
-        corner_window = int(np.floor(away[: 4 * corner].max() + 1.5))
-        window = int(np.floor(away[4 * corner :].max(initial=0.0) + 1.5))
+        samples = _samples(length, width, self.resolution)
         return Sampler(
             self.height.reshape(-1),
             _pairs(self.height),
             self.trusted.reshape(-1),
             self.seen,
-            _dilate(self.height, window).reshape(-1),
-            _known(self.seen, window).reshape(-1),
+            _dilate(self.height, samples.window).reshape(-1),
+            _known(self.seen, samples.window).reshape(-1),
             self.height.shape[1],
             self.origin[0],
             self.origin[1],
             1.0 / self.resolution,
-            u.astype(np.float32),
-            v.astype(np.float32),
-            corner,
-            centre_u[:4].astype(np.float32),
-            centre_v[:4].astype(np.float32),
-            corner_window,
-            starts[4:].astype(np.int32),
-            centre_u[4:].astype(np.float32),
-            centre_v[4:].astype(np.float32),
+            *samples.parts,
             int(np.ceil(0.5 * np.hypot(length, width) / self.resolution)) + 1,
             width,
         )
+
+
+Floats = NDArray[np.float32]
+
+
+class _Samples(NamedTuple):
+    """Samples of a body, the same on every terrain."""
+
+    window: int
+    """Cells around a tile's centre, in both directions, that hold all its samples."""
+    parts: tuple[Floats, Floats, int, Floats, Floats, int, NDArray[np.int32], Floats, Floats]
+    """From `Sampler.u` to `Sampler.tile_v`."""
+
+
+@cache
+def _samples(length: float, width: float, resolution: float) -> _Samples:
+    along = offsets(length, resolution) / resolution
+    across = offsets(width, resolution) / resolution
+    u, v = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))
+    limit_u, limit_v = along[-1] / 2 - 1e-6, across[-1] / 2 - 1e-6
+    band = (np.abs(u) >= limit_u) & (np.abs(v) >= limit_v)
+    tiles_across = -(-len(across) // TILE)
+    row, col = np.divmod(np.arange(len(u)), len(across))
+    # Samples in the order of their part: corners FL, FR, BL, BR are 0..3, tiles of the rest follow.
+    part = np.where(band, 2 * (u < 0) + (v < 0), 4 + row // TILE * tiles_across + col // TILE)
+    order = np.argsort(part, kind="stable")
+    u, v, part = u[order], v[order], part[order]
+    starts = np.append(np.flatnonzero(np.diff(part, prepend=-1)), len(part))
+    size = np.diff(starts)
+    centre_u, centre_v = (np.add.reduceat(a, starts[:-1]) / size for a in (u, v))
+    away = np.hypot(u - np.repeat(centre_u, size), v - np.repeat(centre_v, size))
+    corner = int(size[0])
+    # A sample reads cells less than one cell away, its part's centre lies within half a cell of a cell centre.
+    corner_window = int(np.floor(away[: 4 * corner].max() + 1.5))
+    parts = (
+        u.astype(np.float32),
+        v.astype(np.float32),
+        corner,
+        centre_u[:4].astype(np.float32),
+        centre_v[:4].astype(np.float32),
+        corner_window,
+        starts[4:].astype(np.int32),
+        centre_u[4:].astype(np.float32),
+        centre_v[4:].astype(np.float32),
+    )
+    return _Samples(int(np.floor(away[4 * corner :].max(initial=0.0) + 1.5)), parts)
 
 
 def offsets(side: float, resolution: float) -> NDArray[np.float64]:

@@ -176,14 +176,13 @@ def odometry_msg(
     frame: str = ODOM,
 ) -> msg.Odometry:
     """nav_msgs/Odometry, `frame` -> base_link; twist in base_link; covariance (6, 6) of x, y, z, roll, pitch, yaw."""
-    message = msg.Odometry(header=header(stamp, frame), child_frame_id=BASE)
-    message.pose.pose.position = point(position)
-    message.pose.pose.orientation = quaternion(orientation)
-    message.twist.twist.linear = vector(linear)
-    message.twist.twist.angular = vector(angular)
+    pose = msg.PoseWithCovariance(
+        pose=msg.Pose(position=point(position), orientation=quaternion(orientation))
+    )
+    twist = msg.TwistWithCovariance(twist=msg.Twist(linear=vector(linear), angular=vector(angular)))
     if covariance is not None:
-        message.pose.covariance = np.ascontiguousarray(covariance, np.float64).reshape(36)
-    return message
+        pose.covariance = np.ascontiguousarray(covariance, np.float64).reshape(36)
+    return msg.Odometry(header=header(stamp, frame), child_frame_id=BASE, pose=pose, twist=twist)
 
 
 def truth_msg(truth: GroundTruth) -> msg.Odometry:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -240,3 +241,29 @@ def test_warm_up_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> Non
     assert all(r.health is Health.GOOD for r in results)
     assert not odometry.initialised
     assert not odometry.counters
+
+
+def test_usable_points_equal_numpy() -> None:
+    rng = np.random.default_rng(4)
+    points = np.zeros(4000, POINT_DTYPE)
+    for axis in "xyz":
+        points[axis] = rng.uniform(-8.0, 8.0, len(points))
+        points[axis][rng.integers(0, len(points), 40)] = rng.choice([np.nan, np.inf, -np.inf], 40)
+    points["time"] = rng.uniform(-0.02, 0.52, len(points))
+    points["time"][rng.integers(0, len(points), 40)] = np.nan
+    counters: Counter[str] = Counter()
+    sweep = clean_scan(LidarScan(7, points), 1.0, 10.0, 100_000, 0.5, counters)
+    assert sweep is not None
+
+    xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
+    time = points["time"].astype(np.float64)
+    finite = np.isfinite(xyz).all(axis=1) & np.isfinite(time)
+    in_time = finite & (time >= 0.0) & (time <= 0.5)
+    square = (xyz[:, 0] * xyz[:, 0] + xyz[:, 1] * xyz[:, 1]) + xyz[:, 2] * xyz[:, 2]
+    keep = in_time & (square >= np.float32(1.0)) & (square <= np.float32(100.0))
+    assert 0 < keep.sum() < in_time.sum() < finite.sum() < len(points)
+    np.testing.assert_array_equal(sweep.xyz, xyz[keep])
+    np.testing.assert_array_equal(sweep.time, time[keep])
+    assert sweep.end == 7 + round(float(time[in_time].max()) * NS)
+    assert counters["scan_points_not_finite"] == (~finite).sum()
+    assert counters["scan_points_out_of_time"] == (finite & ~in_time).sum()

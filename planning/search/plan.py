@@ -38,8 +38,9 @@ __all__ = [
     "plan_many",
 ]
 
-NEARER = 0.1
-"""A place towards a goal that nothing leads to must be this much nearer to it [m] than where the robot stands."""
+NEARER = 0.5
+"""A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the robot stands: what blocks
+the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
 
 
 def plan(
@@ -164,20 +165,21 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
     """The plan towards a seen goal that nothing leads to: what blocks it from afar may be the map's error.
 
-    From near it is judged: there the plan ends for good, as near to the goal as a route comes.
+    Towards is along the way that walls leave open, so that the robot comes to what blocks it, not to the wall that the goal lies behind.
+    From near it is judged: there the plan ends for good.
     """
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
-    away = np.hypot(*(nodes - goal).T)
-    nearest = np.argsort(away, kind="stable")[:NEAREST].tolist()
-    for node in [*(k for k in nearest if away[k] < away[at.start] - NEARER), at.start]:
+    to_go = way_to_go(at.table.grid, nodes, goal)
+    nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()
+    for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER), at.start]:
         ends = np.arange(len(nodes)) == node
         x, y = nodes[node].tolist()
         found = _search(at, request, ends, np.zeros(len(nodes)), (x, y), start_yaw, np.nan)
         if found is None:
             continue
         if node == at.start:
-            return replace(found, short=float(away[node]))
+            return replace(found, short=float(np.hypot(x - goal[0], y - goal[1])))
         return replace(found, reaches_goal=False, frontier=(x, y))
     return None
 

@@ -141,6 +141,22 @@ def test_a_goal_on_a_low_ledge_is_judged_from_near() -> None:
     assert none.value.reason is NoRouteReason.NOT_CONNECTED
 
 
+def test_what_blocks_the_way_to_a_goal_behind_a_wall_is_judged_from_near() -> None:
+    y, x = np.mgrid[0:60, 0:120] * 0.05
+    ledge = (np.abs(x - 2.5) < 0.15) & (y > 1.5)
+    wall = (np.abs(y - 1.5) < 0.06) & (x < 4.5)
+    grid, graph = world(np.where(wall, 1.0, np.where(ledge, 0.16, 0.0)), (1.0, 0.75))
+    graph.frontier[:] = False
+    found = plan(graph, grid, PlanRequest((1.0, 0.75), (1.0, 2.25), 0.0, allow_frontier=True), BODY)
+    assert not found.reaches_goal
+    assert 2.65 < found.points[-1, 0] < 3.5
+    assert found.points[-1, 1] > 1.8
+    there = PlanRequest((3.05, 2.25), (1.0, 2.25), np.pi, allow_frontier=True)
+    with pytest.raises(NoRoute):
+        plan(graph, grid, replace(there, allow_frontier=False), BODY)
+    assert plan(graph, grid, there, BODY).length < 0.6
+
+
 def test_ground_that_nothing_leads_to_is_told_from_ground_that_cannot_be_driven_on() -> None:
     _, x = np.mgrid[0:60, 0:120] * 0.05
     grid, graph = world(np.where(np.abs(x - 3.0) < 0.1, 1.0, 0.0))

@@ -30,7 +30,7 @@ from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import carries, enter, support_patch
+from mapping.elevation.wheels_ground import carries, contradicted, enter, support_patch
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -227,9 +227,13 @@ class ElevationMap:
         world = contacts @ rotation.T + place
         stands_on = [carries(self.store, p.resolution, contact) for contact in world]
         radius = p.start_radius if start else None
-        patch = support_patch(world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution)
+        around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
+        patch = support_patch(*around)
         if patch is None or rotation[2, 2] < UPRIGHT:
             return 0
+        if contradicted(self.store, patch):
+            patch = support_patch(*around, plane=False)
+            assert patch is not None
         self._fresh = self._fresh and len(contacts) < 3
         return enter(self.store, patch, place[:2], start, p.resolution)
 

@@ -39,12 +39,13 @@ def support_patch(
     radius: float | None,
     sigma: float,
     resolution: float,
+    plane: bool = True,
 ) -> SupportPatch | None:
     """Cells under the robot from wheel contacts.
 
     contacts (k,3) bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
     width of the body rectangle including its margin [m]; radius: a disc of this radius instead [m]. Three contacts
-    give the plane by least squares; fewer tell of their own spots only. None without contacts.
+    give the plane by least squares; fewer, and all that are not to make a `plane`, tell of their own spots only. None without contacts.
     """
     contacts = contacts[np.isfinite(contacts).all(axis=1)]
     if len(contacts) == 0:
@@ -53,7 +54,7 @@ def support_patch(
     local = contacts - mean
     slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
     off = np.abs(local[:, 2] - local[:, :2] @ slope).max()
-    rough = len(contacts) < 3 or off > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
+    rough = not plane or len(contacts) < 3 or off > ROUGH or float(np.hypot(*slope)) > MAX_SLOPE
     reach = max(half) * 1.5 if radius is None else radius
     lo = np.floor((centre - reach) / resolution).astype(int)
     hi = np.ceil((centre + reach) / resolution).astype(int)
@@ -113,19 +114,31 @@ def carries(store: TileStore, resolution: float, contact: NDArray[np.float64]) -
     return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
 
 
-def enter(
-    store: TileStore, patch: SupportPatch, centre: NDArray[np.float64], beyond: bool, resolution: float
-) -> int:
-    """Write a patch where the LiDAR knows nothing and no wheel knew better -> cells written; none where the LiDAR contradicts the plane.
+def contradicted(store: TileStore, patch: SupportPatch) -> bool:
+    """Whether the LiDAR knows other ground under the body than a patch says: three wheels on rubble always make a plane."""
+    _, seen, off = _compared(store, patch)
+    return bool(np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under))
 
-    `centre` (2,) of the body [m]; `beyond`: the patch is larger than the body, so what lies behind an edge is left out.
-    """
+
+def _compared(
+    store: TileStore, patch: SupportPatch
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
+    """(n,) index of a patch's cells in the store, whether the LiDAR knows them, and at another height."""
     cell = store.locate(patch.i, patch.j)
     old = store.cells[cell]
     seen = old["source"] == LIDAR
-    off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
-    if np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under):
-        return 0
+    return cell, seen, seen & (np.abs(patch.height - old["height"]) > ROUGH)
+
+
+def enter(
+    store: TileStore, patch: SupportPatch, centre: NDArray[np.float64], beyond: bool, resolution: float
+) -> int:
+    """Write a patch where the LiDAR knows nothing and no wheel knew better -> cells written.
+
+    `centre` (2,) of the body [m]; `beyond`: the patch is larger than the body, so what lies behind an edge is left out.
+    """
+    cell, _, off = _compared(store, patch)
+    old = store.cells[cell]
     take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
     if beyond:
         take &= ~behind(patch, off, centre, resolution)

@@ -180,7 +180,7 @@ class TraversalGraph:
         if not self._lattice.refresh(grid, windows, self.version + 1) and not force:
             return False
         self.cells = self._lattice.cells
-        built = self._lattice.reachable(grid, self.start_xy, SNAP_DISTANCE, before)
+        built = self._lattice.reachable(grid, self.start_xy, before)
         self._publish(*built)
         return len(self.nodes) > 0
 

@@ -52,11 +52,9 @@ class Lattice:
         self._describe(grid, boxes, moved, version)
         return True
 
-    def reachable(
-        self, grid: ElevationGrid, start: tuple[float, float], reach: float, before: NDArray[np.int64]
-    ) -> Built:
-        """See `planning.graph.reachable`."""
-        return reachable(self.cells, grid, start, reach, before)
+    def reachable(self, grid: ElevationGrid, start: tuple[float, float], before: NDArray[np.int64]) -> Built:
+        """See `planning.graph.reachable`: within the longest straight move from `start`."""
+        return reachable(self.cells, grid, start, REACH * self.cells.side, before)
 
     def _flags(self, grid: ElevationGrid, windows: Sequence[Window]) -> Array:
         """Step 1: what is a face, what was not seen. -> (k, 4) boxes x0, y0, x1, y1 [m] in which flags may have changed."""

@@ -56,7 +56,7 @@ def components(n, edges):
 def reachable(
     cells: Cells, grid: ElevationGrid, start: tuple[float, float], reach: float, before: NDArray[np.int64]
 ) -> Built:
-    """The connected component at `start` x, y; where no node is within `reach` [m] of it, the one with most ids of `before`."""
+    """The connected components with a node in sight within `reach` [m] of `start` x, y; where there is none, the one with most ids of `before`."""
     j, i = np.nonzero(cells.chosen >= 0)
     index = np.full(cells.chosen.shape, -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))
@@ -65,9 +65,11 @@ def reachable(
     xy, ids = cells.where[j, i], cells.ids(j, i)
     label = components(len(j), edges)
     near = np.flatnonzero(in_sight(cells.flags, *cells.origin, cells.res, *start, xy, reach))
-    roots = label[near] if len(near) else label[np.isin(ids, before)]
-    size = np.bincount(label, minlength=1) if len(near) else np.bincount(roots, minlength=1)
-    keep = label == (roots[np.argmax(size[roots])] if len(roots) else -1)
+    if len(near):
+        keep = np.isin(label, label[near])
+    else:
+        roots = label[np.isin(ids, before)]
+        keep = label == (np.bincount(roots).argmax() if len(roots) else -1)
     new = np.cumsum(keep) - 1
     kept = keep[edges[:, 0]]
     nodes = np.empty((int(keep.sum()), 3))

@@ -166,8 +166,27 @@ def test_wheels_on_a_kerb_the_lidar_knows_make_no_ramp_behind_it() -> None:
     for k in range(3):
         elevation.fuse(kerb, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
     raised = WHEELS + np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.1], [0.0] * 3, [0.0] * 3])
-    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) == 0
-    assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.11
+    assert elevation.fuse_ground(raised, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False) < 10, (
+        "the wheels' own spots"
+    )
+    around = elevation.window(0.3, 0.0, 0.4).layers["elevation"]
+    assert np.nanmax(around) < 0.11
+    known = around[np.isfinite(around)]
+    assert (np.minimum(np.abs(known), np.abs(known - 0.1)) < 0.01).all(), "no ramp"
+
+
+def test_three_wheels_on_rubble_tell_of_their_own_spots_where_the_lidar_contradicts_their_plane() -> None:
+    elevation = ElevationMap()
+    x, y = np.meshgrid(np.arange(-0.08, 0.08, 0.01), np.arange(-0.08, 0.08, 0.01))
+    pit = np.stack([x + 3.0, y, np.full_like(x, -0.15 - HEIGHT)], axis=-1).reshape(-1, 3).astype(np.float32)
+    for k in range(3):
+        elevation.fuse(pit, (-3.0, 0.0, HEIGHT), LEVEL, k + 1)
+    entered = elevation.fuse_ground(WHEELS[:3], (0.0, 0.0, HEIGHT), LEVEL, 4)
+    assert 30 < entered < 80, "three discs of 0.1 m, not the ground around the robot"
+    layers = elevation.window(0.0, 0.0, 0.8).layers
+    spots = layers["source"] == CONTACT
+    np.testing.assert_allclose(layers["elevation"][spots], 0.0, atol=1e-5)
+    assert np.nanmin(elevation.window(0.0, 0.0, 0.05).layers["elevation"]) == pytest.approx(-0.15, abs=0.01)
 
 
 def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:

@@ -290,12 +290,12 @@ def test_headings_that_fit_are_told_apart_from_those_that_do_not() -> None:
 def test_the_graph_holds_both_sides_of_unseen_ground_that_the_robot_stands_before() -> None:
     """Which of them it can leave to is for the test of its first move to tell: that one knows where the robot stands."""
     x, _, z = _flat()
-    trusted = np.abs(x - 1.6) > 0.12
-    graph = TraversalGraph.build(_grid(z, trusted), (1.25, 2.0), PARAMS)
+    trusted = np.abs(x - 1.6) > 0.09
+    graph = TraversalGraph.build(_grid(z, trusted), (1.5, 2.0), PARAMS)
     assert _reaches(graph, (0.6, 2.0))
     assert _reaches(graph, (4.0, 2.0))
     assert not crossing_edges_of_slit(graph)
-    far = TraversalGraph.build(_grid(z, trusted), (0.5, 2.0), PARAMS)
+    far = TraversalGraph.build(_grid(z, trusted), (0.7, 2.0), PARAMS)
     assert not _reaches(far, (4.0, 2.0))
 
 

@@ -30,7 +30,7 @@ from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import carries, contradicted, enter, support_patch
+from mapping.elevation.wheels_ground import carried, contradicted, enter, support_patch
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -225,7 +225,7 @@ class ElevationMap:
         half = (p.footprint[0] / 2 + p.footprint_margin, p.footprint[1] / 2 + p.footprint_margin)
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
         world = contacts @ rotation.T + place
-        stands_on = [carries(self.store, p.resolution, contact) for contact in world]
+        stands_on = carried(self.store, p.resolution, world)
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
         patch = support_patch(*around)

@@ -102,16 +102,19 @@ def behind(
     )
 
 
-def carries(store: TileStore, resolution: float, contact: NDArray[np.float64]) -> bool:
-    """Whether known ground can carry a wheel at `contact` (3,) [m]: the LiDAR knows some at its height around it, or none at all."""
-    if not np.isfinite(contact).all():
-        return False
-    x, y, z = contact
+def carried(store: TileStore, resolution: float, contacts: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(k,) whether known ground can carry a wheel at each of `contacts` (k, 3) [m]: the LiDAR knows some at its height around it, or
+    none at all."""
+    out = np.array(np.isfinite(contacts).all(axis=1))
+    x, y, z = contacts[out].T
     reach = np.arange(-round(WHEEL_SPOT / resolution), round(WHEEL_SPOT / resolution) + 1)
-    j, i = np.meshgrid(round(x / resolution) + reach, round(y / resolution) + reach)
-    cells = store.cells[store.locate(i.ravel(), j.ravel())]
-    height = cells["height"][cells["source"] == LIDAR]
-    return height.size == 0 or bool(np.abs(height - z).min() <= ROUGH)
+    i, j = (np.rint(v / resolution).astype(np.int64)[:, None] + reach for v in (y, x))
+    n = len(reach)
+    cells = store.cells[store.locate(np.repeat(i, n, axis=1).ravel(), np.tile(j, n).ravel())]
+    cells = cells.reshape(len(x), n * n)
+    seen = cells["source"] == LIDAR
+    out[out] = ~seen.any(axis=1) | (seen & (np.abs(cells["height"] - z[:, None]) <= ROUGH)).any(axis=1)
+    return out
 
 
 def contradicted(store: TileStore, patch: SupportPatch) -> bool:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.rotation import rotation, rotation_rpy, rotation_vector
+from hal.rotation import rotation, rotation_rpy, rotation_vectors
 from hal.types import Array, Extrinsics, LidarName
 from mapping.odometry.intake import Sweep
 
@@ -79,7 +78,7 @@ def deskew(
     rots = np.stack([rotation(q) for q in poses[:, 6:10]])
     pos = poses[:, :3] - rots @ lever
     end_rot, end_pos = rots[-1], pos[-1]
-    step = np.stack([rotation_vector(a.T @ b) for a, b in pairwise(rots)])
+    step = rotation_vectors(np.matmul(rots[:-1].transpose(0, 2, 1), rots[1:]))
     out = np.empty((len(xyz), 3), np.float32)
     _deskew(
         np.ascontiguousarray(xyz, np.float32),

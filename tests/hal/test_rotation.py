@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.rotation import wrap
+from hal.rotation import rotation_rpy, rotation_vector, rotation_vectors, wrap
 
 
 def test_a_wrapped_angle_is_the_same_direction_and_half_a_turn_is_positive() -> None:
@@ -16,3 +16,12 @@ def test_a_wrapped_angle_is_the_same_direction_and_half_a_turn_is_positive() -> 
     np.testing.assert_allclose(wrapped, [math.remainder(a, 2.0 * math.pi) for a in angles], atol=1e-12)
     assert wrap(-math.pi) == wrap(math.pi) == math.pi
     assert [wrap(float(a)) for a in angles] == pytest.approx(wrapped.tolist(), abs=1e-12)
+
+
+@pytest.mark.parametrize("largest", [1e-10, 0.02, 3.0])
+def test_many_rotation_vectors_equal_one_by_one(largest: float) -> None:
+    rng = np.random.default_rng(3)
+    matrices = rotation_rpy(*rng.uniform(-largest, largest, (3, 40)))
+    expected = np.array([rotation_vector(matrix) for matrix in matrices])
+    assert np.abs(expected).max() > 0.5 * largest
+    np.testing.assert_allclose(rotation_vectors(matrices), expected, rtol=1e-12, atol=1e-22)

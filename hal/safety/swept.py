@@ -4,7 +4,7 @@ Every point of the body's rim that leads a motion draws a track over the height 
 stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
 may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
 ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
-be as wide as a wheel crosses. What lies under the body now, a kerb or an edge, is no obstacle.
+be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from hal.types import Array, Capabilities
 
 SPACING = 0.02
 """[m] between tracks and between the samples of one: half a cell of the map."""
-BEFORE = 4
-"""Samples of a track under the body, for the height it begins with."""
+BEFORE = 8
+"""Samples of a track under the body, for the height it begins with: more than a gap spans, so that a gap under the front has its rim on the track."""
 WITHIN = 4
 """Samples over which a face may spread: two cells of the map."""
 NOISE = 0.04
@@ -208,6 +208,7 @@ def nearest_obstacle(
         level = stand[0] + stand[1] * tracks[k, 0, 0] + stand[2] * tracks[k, 0, 1]
         known = BEFORE  # newest sample the map knows; what is under the body counts
         landed = 0  # behind a gap: what lies in it is not driven on
+        rim, over = np.nan, -1  # height of a gap's near rim, and the sample up to which the far rim may lie
         end, what, much = samples, CLEAR, 0.0
         i = 0
         while i < samples:
@@ -232,6 +233,12 @@ def nearest_obstacle(
                         other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
                         if abs(other) > abs(worst):
                             worst = other
+            if worst > limit and i <= over and abs(ground[i] - rim) <= limit:
+                # The far rim, with cells half over the gap before it.
+                last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
+                continue
+            if worst < -limit and not felt[i] and not math.isnan(level):
+                rim, over = level, last + gap + 1
             if abs(worst) > limit and (i <= BEFORE or felt[i]):
                 # A wall beside the body that the map shows a cell too near, or a wheel in the air.
                 low[i] = True

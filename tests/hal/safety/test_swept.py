@@ -204,6 +204,32 @@ def test_what_the_newest_sweep_shows_ends_the_way() -> None:
     assert found["behind"].free == pytest.approx(0.55 - FRONT, abs=RES)
 
 
+@pytest.mark.parametrize("front", np.arange(0.0, 0.5, 0.02))
+@pytest.mark.parametrize(
+    "floor", [(-0.4, -0.4, -0.16), (-0.4, -0.05, -0.16), (-0.4, -0.16, -0.05), (-0.16, -0.4, -0.4)]
+)
+def test_a_gap_whose_rim_the_map_shows_half_as_deep_is_crossed(
+    front: float, floor: tuple[float, ...]
+) -> None:
+    """As a gap of 10 cm was mapped: three cells, the last ones mixed of floor and rim."""
+    height, col = np.zeros_like(X), round(0.6 / RES) + N // 2
+    height[:, col : col + 3] = floor
+    found = look(ground(height), (front, 0.0, 0.0))["ahead"]
+    assert found.kind == CLEAR, (found.kind, found.height, found.free)
+
+
+@pytest.mark.parametrize("front", np.arange(0.0, 0.4, 0.04))
+def test_a_face_behind_a_gap_or_a_wide_pit_still_ends_the_way(front: float) -> None:
+    col = round(0.8 / RES) + N // 2
+    higher = np.where(X > 0.9, 0.2, 0.0)
+    higher[:, col : col + 2] = -0.4
+    assert look(ground(higher), (front, 0.0, 0.0))["ahead"].kind == FACE
+    pit = np.where((X > 0.78) & (X < 1.1), -0.16, 0.0)
+    assert look(ground(pit), (front, 0.0, 0.0))["ahead"].kind == DROP
+    shallow = np.where((X > 0.78) & (X < 1.1), -0.13, 0.03)
+    assert look(ground(shallow), (front, 0.0, 0.0))["ahead"].kind in (DROP, FACE)
+
+
 @pytest.mark.parametrize("yaw", np.linspace(-3.0, 3.0, 7))
 def test_the_answer_turns_and_moves_with_the_robot(yaw: float) -> None:
     x, y = 0.3, -0.2
@@ -253,6 +279,7 @@ def _walk(
     sure = [BEFORE]  # samples that the map knows
     ends = [(len(known), CLEAR)]
     last, i = 0, 0
+    rim, over = math.nan, -1
     while i < len(known):
         if busy[i] and i > BEFORE:
             return [*ends, (i, SWEEP)]
@@ -272,6 +299,14 @@ def _walk(
                 shrunk(height - h, rise * WITHIN / 2) for j, h in stood if i - WITHIN <= j and j < last
             ]
         worst = max(changes, key=abs)
+        if worst > limit and i <= over and abs(height - rim) <= limit:
+            last, level = i, height
+            stood = [(last, level)]
+            sure.append(i)
+            i += 1
+            continue
+        if worst < -limit and source[i] != WHEELS and not math.isnan(level):
+            rim, over = level, last + gap + 1
         if abs(worst) > limit:
             if i <= BEFORE or source[i] == WHEELS:
                 sure.append(i)

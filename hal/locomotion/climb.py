@@ -25,6 +25,8 @@ BACK_TIME = 0.6
 """A climb that finds no footing drives back for this long [s], so that the wheels come under the trunk again..."""
 BACK_SPEED = 0.15
 """... at this speed [m/s]."""
+STRAIN = 0.3
+"""Share of a wheel's push that the wheel behind or before it feels as well when the robot turns."""
 TIPPING = 1.4
 """A trunk that tilts by so many times the tilt that forbids lifting tips: the lifted wheel is put down again."""
 
@@ -45,13 +47,16 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     found = -1
     worst = p.blocked_time
     flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08
-    straight = abs(m.wz) < min(0.15, 0.2 * abs(m.vx))
+    m.turned += dt / (dt + PACE_FILTER) * (abs(m.wz) - m.turned)
+    turning = max(abs(m.wz), m.turned)
+    straight = turning < min(0.15, 0.2 * abs(m.vx))
     m.pace += dt / (dt + PACE_FILTER) * (way * m.speed - m.pace)
-    stuck = m.pace < 0.4 * abs(m.vx)
+    m.asked += dt / (dt + PACE_FILTER) * (way * m.vx - m.asked)
+    stuck = m.asked > 0.1 and m.pace < 0.4 * m.asked
     caution = 1.0
     if not stuck:
         # A turn pushes wheels back as well: the faster it turns, the more it takes.
-        caution += 6.0 * max(0.0, abs(m.wz) - 0.1)
+        caution += 6.0 * max(0.0, turning - 0.1)
         # Braking downhill does so too, and lifting a wheel on a slope is delicate; what must be climbed lies level or uphill.
         caution *= 1.0 + 12.0 * max(0.0, -way * m.grade[0] - 0.08) + 6.0 * max(0.0, abs(m.grade[1]) - 0.12)
     total = m.force[0, 0] + m.force[1, 0] + m.force[2, 0] + m.force[3, 0]
@@ -62,10 +67,15 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
         behind = way * (HIP_X * SX[leg] + m.place[leg, 0] + m.shift[0] - centres[leg, 0])
         pushed = back > 0.4 * p.blocked_force * caution and back + others > p.blocked_force * caution
         lags = behind > p.blocked_lag * caution and back > 5.0 * caution
+        # Wheels that turn the trunk strain against each other, also a while after: both of one side are pushed back. No edge does that to a
+        # robot that drives on.
+        strained = not stuck and -way * m.force[(leg + 2) % 4, 0] > STRAIN * back > 0.0
         # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the slow signs.
         back -= way * m.grade[0] * m.force[leg, 2]
         others += way * m.grade[0] * (weight - m.force[leg, 2]) / 3.0
-        if way != 0.0 and (pushed or lags):
+        if strained:
+            m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
+        elif way != 0.0 and (pushed or lags):
             m.blocked[leg] += dt
         elif (
             ((flat and straight) or stuck)
@@ -130,6 +140,7 @@ def finish(m) -> None:
     m.mode = DRIVE
     m.queued = -1
     m.timer = 0.0
+    m.pace = m.asked = 0.0
     for axis in range(2):
         m.shift_goal[axis] = 0.0
     for i in range(4):

@@ -40,6 +40,8 @@ MEMORY = np.dtype(
         ("retreat", "f8"),  # still to drive back after a climb without footing [s]
         ("blocked", "f8", (4,)),  # for how long [s]
         ("pace", "f8"),  # ground speed in the wanted direction, filtered [m/s]
+        ("turned", "f8"),  # turning rate wanted, filtered like it [rad/s]
+        ("asked", "f8"),  # wanted speed, filtered like it: a robot that only sets off is not stuck [m/s]
         ("shift_goal", "f8", (2,)),  # wheels relative to the trunk [m]
         ("shift", "f8", (2,)),
         ("shift_rate", "f8", (2,)),  # [m/s]

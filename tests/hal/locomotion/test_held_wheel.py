@@ -11,6 +11,7 @@ from hal import go2w
 from hal.locomotion.climb import (
     BACK_SPEED,
     BACK_TIME,
+    DRIVE,
     LIFT,
     LOWER,
     REACH,
@@ -23,6 +24,7 @@ from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import VmcParams
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
 from tools.bench.envelope.lane import WAYS, through_lane
 
@@ -120,6 +122,30 @@ def test_a_wheel_in_the_air_is_put_down_where_it_is_when_the_trunk_tips(
     assert m.mode == (mode if after is None else after)
     if after is not None:
         assert m.foot[[0, 2]] == pytest.approx(centres[1, [0, 2]])
+
+
+@pytest.mark.parametrize("friction", [0.8, 1.0])
+def test_on_flat_ground_no_wheel_counts_as_blocked_whatever_is_commanded(friction: float) -> None:
+    """Not when the robot sets off into a turn, nor from the strain between the wheels after one."""
+    sim = Simulation(np.zeros((300, 300), np.float32), 0.05, (-7.5, -7.5), friction=friction)
+    sim.reset(0.0, 0.0, 0.0)
+    controller = VmcController()
+    pairs = [
+        ((-0.15, 0.5), (-0.3, 0.0)),
+        ((0.5, 0.5), (-0.15, 0.0)),
+        ((0.5, -0.5), (-0.15, 0.0)),
+        ((-0.15, 0.8), (-0.3, 0.0)),
+    ]
+    lifted = []
+    for before, after in pairs:
+        for vx, wz in ((0.0, 0.0), before, after):
+            for _ in range(250):
+                sim.apply(
+                    controller.step(sim.low_state(), VelocityCommand(0, vx, 0.0, wz), PostureCommand(0))
+                )
+                sim.step()
+                lifted.append(int(controller._memory["mode"][0]) != DRIVE)
+    assert not any(lifted)
 
 
 def test_the_kerbs_of_a_lane_are_crossed_askew_without_tipping() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 from hal.errors import OperatorError
@@ -46,9 +47,7 @@ def spread(
     with Client(scheduler or cluster) as client:
         try:
             left = iter(trials)
-            first = [
-                client.submit(function, *t, pure=False) for t, _ in zip(left, range(AHEAD), strict=False)
-            ]
+            first = [client.submit(function, *t, pure=False) for t in islice(left, AHEAD)]
             queue = as_completed(first)
             for future in queue:
                 if future.status in ("cancelled", "lost"):

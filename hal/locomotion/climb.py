@@ -47,11 +47,12 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
     found = -1
     worst = p.blocked_time
     flat = abs(m.grade[0]) < 0.08 and abs(m.grade[1]) < 0.08
-    m.turned += dt / (dt + PACE_FILTER) * (abs(m.wz) - m.turned)
+    share = dt / (dt + PACE_FILTER)
+    m.turned += share * (abs(m.wz) - m.turned)
     turning = max(abs(m.wz), m.turned)
     straight = turning < min(0.15, 0.2 * abs(m.vx))
-    m.pace += dt / (dt + PACE_FILTER) * (way * m.speed - m.pace)
-    m.asked += dt / (dt + PACE_FILTER) * (way * m.vx - m.asked)
+    m.pace += share * (way * m.speed - m.pace)
+    m.asked += share * (way * m.vx - m.asked)
     stuck = m.asked > 0.1 and m.pace < 0.4 * m.asked
     caution = 1.0
     if not stuck:
@@ -73,13 +74,12 @@ def detect_blocked(m, centres: Array, way: float, dt: float, p: VmcParams) -> in
         # The hill itself pushes every wheel back, and one that slips cannot resist: only what is left counts for the slow signs.
         back -= way * m.grade[0] * m.force[leg, 2]
         others += way * m.grade[0] * (weight - m.force[leg, 2]) / 3.0
-        if strained:
-            m.blocked[leg] = max(0.0, m.blocked[leg] - 2.0 * dt)
-        elif way != 0.0 and (pushed or lags):
+        if way != 0.0 and not strained and (pushed or lags):
             m.blocked[leg] += dt
         elif (
             ((flat and straight) or stuck)
             and way != 0.0
+            and not strained
             and back > 5.0
             and back + others > 0.5 * p.blocked_force
         ):

@@ -30,7 +30,7 @@ from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import carried, contradicted, enter, support_patch
+from mapping.elevation.wheels_ground import carried, enter
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -226,16 +226,12 @@ class ElevationMap:
         yaw = float(np.arctan2(rotation[1, 0], rotation[0, 0]))
         world = contacts @ rotation.T + place
         stands_on = carried(self.store, p.resolution, world)
+        if not stands_on.any() or rotation[2, 2] < UPRIGHT:
+            return 0
+        self._fresh = self._fresh and len(contacts) < 3
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
-        patch = support_patch(*around)
-        if patch is None or rotation[2, 2] < UPRIGHT:
-            return 0
-        if contradicted(self.store, patch):
-            patch = support_patch(*around, plane=False)
-            assert patch is not None
-        self._fresh = self._fresh and len(contacts) < 3
-        return enter(self.store, patch, place[:2], start, p.resolution)
+        return enter(self.store, *around)
 
     def clean(self) -> int:
         """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""

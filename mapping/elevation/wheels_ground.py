@@ -40,16 +40,13 @@ def support_patch(
     sigma: float,
     resolution: float,
     plane: bool = True,
-) -> SupportPatch | None:
+) -> SupportPatch:
     """Cells under the robot from wheel contacts.
 
-    contacts (k,3) bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
+    contacts (k,3), k > 0, bottoms of the wheels that touch, world [m]; centre (2,) of the body, world; half: half length and
     width of the body rectangle including its margin [m]; radius: a disc of this radius instead [m]. Three contacts
-    give the plane by least squares; fewer, and all that are not to make a `plane`, tell of their own spots only. None without contacts.
+    give the plane by least squares; fewer, and all that are not to make a `plane`, tell of their own spots only.
     """
-    contacts = contacts[np.isfinite(contacts).all(axis=1)]
-    if len(contacts) == 0:
-        return None
     mean = contacts.mean(axis=0)
     local = contacts - mean
     slope = np.linalg.lstsq(local[:, :2], local[:, 2], rcond=0.05)[0]
@@ -117,33 +114,30 @@ def carried(store: TileStore, resolution: float, contacts: NDArray[np.float64]) 
     return out
 
 
-def contradicted(store: TileStore, patch: SupportPatch) -> bool:
-    """Whether the LiDAR knows other ground under the body than a patch says: three wheels on rubble always make a plane."""
-    _, seen, off = _compared(store, patch)
-    return bool(np.count_nonzero(off & patch.under) > CONTRADICTED * np.count_nonzero(seen & patch.under))
-
-
-def _compared(
-    store: TileStore, patch: SupportPatch
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.bool_]]:
-    """(n,) index of a patch's cells in the store, whether the LiDAR knows them, and at another height."""
-    cell = store.locate(patch.i, patch.j)
-    old = store.cells[cell]
-    seen = old["source"] == LIDAR
-    return cell, seen, seen & (np.abs(patch.height - old["height"]) > ROUGH)
-
-
 def enter(
-    store: TileStore, patch: SupportPatch, centre: NDArray[np.float64], beyond: bool, resolution: float
+    store: TileStore,
+    contacts: NDArray[np.float64],
+    centre: NDArray[np.float64],
+    yaw: float,
+    half: tuple[float, float],
+    radius: float | None,
+    sigma: float,
+    resolution: float,
 ) -> int:
-    """Write a patch where the LiDAR knows nothing and no wheel knew better -> cells written.
+    """Write the ground under the wheels where the LiDAR knows nothing and no wheel knew better -> cells written; see `support_patch`.
 
-    `centre` (2,) of the body [m]; `beyond`: the patch is larger than the body, so what lies behind an edge is left out.
+    Three wheels on rubble always make a plane: where the LiDAR knows another ground under the body, only the wheels' spots are written.
     """
-    cell, _, off = _compared(store, patch)
-    old = store.cells[cell]
+    for plane in (True, False):
+        patch = support_patch(contacts, centre, yaw, half, radius, sigma, resolution, plane)
+        cell = store.locate(patch.i, patch.j)
+        old = store.cells[cell]
+        seen = old["source"] == LIDAR
+        off = seen & (np.abs(patch.height - old["height"]) > ROUGH)
+        if np.count_nonzero(off & patch.under) <= CONTRADICTED * np.count_nonzero(seen & patch.under):
+            break
     take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
-    if beyond:
+    if radius is not None:  # the patch is larger than the body
         take &= ~behind(patch, off, centre, resolution)
     cell, new = cell[take], old[take]
     new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT

@@ -92,7 +92,7 @@ class TraversalGraph:
         seed: int = 0,
         first_xy: tuple[float, float] | None = None,
     ) -> TraversalGraph:
-        """The graph of all terrain reachable from `start_xy` [m]. Same arguments, same graph.
+        """The graph of all terrain reachable from within one move of `start_xy` [m]. Same arguments, same graph.
 
         Unseen ground within `blind_radius` of `first_xy` counts as seen if no step separates it from there. `first_xy`
         is where the robot stood first (None: at `start_xy`). A graph that replaces another gets the place of the first.
@@ -109,7 +109,7 @@ class TraversalGraph:
         elif not graph._refresh(grid, ()):
             raise NoRoute(
                 NoRouteReason.START_NOT_ON_GRAPH,
-                f"no drivable ground within {SNAP_DISTANCE} m of {start}: drive the robot to open, seen ground",
+                f"no drivable ground within one move of {start}: drive the robot to open, seen ground",
             )
         return graph
 

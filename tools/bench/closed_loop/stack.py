@@ -19,13 +19,14 @@ from hal.scenes.files import save_scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.wire.convert import yaw_of
 from tools.bench.closed_loop import protocol as p
 from tools.bench.closed_loop.routes import Route, scene_of
 from tools.bench.closed_loop.trial import EVERY, Watch, attitude, heading
 
-WITHOUT = ("elevation", "planner", "navigator", "mission", "tracker", "guard")
+WITHOUT = tuple(p.name for p in PROCESSES if p.hosted and p.name != "odometry")
 """Processes that are not needed to see where odometry begins."""
 SETTLING = 15.0
 """So long the robot may take to stand [s]."""

@@ -222,8 +222,7 @@ def _enter_points(
     # coarser cells cover several of ours
     n = max(1, int(np.ceil(own / resolution - 1e-6)))
     offset = (np.arange(n) - (n - 1) / 2) * (own / n)
-    rows = [np.floor((y + d) / resolution + 0.5).astype(np.int64) for d in offset]
-    cols = [np.floor((x + d) / resolution + 0.5).astype(np.int64) for d in offset]
+    rows, cols = ([_lattice(v + d, resolution) for d in offset] for v in (y, x))
     tiles = np.unique(np.concatenate([_tiles_of(i, j, store.shift) for i in rows for j in cols]), axis=0)
     if len(tiles) > MAX_TILES:
         raise MapError(
@@ -245,6 +244,12 @@ def _enter_points(
     store.cells[index] = cells
     store.touched[index >> (2 * store.shift)] = 1
     return len(index)
+
+
+def _lattice(place: NDArray, resolution: float) -> NDArray[np.int64]:
+    """Rows or columns of places [m]. The border of two cells belongs to the upper one, rounded or not: of a grid of half the
+    resolution one cell took three columns and its neighbour one, and a wall one column wide was lost."""
+    return np.floor(place / resolution + (0.5 + 1e-4)).astype(np.int64)
 
 
 def _tiles_of(i: NDArray[np.int64], j: NDArray[np.int64], shift: int) -> NDArray[np.int64]:

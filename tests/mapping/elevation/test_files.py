@@ -109,6 +109,20 @@ def test_a_plain_grid_is_a_prior_map(tmp_path: Path) -> None:
     assert elevation.window(1.5, 2.5, 0.0).layers["source"][0, 0] != LIDAR
 
 
+@pytest.mark.parametrize("origin", [0.0, -1.0, -0.33, -5.26])
+def test_a_wall_of_one_column_of_a_grid_of_half_the_resolution_stays_a_wall(
+    tmp_path: Path, origin: float
+) -> None:
+    for wall in range(20, 32):
+        height = np.zeros((20, 60), np.float32)
+        height[:, wall] = 0.5
+        np.savez(tmp_path / "grid.npz", height=height, resolution=0.02, origin=np.array([origin, 0.0]))
+        elevation = ElevationMap(ElevationConfig(resolution=0.04))
+        elevation.load_prior(tmp_path / "grid.npz")
+        across = elevation.window(origin + 0.6, 0.2, 0.4).layers["elevation"][5]
+        assert np.count_nonzero(across > 0.4) == 1, f"column {wall}"
+
+
 def ply(points: np.ndarray) -> str:
     head = "ply\nformat ascii 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     return head.format(len(points)) + "\n".join(f"{x:.6f} {y:.6f} {z:.6f}" for x, y, z in points) + "\n"

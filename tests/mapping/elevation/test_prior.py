@@ -122,6 +122,25 @@ def test_each_cell_counts_once_and_few_cells_say_nothing() -> None:
     assert not check.done
 
 
+@pytest.mark.parametrize(("apart", "counted"), [(1, True), (2, True), (3, False)])
+def test_single_points_in_the_air_behind_an_edge_do_not_contradict(apart: int, counted: bool) -> None:
+    store = TileStore(64)
+    row, col = (a.reshape(-1) for a in np.meshgrid(np.arange(-30, 30), np.arange(-30, 30), indexing="ij"))
+    index = store.locate(row, col)
+    store.cells["source"][index], store.cells["height"][index], store.cells["seen"][index] = LIDAR, 0.0, PRIOR
+    high = (row % apart == 0) & (col % apart == 0)
+    sums = np.zeros((len(index), 8), np.float32)
+    sums[:, 2] = 1.0
+    sums[high, 0] = 0.5
+    check = PriorCheck()
+    check.take(store, index, sums)
+    inner = ~(np.isin(row, (-30, 29)) & np.isin(col, (-30, 29)))
+    assert check.higher == (high & inner).sum() * counted
+    assert check.tested == (inner & (~high | counted)).sum()
+    check.take(store, index, np.where(np.arange(8) == 2, 1.0, np.zeros_like(sums)))
+    assert check.tested == inner.sum(), "what told nothing is compared later"
+
+
 def test_the_elevation_process_publishes_the_warning(prior: Path, later: list[Registered]) -> None:
     from rbtrg_robot import topics as t
     from rbtrg_robot.stage_config import ElevationStageConfig

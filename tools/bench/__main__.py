@@ -1,4 +1,4 @@
-"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit."""
+"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit, 130 on Ctrl-C."""
 
 from __future__ import annotations
 
@@ -29,6 +29,9 @@ def main(argv: list[str]) -> int:
     except OperatorError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"error: {argv[0]} was interrupted before its rows were known", file=sys.stderr)
+        return 130
     print(report.to_json() if as_json else report.to_text())
     return 0 if report.ok else 1
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import signal
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from itertools import islice
+from multiprocessing import resource_tracker
 from typing import Any
 
 from hal.errors import OperatorError
@@ -19,6 +23,17 @@ class TrialsFailed(OperatorError):
 
 class SchedulerLost(OperatorError):
     """The cluster's scheduler is gone, and with it what its workers were at. Nothing that was yielded is lost."""
+
+
+@contextmanager
+def shielded() -> Iterator[None]:
+    """Ctrl-C waits until the end. Processes that are started in here never hear it: this one ends them, and they write no traceback."""
+    resource_tracker.ensure_running()  # it lets the signal through as it starts
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def spread(
@@ -38,32 +53,37 @@ def spread(
         return
     from distributed import Client, LocalCluster, as_completed
 
-    cluster = (
-        None
-        if scheduler
-        else LocalCluster(n_workers=workers, threads_per_worker=1, host="127.0.0.1", dashboard_address=None)
-    )
     failed: list[str] = []
-    with Client(scheduler or cluster) as client:
-        try:
-            left = iter(trials)
-            first = [client.submit(function, *t, pure=False) for t in islice(left, AHEAD)]
-            queue = as_completed(first)
-            for future in queue:
-                if future.status in ("cancelled", "lost"):
-                    raise SchedulerLost(
-                        f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
+    with ExitStack() as stack:
+        with shielded():
+            place = (
+                scheduler
+                or stack.enter_context(
+                    LocalCluster(
+                        n_workers=workers,
+                        threads_per_worker=1,
+                        host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0",  # of several benches each has its own
+                        silence_logs=logging.CRITICAL,  # what fails is raised here; workers that are ended write pages
                     )
-                if future.status == "finished":
-                    yield future.result()
-                else:
-                    failed.append(f"{type(future.exception()).__name__}: {future.exception()}")
-                future.release()
-                following = next(left, None)
-                if following is not None:
-                    queue.add(client.submit(function, *following, pure=False))
-        finally:
-            if cluster is not None:
-                cluster.close()
+                )
+            )
+        client = stack.enter_context(Client(place))
+        left = iter(trials)
+        first = [client.submit(function, *t, pure=False) for t in islice(left, AHEAD)]
+        queue = as_completed(first)
+        for future in queue:
+            if future.status in ("cancelled", "lost"):
+                raise SchedulerLost(
+                    f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
+                )
+            if future.status == "finished":
+                yield future.result()
+            else:
+                failed.append(f"{type(future.exception()).__name__}: {future.exception()}")
+            future.release()
+            following = next(left, None)
+            if following is not None:
+                queue.add(client.submit(function, *following, pure=False))
     if failed:
         raise TrialsFailed(f"{len(failed)} of {len(trials)} trials failed, the first with {failed[0]}")

@@ -34,6 +34,7 @@ from rbtrg_robot.wire.messages import decode, encode, header
 from tools.bench.fuzz.mutate import Mutator
 from tools.bench.fuzz.targets import TARGETS, Samples, newest_stamp
 from tools.bench.report import Report
+from tools.bench.spread import shielded
 
 KEPT = 12
 """Messages of a topic that mutations start from."""
@@ -205,12 +206,16 @@ def run(args: list[str]) -> Report:
             process = context.Process(
                 target=_alone, args=(theirs, name, payloads, each, options.seed, folder)
             )
-            process.start()
-            theirs.close()
             try:
+                with shielded():
+                    process.start()
+                theirs.close()
                 given, crashes, traces, grown = ours.recv()
             except EOFError:
                 given, crashes, traces, grown = 0, Counter({"the process ended": 1}), {}, 0.0
+            except KeyboardInterrupt:
+                process.kill()
+                raise
             process.join()
         total += given
         broken += sum(crashes.values())

@@ -1,8 +1,10 @@
-"""Gains and limits of the virtual model controller. One flat tuple of floats: it goes into the compiled kernels as it is."""
+"""Gains and limits of the virtual model controller, all floats. The compiled kernels take them as one record."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
+
+import numpy as np
 
 
 class VmcParams(NamedTuple):
@@ -147,3 +149,7 @@ class VmcParams(NamedTuple):
     """Commanded speed [m/s] up to which the robot stops at edges that go down; 0 switches it off."""
     edge_lean: float = 0.42
     """How far [rad] from the hill's normal the ground must push a leading wheel forward to be an edge."""
+
+
+RECORD = np.dtype([(name, "f8") for name in VmcParams._fields])
+"""What the kernels take: a tuple is taken apart and checked float by float at every call."""

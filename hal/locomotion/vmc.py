@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from hal.locomotion.memory import MEMORY
-from hal.locomotion.params import VmcParams
+from hal.locomotion.params import RECORD, VmcParams
 from hal.locomotion.vmc_kernel import OUT_DQ, OUT_KD, OUT_KP, OUT_Q, OUT_TAU, vmc_tick
 from hal.lowlevel import LowCommand, LowState
 from hal.types import PostureCommand, VelocityCommand
@@ -26,6 +26,7 @@ class VmcController:
             raise ValueError(f"the control period must lie in 1..10 ms, got {period * 1e3:g} ms")
         self.params = params or VmcParams()
         self.period = period
+        self._record = np.array([self.params], RECORD)
         self._memory = np.zeros(1, MEMORY)
         self._command = np.zeros(5)
         self._out = np.zeros((5, 16))
@@ -57,7 +58,7 @@ class VmcController:
             state.gyro,
             command,
             self.period,
-            self.params,
+            self._record,
             self._memory,
             self._out,
         )

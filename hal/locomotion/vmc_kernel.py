@@ -37,7 +37,6 @@ from hal.locomotion.geometry import (
     level_frame,
     rotate,
 )
-from hal.locomotion.params import VmcParams
 from hal.locomotion.traction import FRICTION_MAX, learn_friction, limit_traction
 from hal.types import GRAVITY, Array
 from hal.wheel_force import inverse3
@@ -66,15 +65,15 @@ def vmc_tick(
     gyro: Array,
     command: Array,
     dt: float,
-    p: VmcParams,
+    params,
     memory,
     out: Array,
 ) -> None:
     """Compute one command.
 
-    `q`, `dq`, `tau`: (16,) measured; `command`: (5,) vx, wz, height, roll, pitch; `memory`: (1,) of `MEMORY`; `out`: (5, 16).
+    `q`, `dq`, `tau`: (16,) measured; `command`: (5,) vx, wz, height, roll, pitch; `params`: (1,) of `RECORD`; `memory`: (1,) of `MEMORY`; `out`: (5, 16).
     """
-    m = memory[0]
+    m, p = memory[0], params[0]
     rot = level_frame(quaternion)
     omega = rotate(rot, gyro.reshape(1, 3))[0]
     roll = math.atan2(rot[2, 1], rot[2, 2]) + p.lookahead * omega[0]

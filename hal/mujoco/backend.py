@@ -81,6 +81,8 @@ class MujocoBackend:
         self._start, self._seed = start, seed
         self._fitted = lidars
         self._dt = round(o.timestep * NS)
+        self._imu_delay, self._joint_delay = round(o.imu_delay * NS), round(o.joint_delay * NS)
+        self._lidar_delay = round(o.lidar_delay * NS)
         self.controller: Locomotion
         if controller == "policy":
             self.controller = PolicyController(policy_dir)
@@ -230,16 +232,16 @@ class MujocoBackend:
         o, dt = self.config, self._dt
         stamp = self.start_time + elapsed
         if elapsed % IMU_PERIOD < dt:
-            self._out.put(stamp + round(o.imu_delay * NS), imu_sample(stamp, self._low))
+            self._out.put(stamp + self._imu_delay, imu_sample(stamp, self._low))
         if elapsed % JOINT_PERIOD < dt:
-            self._out.put(stamp + round(o.joint_delay * NS), joint_sample(stamp, self._low))
+            self._out.put(stamp + self._joint_delay, joint_sample(stamp, self._low))
             self._watch()
         if self._lidars and elapsed % LIDAR_SLICE < dt:
             sim = self.simulation
             for lidar in self._lidars:
                 scan = lidar.advance(stamp, sim.position, sim.quaternion)
                 if scan is not None:
-                    self._out.put(stamp + round(o.lidar_delay * NS), scan)
+                    self._out.put(stamp + self._lidar_delay, scan)
         if elapsed % TRUTH_PERIOD < dt:
             self._out.put(stamp, self._truth(stamp))
         phase, cause = self._modes.phase, self._modes.cause

@@ -93,7 +93,9 @@ class Simulation:
         self._contacts = ContactReader(self.model, self.data, self._base)
         # Views into MuJoCo's own memory: fetching them through the bindings costs more than using them.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
-        self._ctrl, self._bias = self.data.ctrl, self.model.actuator_biasprm
+        self._ctrl = self.data.ctrl
+        bias = self.model.actuator_biasprm
+        self._stiffness, self._damping = bias[:, 1], bias[:, 2]
         self._force = self.data.actuator_force
         self._range = self.model.actuator_forcerange
         self._accel = self.data.sensordata[:3]
@@ -144,8 +146,8 @@ class Simulation:
         """Exact state; `accel` and `tau` are those of the last physics step."""
         return LowState(
             time=float(self.data.time),
-            q=self._qpos[self._qadr],
-            dq=self._qvel[self._vadr],
+            q=self._qpos.take(self._qadr),
+            dq=self._qvel.take(self._vadr),
             tau=self._force.copy(),
             quaternion=self._qpos[3:7].copy(),
             gyro=self._qvel[3:6].copy(),
@@ -270,15 +272,15 @@ class Simulation:
             self._steps += 1
 
     def _set_now(self, command: LowCommand) -> None:
-        self._ctrl[:] = command.tau + command.kp * command.q + command.kd * command.dq
-        self._bias[:, 1] = -command.kp
-        self._bias[:, 2] = -command.kd
+        np.add(command.tau + command.kp * command.q, command.kd * command.dq, out=self._ctrl)
+        np.negative(command.kp, out=self._stiffness)
+        np.negative(command.kd, out=self._damping)
 
     def _cut_at_speed_limit(self) -> None:
         """A motor at its top speed can still brake, but not push further."""
-        dq = self._qvel[self._vadr]
+        dq = self._qvel.take(self._vadr)
         fast = np.abs(dq) >= go2w.SPEED_LIMIT
-        if fast.any():
+        if np.count_nonzero(fast):
             limit = go2w.TORQUE_LIMIT
             self._range[:, 0] = np.where(fast & (dq < 0), 0.0, -limit)
             self._range[:, 1] = np.where(fast & (dq > 0), 0.0, limit)

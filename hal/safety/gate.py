@@ -54,6 +54,7 @@ class SafetyGate:
         self._guarded = guarded
         self.capabilities = capabilities
         self.params = params or GateConfig()
+        self._timeouts = tuple(self.params.sensor_timeout)
         self.geofence = geofence
         self._limits = (
             capabilities.max_vx,
@@ -226,11 +227,11 @@ class SafetyGate:
         """Why the robot must stand still right now; empty when it may move."""
         if inputs.state is None:
             return "no robot state yet"
-        stamps = {**inputs.stamps, "state": inputs.state.stamp}
-        for sensor, limit in self.params.sensor_timeout:
-            if sensor not in stamps:
+        for sensor, limit in self._timeouts:
+            stamp = inputs.state.stamp if sensor == "state" else inputs.stamps.get(sensor)
+            if stamp is None:
                 return f"no {sensor} yet"
-            age = (now - stamps[sensor]) / NS
+            age = (now - stamp) / NS
             if age > limit:
                 return f"{sensor} is {age:.1f} s old"
             if age < -limit:

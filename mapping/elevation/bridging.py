@@ -37,14 +37,10 @@ def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
 def _span(
     height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes, kind, found
 ):  # pragma: no cover
-    """Bridge the n - 1 unknown cells before known cell (r, c), back along (-dr, -dc) to the known cell there; see `bridge`."""
+    """Bridge the n - 1 unknown cells before trusted cell (r, c), back along (-dr, -dc) to the trusted cell there; see `bridge`."""
     step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
     d = n * step
-    if d > rule[6]:
-        return
     ra, ca = r - n * dr, c - n * dc
-    if not (trusted[ra, ca] and trusted[r, c]):
-        return
     blind = (
         source[ra, ca] == WHEELS
         or source[r, c] == WHEELS
@@ -137,33 +133,45 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
 
 
 @njit(cache=True)
+def _most(rule, squared):  # pragma: no cover
+    """Steps that the widest gap of all takes; a step is the root of `squared` cells long."""
+    step = rule[0] * np.sqrt(squared)
+    n = int(rule[6] / step) + 1
+    while n * step > rule[6]:
+        n -= 1
+    return n
+
+
+@njit(cache=True)
 def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found):  # pragma: no cover
-    """One pass over the cells in memory order: each known cell looks back along its row, column and both diagonals to the
+    """One pass over the cells in memory order: each trusted cell looks back along its row, column and both diagonals to the
     last known one."""
     rows, cols = source.shape
     far = -(1 << 30)
     column = np.full(cols, far, dtype=np.int32)  # row of the last known cell
     falling = np.full(rows + cols, far, dtype=np.int32)
     rising = np.full(rows + cols, far, dtype=np.int32)
+    straight, oblique = _most(rule, 1.0), _most(rule, 2.0)
     for r in range(rows):
         last = far
         for c in range(cols):
             if source[r, c] == 0:
                 continue
             f, g = c - r + rows, c + r
-            if c - last > 1 and last != far:
-                _span(
-                    height, source, trusted, upper, r, c, 0, 1, c - last, rule, out, gap, holes, kind, found
-                )
-            n = r - falling[f]
-            if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind, found)
-            n = r - rising[g]
-            if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind, found)
-            n = r - column[c]
-            if 1 < n <= r:
-                _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind, found)
+            # What most pairs fail by is asked here: a call costs more than the answer.
+            if trusted[r, c]:
+                n = c - last
+                if 1 < n <= straight and trusted[r, last]:
+                    _span(height, source, trusted, upper, r, c, 0, 1, n, rule, out, gap, holes, kind, found)
+                n = r - falling[f]
+                if 1 < n <= oblique and trusted[r - n, c - n]:
+                    _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind, found)
+                n = r - rising[g]
+                if 1 < n <= oblique and trusted[r - n, c + n]:
+                    _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind, found)
+                n = r - column[c]
+                if 1 < n <= straight and trusted[r - n, c]:
+                    _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind, found)
             last = c
             column[c] = falling[f] = rising[g] = r
 

@@ -66,7 +66,7 @@ class Inbox:
     def take_imu(self, sample: ImuSample) -> Array | None:
         """The sample as a row (6,); None when it is refused."""
         row = _row((sample.gyro, 3), (sample.accel, 3))
-        if row is None or np.abs(row).max() > 1e3:
+        if row is None or not np.abs(row).max() <= 1e3:  # nor where one is not a number
             self._counters["imu_not_finite"] += 1
             return None
         if not self._admit("imu", sample.stamp):
@@ -77,7 +77,7 @@ class Inbox:
     def take_joints(self, sample: JointSample) -> Array | None:
         """The sample as a row (48,); None when it is refused or not needed."""
         row = _row((sample.position, 16), (sample.velocity, 16), (sample.effort, 16))
-        if row is None or np.abs(row[16:32]).max() > 1e3:
+        if row is None or not np.isfinite(row).all() or np.abs(row[16:32]).max() > 1e3:
             self._counters["joints_not_finite"] += 1
             return None
         if not self._admit("joints", sample.stamp):
@@ -177,12 +177,14 @@ class Inbox:
 
 
 def _row(*parts: tuple[object, int]) -> Array | None:
-    """The parts as one float row; None when a part has the wrong size or is not finite."""
-    try:
-        arrays = [np.asarray(values, np.float64).reshape(-1) for values, _ in parts]
-    except (TypeError, ValueError):
-        return None
-    if any(len(a) != n for a, (_, n) in zip(arrays, parts, strict=True)):
-        return None
-    row = np.concatenate(arrays)
-    return row if np.isfinite(row).all() else None
+    """The parts as one float row; None when a part has the wrong size."""
+    arrays = []
+    for values, size in parts:
+        try:
+            array = np.asarray(values, np.float64)
+        except (TypeError, ValueError):
+            return None
+        if array.size != size:
+            return None
+        arrays.append(array.reshape(-1))
+    return np.concatenate(arrays)

@@ -30,15 +30,12 @@ class SyncHost:
         self._stages = {name: stage for name, (stage, _) in stages.items()}
         self._period = {name: round(period * 1e9) for name, (_, period) in stages.items()}
         self._due = dict.fromkeys(stages, 0)
-        self._sinks: list[tuple[Sink, frozenset[Topic]]] = []
-        self._heard: set[Topic] = set()
-        """Topics that a stage or a sink hears."""
+        self._sinks: dict[Topic, list[Sink]] = {}
         self._consumers: dict[Topic, list[str]] = {}
         owner: dict[Topic, str] = {}
         for name, stage in self._stages.items():
             for topic in stage.inputs:
                 self._consumers.setdefault(topic, []).append(name)
-                self._heard.add(topic)
             for topic in stage.outputs:
                 # tf is the one topic with several writers in ROS.
                 if topic in owner and topic.name != "/tf":
@@ -69,8 +66,8 @@ class SyncHost:
 
     def listen(self, sink: Sink, topics: Collection[Topic] = TOPICS) -> None:
         """Call `sink` for every message on `topics` from now on."""
-        self._sinks.append((sink, frozenset(topics)))
-        self._heard.update(topics)
+        for topic in topics:
+            self._sinks.setdefault(topic, []).append(sink)
 
     def inject(self, topic: Topic, message: Any) -> None:
         """Deliver a message from outside, and all that follows from it."""
@@ -98,23 +95,21 @@ class SyncHost:
                 raise WiringError(f"{name} published {topic.name} without declaring it")
             if type(message) is not topic.kind:
                 raise WiringError(f"{name} published a {type(message).__name__} on {topic.name}")
-            if topic in self._heard:
+            if topic in self._consumers or topic in self._sinks:
                 self._pending.append((topic, messages.encode(message)))
 
     def _drain(self) -> None:
         while self._pending:
             topic, payload = self._pending.popleft()
-            for sink, topics in self._sinks:
-                if topic in topics:
-                    sink(topic, payload, self.now)
+            for sink in self._sinks.get(topic, ()):
+                sink(topic, payload, self.now)
             consumers = self._consumers.get(topic)
             if not consumers:
                 continue
             message = messages.decode(payload, topic.kind)
             for name in consumers:
-                if name in self._dead:
-                    continue
-                self._collect(name, self._stages[name].on(topic, message))
+                if name not in self._dead:
+                    self._collect(name, self._stages[name].on(topic, message))
 
     def close(self) -> None:
         """Close every stage."""

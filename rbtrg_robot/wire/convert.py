@@ -41,24 +41,36 @@ _FIELDS: list[msg.PointField] = [
 _XYZ_FIELDS = _FIELDS[:3]
 
 
+def _constant(*values: float) -> NDArray[np.float64]:
+    """An array that messages share."""
+    out = np.array(values)
+    out.setflags(write=False)
+    return out
+
+
+_UNKNOWN_3, _UNKNOWN_6 = _constant(*[0.0] * 9), _constant(*[0.0] * 36)
+"""Covariances that are not known, as ROS writes them."""
+_NOT_GIVEN = _constant(-1.0, *[0.0] * 8)
+"""Covariance of what a sensor_msgs/Imu does not have."""
+
+
 class LayoutError(ValueError):
     """A message whose arrays do not have the agreed layout."""
 
 
 def vector(values: Any) -> msg.Vector3:
     """From x, y, z."""
-    return msg.Vector3(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+    return msg.Vector3(float(values[0]), float(values[1]), float(values[2]))
 
 
 def point(values: Any) -> msg.Point:
     """From x, y, z."""
-    return msg.Point(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+    return msg.Point(float(values[0]), float(values[1]), float(values[2]))
 
 
 def quaternion(xyzw: Any) -> msg.Quaternion:
     """geometry_msgs/Quaternion from x, y, z, w."""
-    x, y, z, w = (float(v) for v in xyzw)
-    return msg.Quaternion(x=x, y=y, z=z, w=w)
+    return msg.Quaternion(float(xyzw[0]), float(xyzw[1]), float(xyzw[2]), float(xyzw[3]))
 
 
 def xyz(message: msg.Point | msg.Vector3) -> NDArray[np.float64]:
@@ -88,13 +100,14 @@ def yaw_quaternion(yaw: float) -> msg.Quaternion:
 
 def imu_msg(sample: ImuSample) -> msg.Imu:
     """sensor_msgs/Imu; orientation is not given (covariance[0] = -1)."""
-    message = msg.Imu(
+    return msg.Imu(
         header=header(sample.stamp, BASE),
+        orientation_covariance=_NOT_GIVEN,
         angular_velocity=vector(sample.gyro),
+        angular_velocity_covariance=_UNKNOWN_3,
         linear_acceleration=vector(sample.accel),
+        linear_acceleration_covariance=_UNKNOWN_3,
     )
-    message.orientation_covariance[0] = -1.0
-    return message
 
 
 def imu_sample(message: msg.Imu) -> ImuSample:
@@ -177,11 +190,14 @@ def odometry_msg(
 ) -> msg.Odometry:
     """nav_msgs/Odometry, `frame` -> base_link; twist in base_link; covariance (6, 6) of x, y, z, roll, pitch, yaw."""
     pose = msg.PoseWithCovariance(
-        pose=msg.Pose(position=point(position), orientation=quaternion(orientation))
+        pose=msg.Pose(position=point(position), orientation=quaternion(orientation)),
+        covariance=_UNKNOWN_6
+        if covariance is None
+        else np.ascontiguousarray(covariance, np.float64).reshape(36),
     )
-    twist = msg.TwistWithCovariance(twist=msg.Twist(linear=vector(linear), angular=vector(angular)))
-    if covariance is not None:
-        pose.covariance = np.ascontiguousarray(covariance, np.float64).reshape(36)
+    twist = msg.TwistWithCovariance(
+        twist=msg.Twist(linear=vector(linear), angular=vector(angular)), covariance=_UNKNOWN_6
+    )
     return msg.Odometry(header=header(stamp, frame), child_frame_id=BASE, pose=pose, twist=twist)
 
 

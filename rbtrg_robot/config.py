@@ -208,6 +208,7 @@ class StackConfig(BaseModel):
         robot = self.capabilities()
         limits = {
             "min_speed": max(self.tracker.min_speed, robot.min_vx),
+            "step_speed": min(max(self.tracker.step_speed, robot.step_vx), self.tracker.max_speed),
             "min_yaw_rate": max(self.tracker.min_yaw_rate, robot.min_wz),
         }
         return self.tracker.model_copy(update=limits)

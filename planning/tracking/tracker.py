@@ -38,6 +38,8 @@ _TURN_LEAST = 0.05
 """[rad]"""
 _ROCK = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
+_STALL_TIME = 0.5
+"""A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after so long."""
 _MAX_DRIFT = 0.35
 """Bound of the learnt sideways drift [rad]."""
 
@@ -50,6 +52,8 @@ class PathTracker:
         self._vx = 0.0
         self._wz = 0.0
         self._now: int | None = None
+        self._held = 0.0
+        """How long the base was told to move and did not, less how long it has moved since [s]."""
         self.clear()
 
     def clear(self) -> None:
@@ -212,6 +216,8 @@ class PathTracker:
         turned = min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
         least = max(p.min_speed, min(profile, stop, line.at(line.least, s)))
         speed = max(min(profile, stop) * tilted * turned, least)
+        if self._stalled(v, dt):
+            speed = max(speed, min(p.step_speed, stop))
         report["slow"] = slowed_by(line, s, p, (profile, stop, tilted * p.max_speed, turned * p.max_speed))
         rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
         if abs(v) > 0.1 and abs(cross) < 0.3 and abs(off) < free:
@@ -330,6 +336,16 @@ class PathTracker:
         p = self.params
         rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
         return math.copysign(max(rate, p.min_yaw_rate), error)
+
+    def _stalled(self, v: float, dt: float) -> bool:
+        """Whether a face holds the base, or held it just now."""
+        least = self.params.min_speed
+        if abs(self._vx) < 0.9 * least:
+            self._held = 0.0
+        else:
+            moves = abs(v) > 0.5 * least
+            self._held = max(0.0, min(self._held + (-dt if moves else dt), 2.0 * _STALL_TIME))
+        return self._held > _STALL_TIME
 
     def _slope_factor(self, slope: float) -> float:
         p = self.params

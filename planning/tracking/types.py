@@ -15,6 +15,11 @@ class TrackerConfig(BaseModel):
 
     max_speed: float = Field(default=0.8, gt=0, description="[m/s] whatever the path allows")
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
+    step_speed: float = Field(
+        default=0.0,
+        ge=0,
+        description="[m/s] that comes over faces: a base that stalls is driven so fast; 0: any does",
+    )
     max_yaw_rate: float = Field(default=0.8, gt=0, description="[rad/s]")
     min_yaw_rate: float = Field(
         default=0.15, gt=0, description="[rad/s] slowest turn on the spot the drive follows reliably"

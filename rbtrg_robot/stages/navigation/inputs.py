@@ -7,6 +7,7 @@ from typing import Any
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.progress import TURNING
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, unlocated
 from rbtrg_robot.topics import Topic
 
@@ -25,6 +26,18 @@ class Inputs:
     def phase(self) -> str:
         """Of the tracker; empty before it was heard."""
         return self.tracker.phase if self.tracker is not None else ""
+
+    @property
+    def distance_left(self) -> float:
+        """To the end of the tracker's path [m]; 0 before it was heard."""
+        return self.tracker.distance_left if self.tracker is not None else 0.0
+
+    @property
+    def way(self) -> float:
+        """1.0 while the robot is driven forward, -1.0 backward, 0.0 while it turns on the spot."""
+        if self.phase in TURNING:
+            return 0.0
+        return -1.0 if self.robot is not None and self.robot.vx < 0.0 else 1.0
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

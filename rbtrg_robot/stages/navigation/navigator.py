@@ -16,7 +16,7 @@ from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
-from rbtrg_robot.stages.navigation.progress import TURNING, Pose2, ProgressMonitor, RouteWatch, Trail
+from rbtrg_robot.stages.navigation.progress import Pose2, ProgressMonitor, RouteWatch, Trail
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance, unlocated
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
@@ -256,9 +256,10 @@ class NavigatorStage:
             self._progress.reset()  # the tracker ends that in time by itself
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             return self._recover(goal)
-        look = goal.state is GoalState.MOVING and goal.frontier and self._query.due(now, self._inputs.tracker)
-        if look and not self._route.over_edge(self._plan, self._pose):
-            self._replan(goal)  # on an edge it could not turn into another route
+        if goal.state is GoalState.MOVING and goal.frontier:
+            on_edge = self._route.over_edge(self._plan, self._pose)
+            if self._query.due(now, self._inputs.tracker, on_edge=on_edge):
+                self._replan(goal)
         return None
 
     def _arrive(self, goal: Goal) -> None:
@@ -282,16 +283,16 @@ class NavigatorStage:
         """Move out of the place, then replan around it; give up where that was done often enough."""
         self._progress.reset()
         assert self._pose is not None
-        if self._recovery.stuck(self._pose, turning=self._inputs.phase in TURNING) is Measure.GIVE_UP:
+        if self._recovery.stuck(self._pose, self._inputs.way) is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
             self._end(GoalState.ABORTED, Reason.STUCK, tried)
-        elif not self._move_out(goal):
+        elif not self._move_out(goal, barred=self._inputs.way):
             goal.recoveries += 1
             self._replan(goal)
 
-    def _move_out(self, goal: Goal) -> bool:
-        """Move straight over ground it stood on, for which no turn is needed; False when there is none."""
-        reach = self._trail.reach(self._pose, self._params.back_out) if self._pose else 0.0
+    def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
+        """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred`; False when there is none."""
+        reach = self._trail.reach(self._pose, self._params.back_out, barred) if self._pose else 0.0
         if self._pose is None or reach == 0.0:
             return False
         goal.recoveries += 1
@@ -340,8 +341,7 @@ class NavigatorStage:
 
     def _status(self) -> None:
         self._status_due = self._now + NS // 2
-        left = self._inputs.tracker.distance_left if self._inputs.tracker else 0.0
-        self._out.append((t.GOAL_STATUS, status_of(self._goal, self._now, left)))
+        self._out.append((t.GOAL_STATUS, status_of(self._goal, self._now, self._inputs.distance_left)))
 
 
 def build(config: StackConfig) -> NavigatorStage:

@@ -66,10 +66,14 @@ class PlanQuery:
         """Whether a RouteStatus speaks of the newest route, and no newer one is asked for."""
         return not self.open and message.sequence == self._sequence
 
-    def due(self, now: int, tracker: msg.TrackerState | None) -> bool:
-        """Whether to ask again on the way into unseen ground, with so much of the path to go."""
+    def due(self, now: int, tracker: msg.TrackerState | None, *, on_edge: bool) -> bool:
+        """Whether to ask again on the way into unseen ground, with so much of the path to go. A robot `on_edge` could not turn into another
+        route; but where its own ends, it would stop there.
+        """
         near = tracker is not None and tracker.distance_left < NEAR_END
-        return self.age(now) > (min(self._period, NEAR_PERIOD) if near else self._period)
+        return self.age(now) > (min(self._period, NEAR_PERIOD) if near else self._period) and (
+            near or not on_edge
+        )
 
     def waited(self, now: int) -> float:
         """Since the open question was first asked [s]."""

@@ -112,10 +112,11 @@ class Trail:
         ):
             self._poses.append(pose)
 
-    def reach(self, pose: Pose2, distance: float) -> float:
+    def reach(self, pose: Pose2, distance: float, barred: float = 0.0) -> float:
         """How far straight along the heading, at most `distance` [m], the body stays on ground it covered.
 
-        Negative: backward, which also wins a tie. 0.0 while the robot came from nowhere.
+        Negative: backward, which also wins a tie. `barred`: -1.0 or 1.0 where it cannot go backward or forward. 0.0 while the robot
+        came from nowhere.
         """
         if len(self._poses) < 2:
             return 0.0
@@ -123,7 +124,7 @@ class Trail:
         runs = []
         for sign in (-1.0, 1.0):
             run = 0.0
-            while run < distance:
+            while run < distance and sign != barred:
                 ahead = min(run + TRAIL_SPACING, distance)
                 # The end that leads, its corners and its middle, in the frame of the body now.
                 tip = sign * (ahead + BODY_LENGTH / 2)

@@ -56,12 +56,13 @@ class Recovery:
             return Measure.LOOK
         return Measure.MOVE_OUT if pose and _visit(self._lost_at, pose) == 1 else Measure.GIVE_UP
 
-    def stuck(self, pose: Pose2, *, turning: bool) -> Measure:
-        """No progress at `pose`. What stalls a turn lies under the robot, not ahead: nothing is kept off then."""
+    def stuck(self, pose: Pose2, way: float) -> Measure:
+        """No progress at `pose` although it drove forward, `way` 1.0, backward, -1.0, or turned, 0.0. What stalls a turn lies under the
+        robot, not ahead: nothing is kept off then."""
         if _visit(self._stuck_at, pose) > self._config.max_recoveries:
             return Measure.GIVE_UP
-        if not turning:
-            (x, y, yaw), ahead = pose, self._config.avoid_ahead
+        if way:
+            (x, y, yaw), ahead = pose, way * self._config.avoid_ahead
             self.avoid += [x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self._config.avoid_radius]
         return Measure.MOVE_OUT
 

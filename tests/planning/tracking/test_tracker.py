@@ -569,3 +569,28 @@ def test_ground_that_needs_a_speed_is_driven_at_it_also_where_it_is_steep():
 
     assert slowest(0.0) == pytest.approx(0.25, abs=0.01)
     assert slowest(0.5) == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("step_speed", [0.0, 0.5])
+def test_a_base_that_a_face_holds_is_driven_at_the_speed_that_comes_over_it(step_speed: float):
+    tracker, base = PathTracker(TrackerConfig(step_speed=step_speed)), Base()
+    tracker.set_path(line(3.0), None, 0.25)
+    fastest = 0.0
+    for k in range(1500):
+        out = tracker.step(int(k * DT * 1e9), *base.measured())
+        before = base.x
+        base.advance(out.vx, out.wz)
+        if before < 1.0 <= base.x and out.vx < 0.45:
+            base.x, base.v = before, 0.0
+        fastest = max(fastest, out.vx)
+    over = step_speed > 0.0
+    assert (base.x > 2.9) == over
+    assert fastest == pytest.approx(0.5 if over else 0.25, abs=0.05)
+    assert (out.phase is TrackPhase.DONE) == over
+
+
+def test_a_base_that_is_held_near_the_end_is_not_pushed_beyond_it():
+    tracker = PathTracker(TrackerConfig(step_speed=0.5))
+    tracker.set_path(line(1.0), None, 0.25)
+    fastest = max(tracker.step(int(k * DT * 1e9), 0.95, 0.0, 0.0, 0.0, 0.0).vx for k in range(200))
+    assert fastest <= math.sqrt(2.0 * 0.6 * 0.05) + 1e-6

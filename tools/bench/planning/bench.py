@@ -1,6 +1,6 @@
-"""Planning: graph builds and updates here, queries in `query`, the path's watch in `watch`.
+"""Planning: graph builds and updates here, queries in `query`, the path's watch in `watch`, ways near the step limit in `crossings`.
 
-    python -m tools.bench planning [--only watch] [--json]
+    python -m tools.bench planning [--only watch|crossings] [--json]
 
 The large build is the graph and its risk table with every edge evaluated, which then serves all queries on that map;
 its two parts have rows of their own, and `large.query_cold_s` is a query that finds neither table nor evaluation.
@@ -27,7 +27,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from tools.bench.planning import query, watch
+from tools.bench.planning import crossings, query, watch
 from tools.bench.planning.oracle import NativeOracle
 from tools.bench.planning.worlds import dense_map, mountain_map, rough_terrain
 from tools.bench.report import Report
@@ -118,12 +118,14 @@ def _large(report: Report, baseline: float) -> RiskTable:
 
 
 def run(args: list[str]) -> Report:
-    """Rows of the path's watch; without `--only` also those of the graph and of the queries."""
+    """Rows of the path's watch and of the crossings; without `--only` also those of the graph and of the queries."""
     parser = argparse.ArgumentParser(prog="planning", description=__doc__)
-    parser.add_argument("--only", choices=("watch",))
+    parser.add_argument("--only", choices=("watch", "crossings"))
     options = parser.parse_args(args)
     report = Report("planning")
-    watch.rows(report)
+    for name, part in (("watch", watch), ("crossings", crossings)):
+        if options.only in (None, name):
+            part.rows(report)
     if options.only:
         return report
     area_s = 0.0

@@ -44,6 +44,8 @@ class World:
         self.estop = False
         self.taken = ""
         self.phase = "ready"
+        self.vx = 0.0
+        self.left = 2.0
         self.route_valid = True
         if placed:
             self.place(0.0, 0.0, 0.0)
@@ -79,6 +81,7 @@ class World:
                 estop=self.estop,
                 estop_cause="operator" if self.estop else "",
                 taken=self.taken,
+                vx=self.vx,
             )
             path = self.last(t.PATH_COMMAND)
             path_id = path.id if path is not None and self.tracker_obeys else ""
@@ -87,7 +90,7 @@ class World:
                 t.TRACKER_STATE,
                 path_id=path_id,
                 phase=phase,
-                distance_left=2.0,
+                distance_left=self.left,
                 heading_error=self.heading_error,
             )
             if t.ROUTE_STATUS not in self.silent and self.last(t.PLAN_REQUEST) is not None:
@@ -637,6 +640,50 @@ def test_over_an_edge_it_keeps_its_route_to_the_frontier(world: World) -> None:
         world.run(0.3)
         looked = world.count(t.PLAN_REQUEST) > requests
         assert looked == (x > 0.94), f"at {x:.2f} m"
+
+
+def test_a_route_that_ends_on_an_edge_is_continued_before_its_end(world: World) -> None:
+    world.goal()
+    requests = world.count(t.PLAN_REQUEST)
+    world.answer(reaches=False, kerb=0.5)
+    world.pose = (0.5, 0.0, 0.0)
+    world.run(0.9)
+    assert world.count(t.PLAN_REQUEST) == requests
+    world.left = 0.5
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+
+
+def test_what_holds_a_robot_that_drives_backward_is_behind_it(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.pose = (0.3, 0.0, 0.0)
+    world.goal()
+    world.answer()
+    world.vx = -0.5
+    world.run(5.5)
+    assert world.status.state == "recovering"
+    assert world.last(t.PATH_COMMAND).x[-1] > 0.6, "it moves out forward, where it came from"
+    world.tracker_phase = "done"
+    world.run(0.1)
+    np.testing.assert_allclose(world.last(t.PLAN_REQUEST).avoid, [0.3 - 0.5, 0.0, 0.3])
+
+
+def test_a_robot_that_cannot_be_backed_out_asks_for_another_route(world: World) -> None:
+    for i in range(20):
+        world.pose = (0.05 * i, 0.0, 0.0)
+        world.run(0.1)
+    world.goal()
+    world.answer()
+    world.run(5.5)
+    assert world.status.state == "recovering"
+    world.vx = -0.5
+    requests, paths = world.count(t.PLAN_REQUEST), world.count(t.PATH_COMMAND)
+    world.run(5.5)
+    assert world.status.recoveries == 2
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.count(t.PATH_COMMAND) == paths, "the same way out is not tried again"
 
 
 def test_a_route_is_not_taken_back_while_the_robot_stands_on_the_face_it_crosses(world: World) -> None:

@@ -229,12 +229,14 @@ class Environment:
         x = rng.uniform(-0.3, 0.3, n) + np.where(free, 5.0, 0.0)
         y = self.robots.ground.middle(self.kind[which], self.level[which]) + rng.uniform(-0.15, 0.15, n)
         yaw = np.where(free, rng.uniform(-np.pi, np.pi, n), rng.uniform(-0.2, 0.2, n))
-        self.robots.place(which, x, y, yaw)
+        self._draw(which)
+        # The controller that hands over to this policy is driving already.
+        rolling = np.clip(self.command[which, 0], 0.0, None) * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
+        self.robots.place(which, x, y, yaw, rolling)
         self.action[which] = 0.0
         self._lean[which] = 0.0
         self._age[which], self._asked[which], self._began[which] = 0, 0.0, x
         self._fresh[which] = True
-        self._draw(which)
 
     def _draw(self, which: NDArray[np.int64]) -> None:
         """New commands: forward in lanes; anything on open ground, turns on the spot and zero among it."""

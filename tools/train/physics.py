@@ -73,8 +73,8 @@ class Robots:
         self._datas = [mujoco.MjData(first) for _ in range(THREADS)]
         self._rollout = rollout.Rollout(nthread=THREADS)
 
-    def place(self, which: NDArray[np.int64], x: Array, y: Array, yaw: Array) -> None:
-        """Put robots on the ground, a little shaken, each with another body."""
+    def place(self, which: NDArray[np.int64], x: Array, y: Array, yaw: Array, speed: Array) -> None:
+        """Put robots on the ground, rolling forward at `speed` [m/s], a little shaken, each with another body; all (n,)."""
         n, rng = len(which), self._rng
         q = self.layout.default + rng.normal(0.0, 0.04, (n, 16))
         state = np.zeros((n, self.state.shape[1]))
@@ -84,6 +84,9 @@ class Robots:
         state[:, 4], state[:, 5:7], state[:, 7] = np.cos(0.5 * yaw), 0.0, np.sin(0.5 * yaw)
         state[:, 1 + self.qadr] = q
         state[:, 24:30] = rng.normal(0.0, 0.15, (n, 6))
+        state[:, 24] += speed * np.cos(yaw)
+        state[:, 25] += speed * np.sin(yaw)
+        state[:, 24 + self.vadr[12:]] += speed[:, None] / go2w.WHEEL_RADIUS
         self.state[which] = state
         self._warm[which] = 0.0
         self.drawn[which] = rng.integers(0, self.physics.models, n)

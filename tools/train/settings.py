@@ -95,7 +95,7 @@ class Settings(BaseModel):
     physics: Physics = Physics()
     reward: Reward = Reward()
     ppo: Ppo = Ppo()
-    turning: float = Field(0.28, description="share of robots on open ground with any command")
+    turning: float = Field(0.2, description="share of robots on open ground with any command")
     still: float = Field(0.15, description="share of commands that are zero, on open ground")
     episode: float = Field(10.0, description="[s]")
     first_level: int = Field(2, description="highest level at the start")

@@ -75,6 +75,21 @@ def test_robots_stand_and_are_paid_for_it(env: Environment) -> None:
     assert (env.body().up[:, 2] > 0.9).all()
 
 
+def test_robots_may_begin_rolling(env: Environment) -> None:
+    open_ground = np.flatnonzero(env.kind == OPEN)
+    n = len(open_ground)
+    robots, yaw, speed = env.robots, np.full(n, 0.5 * np.pi), np.full(n, 0.6)
+    middle = robots.ground.middle(env.kind[open_ground], env.level[open_ground])
+    robots.place(open_ground, np.full(n, 5.0), middle, yaw, speed)
+    rolls = np.zeros((14, 16), np.float32)
+    rolls[open_ground, 12:] = 0.6 / go2w.WHEEL_RADIUS / env.layout.scale[12:]
+    for _ in range(10):
+        assert not robots.step(rolls)[open_ground].any()
+    ahead = robots.state[open_ground, 2] - middle
+    assert (np.abs(ahead - 0.2 * 0.6) < 0.06).all(), "0.6 m/s along the heading for 0.2 s"
+    robots.place(np.arange(14), np.zeros(14), robots.ground.middle(env.kind, env.level), np.zeros(14), np.zeros(14))
+
+
 def body(**changes: np.ndarray) -> Body:
     values = {
         "yaw": np.zeros(1), "velocity": np.zeros((1, 3)), "spin": np.zeros((1, 3)), "up": np.array([[0.0, 0.0, 1.0]]),

@@ -81,12 +81,15 @@ def test_robots_may_begin_rolling(env: Environment) -> None:
     robots, yaw, speed = env.robots, np.full(n, 0.5 * np.pi), np.full(n, 0.6)
     middle = robots.ground.middle(env.kind[open_ground], env.level[open_ground])
     robots.place(open_ground, np.full(n, 5.0), middle, yaw, speed)
+    wheels = np.ix_(open_ground, 24 + robots.vadr[12:])
+    placed = robots.state[wheels]
     rolls = np.zeros((14, 16), np.float32)
     rolls[open_ground, 12:] = 0.6 / go2w.WHEEL_RADIUS / env.layout.scale[12:]
     for _ in range(10):
         assert not robots.step(rolls)[open_ground].any()
     ahead = robots.state[open_ground, 2] - middle
     assert (np.abs(ahead - 0.2 * 0.6) < 0.06).all(), "0.6 m/s along the heading for 0.2 s"
+    np.testing.assert_allclose(robots.state[wheels], placed, rtol=0.3)
     robots.place(np.arange(14), np.zeros(14), robots.ground.middle(env.kind, env.level), np.zeros(14), np.zeros(14))
 
 

@@ -231,7 +231,9 @@ class Environment:
         yaw = np.where(free, rng.uniform(-np.pi, np.pi, n), rng.uniform(-0.2, 0.2, n))
         self._draw(which)
         # The controller that hands over to this policy is driving already.
-        rolling = np.clip(self.command[which, 0], 0.0, None) * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
+        rolling = (
+            np.clip(self.command[which, 0], 0.0, None) * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
+        )
         self.robots.place(which, x, y, yaw, rolling)
         self.action[which] = 0.0
         self._lean[which] = 0.0

@@ -90,7 +90,9 @@ def test_robots_may_begin_rolling(env: Environment) -> None:
     ahead = robots.state[open_ground, 2] - middle
     assert (np.abs(ahead - 0.2 * 0.6) < 0.06).all(), "0.6 m/s along the heading for 0.2 s"
     np.testing.assert_allclose(robots.state[wheels], placed, rtol=0.3)
-    robots.place(np.arange(14), np.zeros(14), robots.ground.middle(env.kind, env.level), np.zeros(14), np.zeros(14))
+    robots.place(
+        np.arange(14), np.zeros(14), robots.ground.middle(env.kind, env.level), np.zeros(14), np.zeros(14)
+    )
 
 
 def body(**changes: np.ndarray) -> Body:

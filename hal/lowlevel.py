@@ -6,9 +6,13 @@ Arrays are (16,) float64 in SDK motor order (`hal.go2w.MOTORS`): FR hip, thigh, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 from hal.types import Array, PostureCommand, VelocityCommand
+
+Controller = Literal["vmc", "policy", "hybrid"]
+"""Model-based, a learnt policy, or both: see `hal.locomotion`."""
+CONTROLLERS: tuple[Controller, ...] = get_args(Controller)
 
 
 @dataclass(slots=True)

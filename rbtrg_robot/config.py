@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
+from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateConfig
 from hal.scenes import Scene, load_scene
@@ -85,7 +86,7 @@ class StackConfig(BaseModel):
     network: NetworkConfig = NetworkConfig()
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
-    controller: Literal["vmc", "policy"] = Field("vmc", description="locomotion of the simulated robot")
+    controller: Controller = Field("vmc", description="locomotion of the simulated robot")
     policy_dir: str = Field(
         "",
         description="locomotion policy: a folder in rl_sar's layout or a file of `tools.train`; empty: the one that `policy get` fetched",

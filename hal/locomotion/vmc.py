@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hal.locomotion.climb import DRIVE
 from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import RECORD, VmcParams
 from hal.locomotion.vmc_kernel import OUT_DQ, OUT_KD, OUT_KP, OUT_Q, OUT_TAU, vmc_tick
@@ -42,6 +43,11 @@ class VmcController:
         """Forget all state: the robot was moved, stood up or fell."""
         self._memory[:] = np.zeros(1, MEMORY)
 
+    def take_over(self, vx: float) -> None:
+        """Forget all state but this: the robot drives at `vx` [m/s]."""
+        self.reset()
+        self._memory["vx"] = self._memory["speed"] = vx
+
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One control tick. `velocity.vy` is not followed: the wheels cannot roll sideways."""
         command = self._command
@@ -68,6 +74,12 @@ class VmcController:
         """Which wheels carry load, from leg torques: FR, FL, RR, RL."""
         c = self._memory["contact"][0]
         return bool(c[0]), bool(c[1]), bool(c[2]), bool(c[3])
+
+    def blocked(self) -> float:
+        """For how long the ground has held a wheel, as a share of the time after which the wheel is lifted; 1 while it is."""
+        if self._memory["mode"][0] != DRIVE:
+            return 1.0
+        return float(self._memory["blocked"][0].max()) / self.params.blocked_time
 
     def warning(self) -> str:
         """An edge felt while creeping, in words; empty most of the time."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +13,8 @@ from hal.contract import BackendError
 from hal.lidar.caster import TerrainCaster
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lidar.simulator import LidarSimulator
-from hal.locomotion.policy import PolicyController
-from hal.locomotion.vmc import VmcController, warm_up
-from hal.lowlevel import Locomotion
+from hal.locomotion.controllers import controller_of
+from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.postures.modes import Modes
@@ -57,7 +56,7 @@ class MujocoBackend:
         scene: Scene,
         config: SimConfig | None = None,
         *,
-        controller: Literal["vmc", "policy"] = "vmc",
+        controller: Controller = "vmc",
         policy_dir: str = "",
         lidars: tuple[LidarConfig, ...] = DEFAULT_LIDARS,
         seed: int = 0,
@@ -66,7 +65,7 @@ class MujocoBackend:
         **changes: Any,
     ) -> None:
         """
-        policy_dir: folder of a policy in rl_sar's layout, or a file of `tools.train`; used with `controller="policy"`
+        policy_dir: folder of a policy in rl_sar's layout, or a file of `tools.train`; of the controllers that learnt
         lidars: empty for none (physics only, faster)
         seed: of everything random here
         start: x, y [m], yaw [rad]; None for the scene's
@@ -83,12 +82,8 @@ class MujocoBackend:
         self._dt = round(o.timestep * NS)
         self._imu_delay, self._joint_delay = round(o.imu_delay * NS), round(o.joint_delay * NS)
         self._lidar_delay = round(o.lidar_delay * NS)
-        self.controller: Locomotion
-        if controller == "policy":
-            self.controller = PolicyController(policy_dir)
-        else:
-            warm_up()  # before the clock runs: compiling takes seconds
-            self.controller = VmcController(period=o.timestep * max(1, round(CONTROL_PERIOD / o.timestep)))
+        period = o.timestep * max(1, round(CONTROL_PERIOD / o.timestep))
+        self.controller = controller_of(controller, policy_dir, period)
         self._control_steps = max(1, round(self.controller.period * NS / self._dt))
         draw = np.random.default_rng(np.random.SeedSequence([seed, 0xF12]))
         self.friction = (

@@ -7,9 +7,10 @@ import math
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
+from hal.lowlevel import Controller
 from hal.types import Capabilities
 
-CAPABILITIES = {
+CAPABILITIES: dict[Controller, Capabilities] = {
     "vmc": Capabilities(
         "go2w-mujoco-vmc",
         max_vx=1.0,
@@ -35,6 +36,19 @@ CAPABILITIES = {
         max_gap=0.12,
         max_posts=0.20,
         strafe=True,
+    ),
+    "hybrid": Capabilities(
+        "go2w-mujoco-hybrid",
+        max_vx=1.0,
+        max_wz=1.0,
+        min_vx=0.06,
+        step_vx=0.3,
+        min_wz=0.05,
+        max_step=0.25,
+        max_slope=math.radians(25.0),
+        max_gap=0.12,
+        max_trunk_tilt=math.radians(15.0),
+        max_posts=0.15,
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and

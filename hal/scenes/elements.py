@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import cos, radians, sin, tan
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.lowlevel import Controller
+
 Field = NDArray[np.float64]
-Controller = Literal["vmc", "policy"]
 
 HALF_RAMP = 0.6
 """Length of a half ramp [m]."""
@@ -26,6 +26,21 @@ PIT = -0.4
 TRACK = 0.386
 """Between the middle planes of left and right wheels [m]."""
 
+CLIMBS = {
+    "slope": 25.0,
+    "step": 0.20,
+    "bar": 0.10,
+    "rail": 0.08,
+    "posts": 0.15,
+    "gap": 0.10,
+    "rough": 0.07,
+}
+FORBIDDEN_TO_CLIMBERS = {
+    "slope": (42.0, 50.0),
+    "step": (0.36, 0.45),
+    "bar": (0.36, 0.45),
+    "gap": (0.20, 0.30),
+}
 ENVELOPE: dict[Controller, dict[str, float]] = {
     "vmc": {
         "slope": 20.0,
@@ -36,21 +51,15 @@ ENVELOPE: dict[Controller, dict[str, float]] = {
         "gap": 0.10,
         "rough": 0.05,
     },
-    "policy": {
-        "slope": 25.0,
-        "step": 0.20,
-        "bar": 0.10,
-        "rail": 0.08,
-        "posts": 0.15,
-        "gap": 0.10,
-        "rough": 0.07,
-    },
+    "policy": CLIMBS,
+    "hybrid": CLIMBS,
 }
 """Largest slope [deg], face, bar, rail, post, gap and roughness [m] that a controller drives over reliably with friction 0.6 to 1.0,
 as `tools.bench envelope` measures it (docs/simulated_robot.md), and never more than its capabilities declare."""
 BEYOND: dict[Controller, dict[str, tuple[float, float]]] = {
     "vmc": {"slope": (36.0, 45.0), "step": (0.16, 0.24), "bar": (0.16, 0.24), "gap": (0.18, 0.30)},
-    "policy": {"slope": (42.0, 50.0), "step": (0.36, 0.45), "bar": (0.36, 0.45), "gap": (0.20, 0.30)},
+    "policy": FORBIDDEN_TO_CLIMBERS,
+    "hybrid": FORBIDDEN_TO_CLIMBERS,
 }
 """What a controller's capabilities forbid without doubt: 1.4 times the declared limit and more."""
 SHARE = {1: (0.30, 0.45), 2: (0.50, 0.65), 3: (0.70, 0.80), 4: (0.90, 1.00)}

@@ -14,16 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.lowlevel import CONTROLLERS, Controller
 from hal.scenes.canvas import Canvas, Rect
 from hal.scenes.elements import (
     HALF_RAMP,
     MAPS,
-    Controller,
     Element,
     Grade,
     Maker,
@@ -142,7 +141,7 @@ def lane(seed: int, *, level: int = 2, controller: Controller = "vmc", map: str 
     kinds = (*MAPS, "mixed")
     if map not in ("", *kinds):
         raise SceneError(f"lanes have no map {map!r}: use one of {', '.join(kinds)}")
-    if level not in LEVELS or controller not in get_args(Controller):
+    if level not in LEVELS or controller not in CONTROLLERS:
         raise SceneError(f"lanes have levels 1 to 5 for vmc or policy, got level {level} for {controller}")
     layout, kind = LAYOUTS[seed % len(LAYOUTS)], map or kinds[seed // len(LAYOUTS) % len(kinds)]
     random = np.random.default_rng([seed, kinds.index(kind)])

@@ -36,7 +36,9 @@ def register(app: typer.Typer) -> None:
 def up(
     backend: Annotated[str | None, typer.Option(help="sim or unitree.")] = None,
     scene: Annotated[str | None, typer.Option(help="Built-in scene or terrain file.")] = None,
-    controller: Annotated[str | None, typer.Option(help="Locomotion in simulation: vmc or policy.")] = None,
+    controller: Annotated[
+        str | None, typer.Option(help="Locomotion in simulation: vmc, policy or hybrid.")
+    ] = None,
     policy: Annotated[Path | None, typer.Option(help="Folder of a locomotion policy.")] = None,
     interface: Annotated[str | None, typer.Option(help="Network interface of the robot (unitree).")] = None,
     dry_run: Annotated[
@@ -153,7 +155,7 @@ def _check(config: StackConfig) -> None:
         scene = config.load_scene()
         if scene.mesh is not None:
             scene.caster()
-        if config.controller == "policy":
+        if config.controller != "vmc":
             from hal.locomotion.policy import PolicyController
 
             PolicyController(config.policy_dir)

@@ -18,6 +18,7 @@ from rich.progress import track
 
 from hal.locomotion.public import stored
 from hal.locomotion.torchfile import PolicyError
+from hal.lowlevel import CONTROLLERS
 from tools.bench.closed_loop import lrc, protocol
 from tools.bench.closed_loop.routes import Route, routes
 from tools.bench.closed_loop.tables import markdown, report
@@ -93,7 +94,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     add("--out", type=Path, required=True, help="folder of records, tables and pictures")
     add("--scenes", type=names(protocol.SCENES), default=list(protocol.SCENES))
     add("--methods", type=names(protocol.METHODS), default=["native", "full"])
-    add("--controller", type=names(protocol.CONTROLLERS), default=["policy"])
+    add("--controller", type=names(CONTROLLERS), default=["policy"])
     add("--colliders", type=names(protocol.COLLIDERS), default=["all"])
     add(
         "--policy",
@@ -109,7 +110,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     options = parser.parse_args(args)
     if (options.lrc or options.endurance) and set(options.methods) & set(protocol.PERCEIVED):
         parser.error(f"{', '.join(protocol.PERCEIVED)} have no line to drive to and fro")
-    if "policy" in options.controller and not options.policy:
+    if {"policy", "hybrid"} & set(options.controller) and not options.policy:
         try:
             options.policy = str(stored())
         except PolicyError as error:

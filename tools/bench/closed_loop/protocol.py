@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.lowlevel import Controller
 from planning.tracking import TrackerConfig
 
 SCENES = ("rescue_slopes", "rescue_platform", "rescue_steps", "rescue_elevated")
@@ -24,7 +25,6 @@ BASELINES = ("t_hybrid", "art", "art-unmasked")
 PERCEIVED = ("ours-mapped", "ours-seen")
 """The whole stack, which is told its start and nothing else of the truth: with the survey as prior map, or with what it sees on its way."""
 METHODS = (*SHARED, *OWN, *BASELINES, *PERCEIVED)
-CONTROLLERS = ("policy", "vmc")
 COLLIDERS = ("all", "vendor")
 """`all`: ours; `vendor`: without wheel-motor housings, as in the vendor's model."""
 
@@ -68,7 +68,7 @@ class Trial:
     scene: str
     query: int
     method: str
-    controller: str
+    controller: Controller
     colliders: str
     draw: int
 
@@ -80,7 +80,7 @@ class Trial:
 
 def trials(
     methods: list[str],
-    controllers: list[str],
+    controllers: list[Controller],
     colliders: list[str],
     scenes: list[str],
     draws: int,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
@@ -70,7 +71,7 @@ def scene_of(name: str) -> Scene:
     return load_scene(name)
 
 
-def routes(scene: str, query: int, methods: list[str], controllers: list[str]) -> list[Route]:
+def routes(scene: str, query: int, methods: list[str], controllers: list[Controller]) -> list[Route]:
     """Routes of a query. Graph seed is the number of the query."""
     out: list[Route] = []
     shared = [m for m in methods if m != "ours"]
@@ -119,7 +120,7 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     return out
 
 
-def _as_it_drives(name: str, query: int, controller: str) -> Route:
+def _as_it_drives(name: str, query: int, controller: Controller) -> Route:
     """As the planner process does it: corrected graph within the controller's limits, real endpoints, straight chords, backward where that
     costs less, the path with its guard, its speeds and its headings.
     """

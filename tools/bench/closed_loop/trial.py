@@ -14,9 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal import go2w
-from hal.locomotion.policy import PolicyController
-from hal.locomotion.vmc import VmcController, warm_up
-from hal.lowlevel import Locomotion
+from hal.locomotion.controllers import controller_of
 from hal.mujoco.config import CAPABILITIES
 from hal.mujoco.contacts import PARTS
 from hal.mujoco.driver import Driver
@@ -44,15 +42,6 @@ def simulation(scene: str, colliders: str) -> Simulation:
     """The robot on a scene with its apron; compiled once, every trial resets all of it."""
     ground = scene_of(scene).with_apron(p.APRON)
     return Simulation(ground.height, ground.resolution, ground.origin, housings=colliders == "all")
-
-
-@lru_cache(maxsize=4)
-def controller_of(name: str, policy: str) -> Locomotion:
-    """A controller, loaded once."""
-    if name == "policy":
-        return PolicyController(policy)
-    warm_up()
-    return VmcController()
 
 
 def tracker_of(trial: p.Trial) -> PathTracker:

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hal.locomotion.policy import PolicyController
-from hal.locomotion.vmc import VmcController
-from hal.lowlevel import Locomotion
+from hal.locomotion.controllers import controller_of
+from hal.lowlevel import CONTROLLERS, Controller, Locomotion
 from hal.mujoco.config import CAPABILITIES
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
@@ -143,9 +142,17 @@ SLOW = (0.12, 0.15, 0.22, 0.3)
 """Speeds [m/s] at which paths over difficult ground are followed..."""
 SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_5", "rough_4", "rough_6")
 """... and the courses that must be passed at them as well."""
-OBLIQUE = {"vmc": (5, 10), "policy": (10, 15, 20, 25)}
+OBLIQUE: dict[Controller, tuple[int, ...]] = {
+    "vmc": (5, 10),
+    "policy": (10, 15, 20, 25),
+    "hybrid": (5, 10, 15, 20, 25),
+}
 """Heights [cm] of faces and bars up to the capabilities of each controller, met at `ANGLES`."""
-POSTS = {"vmc": (4, 5, 7, 10), "policy": (10, 15, 20)}
+POSTS: dict[Controller, tuple[int, ...]] = {
+    "vmc": (4, 5, 7, 10),
+    "policy": (10, 15, 20),
+    "hybrid": (5, 10, 15, 20),
+}
 """Heights [cm] of the highest posts of a stepfield..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
 """... and speeds [m/s] at which it is driven through."""
@@ -160,7 +167,7 @@ NO_FALL = (
 def run(args: list[str]) -> Report:
     """Run this bench; returns its rows. `--only` drives what its keys need; exit 2 when no key begins so."""
     parser = argparse.ArgumentParser(prog="envelope", description=__doc__)
-    parser.add_argument("--controller", choices=("vmc", "policy"), default="vmc")
+    parser.add_argument("--controller", choices=CONTROLLERS, default="vmc")
     parser.add_argument(
         "--policy", type=Path, help="folder of the learnt policy; else the one that was fetched"
     )
@@ -168,8 +175,7 @@ def run(args: list[str]) -> Report:
         "--only", default="", help="beginning of the keys wanted: envelope.vmc.ramp, hold_m, ..."
     )
     options = parser.parse_args(args)
-    own = options.controller == "vmc"  # the policy is measured, not ours to tune
-    controller: Locomotion = VmcController() if own else PolicyController(options.policy or "")
+    controller = controller_of(options.controller, options.policy or "")
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
     bench.conditions()
@@ -189,7 +195,7 @@ class _Bench:
 
     report: Report
     controller: Locomotion
-    name: str
+    name: Controller
     only: str
 
     def _wanted(self, row: str) -> bool:
@@ -275,7 +281,7 @@ class _Bench:
         for kind in ("kerbs", "bars", "rails"):
             if self._wanted(f"lane_{kind}"):
                 ends = [
-                    through_lane(self.controller, seed, kind, way, "vmc" if name == "vmc" else "policy")
+                    through_lane(self.controller, seed, kind, way, name)
                     for seed in LANES
                     for way in LANE_WAYS
                 ]

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hal.lowlevel import Locomotion
+from hal.lowlevel import Controller, Locomotion
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
-from hal.scenes.elements import Controller
 from hal.scenes.lanes import lane
 from hal.types import Array
 from planning.tracking.tracker import PathTracker, TrackerConfig, TrackPhase

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hal.lowlevel import CONTROLLERS
 from tools.bench.lanes.picture import draw
 from tools.bench.lanes.table import table
 from tools.bench.lanes.trial import Trial, drive
@@ -54,7 +55,7 @@ def run(args: list[str]) -> Report:
 
 def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argparse.Namespace:
     """Add what benches of drives have in common and read their command line; `how`: the map unless told."""
-    parser.add_argument("--controller", default="vmc", help="vmc, policy or both: vmc,policy")
+    parser.add_argument("--controller", default="vmc", help="vmc, policy, hybrid, or several: vmc,hybrid")
     parser.add_argument(
         "--policy",
         default="",
@@ -70,7 +71,7 @@ def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argpar
         "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
     )
     options = parser.parse_args(args)
-    for name, known in (("controller", {"vmc", "policy"}), ("map", {"prior", "seen"})):
+    for name, known in (("controller", set(CONTROLLERS)), ("map", {"prior", "seen"})):
         if unknown := set(getattr(options, name).split(",")) - known:
             parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
     if options.pictures:

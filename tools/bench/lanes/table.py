@@ -12,11 +12,13 @@ Record = Mapping[str, Any]
 REACHED = {
     ("vmc", "prior"): (0.97, 0.85),
     ("policy", "prior"): (0.99, 0.95),
+    ("hybrid", "prior"): (0.99, 0.95),
     ("vmc", "seen"): (0.92, 0.75),
     ("policy", "seen"): (0.97, 0.90),
+    ("hybrid", "seen"): (0.97, 0.90),
 }
 """Least share of goals reached on levels 1 to 3 and on level 4."""
-FALLS = {"vmc": 0.01, "policy": 0.005}
+FALLS = {"vmc": 0.01, "policy": 0.005, "hybrid": 0.005}
 REFUSED = 0.95
 DETOUR, SLOWER = 1.3, 1.6
 """Greatest length driven over the shortest, and greatest time over the time with a prior map."""

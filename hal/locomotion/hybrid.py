@@ -1,0 +1,119 @@
+"""The model-based controller drives; the learnt one takes over where a wheel is held by the ground, and hands back on level ground or at rest.
+
+The model-based controller stands, creeps, stops, turns on the spot, drives backward and drives on ground that needs no climbing: it does
+that to the centimetre. It climbs by lifting one wheel at a time, up to 0.10 m. A learnt policy climbs higher while driving, but it sways at
+rest and turns badly. The torques of both are mixed over `BLEND` at each change.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from hal import go2w
+from hal.locomotion.params import VmcParams
+from hal.locomotion.policy import PolicyController
+from hal.locomotion.vmc import VmcController
+from hal.lowlevel import LowCommand, LowState
+from hal.rotation import up_of
+from hal.types import PostureCommand, VelocityCommand
+
+BLEND = 0.16
+"""[s] over which one controller's torques turn into the other's."""
+FORWARD = 0.3
+"""Slowest commanded speed [m/s] at which the learnt policy climbs."""
+BLOCKED = 0.5
+"""Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
+CALM_TIME = 1.0
+"""[s] of level ground after which the climb is over."""
+CALM_TILT = 0.10
+"""Tilt of the trunk [rad] and..."""
+CALM_SPREAD = 0.03
+"""... largest difference of the wheels' heights [m] that count as level ground."""
+REST_SPEED = 0.05
+"""Speed of the wheels [m/s] below which a robot without a forward command is at rest."""
+REST_TIME = 0.6
+"""[s] without a forward command after which the model-based controller takes over in any case."""
+
+AHEAD, BACKWARD = VmcParams(climb=0.0), VmcParams()
+"""Of the model-based controller: it lifts wheels only where the learnt policy cannot help."""
+
+
+class HybridController:
+    """`hal.lowlevel.Locomotion` from the model-based controller and a learnt policy. Raises PolicyError."""
+
+    def __init__(self, source: str | Path) -> None:
+        """source: of the policy, as for `PolicyController`, whose control period is that of both."""
+        self.climber = PolicyController(source)
+        self.period = self.climber.period
+        self.wheels = VmcController(period=self.period)
+        self._command = LowCommand(*(np.zeros(16) for _ in range(5)))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all state."""
+        self.wheels.reset()
+        self.climber.reset()
+        self._climbs = False
+        self._share = 0.0
+        """Of the learnt policy in the torques."""
+        self._calm = self._idle = 0.0
+
+    @property
+    def climbing(self) -> bool:
+        """The learnt policy drives."""
+        return self._climbs
+
+    def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
+        """One motor period."""
+        forward = velocity.vx >= FORWARD
+        self.wheels.params = AHEAD if forward else BACKWARD
+        if not self._climbs and forward and self.wheels.blocked() >= BLOCKED:
+            self._climbs = True
+            self._calm = self._idle = 0.0
+            if self._share == 0.0:
+                self.climber.reset()
+        elif self._climbs and self._over(state, forward):
+            self._climbs = False
+            if self._share == 1.0:
+                self.wheels.take_over(_rolling(state))
+        step = self.period / BLEND
+        self._share = float(np.clip(self._share + (step if self._climbs else -step), 0.0, 1.0))
+        if self._share == 0.0:
+            return self.wheels.step(state, velocity, posture)
+        learnt = self.climber.step(state, velocity, posture)
+        if self._share == 1.0:
+            return learnt
+        return mixed(self.wheels.step(state, velocity, posture), learnt, self._share, self._command)
+
+    def warning(self) -> str:
+        """What it does instead of plain driving, in words."""
+        return "climbing with the learnt policy" if self._climbs else self.wheels.warning()
+
+    def _over(self, state: LowState, forward: bool) -> bool:
+        up = np.array(up_of(state.quaternion))
+        heights = go2w.wheel_centres(state.q) @ up
+        level = up[2] > np.cos(CALM_TILT) and np.ptp(heights) < CALM_SPREAD
+        self._calm = self._calm + self.period if level else 0.0
+        self._idle = 0.0 if forward else self._idle + self.period
+        rests = not forward and abs(_rolling(state)) < REST_SPEED
+        return self._calm >= CALM_TIME or rests or self._idle >= REST_TIME
+
+
+def mixed(one: LowCommand, other: LowCommand, share: float, out: LowCommand) -> LowCommand:
+    """`out`, whose motor torques are those of `one` and `other`, `share` of the latter, whatever the motors' state is."""
+    a, b = 1.0 - share, share
+    for gain, target in (("kp", "q"), ("kd", "dq")):
+        first, second = a * getattr(one, gain), b * getattr(other, gain)
+        total = first + second
+        getattr(out, gain)[:] = total
+        weighted = first * getattr(one, target) + second * getattr(other, target)
+        getattr(out, target)[:] = np.where(total > 0.0, weighted / np.where(total > 0.0, total, 1.0), 0.0)
+    out.tau[:] = a * one.tau + b * other.tau
+    return out
+
+
+def _rolling(state: LowState) -> float:
+    """Forward speed [m/s] by the wheels' mean turning rate."""
+    return go2w.WHEEL_RADIUS * float(state.dq[go2w.WHEELS].mean())

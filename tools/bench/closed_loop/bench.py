@@ -18,7 +18,7 @@ from rich.progress import track
 
 from hal.locomotion.public import stored
 from hal.locomotion.torchfile import PolicyError
-from hal.lowlevel import CONTROLLERS
+from hal.lowlevel import CONTROLLERS, Controller
 from tools.bench.closed_loop import lrc, protocol
 from tools.bench.closed_loop.routes import Route, routes
 from tools.bench.closed_loop.tables import markdown, report
@@ -161,7 +161,7 @@ def _routes(options: argparse.Namespace) -> dict[Key, Route]:
     return {key: Route(**record) for key, record in known.items()}
 
 
-def plan_query(scene: str, query: int, methods: list[str], controllers: list[str]) -> dict[str, Any]:
+def plan_query(scene: str, query: int, methods: list[str], controllers: list[Controller]) -> dict[str, Any]:
     """Routes of a query as JSON."""
     return {"routes": [asdict(r) for r in routes(scene, query, methods, controllers)]}
 

@@ -1,0 +1,139 @@
+"""Who drives when, that changes throw nothing, and what the two do together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hal.locomotion.hybrid import AHEAD, BLEND, FORWARD, HybridController, mixed
+from hal.locomotion.layout import FRAME, PolicyParams
+from hal.locomotion.torchfile import Layer
+from hal.locomotion.vmc import VmcController
+from hal.locomotion.weights import save_weights
+from hal.lowlevel import LowCommand, LowState
+from hal.mujoco.driver import Driver
+from hal.mujoco.sim import Simulation
+from hal.types import PostureCommand, VelocityCommand
+from tests.places import POLICY, needs_shared
+from tools.bench.envelope.driving import hold_on_slope
+from tools.bench.envelope.terrain import RESOLUTION, course
+from tools.bench.envelope.trial import drive
+from tools.train.settings import PARAMS
+
+
+@pytest.fixture(scope="module")
+def standing(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that keeps its joints where it stands, whatever it sees: it brakes."""
+    file = tmp_path_factory.mktemp("policy") / "standing.npz"
+    params: PolicyParams = PARAMS
+    layer = Layer(np.zeros((16, FRAME * len(params.ages)), np.float32), np.zeros(16, np.float32), "Identity")
+    save_weights(file, params, [layer], {})
+    return file
+
+
+def on(name: str, friction: float = 0.8) -> Simulation:
+    ground = course(name, 0)
+    sim = Simulation(ground.height, RESOLUTION, ground.origin, friction=friction)
+    sim.reset(0.0, 0.0, 0.0)
+    return sim
+
+
+def torque(command: LowCommand, state: LowState) -> np.ndarray:
+    return command.tau + command.kp * (command.q - state.q) + command.kd * (command.dq - state.dq)
+
+
+@given(st.integers(0, 2**31), st.floats(0.0, 1.0))
+def test_mixed_torques_are_the_share_of_both(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    one, other = (
+        LowCommand(*rng.normal(size=(3, 16)), *(rng.uniform(0.0, 90.0, (2, 16)) * (rng.random((2, 16)) < 0.7)))
+        for _ in range(2)
+    )
+    state = LowState(0.0, *rng.normal(size=(3, 16)), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    out = mixed(one, other, share, LowCommand(*np.zeros((5, 16))))
+    wanted = (1.0 - share) * torque(one, state) + share * torque(other, state)
+    np.testing.assert_allclose(torque(out, state), wanted, atol=1e-9)
+
+
+def test_level_ground_is_driven_by_the_model_based_controller_to_the_bit(standing: Path) -> None:
+    sims = [on("ramp_up_0"), on("ramp_up_0")]
+    hybrid = HybridController(standing)
+    drivers = [Driver(sims[0], hybrid), Driver(sims[1], VmcController(AHEAD))]
+    for tick in range(600):
+        for driver in drivers:
+            driver.step(*((0.5, 0.3) if tick > 100 else (0.0, 0.0)))
+        assert not hybrid.climbing
+    assert sims[0].position[0] > 0.6
+    np.testing.assert_array_equal(sims[0].data.qpos, sims[1].data.qpos)
+
+
+def test_a_blocked_wheel_calls_the_policy_and_rest_sends_it_home(standing: Path) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    when = None
+    for tick in range(800):
+        driver.step(*((0.5, 0.0) if tick > 100 else (0.0, 0.0)))
+        if hybrid.climbing and when is None:
+            when = tick
+            assert 0.2 < sim.position[0] < 0.8, "a wheel is at the face"
+            assert "learnt" in hybrid.warning()
+    assert when is not None
+    assert hybrid.climbing, "this policy stands before the face for ever"
+    for _ in range(200):
+        driver.step()
+    assert not hybrid.climbing
+    assert not hybrid.warning()
+    assert abs(sim.data.qvel[:2]).max() < 0.02
+    assert sim.rotation[2, 2] > 0.98
+
+
+def test_slow_and_backward_it_lifts_wheels_itself(standing: Path) -> None:
+    for speed, yaw in ((FORWARD - 0.05, 0.0), (-0.5, np.pi)):
+        sim, hybrid = on("step_up_5"), HybridController(standing)
+        sim.reset(0.0, 0.0, yaw)
+        driver = Driver(sim, hybrid)
+        for tick in range(2400):
+            driver.step(speed if tick > 100 else 0.0)
+            assert not hybrid.climbing
+            if sim.position[0] > 1.6:
+                break
+        assert sim.position[0] > 1.6, f"up 5 cm at {speed} m/s"
+
+
+def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    last, shares, jumps = None, [], []
+    step = hybrid.step
+
+    def watched(state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
+        nonlocal last
+        command = step(state, velocity, posture)
+        if last is not None:
+            jumps.append(np.abs(torque(command, state) - torque(last, state)).max())
+            shares.append(hybrid._share)
+        last = LowCommand(*(np.array(v) for v in (command.q, command.dq, command.tau, command.kp, command.kd)))
+        return command
+
+    hybrid.step = watched  # type: ignore[method-assign]
+    for tick in range(900):
+        driver.step(*((0.5, 0.0) if 100 < tick < 600 else (0.0, 0.0)))
+    changing = (np.array(shares) > 0.0) & (np.array(shares) < 1.0)
+    assert changing.sum() >= 2 * BLEND / 0.005 - 4, "there and back"
+    assert max(np.array(jumps)[changing]) < 8.0, "Nm from tick to tick; the motors give 23.7"
+
+
+@needs_shared
+@pytest.mark.parametrize("name", ["step_up_25", "stairs_up_15"])
+def test_with_a_learnt_policy_it_climbs_what_the_model_based_one_does_not(name: str) -> None:
+    hybrid = HybridController(POLICY)
+    assert all(drive(hybrid, name, run).passed for run in range(2))
+
+
+@needs_shared
+def test_with_a_learnt_policy_it_still_stands_still() -> None:
+    assert hold_on_slope(HybridController(POLICY)) < 0.01

@@ -86,7 +86,10 @@ class StackConfig(BaseModel):
     network: NetworkConfig = NetworkConfig()
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
-    controller: Controller = Field("vmc", description="locomotion of the simulated robot")
+    controller: Controller = Field(
+        "vmc",
+        description="locomotion of the simulated robot: model-based, a learnt policy, or hybrid: model-based, the policy climbs",
+    )
     policy_dir: str = Field(
         "",
         description="locomotion policy: a folder in rl_sar's layout or a file of `tools.train`; empty: the one that `policy get` fetched",

@@ -1,4 +1,4 @@
-"""The model-based controller drives; the learnt one takes over where a wheel is held by the ground, and hands back on level ground or at rest.
+"""The model-based controller drives; the learnt one takes over where a wheel is held by the ground, and hands back on level ground.
 
 The model-based controller stands, creeps, stops, turns on the spot, drives backward and drives on ground that needs no climbing: it does
 that to the centimetre. It climbs by lifting one wheel at a time, up to 0.10 m. A learnt policy climbs higher while driving, but it sways at
@@ -31,10 +31,10 @@ CALM_TILT = 0.10
 """Tilt of the trunk [rad] and..."""
 CALM_SPREAD = 0.03
 """... largest difference of the wheels' heights [m] that count as level ground."""
-REST_SPEED = 0.05
-"""Speed of the wheels [m/s] below which a robot without a forward command is at rest."""
-REST_TIME = 0.6
-"""[s] without a forward command after which the model-based controller takes over in any case."""
+SLOW = 0.05
+"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive..."""
+OTHER_TIME = 0.6
+"""... and time [s] after which it does so at any speed."""
 
 AHEAD, BACKWARD = VmcParams(climb=0.0), VmcParams()
 """Of the model-based controller: it lifts wheels only where the learnt policy cannot help."""
@@ -58,7 +58,7 @@ class HybridController:
         self._climbs = False
         self._share = 0.0
         """Of the learnt policy in the torques."""
-        self._calm = self._idle = 0.0
+        self._calm = self._other = 0.0
 
     @property
     def climbing(self) -> bool:
@@ -71,10 +71,10 @@ class HybridController:
         self.wheels.params = AHEAD if forward else BACKWARD
         if not self._climbs and forward and self.wheels.blocked() >= BLOCKED:
             self._climbs = True
-            self._calm = self._idle = 0.0
+            self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
-        elif self._climbs and self._over(state, forward):
+        elif self._climbs and self._over(state, velocity):
             self._climbs = False
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
@@ -91,14 +91,18 @@ class HybridController:
         """What it does instead of plain driving, in words."""
         return "climbing with the learnt policy" if self._climbs else self.wheels.warning()
 
-    def _over(self, state: LowState, forward: bool) -> bool:
+    def _over(self, state: LowState, velocity: VelocityCommand) -> bool:
+        """Whether the model-based controller goes on."""
         up = np.array(up_of(state.quaternion))
         heights = go2w.wheel_centres(state.q) @ up
         level = up[2] > np.cos(CALM_TILT) and np.ptp(heights) < CALM_SPREAD
         self._calm = self._calm + self.period if level else 0.0
-        self._idle = 0.0 if forward else self._idle + self.period
-        rests = not forward and abs(_rolling(state)) < REST_SPEED
-        return self._calm >= CALM_TIME or rests or self._idle >= REST_TIME
+        # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
+        stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
+        other = not stop and velocity.vx < FORWARD
+        self._other = self._other + self.period if other else 0.0
+        slow = other and abs(_rolling(state)) < SLOW
+        return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME
 
 
 def mixed(one: LowCommand, other: LowCommand, share: float, out: LowCommand) -> LowCommand:

@@ -22,7 +22,7 @@ def policy_get(
         typer.Option(help="Another URL that holds the repository's files; they are checked all the same."),
     ] = "",
 ) -> None:
-    """Fetch a public policy, check it, keep it in the data folder; `--controller policy` then needs no --policy."""
+    """Fetch a public policy, check it, keep it in the data folder; `--controller hybrid` (or policy) then needs no --policy."""
     from hal.locomotion import public
 
     policy = public.published(name)

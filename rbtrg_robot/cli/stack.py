@@ -37,7 +37,8 @@ def up(
     backend: Annotated[str | None, typer.Option(help="sim or unitree.")] = None,
     scene: Annotated[str | None, typer.Option(help="Built-in scene or terrain file.")] = None,
     controller: Annotated[
-        str | None, typer.Option(help="Locomotion in simulation: vmc, policy or hybrid.")
+        str | None,
+        typer.Option(help="Locomotion in simulation: vmc, policy or hybrid; hybrid where --policy is given."),
     ] = None,
     policy: Annotated[Path | None, typer.Option(help="Folder of a locomotion policy.")] = None,
     interface: Annotated[str | None, typer.Option(help="Network interface of the robot (unitree).")] = None,
@@ -86,7 +87,7 @@ def up(
         if height_range is not None:
             options["height_range"] = height_range
         if controller is None and policy is not None:
-            controller = "policy"
+            controller = "hybrid"
         loaded = load(
             config,
             [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],

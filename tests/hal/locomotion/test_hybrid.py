@@ -71,7 +71,7 @@ def test_level_ground_is_driven_by_the_model_based_controller_to_the_bit(standin
     np.testing.assert_array_equal(sims[0].data.qpos, sims[1].data.qpos)
 
 
-def test_a_blocked_wheel_calls_the_policy_and_rest_sends_it_home(standing: Path) -> None:
+def test_a_blocked_wheel_calls_the_policy_and_level_ground_sends_it_home(standing: Path) -> None:
     sim, hybrid = on("step_up_15"), HybridController(standing)
     driver = Driver(sim, hybrid)
     when = None

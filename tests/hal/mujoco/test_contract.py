@@ -57,3 +57,10 @@ class TestMujocoWithPolicy(ContractSuite):
     @pytest.fixture
     def rig(self) -> Rig:
         return rig_of(controller="policy", policy_dir=str(POLICY))
+
+
+@needs_shared
+class TestMujocoHybrid(ContractSuite):
+    @pytest.fixture
+    def rig(self) -> Rig:
+        return rig_of(controller="hybrid", policy_dir=str(POLICY))

@@ -27,10 +27,8 @@ BLOCKED = 0.5
 """Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
 CALM_TIME = 1.0
 """[s] of level ground after which the climb is over."""
-CALM_TILT = 0.10
-"""Tilt of the trunk [rad] and..."""
 CALM_SPREAD = 0.03
-"""... largest difference of the wheels' heights [m] that count as level ground."""
+"""Largest difference of the wheels' heights [m] that counts as level ground."""
 SLOW = 0.05
 """Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive..."""
 OTHER_TIME = 0.6
@@ -93,9 +91,8 @@ class HybridController:
 
     def _over(self, state: LowState, velocity: VelocityCommand) -> bool:
         """Whether the model-based controller goes on."""
-        up = np.array(up_of(state.quaternion))
-        heights = go2w.wheel_centres(state.q) @ up
-        level = up[2] > np.cos(CALM_TILT) and np.ptp(heights) < CALM_SPREAD
+        heights = go2w.wheel_centres(state.q) @ np.array(up_of(state.quaternion))
+        level = np.ptp(heights) < CALM_SPREAD
         self._calm = self._calm + self.period if level else 0.0
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0

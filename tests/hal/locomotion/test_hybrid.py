@@ -83,7 +83,7 @@ def test_a_blocked_wheel_calls_the_policy_and_level_ground_sends_it_home(standin
             assert "learnt" in hybrid.warning()
     assert when is not None
     assert hybrid.climbing, "this policy stands before the face for ever"
-    for _ in range(200):
+    for _ in range(500):
         driver.step()
     assert not hybrid.climbing
     assert not hybrid.warning()
@@ -120,7 +120,7 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
         return command
 
     hybrid.step = watched  # type: ignore[method-assign]
-    for tick in range(900):
+    for tick in range(1000):
         driver.step(*((0.5, 0.0) if 100 < tick < 600 else (0.0, 0.0)))
     changing = (np.array(shares) > 0.0) & (np.array(shares) < 1.0)
     assert changing.sum() >= 2 * BLEND / 0.005 - 4, "there and back"

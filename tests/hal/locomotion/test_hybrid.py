@@ -50,7 +50,9 @@ def torque(command: LowCommand, state: LowState) -> np.ndarray:
 def test_mixed_torques_are_the_share_of_both(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     one, other = (
-        LowCommand(*rng.normal(size=(3, 16)), *(rng.uniform(0.0, 90.0, (2, 16)) * (rng.random((2, 16)) < 0.7)))
+        LowCommand(
+            *rng.normal(size=(3, 16)), *(rng.uniform(0.0, 90.0, (2, 16)) * (rng.random((2, 16)) < 0.7))
+        )
         for _ in range(2)
     )
     state = LowState(0.0, *rng.normal(size=(3, 16)), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
@@ -116,7 +118,9 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
         if last is not None:
             jumps.append(np.abs(torque(command, state) - torque(last, state)).max())
             shares.append(hybrid._share)
-        last = LowCommand(*(np.array(v) for v in (command.q, command.dq, command.tau, command.kp, command.kd)))
+        last = LowCommand(
+            *(np.array(v) for v in (command.q, command.dq, command.tau, command.kp, command.kd))
+        )
         return command
 
     hybrid.step = watched  # type: ignore[method-assign]

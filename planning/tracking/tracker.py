@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from hal.rotation import wrap
 from planning.tracking.path import PathError, TrackPath, track_path, track_paths
 from planning.tracking.slow import slowed_by
+from planning.tracking.stall import Stall
 from planning.tracking.types import TrackerConfig, TrackOutput, TrackPhase
 
 __all__ = ["PathError", "PathTracker", "TrackOutput", "TrackPhase", "TrackerConfig"]
@@ -38,8 +39,6 @@ _TURN_LEAST = 0.05
 """[rad]"""
 _ROCK = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
-_STALL_TIME = 0.5
-"""A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after so long."""
 _MAX_DRIFT = 0.35
 """Bound of the learnt sideways drift [rad]."""
 
@@ -49,11 +48,9 @@ class PathTracker:
 
     def __init__(self, params: TrackerConfig | None = None) -> None:
         self.params = params or TrackerConfig()
-        self._vx = 0.0
-        self._wz = 0.0
+        self._vx = self._wz = 0.0
         self._now: int | None = None
-        self._held = 0.0
-        """How long the base was told to move and did not, less how long it has moved since [s]."""
+        self._stall = Stall(self.params)
         self.clear()
 
     def clear(self) -> None:
@@ -200,9 +197,10 @@ class PathTracker:
         off = wrap(line.at(line.heading, s) + back_to - course_p)
         # From rest, turning first costs little and saves the swing out of the corridor that a bend would need.
         at_rest = self._vx == 0.0 and abs(v) < 0.05
-        if abs(off) > (0.5 if at_rest else 1.0) * p.turn_threshold:
+        hindered = self._stall.turn(now, abs(off), aligning=self._phase is TrackPhase.ALIGNING)
+        if abs(off) > (0.5 if at_rest and not hindered else 1.0) * p.turn_threshold:
             self._phase = TrackPhase.ALIGNING
-        elif self._phase is TrackPhase.ALIGNING and abs(off) < p.turn_release:
+        elif self._phase is TrackPhase.ALIGNING and (hindered or abs(off) < p.turn_release):
             self._phase = TrackPhase.FOLLOWING
         if self._phase is TrackPhase.ALIGNING:
             self._slew(0.0, self._turn_rate(off) if abs(v) < 0.25 else 0.0, dt)
@@ -216,7 +214,7 @@ class PathTracker:
         turned = min(1.0, max(0.15, (p.turn_threshold - abs(off)) / (p.turn_threshold - free)))
         least = max(p.min_speed, min(profile, stop, line.at(line.least, s)))
         speed = max(min(profile, stop) * tilted * turned, least)
-        if self._stalled(v, dt):
+        if self._stall.held(v, self._vx, dt):
             speed = max(speed, min(p.step_speed, stop))
         report["slow"] = slowed_by(line, s, p, (profile, stop, tilted * p.max_speed, turned * p.max_speed))
         rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
@@ -329,23 +327,11 @@ class PathTracker:
             missed=self._missed,
         )
 
-    # -- helpers ---------------------------------------------------------------------------------------------------
-
     def _turn_rate(self, error: float) -> float:
         """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
         p = self.params
         rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
         return math.copysign(max(rate, p.min_yaw_rate), error)
-
-    def _stalled(self, v: float, dt: float) -> bool:
-        """Whether a face holds the base, or held it just now."""
-        least = self.params.min_speed
-        if abs(self._vx) < 0.9 * least:
-            self._held = 0.0
-        else:
-            moves = abs(v) > 0.5 * least
-            self._held = max(0.0, min(self._held + (-dt if moves else dt), 2.0 * _STALL_TIME))
-        return self._held > _STALL_TIME
 
     def _slope_factor(self, slope: float) -> float:
         p = self.params

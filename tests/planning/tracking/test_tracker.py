@@ -594,3 +594,18 @@ def test_a_base_that_is_held_near_the_end_is_not_pushed_beyond_it():
     tracker.set_path(line(1.0), None, 0.25)
     fastest = max(tracker.step(int(k * DT * 1e9), 0.95, 0.0, 0.0, 0.0, 0.0).vx for k in range(200))
     assert fastest <= math.sqrt(2.0 * 0.6 * 0.05) + 1e-6
+
+
+@pytest.mark.parametrize(("degrees", "bends"), [(30.0, True), (60.0, False)])
+def test_a_short_turn_on_the_spot_that_something_slows_down_goes_on_as_a_bend(degrees: float, bends: bool):
+    tracker, base = PathTracker(TrackerConfig(min_yaw_rate=0.3)), Base(yaw=math.radians(degrees))
+    tracker.set_path(line(3.0), None, 0.4)
+    phases, moved = [], []
+    for k in range(250):
+        out = tracker.step(int(k * DT * 1e9), *base.measured())
+        base.advance(out.vx, max(-0.05, out.wz) if base.x < 0.1 else out.wz)
+        phases.append(out.phase)
+        moved.append(base.x)
+    assert phases[50] is TrackPhase.ALIGNING
+    assert moved[99] == 0.0
+    assert (moved[-1] > 0.5) == bends

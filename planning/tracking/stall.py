@@ -1,0 +1,40 @@
+"""A base that does less than it is told: a face holds it, or something beside it slows its turn."""
+
+from __future__ import annotations
+
+from planning.tracking.types import TrackerConfig
+
+HELD = 0.5
+"""A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after so long."""
+SLOW = 2.0
+"""A turn on the spot is judged after so long [s]."""
+
+
+class Stall:
+    """Told at each step what the base was commanded and what it did; tells whether that is too little."""
+
+    def __init__(self, params: TrackerConfig) -> None:
+        self._params = params
+        self._held = 0.0
+        """How long the base was told to move and did not, less how long it has moved since [s]."""
+        self._began = (0, 0.0)
+        """When a turn began [ns], and how far it was [rad]."""
+
+    def held(self, v: float, commanded: float, dt: float) -> bool:
+        """Whether a face holds the base, or held it just now; `v` as measured, `commanded` [m/s], `dt` [s] since the last step."""
+        least = self._params.min_speed
+        if abs(commanded) < 0.9 * least:
+            self._held = 0.0
+        else:
+            moves = abs(v) > 0.5 * least
+            self._held = max(0.0, min(self._held + (-dt if moves else dt), 2.0 * HELD))
+        return self._held > HELD
+
+    def turn(self, now: int, left: float, *, aligning: bool) -> bool:
+        """Whether the turn on the spot, `left` [rad] of which remain at `now` [ns], is slower than the drive turns by itself: the safety
+        gate slows turns beside a wall. `aligning`: whether the base turns."""
+        if not aligning:
+            self._began = now, left
+        since, begun = self._began
+        waited = (now - since) * 1e-9
+        return waited > SLOW and begun - left < 0.5 * self._params.min_yaw_rate * waited

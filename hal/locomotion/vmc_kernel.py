@@ -83,7 +83,10 @@ def vmc_tick(
     jac_base = wheel_jacobians(q)
     jac = np.empty((4, 3, 3))
     for leg in range(4):
-        jac[leg] = rotate(rot, jac_base[leg].T).T
+        turned = rotate(rot, jac_base[leg].T)
+        for k in range(3):
+            for joint in range(3):
+                jac[leg, k, joint] = turned[joint, k]
     points, jac_c, forward, axles = contact_geometry(q, rot, centres, jac, m.slope_x, m.slope_y)
     weight_torque, com = leg_weight(q, rot)
     if m.ticks == 0:

@@ -99,7 +99,7 @@ def _compare(which, sums, cells, tiles, directory, first, shift, met):  # pragma
             continue
         z = sums[s, TOP] + sums[s, DEPTH] / sums[s, WEIGHT]
         if z - top > STANDS:
-            higher[high] = i, j, index
+            higher[high, 0], higher[high, 1], higher[high, 2] = i, j, index
             high += 1
         else:
             met[n] = index

@@ -145,6 +145,12 @@ def settle(x: Array, p: Array) -> None:
 
 
 @njit(cache=True)
+def _keep(track: Array, row: int, x: Array) -> None:
+    for k in range(track.shape[1]):
+        track[row, k] = x[k]
+
+
+@njit(cache=True)
 def run(
     x: Array,
     p: Array,
@@ -176,7 +182,7 @@ def run(
     mid = np.empty(6)
     n = len(imu_stamp)
     track_stamp[rows] = now
-    track[rows] = x[:10]
+    _keep(track, rows, x)
     rows += 1
     i = 0
     while now < end:
@@ -209,11 +215,11 @@ def run(
             w += 1
         if rows < len(track_stamp):
             track_stamp[rows] = now
-            track[rows] = x[:10]
+            _keep(track, rows, x)
             rows += 1
         else:  # never more rows than samples; the last one is the end
             track_stamp[rows - 1] = now
-            track[rows - 1] = x[:10]
+            _keep(track, rows - 1, x)
     return rows
 
 

@@ -34,7 +34,8 @@ def largest(values, m, back):
                 if axis == 0:
                     _raise(out[r], out[r - s if back else r + s])
                 else:
-                    line[:] = out[r]
+                    for c in range(cols):
+                        line[c] = out[r, c]
                     if back:
                         _raise(out[r, s:], line[:rest])
                     else:

@@ -162,12 +162,8 @@ def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, l
                     link = _grown(link, capacity, -1)
                     first = _grown(first, capacity, -1)
                     queue = _grown(queue, capacity, -1)
-                    more = np.ones(capacity, np.bool_)
-                    more[:n] = alive
-                    alive = more
-                    wider = np.empty((capacity, 3), np.float32)
-                    wider[:n] = nodes
-                    nodes = wider
+                    alive = _grown(alive, capacity, True)
+                    nodes = _longer(nodes, capacity)
                 created = n
                 nodes[n, 0] = sx
                 nodes[n, 1] = sy
@@ -237,12 +233,8 @@ def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, l
                 if m == edge_room:
                     edge_room *= 2
                     chain = _grown(chain, 2 * edge_room, -1)
-                    more_r = np.empty(edge_room, np.float32)
-                    more_r[:m] = risks
-                    risks = more_r
-                    more_e = np.empty((edge_room, 2), np.int32)
-                    more_e[:m] = edges
-                    edges = more_e
+                    risks = _grown(risks, edge_room, 0.0)
+                    edges = _longer(edges, edge_room)
                 edges[m, 0] = a
                 edges[m, 1] = b
                 risks[m] = r
@@ -266,7 +258,17 @@ def grow(height, xs, ys, x0, y0, res, start_x, start_y, dist, radius, samples, l
 @njit(cache=True)
 def _grown(values, size, fill):
     out = np.full(size, fill, values.dtype)
-    out[: len(values)] = values
+    for k in range(len(values)):
+        out[k] = values[k]
+    return out
+
+
+@njit(cache=True)
+def _longer(table, size):
+    out = np.empty((size, table.shape[1]), table.dtype)
+    for row in range(len(table)):
+        for column in range(table.shape[1]):
+            out[row, column] = table[row, column]
     return out
 
 

@@ -184,7 +184,8 @@ def _dilate(height: np.ndarray, window: int) -> np.ndarray:
     width = 2 * window + 1
     line = np.empty(max(rows, cols), np.float32)
     for r in range(rows):
-        line[:cols] = out[r]
+        for c in range(cols):
+            line[c] = out[r, c]
         # line[c] becomes the maximum of `have` cells from c on; the last shift brings it to `width`.
         have = 1
         while have < width:
@@ -192,7 +193,8 @@ def _dilate(height: np.ndarray, window: int) -> np.ndarray:
             for c in range(cols - shift):
                 line[c] = line[c] if line[c] > line[c + shift] else line[c + shift]
             have += shift
-        out[r, window : cols - window] = line[: cols - 2 * window]
+        for c in range(cols - 2 * window):
+            out[r, window + c] = line[c]
     have = 1
     while have < width:
         shift = min(have, width - have)
@@ -201,7 +203,8 @@ def _dilate(height: np.ndarray, window: int) -> np.ndarray:
                 out[r, c] = out[r, c] if out[r, c] > out[r + shift, c] else out[r + shift, c]
         have += shift
     for r in range(rows - window - 1, window - 1, -1):
-        out[r] = out[r - window]
+        for c in range(cols):
+            out[r, c] = out[r - window, c]
     return out
 
 
@@ -229,9 +232,8 @@ def _pad(height: np.ndarray, trusted: np.ndarray, pad: int) -> tuple[np.ndarray,
     seen = np.zeros((n + 1, m + 1), np.int32)
     for r in range(n):
         src = min(max(r - pad, 0), rows - 1)
-        out[r, :pad] = height[src, 0]
-        out[r, pad : pad + cols] = height[src]
-        out[r, pad + cols :] = height[src, cols - 1]
+        for c in range(m):
+            out[r, c] = height[src, min(max(c - pad, 0), cols - 1)]
         if r == src + pad:
             for c in range(cols):
                 ok[r, pad + c] = trusted[src, c]

@@ -45,5 +45,6 @@ def pop(f: np.ndarray, s: np.ndarray, e: np.ndarray, n: int) -> int:
 def grown(a: np.ndarray) -> np.ndarray:
     """`a` with room for twice as many."""
     out = np.empty(2 * a.size, a.dtype)
-    out[: a.size] = a
+    for k in range(a.size):
+        out[k] = a[k]
     return out

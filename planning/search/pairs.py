@@ -243,7 +243,8 @@ def search_pairs(
 def _more(turns: np.ndarray) -> np.ndarray:
     """`turns` with room for twice as many."""
     out = np.full((2 * len(turns), 2), np.nan)
-    out[: len(turns)] = turns
+    for row in range(len(turns)):
+        out[row, 0], out[row, 1] = turns[row, 0], turns[row, 1]
     return out
 
 

@@ -49,6 +49,24 @@ async def texts(socket: WebSocket) -> AsyncIterator[str]:
         yield text
 
 
+def facts_of(config: StackConfig) -> dict[str, Any]:
+    """What a page asks for first. It makes the scene, which takes too long while people want to stop the robot."""
+    robot = config.capabilities()
+    scene = config.load_scene() if config.simulated else None
+    return {
+        "robot": config.robot,
+        "backend": config.backend,
+        "scene": config.scene if scene else "",
+        "goals": {name: list(goal) for name, goal in scene.goals.items()} if scene else {},
+        "area": config.allowed_area(),
+        "body": [config.body.length, config.body.width],
+        "max_vx": robot.max_vx,
+        "max_wz": robot.max_wz,
+        "max_step": robot.max_step,
+        "recording": config.record,
+    }
+
+
 class Site:
     """The routes. Everything here runs in the server's thread."""
 
@@ -61,6 +79,7 @@ class Site:
         loop: asyncio.AbstractEventLoop,
     ) -> None:
         self._config = config
+        self._facts = facts_of(config)
         self._door = door
         self._desk = desk
         self._feed = feed
@@ -115,24 +134,7 @@ class Site:
         return FileResponse(PAGE / "index.html")
 
     async def _about(self, request: Request) -> Response:
-        config = self._config
-        robot = config.capabilities()
-        scene = config.load_scene() if config.simulated else None
-        return JSONResponse(
-            {
-                "robot": config.robot,
-                "backend": config.backend,
-                "scene": config.scene if scene else "",
-                "role": request.scope[WHO].role.value,
-                "goals": {name: list(goal) for name, goal in scene.goals.items()} if scene else {},
-                "area": config.allowed_area(),
-                "body": [config.body.length, config.body.width],
-                "max_vx": robot.max_vx,
-                "max_wz": robot.max_wz,
-                "max_step": robot.max_step,
-                "recording": config.record,
-            }
-        )
+        return JSONResponse({**self._facts, "role": request.scope[WHO].role.value})
 
     async def _stop(self, _request: Request) -> Response:
         self._desk.stop()

@@ -211,7 +211,13 @@ def _trim(
         ky = ((old_keys[i] >> 21) & 2097151) - 1048576
         kz = (old_keys[i] & 2097151) - 1048576
         s = -_slot(keys, kx, ky, kz) - 1
-        keys[s], anchor[s], stats[s], plane[s] = old_keys[i], old_anchor[i], old_stats[i], old_plane[i]
+        keys[s] = old_keys[i]
+        for k in range(3):
+            anchor[s, k] = old_anchor[i, k]
+        for k in range(stats.shape[1]):
+            stats[s, k] = old_stats[i, k]
+        for k in range(plane.shape[1]):
+            plane[s, k] = old_plane[i, k]
         kept += 1
     return kept
 

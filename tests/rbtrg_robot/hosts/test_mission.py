@@ -59,7 +59,7 @@ class Run:
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Down, up and to a place; on the way there the mission process is killed and the robot is stopped."""
     path = tmp_path_factory.mktemp("mission") / "log_0.mcap"
-    config = load(None, [], scene="flat")
+    config = load(None, ["sim.lidar_step=8"], scene="flat")
     with Lockstep(config, Lockstep.open_log(config, path)) as stack:
         stack.wait_ready()
         run = Run(stack)
@@ -110,7 +110,7 @@ def test_the_mission_can_be_run_again_from_the_log(log: Path, tmp_path: Path) ->
 
 
 def test_without_an_operator_in_contact_the_robot_stands_or_drives_home() -> None:
-    with Lockstep(load(None, [], scene="flat")) as stack:
+    with Lockstep(load(None, ["sim.lidar_step=8"], scene="flat")) as stack:
         stack.wait_ready()
         run = Run(stack)
         stack.run(1.1)

@@ -33,7 +33,12 @@ def ramp() -> Any:
 
 def drive(seconds: float) -> tuple[list[tuple[float, float]], Any]:
     """x [m] and commanded speed [m/s] of a robot that does at once what the tracker says, and the plan."""
-    config = load(None, ["tracker.max_speed=0.8"], scene="flat", area=[(0, 0), (9, 0), (9, 3), (0, 3)])
+    config = load(
+        None,
+        ["tracker.max_speed=0.8", "sim.lidar_step=8"],
+        scene="flat",
+        area=[(0, 0), (9, 0), (9, 3), (0, 3)],
+    )
     stages = [m.build(config) for m in (planner, navigator, tracker)]
     x, y, yaw, v, w = 1.0, 1.5, 0.0, 0.0, 0.0
     log, plans, now = [], [], 0

@@ -13,7 +13,7 @@ from rbtrg_robot.log.file import read_run
 
 def recorded(folder: Path, profile: str) -> Path:
     """Three seconds on flat ground."""
-    config = load(None, [f"recorder.profile={profile}"], scene="flat")
+    config = load(None, [f"recorder.profile={profile}", "sim.lidar_step=8"], scene="flat")
     log = folder / f"{profile}.mcap"
     with Lockstep(config, Lockstep.open_log(config, log)) as stack:
         stack.run(3.0)

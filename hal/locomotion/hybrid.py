@@ -30,7 +30,7 @@ CALM_TIME = 1.0
 CALM_SPREAD = 0.03
 """Largest difference of the wheels' heights [m] that counts as level ground."""
 SLOW = 0.05
-"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive..."""
+"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive, or a tilt of the trunk..."""
 OTHER_TIME = 0.6
 """... and time [s] after which it does so at any speed."""
 
@@ -72,7 +72,7 @@ class HybridController:
             self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
-        elif self._climbs and self._over(state, velocity):
+        elif self._climbs and self._over(state, velocity, posture):
             self._climbs = False
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
@@ -89,14 +89,15 @@ class HybridController:
         """What it does instead of plain driving, in words."""
         return "climbing with the learnt policy" if self._climbs else self.wheels.warning()
 
-    def _over(self, state: LowState, velocity: VelocityCommand) -> bool:
+    def _over(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> bool:
         """Whether the model-based controller goes on."""
         heights = go2w.wheel_centres(state.q) @ np.array(up_of(state.quaternion))
         level = np.ptp(heights) < CALM_SPREAD
         self._calm = self._calm + self.period if level else 0.0
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
-        other = not stop and velocity.vx < FORWARD
+        tilted = posture.roll != 0.0 or posture.pitch != 0.0
+        other = tilted if stop else velocity.vx < FORWARD
         self._other = self._other + self.period if other else 0.0
         slow = other and abs(_rolling(state)) < SLOW
         return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME

@@ -93,6 +93,27 @@ def test_a_blocked_wheel_calls_the_policy_and_level_ground_sends_it_home(standin
     assert sim.rotation[2, 2] > 0.98
 
 
+def test_who_stands_amid_a_climb_is_held_by_the_policy_until_something_else_is_asked(standing: Path) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    for _ in range(100):
+        driver.step()
+    while not hybrid.climbing:
+        driver.step(0.5)
+        assert sim.time < 4.0
+    hybrid._calm = -60.0  # as if it stood on uneven ground
+    for _ in range(600):
+        driver.step()
+    assert hybrid.climbing
+    place = sim.position.copy()
+    for _ in range(200):
+        driver.step()
+    assert np.abs(sim.position - place).max() < 0.003
+    state = sim.low_state()
+    hybrid.step(state, VelocityCommand(0), PostureCommand(0, pitch=0.2))
+    assert not hybrid.climbing, "the policy knows no posture"
+
+
 def test_slow_and_backward_it_lifts_wheels_itself(standing: Path) -> None:
     for speed, yaw in ((FORWARD - 0.05, 0.0), (-0.5, np.pi)):
         sim, hybrid = on("step_up_5"), HybridController(standing)

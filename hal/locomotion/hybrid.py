@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 from hal import go2w
-from hal.locomotion.params import VmcParams
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
@@ -33,9 +32,6 @@ SLOW = 0.05
 """Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive, or a tilt of the trunk..."""
 OTHER_TIME = 0.6
 """... and time [s] after which it does so at any speed."""
-
-AHEAD, BACKWARD = VmcParams(climb=0.0), VmcParams()
-"""Of the model-based controller: it lifts wheels only where the learnt policy cannot help."""
 
 
 class HybridController:
@@ -66,7 +62,8 @@ class HybridController:
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One motor period."""
         forward = velocity.vx >= FORWARD
-        self.wheels.params = AHEAD if forward else BACKWARD
+        # It lifts wheels only where the learnt policy cannot help.
+        self.wheels.lift_wheels(not forward)
         if not self._climbs and forward and self.wheels.blocked() >= BLOCKED:
             self._climbs = True
             self._calm = self._other = 0.0

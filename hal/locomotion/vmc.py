@@ -43,6 +43,10 @@ class VmcController:
         """Forget all state: the robot was moved, stood up or fell."""
         self._memory[:] = np.zeros(1, MEMORY)
 
+    def lift_wheels(self, may: bool) -> None:
+        """Whether blocked wheels are lifted onto what blocks them; a climb under way goes on."""
+        self._record["climb"] = self.params.climb if may else 0.0
+
     def take_over(self, vx: float) -> None:
         """Forget all state but this: the robot drives at `vx` [m/s]."""
         self.reset()

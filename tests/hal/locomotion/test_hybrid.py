@@ -9,8 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.locomotion.hybrid import AHEAD, BLEND, FORWARD, HybridController, mixed
+from hal.locomotion.climb import DRIVE
+from hal.locomotion.hybrid import BLEND, FORWARD, HybridController, mixed
 from hal.locomotion.layout import FRAME, PolicyParams
+from hal.locomotion.params import VmcParams
 from hal.locomotion.torchfile import Layer
 from hal.locomotion.vmc import VmcController
 from hal.locomotion.weights import save_weights
@@ -64,7 +66,7 @@ def test_mixed_torques_are_the_share_of_both(seed: int, share: float) -> None:
 def test_level_ground_is_driven_by_the_model_based_controller_to_the_bit(standing: Path) -> None:
     sims = [on("ramp_up_0"), on("ramp_up_0")]
     hybrid = HybridController(standing)
-    drivers = [Driver(sims[0], hybrid), Driver(sims[1], VmcController(AHEAD))]
+    drivers = [Driver(sims[0], hybrid), Driver(sims[1], VmcController(VmcParams(climb=0.0)))]
     for tick in range(600):
         for driver in drivers:
             driver.step(*((0.5, 0.3) if tick > 100 else (0.0, 0.0)))
@@ -79,6 +81,7 @@ def test_a_blocked_wheel_calls_the_policy_and_level_ground_sends_it_home(standin
     when = None
     for tick in range(800):
         driver.step(*((0.5, 0.0) if tick > 100 else (0.0, 0.0)))
+        assert hybrid.wheels._memory["mode"][0] == DRIVE, "it lifts no wheel: the policy climbs"
         if hybrid.climbing and when is None:
             when = tick
             assert 0.2 < sim.position[0] < 0.8, "a wheel is at the face"
@@ -149,7 +152,7 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
         driver.step(*((0.5, 0.0) if 100 < tick < 600 else (0.0, 0.0)))
     changing = (np.array(shares) > 0.0) & (np.array(shares) < 1.0)
     assert changing.sum() >= 2 * BLEND / 0.005 - 4, "there and back"
-    assert max(np.array(jumps)[changing]) < 8.0, "Nm from tick to tick; the motors give 23.7"
+    assert max(np.array(jumps)[changing]) < 4.5, "Nm from tick to tick; the motors give 23.7"
 
 
 @needs_shared

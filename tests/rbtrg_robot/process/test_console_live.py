@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page
 
 from tests.rbtrg_robot.console.pages import chromium, on_screen, until
-from tests.rbtrg_robot.process.command import command
+from tests.rbtrg_robot.process.command import SPARSE, command
 from tools.bench.ports import free_port
 
 pytestmark = pytest.mark.timeout(300)
@@ -23,7 +23,7 @@ LIMIT = 60.0
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[str]:
     """The one that `up` prints. Nothing is left running."""
-    words = ("--scene", "flat", "--port", str(free_port()), "--console-port", "0", "--no-record")
+    words = ("--scene", "flat", "--port", str(free_port()), "--console-port", "0", "--no-record", *SPARSE)
     up = command(
         tmp_path,
         *("up", "--detach", "--robot", NAME, "--without", "mission", *words),

@@ -15,7 +15,7 @@ import pytest
 from rbtrg_robot import msg
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.wire.messages import decode, encode
-from tests.rbtrg_robot.process.command import command
+from tests.rbtrg_robot.process.command import SPARSE, command
 from tools.bench.ports import free_port
 
 OTHERS = ("odometry", "elevation", "planner", "navigator", "tracker")
@@ -37,7 +37,7 @@ class Robot:
     def up(self) -> str:
         without = [word for name in (*OTHERS, *self.optional()) for word in ("--without", name)]
         place = ("--port", str(self._port), "--log-dir", str(self._folder / "logs"))
-        return self.run("up", "--detach", "--scene", "flat", "--no-record", *place, *without)
+        return self.run("up", "--detach", "--scene", "flat", "--no-record", *SPARSE, *place, *without)
 
     def optional(self) -> list[str]:
         from rbtrg_robot.processes import PROCESSES

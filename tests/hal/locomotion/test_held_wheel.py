@@ -21,7 +21,7 @@ from hal.locomotion.climb import (
     detect_blocked,
 )
 from hal.locomotion.memory import MEMORY
-from hal.locomotion.params import VmcParams
+from hal.locomotion.params import RECORD, VmcParams
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.sim import Simulation
@@ -35,6 +35,12 @@ DT = 0.005
 def _memory() -> Any:
     memory: Any = np.zeros(1, MEMORY).view(np.recarray)[0]
     return memory
+
+
+def _params() -> Any:
+    """As the controller hands them over: a tuple would be compiled for anew."""
+    params: Any = np.array([VmcParams()], RECORD).view(np.recarray)[0]
+    return params
 
 
 def _after_holding(thigh: float, calf: float) -> tuple[np.ndarray, LowCommand]:
@@ -73,7 +79,7 @@ def test_a_wheel_far_behind_its_place_rolls_faster_than_its_neighbour_and_one_ne
 
 @pytest.mark.parametrize("steering", [0.0, -0.35])
 def test_a_wheel_that_holds_a_standing_robot_is_found_although_the_robot_is_steered(steering: float) -> None:
-    m, params, rng = _memory(), VmcParams(), np.random.default_rng(0)
+    m, params, rng = _memory(), _params(), np.random.default_rng(0)
     m.vx, m.wz = 0.3, steering
     m.force[:, 2] = 48.0
     found = -1
@@ -87,7 +93,7 @@ def test_a_wheel_that_holds_a_standing_robot_is_found_although_the_robot_is_stee
 
 
 def test_no_wheel_is_blocked_while_the_robot_drives_and_turns() -> None:
-    m, params = _memory(), VmcParams()
+    m, params = _memory(), _params()
     m.vx, m.wz, m.speed, m.pace = 0.3, 0.35, 0.3, 0.3
     m.force[:, 2] = 48.0
     m.force[:, 0] = [-5.0, 28.0, -5.0, -25.0]
@@ -112,7 +118,7 @@ def test_a_climb_without_footing_drives_back_for_a_while_and_not_once_commanded_
 def test_a_wheel_in_the_air_is_put_down_where_it_is_when_the_trunk_tips(
     mode: int, share: float, after: int | None
 ) -> None:
-    m, params = _memory(), VmcParams()
+    m, params = _memory(), _params()
     centres = go2w.wheel_centres(np.array([0.0, 0.67, -1.3] * 4 + [0.0] * 4))
     m.mode, m.leg, m.way, m.vx = mode, 1, 1.0, 0.3
     m.foot[:] = centres[1] + [0.05, 0.0, 0.03]

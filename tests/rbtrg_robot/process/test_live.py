@@ -25,7 +25,7 @@ from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.messages import decode, stamp_of
-from tests.rbtrg_robot.process.command import command
+from tests.rbtrg_robot.process.command import SPARSE, command
 from tests.rbtrg_robot.wire.ros2_files import client_command, write_definitions
 from tools.bench.ports import free_port
 
@@ -46,7 +46,8 @@ class Stack:
 
     def up(self) -> subprocess.CompletedProcess[str]:
         return self.run(
-            *("up", "--detach", "--scene", "flat", "--port", str(self.port), "--log-dir", str(self.logs)),
+            *("up", "--detach", "--scene", "flat", *SPARSE),
+            *("--port", str(self.port), "--log-dir", str(self.logs)),
             limit=START_LIMIT,
         )
 

@@ -26,11 +26,12 @@ def main() -> None:
     run.add_argument("--workers", type=int, default=2, help="processes that drive the teacher")
     evaluate = commands.add_parser("evaluate", help="the envelope bench")
     evaluate.add_argument("policy", type=Path)
+    evaluate.add_argument("--controller", choices=("hybrid", "policy"), default="hybrid")
     options, rest = parser.parse_known_args()
     if options.command == "evaluate":
         from tools.bench.envelope import run as bench
 
-        print(bench(["--controller", "policy", "--policy", str(options.policy), *rest]).to_text())
+        print(bench(["--controller", options.controller, "--policy", str(options.policy), *rest]).to_text())
         return
     if rest:
         parser.error(f"unknown arguments: {' '.join(rest)}")

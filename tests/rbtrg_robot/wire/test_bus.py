@@ -43,9 +43,11 @@ def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint:
         b.subscribe([t.IMU, t.GOAL_STATUS])
         a.publish(t.GOAL_STATUS, t.GOAL_STATUS.kind(id="first"), 1)
         collect(b, 1)  # the subscription is known to the publisher's side
-        for i in range(100):
-            a.publish(t.IMU, t.IMU.kind(header=header(i, "base_link")), i)
-        got = collect(b, 100)
+        got: list[Received] = []
+        for begin in range(0, 100, 10):  # sensors' messages may be dropped from a long burst
+            for i in range(begin, begin + 10):
+                a.publish(t.IMU, t.IMU.kind(header=header(i, "base_link")), i)
+            got += collect(b, 10)
     assert [r.stamp for r in got] == list(range(100))
     assert [r.sequence for r in got] == list(range(1, 101))
     assert [stamp_of(r.decode()) for r in got] == list(range(100))

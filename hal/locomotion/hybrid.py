@@ -21,7 +21,9 @@ from hal.types import PostureCommand, VelocityCommand
 BLEND = 0.16
 """[s] over which one controller's torques turn into the other's."""
 FORWARD = 0.3
-"""Slowest commanded speed [m/s] at which the learnt policy climbs."""
+"""Slowest commanded speed [m/s] at which the learnt policy takes over."""
+ONWARD = 0.15
+"""The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
 BLOCKED = 0.5
 """Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
 CALM_TIME = 1.0
@@ -94,7 +96,7 @@ class HybridController:
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
         tilted = posture.roll != 0.0 or posture.pitch != 0.0
-        other = tilted if stop else velocity.vx < FORWARD
+        other = tilted if stop else velocity.vx < ONWARD
         self._other = self._other + self.period if other else 0.0
         slow = other and abs(_rolling(state)) < SLOW
         return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME

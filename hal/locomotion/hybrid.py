@@ -51,32 +51,28 @@ class HybridController:
         """Forget all state."""
         self.wheels.reset()
         self.climber.reset()
-        self._climbs = False
+        self.climbing = False
+        """The learnt policy drives."""
         self._share = 0.0
         """Of the learnt policy in the torques."""
         self._calm = self._other = 0.0
-
-    @property
-    def climbing(self) -> bool:
-        """The learnt policy drives."""
-        return self._climbs
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One motor period."""
         forward = velocity.vx >= FORWARD
         # It lifts wheels only where the learnt policy cannot help.
         self.wheels.lift_wheels(not forward)
-        if not self._climbs and forward and self.wheels.blocked() >= BLOCKED:
-            self._climbs = True
+        if not self.climbing and forward and self.wheels.blocked() >= BLOCKED:
+            self.climbing = True
             self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
-        elif self._climbs and self._over(state, velocity, posture):
-            self._climbs = False
+        elif self.climbing and self._over(state, velocity, posture):
+            self.climbing = False
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
         step = self.period / BLEND
-        self._share = float(np.clip(self._share + (step if self._climbs else -step), 0.0, 1.0))
+        self._share = float(np.clip(self._share + (step if self.climbing else -step), 0.0, 1.0))
         if self._share == 0.0:
             return self.wheels.step(state, velocity, posture)
         learnt = self.climber.step(state, velocity, posture)
@@ -86,7 +82,7 @@ class HybridController:
 
     def warning(self) -> str:
         """What it does instead of plain driving, in words."""
-        return "climbing with the learnt policy" if self._climbs else self.wheels.warning()
+        return "climbing with the learnt policy" if self.climbing else self.wheels.warning()
 
     def _over(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> bool:
         """Whether the model-based controller goes on."""

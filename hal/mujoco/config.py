@@ -52,7 +52,8 @@ CAPABILITIES: dict[Controller, Capabilities] = {
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and
-`max_posts` from its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted."""
+`max_posts` from its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted.
+The hybrid controller has the slow speeds and the tilt of the model-based one, and climbs at the speed of the policy."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

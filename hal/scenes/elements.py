@@ -41,6 +41,7 @@ FORBIDDEN_TO_CLIMBERS = {
     "bar": (0.36, 0.45),
     "gap": (0.20, 0.30),
 }
+"""Of the controllers that climb with a learnt policy; see `ENVELOPE` and `BEYOND`."""
 ENVELOPE: dict[Controller, dict[str, float]] = {
     "vmc": {
         "slope": 20.0,

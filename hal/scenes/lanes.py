@@ -142,7 +142,9 @@ def lane(seed: int, *, level: int = 2, controller: Controller = "vmc", map: str 
     if map not in ("", *kinds):
         raise SceneError(f"lanes have no map {map!r}: use one of {', '.join(kinds)}")
     if level not in LEVELS or controller not in CONTROLLERS:
-        raise SceneError(f"lanes have levels 1 to 5 for vmc or policy, got level {level} for {controller}")
+        raise SceneError(
+            f"lanes have levels 1 to 5 for {', '.join(CONTROLLERS)}; got level {level} for {controller}"
+        )
     layout, kind = LAYOUTS[seed % len(LAYOUTS)], map or kinds[seed // len(LAYOUTS) % len(kinds)]
     random = np.random.default_rng([seed, kinds.index(kind)])
     width = round(float(random.uniform(1.10, 1.20)), 2)

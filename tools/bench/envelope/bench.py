@@ -142,18 +142,10 @@ SLOW = (0.12, 0.15, 0.22, 0.3)
 """Speeds [m/s] at which paths over difficult ground are followed..."""
 SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_5", "rough_4", "rough_6")
 """... and the courses that must be passed at them as well."""
-OBLIQUE: dict[Controller, tuple[int, ...]] = {
-    "vmc": (5, 10),
-    "policy": (10, 15, 20, 25),
-    "hybrid": (5, 10, 15, 20, 25),
-}
-"""Heights [cm] of faces and bars up to the capabilities of each controller, met at `ANGLES`."""
-POSTS: dict[Controller, tuple[int, ...]] = {
-    "vmc": (4, 5, 7, 10),
-    "policy": (10, 15, 20),
-    "hybrid": (5, 10, 15, 20),
-}
-"""Heights [cm] of the highest posts of a stepfield..."""
+OBLIQUE = (5, 10, 15, 20, 25)
+"""Heights [cm] of faces and bars, as far as the controller's capabilities go, met at `ANGLES`."""
+POSTS = (4, 5, 7, 10, 15, 20)
+"""Heights [cm] of the highest posts of a stepfield, from half of the controller's capabilities to twice of them..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
 """... and speeds [m/s] at which it is driven through."""
 NO_FALL = (
@@ -264,12 +256,13 @@ class _Bench:
         """Faces and bars at an angle, and stepfields at several speeds."""
         name, add = self.name, self.report.add
         for kind in ("face", "bar"):
-            for height in OBLIQUE[name]:
-                if self._wanted(f"oblique_{kind}_{height}"):
+            for height in OBLIQUE:
+                if height <= 100.0 * CAPABILITIES[name].max_step and self._wanted(f"oblique_{kind}_{height}"):
                     passed = [self._passed(f"{kind}{angle}_{height}") == len(RUNS) for angle in ANGLES]
                     first = passed.index(False) if False in passed else len(ANGLES)
                     add(f"oblique_{kind}_{height}.{name}", ANGLES[first - 1] if first else -1, "deg")
-        for height in POSTS[name]:
+        most = 100.0 * CAPABILITIES[name].max_posts
+        for height in (h for h in POSTS if 0.5 * most <= h <= 2.0 * most):
             for speed in POSTS_SPEEDS:
                 if self._wanted(f"posts_{height}_{speed}"):
                     successes = self._passed(f"posts_{height}", Conditions(speed=speed))

@@ -104,6 +104,12 @@ class World:
                 )
             self._take(self.stage.tick(self.now))
 
+    def come_along(self) -> None:
+        """It drives 0.95 m along x, from the origin."""
+        for i in range(20):
+            self.pose = (0.05 * i, 0.0, 0.0)
+            self.run(0.1)
+
     def goal(self, x: float = 3.0, y: float = 0.0, goal_id: str = "g", **fields: Any) -> None:
         self.send(t.GOAL_REQUEST, id=goal_id, x=x, y=y, **fields)
 
@@ -302,9 +308,7 @@ def test_a_goal_that_had_a_route_is_aborted_not_rejected(world: World) -> None:
 
 
 def test_where_only_the_places_kept_off_are_left_the_way_leads_over_them(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     world.goal()
     world.answer()
     world.run(5.5)
@@ -592,9 +596,7 @@ def test_at_a_frontier_it_looks_again(world: World) -> None:
 
 
 def test_stuck_moves_out_then_replans_around_a_few_times_then_aborts(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     world.goal()
     for tries in range(1, 4):
         while world.status.recoveries < tries:
@@ -655,9 +657,7 @@ def test_a_route_that_ends_on_an_edge_is_continued_before_its_end(world: World) 
 
 
 def test_what_holds_a_robot_that_drives_backward_is_behind_it(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     world.pose = (0.3, 0.0, 0.0)
     world.goal()
     world.answer()
@@ -671,9 +671,7 @@ def test_what_holds_a_robot_that_drives_backward_is_behind_it(world: World) -> N
 
 
 def test_a_robot_that_cannot_be_backed_out_asks_for_another_route(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     world.goal()
     world.answer()
     world.run(5.5)
@@ -748,9 +746,7 @@ def test_a_goal_from_rviz_is_a_goal(world: World) -> None:
 
 
 def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stood_on(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     for heading, along in ((math.pi - 0.05, 1.0), (0.05, -1.0)):
         world.goal(goal_id=f"to{heading}")
         world.answer()
@@ -776,9 +772,7 @@ def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stoo
 
 
 def test_a_turn_that_stalls_across_the_way_is_not_left_blindly(world: World) -> None:
-    for i in range(20):
-        world.pose = (0.05 * i, 0.0, 0.0)
-        world.run(0.1)
+    world.come_along()
     world.goal()
     world.answer()
     world.pose = (0.95, 0.0, 1.8)

@@ -14,7 +14,7 @@ from hal.types import GRAVITY, Array
 from tools.bench.envelope.trial import TIPPED, steering
 from tools.train.physics import QPOS, QVEL, Robots
 from tools.train.settings import PARAMS, PERIOD, Reward, Settings
-from tools.train.terrain import BEFORE, KINDS, LENGTH, LEVELS, OPEN
+from tools.train.terrain import BEFORE, DEALT, KINDS, LENGTH, LEVELS, OPEN
 
 AGES = PARAMS.ages
 SEEN = FRAME * len(AGES)
@@ -25,6 +25,8 @@ KNOWN = SEEN + 3 + len(SCAN) + 2
 """Numbers that the critic sees: the same, the body's velocity, heights, which way the ground is its own (kind, level)."""
 TALL = 0.38
 """Height of the trunk over the ground from which the critic's heights are counted [m]."""
+BACKWARD = 7
+"""One of so many robots in the lanes drives backward, as a robot that backs out of what it cannot pass."""
 LOW = (0.25, 0.13)
 """Of the trunk over the ground [m]: from where it costs, and where it counts as a fall."""
 
@@ -97,7 +99,9 @@ class Environment:
         self.robots = Robots(n, settings.physics, rng)
         self.layout = Layout(PARAMS)
         turning = round(settings.turning * n)
-        self.kind = np.concatenate([np.full(turning, OPEN), np.arange(n - turning) % len(KINDS)])
+        self.kind = np.concatenate([np.full(turning, OPEN), np.resize(DEALT, n - turning)])
+        self.back = (self.kind != OPEN) & (np.arange(n) % BACKWARD == 0)
+        """(n,) who drives the lane backward."""
         self.level = rng.integers(0, settings.first_level + 1, n)
         self.action = np.zeros((n, 16), np.float32)
         self.command = np.zeros((n, 3))
@@ -147,7 +151,8 @@ class Environment:
         told = b.up + in_body(s[:, 4:8], self._lean)
         lanes = self.kind != OPEN
         aside = s[:, 2] - self.robots.ground.middle(self.kind, self.level)
-        self.command[lanes, 2] = steering(aside, b.yaw)[lanes]
+        ahead = np.where(self.back, np.arctan2(-np.sin(b.yaw), -np.cos(b.yaw)), b.yaw)
+        self.command[lanes, 2] = steering(aside, ahead)[lanes]
         n, rng, noise = len(s), self._rng, self.settings.physics.noise
         self._newest = (self._newest + 1) % len(self._frames)
         frame = self._frames[self._newest]
@@ -229,11 +234,12 @@ class Environment:
         x = rng.uniform(-0.3, 0.3, n) + np.where(free, 5.0, 0.0)
         y = self.robots.ground.middle(self.kind[which], self.level[which]) + rng.uniform(-0.15, 0.15, n)
         yaw = np.where(free, rng.uniform(-np.pi, np.pi, n), rng.uniform(-0.2, 0.2, n))
+        yaw = np.where(self.back[which], yaw + np.pi, yaw)
         self._draw(which)
         # The controller that hands over to this policy is driving already.
-        rolling = (
-            np.clip(self.command[which, 0], 0.0, None) * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
-        )
+        wish = self.command[which, 0]
+        wish = np.where(self.back[which], wish, np.clip(wish, 0.0, None))
+        rolling = wish * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
         self.robots.place(which, x, y, yaw, rolling)
         self.action[which] = 0.0
         self._lean[which] = 0.0
@@ -241,11 +247,12 @@ class Environment:
         self._fresh[which] = True
 
     def _draw(self, which: NDArray[np.int64]) -> None:
-        """New commands: forward in lanes; anything on open ground, turns on the spot and zero among it."""
+        """New commands: one direction in lanes; anything on open ground, turns on the spot and zero among it."""
         n, rng = len(which), self._rng
         free = self.kind[which] == OPEN
         spot = rng.random(n) < 0.3
-        vx = np.where(free, np.where(spot, 0.0, rng.uniform(-0.8, 1.0, n)), rng.uniform(0.25, 0.8, n))
+        along = np.where(self.back[which], rng.uniform(-0.6, -0.2, n), rng.uniform(0.25, 0.8, n))
+        vx = np.where(free, np.where(spot, 0.0, rng.uniform(-0.8, 1.0, n)), along)
         wz = np.where(free, rng.uniform(-1.0, 1.0, n) * (rng.random(n) < 0.8), 0.0)
         zero = free & (rng.random(n) < self.settings.still)
         self.command[which] = np.stack(

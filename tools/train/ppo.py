@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,7 +86,10 @@ class Learner:
         self._key = jax.random.PRNGKey(seed)
         self._act = jax.jit(self._act_of)
         self._value = jax.jit(self._value_of)
-        self._update = jax.jit(self._update_of)
+        self._improve_actor = jax.jit(self._improve_actor_of)
+        self._improve_critic = jax.jit(self._improve_critic_of)
+        # Neither needs the other: each has a core of its own.
+        self._critic_thread = ThreadPoolExecutor(1)
         self._rng = rng
 
     def begin(self) -> None:
@@ -135,21 +139,26 @@ class Learner:
         )
         old = self.actor["log_std"]
         self._actor_state.hyperparams["learning_rate"] = jnp.float32(self.rate)
-        (self.actor, self.critic, self._actor_state, self._critic_state), (divergence, error) = self._update(
-            (self.actor, self.critic, self._actor_state, self._critic_state),
-            batch, old, jnp.asarray(order), jnp.float32(policy_too),
-        )  # fmt: skip
+        learnt = self._critic_thread.submit(
+            self._improve_critic, self.critic, self._critic_state, batch, jnp.asarray(order)
+        )
+        self.actor, self._actor_state, divergence = self._improve_actor(
+            self.actor, self._actor_state, batch, old, jnp.asarray(order), jnp.float32(policy_too)
+        )
         far = float(divergence[-p.batches :].mean())
+        self.critic, self._critic_state, error = learnt.result()
         if policy_too and far > 2.0 * p.divergence:
             self.rate = max(self.rate / FACTOR, RATE[0])
         elif policy_too and far < 0.5 * p.divergence:
             self.rate = min(self.rate * FACTOR, RATE[1])
         return far, float(error.mean())
 
-    def _update_of(self, all_of_it: Any, batch: Any, old_log_std: Any, order: Any, policy_too: Any) -> Any:
+    def _improve_actor_of(
+        self, actor: Any, state: Any, batch: Any, old_log_std: Any, order: Any, policy_too: Any
+    ) -> Any:
         p = self.ppo
 
-        def policy_loss(actor: Any, part: Any) -> Any:
+        def loss_of(actor: Any, part: Any) -> Any:
             known, action, chance, old_mean, gain, _ = part
             mean, log_std = forward(actor["net"], self._input(known)[:, :SEEN]), actor["log_std"]
             ratio = jnp.exp(jnp.clip(_chance(mean, log_std, action) - chance, -5.0, 5.0))
@@ -161,22 +170,30 @@ class Learner:
             )
             return loss, divergence
 
-        def value_loss(critic: Any, part: Any) -> Any:
-            return ((self._value_of(critic, part[0]) - part[5]) ** 2).mean()
-
         def step(carry: Any, at: Any) -> Any:
-            actor, critic, actor_state, critic_state = carry
+            actor, state = carry
             part = jax.tree.map(lambda v: v[at], batch)
-            (_, divergence), gradient = jax.value_and_grad(policy_loss, has_aux=True)(actor, part)
-            change, actor_state = self._actor_optimiser.update(gradient, actor_state, actor)
+            (_, divergence), gradient = jax.value_and_grad(loss_of, has_aux=True)(actor, part)
+            change, state = self._actor_optimiser.update(gradient, state, actor)
             actor = optax.apply_updates(actor, jax.tree.map(lambda v: policy_too * v, change))
             actor = {**actor, "log_std": jnp.clip(actor["log_std"], np.log(STD[0]), np.log(STD[1]))}
-            error, gradient = jax.value_and_grad(value_loss)(critic, part)
-            change, critic_state = self._critic_optimiser.update(gradient, critic_state, critic)
-            critic = optax.apply_updates(critic, change)
-            return (actor, critic, actor_state, critic_state), (divergence, error)
+            return (actor, state), divergence
 
-        return jax.lax.scan(step, all_of_it, order)
+        (actor, state), divergence = jax.lax.scan(step, (actor, state), order)
+        return actor, state, divergence
+
+    def _improve_critic_of(self, critic: Any, state: Any, batch: Any, order: Any) -> Any:
+        def loss_of(critic: Any, known: Any, returns: Any) -> Any:
+            return ((self._value_of(critic, known) - returns) ** 2).mean()
+
+        def step(carry: Any, at: Any) -> Any:
+            critic, state = carry
+            error, gradient = jax.value_and_grad(loss_of)(critic, batch[0][at], batch[5][at])
+            change, state = self._critic_optimiser.update(gradient, state, critic)
+            return (optax.apply_updates(critic, change), state), error
+
+        (critic, state), error = jax.lax.scan(step, (critic, state), order)
+        return critic, state, error
 
 
 def _adam(learning_rate: Any) -> optax.GradientTransformation:

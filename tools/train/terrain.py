@@ -22,6 +22,8 @@ BEFORE = 1.2
 """Level ground behind x = 0 [m]."""
 LEVELS = 10
 KINDS = ("steps", "stairs", "bars", "posts", "ramps")
+DEALT = (0, 1, 2, 3, 3, 4)
+"""Kinds as they are dealt to the robots: posts take longest to learn."""
 OPEN = len(KINDS)
 """The kind of the open field."""
 FIELD = 14.0
@@ -57,7 +59,7 @@ def lane(kind: str, level: int) -> NDArray[np.float32]:
         c = np.clip((np.maximum(s, 0.0) / side).astype(int), 0, cols - 1)
         z = heights[r, c] * (0.05 + 0.02 * level)
     elif kind == "ramps":
-        rise = np.tan(np.radians(8.0 + 2.3 * level))
+        rise = np.tan(np.radians(8.0 + 3.0 * level))
         within = np.maximum(s, 0.0) % 4.0
         z = np.minimum(within, 4.0 - within) * rise
         knots = rng.uniform(-1.0, 1.0, (int(WIDTH / 0.15) + 2, int(LENGTH / 0.15) + 2))

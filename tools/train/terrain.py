@@ -29,7 +29,7 @@ OPEN = len(KINDS)
 FIELD = 14.0
 """Side of the open field along y [m]."""
 ANGLES = (0.0, 20.0, -35.0, 45.0, -50.0)
-"""Of bars to the head-on way [deg], by level."""
+"""To the head-on way [deg]: of bars by level, of steps up one after the other."""
 
 
 def lane(kind: str, level: int) -> NDArray[np.float32]:
@@ -41,7 +41,11 @@ def lane(kind: str, level: int) -> NDArray[np.float32]:
     s = x - BEGIN
     rng = np.random.default_rng(100 * KINDS.index(kind) + level)
     if kind == "steps":
-        z = (np.floor(s / 1.2) % 2 == 0) * (0.04 + 0.026 * level)
+        up = np.zeros(s.shape, bool)
+        for k in range(int(LENGTH / 1.2)):
+            angle = np.radians(ANGLES[(k // 2 + level) % len(ANGLES)]) if k % 2 == 0 else 0.0
+            up ^= (s - 1.2 * k) * np.cos(angle) + y * np.sin(angle) > 0.0
+        z = up * (0.04 + 0.026 * level)
     elif kind == "stairs":
         within = s % 4.8
         up = np.clip(np.floor(within / 0.3) + 1.0, 0.0, 4.0)

@@ -87,12 +87,12 @@ class StackConfig(BaseModel):
     scene: str = Field("yard", description="built-in scene or terrain file (sim)")
     scene_options: dict[str, Any] = Field({}, description="import options of a scene file")
     controller: Controller = Field(
-        "vmc",
+        "hybrid",
         description="locomotion of the simulated robot: model-based, a learnt policy, or hybrid: model-based, the policy climbs",
     )
     policy_dir: str = Field(
         "",
-        description="locomotion policy: a folder in rl_sar's layout or a file of `tools.train`; empty: the one that `policy get` fetched",
+        description="locomotion policy: a folder in rl_sar's layout, a file of `tools.train` or the name of a fetched one; empty: ours for hybrid, the fetched go2w_rl_sar for policy",
     )
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"

@@ -39,7 +39,7 @@ OTHER_TIME = 0.6
 class HybridController:
     """`hal.lowlevel.Locomotion` from the model-based controller and a learnt policy. Raises PolicyError."""
 
-    def __init__(self, source: str | Path) -> None:
+    def __init__(self, source: Path) -> None:
         """source: of the policy, as for `PolicyController`, whose control period is that of both."""
         self.climber = PolicyController(source)
         self.period = self.climber.period

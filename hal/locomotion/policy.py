@@ -19,7 +19,6 @@ from pydantic import ValidationError
 
 from hal import go2w
 from hal.locomotion.layout import FRAME, Layout, PolicyParams
-from hal.locomotion.public import stored
 from hal.locomotion.torchfile import Layer, PolicyError, read_mlp
 from hal.locomotion.weights import load_weights
 from hal.lowlevel import LowCommand, LowState
@@ -71,10 +70,9 @@ def load_params(folder: Path) -> PolicyParams:
 
 
 class PolicyController:
-    """`hal.lowlevel.Locomotion` from a policy folder or a file of ours (empty: the public policy that was fetched). Follows vx, vy and wz; ignores posture. Raises PolicyError."""
+    """`hal.lowlevel.Locomotion` from a policy folder or a file of ours. Follows vx, vy and wz; ignores posture. Raises PolicyError."""
 
-    def __init__(self, source: str | Path) -> None:
-        source = Path(source) if str(source) else stored()
+    def __init__(self, source: Path) -> None:
         if source.suffix == ".npz":
             self.params, self.layers, _ = load_weights(source)
         else:

@@ -58,6 +58,7 @@ POLICIES = {
     ),
 }
 DEFAULT = "go2w_rl_sar"
+"""The one that RB-TRG's paper used."""
 
 
 def data_folder() -> Path:
@@ -73,12 +74,12 @@ def published(name: str) -> Published:
     return POLICIES[name]
 
 
-def stored() -> Path:
-    """Folder of the fetched policy. Raises PolicyError where there is none."""
-    folder = data_folder() / DEFAULT
+def stored(name: str) -> Path:
+    """Folder of a fetched policy. Raises PolicyError where there is none."""
+    folder = data_folder() / published(name).name
     if not folder.is_dir():
         raise PolicyError(
-            f"no policy given: fetch the public one with `rbtrg-robot policy get {DEFAULT}`, or name a folder with --policy DIR"
+            f"the policy {name} is not on this computer: fetch it with `rbtrg-robot policy get {name}`, or name a folder with --policy DIR"
         )
     return folder
 

@@ -38,9 +38,11 @@ def up(
     scene: Annotated[str | None, typer.Option(help="Built-in scene or terrain file.")] = None,
     controller: Annotated[
         str | None,
-        typer.Option(help="Locomotion in simulation: vmc, policy or hybrid; hybrid where --policy is given."),
+        typer.Option(help="Locomotion in simulation: hybrid (default), vmc or policy."),
     ] = None,
-    policy: Annotated[Path | None, typer.Option(help="Folder of a locomotion policy.")] = None,
+    policy: Annotated[
+        Path | None, typer.Option(help="Locomotion policy: folder, file, or name of a fetched one.")
+    ] = None,
     interface: Annotated[str | None, typer.Option(help="Network interface of the robot (unitree).")] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Log requests to the robot, send nothing.")
@@ -86,8 +88,6 @@ def up(
             options["resolution"] = resolution
         if height_range is not None:
             options["height_range"] = height_range
-        if controller is None and policy is not None:
-            controller = "hybrid"
         loaded = load(
             config,
             [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],
@@ -157,9 +157,10 @@ def _check(config: StackConfig) -> None:
         if scene.mesh is not None:
             scene.caster()
         if config.controller != "vmc":
+            from hal.locomotion.controllers import policy_of
             from hal.locomotion.policy import PolicyController
 
-            PolicyController(config.policy_dir)
+            PolicyController(policy_of(config.controller, config.policy_dir))
         if config.viewer:
             from hal.mujoco.view.render import require_display
 

@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from hal.locomotion import public
-from hal.locomotion.policy import PolicyController, PolicyError
+from hal.locomotion.controllers import OURS, controller_of, policy_of
+from hal.locomotion.policy import PolicyError
 from rbtrg_robot.cli.main import app
 from tests.places import POLICY, needs_shared
 
@@ -82,7 +83,7 @@ def test_a_policy_is_fetched_once_and_its_licence_is_shown(server: Server, tmp_p
     assert {f.name: f.read_bytes() for f in folder.iterdir()} == {
         p.split("/")[-1]: d for p, d in FILES.items()
     }
-    assert public.stored() == folder
+    assert public.stored("go2w_rl_sar") == folder
     asked = len(server.asked)
     again = CliRunner().invoke(app, ["policy", "get", "go2w_rl_sar"])
     assert "already there, checked" in again.output
@@ -123,7 +124,7 @@ def test_what_goes_wrong_is_told_in_one_line_and_nothing_is_kept(
     assert "nothing was kept" in str(error.value)
     assert left(tmp_path) == []
     with pytest.raises(PolicyError, match="rbtrg-robot policy get go2w_rl_sar"):
-        public.stored()
+        public.stored("go2w_rl_sar")
 
 
 def test_an_interrupt_leaves_nothing(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,8 +151,10 @@ def test_the_sums_are_those_of_the_policy_that_was_measured_and_the_controller_f
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     for _, local, wanted in public.POLICIES["go2w_rl_sar"].files:
         assert hashlib.sha256((POLICY / local).read_bytes()).hexdigest() == wanted
-    with pytest.raises(PolicyError, match="fetch the public one"):
-        PolicyController("")
+    with pytest.raises(PolicyError, match="fetch it with"):
+        controller_of("policy")
     (tmp_path / "rbtrg" / "policies").mkdir(parents=True)
     (tmp_path / "rbtrg" / "policies" / "go2w_rl_sar").symlink_to(POLICY)
-    assert PolicyController("").period == 0.005
+    assert controller_of("policy").period == 0.005
+    assert policy_of("hybrid", "go2w_rl_sar") == policy_of("policy")
+    assert policy_of("hybrid") == OURS

@@ -16,7 +16,7 @@ from typing import Any
 
 from rich.progress import track
 
-from hal.locomotion.public import stored
+from hal.locomotion.controllers import policy_of
 from hal.locomotion.torchfile import PolicyError
 from hal.lowlevel import CONTROLLERS, Controller
 from tools.bench.closed_loop import lrc, protocol
@@ -99,7 +99,7 @@ def _options(args: list[str]) -> argparse.Namespace:
     add(
         "--policy",
         default="",
-        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
+        help="of the controllers that learnt: folder, file or name; else ours for hybrid, the fetched one for policy",
     )
     add("--draws", type=int, default=5, help="frictions and start offsets per query")
     add("--queries", type=int, default=protocol.QUERIES, help="start-goal pairs per scene, at most 40")
@@ -110,11 +110,11 @@ def _options(args: list[str]) -> argparse.Namespace:
     options = parser.parse_args(args)
     if (options.lrc or options.endurance) and set(options.methods) & set(protocol.PERCEIVED):
         parser.error(f"{', '.join(protocol.PERCEIVED)} have no line to drive to and fro")
-    if {"policy", "hybrid"} & set(options.controller) and not options.policy:
-        try:
-            options.policy = str(stored())
-        except PolicyError as error:
-            parser.error(str(error))
+    try:
+        for name in set(options.controller) - {"vmc"}:
+            policy_of(name, options.policy)
+    except PolicyError as error:
+        parser.error(str(error))
     if "vendor" in options.colliders and set(options.methods) & set(protocol.PERCEIVED):
         parser.error(f"{', '.join(protocol.PERCEIVED)} have our colliders: use --colliders all")
     if not 1 <= options.queries <= protocol.MOST_QUERIES:

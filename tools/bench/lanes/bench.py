@@ -55,11 +55,11 @@ def run(args: list[str]) -> Report:
 
 def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argparse.Namespace:
     """Add what benches of drives have in common and read their command line; `how`: the map unless told."""
-    parser.add_argument("--controller", default="vmc", help="vmc, policy, hybrid, or several: vmc,hybrid")
+    parser.add_argument("--controller", default="hybrid", help="vmc, policy, hybrid, or several: vmc,hybrid")
     parser.add_argument(
         "--policy",
         default="",
-        help="folder of the learnt policy; else the one that `rbtrg-robot policy get` fetched",
+        help="of the controllers that learnt: folder, file or name; else ours for hybrid, the fetched one for policy",
     )
     parser.add_argument("--map", default=how, help="prior, seen or both: prior,seen")
     parser.add_argument("--out", type=Path, help="file of records: what stands in it is not driven again")

@@ -1,7 +1,7 @@
 """The model-based controller drives; the learnt one takes over where a wheel is held by the ground, and hands back on level ground.
 
-The model-based controller stands, creeps, stops, turns on the spot, drives backward and drives on ground that needs no climbing: it does
-that to the centimetre. It climbs by lifting one wheel at a time, up to 0.10 m. A learnt policy climbs higher while driving, but it sways at
+The model-based controller stands, creeps, stops, turns on the spot and drives on ground that needs no climbing: it does that to the
+centimetre. It climbs by lifting one wheel at a time, up to 0.10 m. A learnt policy climbs higher while driving, but it sways at
 rest and turns badly. The torques of both are mixed over `BLEND` at each change.
 """
 
@@ -20,8 +20,8 @@ from hal.types import PostureCommand, VelocityCommand
 
 BLEND = 0.16
 """[s] over which one controller's torques turn into the other's."""
-FORWARD = 0.3
-"""Slowest commanded speed [m/s] at which the learnt policy takes over."""
+FAST = 0.3
+"""Slowest commanded speed [m/s], ahead or back, at which the learnt policy takes over."""
 ONWARD = 0.15
 """The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
 BLOCKED = 0.5
@@ -31,7 +31,7 @@ CALM_TIME = 1.0
 CALM_SPREAD = 0.03
 """Largest difference of the wheels' heights [m] that counts as level ground."""
 SLOW = 0.05
-"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow or a backward drive, or a tilt of the trunk..."""
+"""Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow drive, or a tilt of the trunk..."""
 OTHER_TIME = 0.6
 """... and time [s] after which it does so at any speed."""
 
@@ -59,10 +59,10 @@ class HybridController:
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One motor period."""
-        forward = velocity.vx >= FORWARD
+        fast = abs(velocity.vx) >= FAST
         # It lifts wheels only where the learnt policy cannot help.
-        self.wheels.lift_wheels(not forward)
-        if not self.climbing and forward and self.wheels.blocked() >= BLOCKED:
+        self.wheels.lift_wheels(not fast)
+        if not self.climbing and fast and self.wheels.blocked() >= BLOCKED:
             self.climbing = True
             self._calm = self._other = 0.0
             if self._share == 0.0:
@@ -92,7 +92,7 @@ class HybridController:
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
         tilted = posture.roll != 0.0 or posture.pitch != 0.0
-        other = tilted if stop else velocity.vx < ONWARD
+        other = tilted if stop else abs(velocity.vx) < ONWARD
         self._other = self._other + self.period if other else 0.0
         slow = other and abs(_rolling(state)) < SLOW
         return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME

@@ -1,5 +1,5 @@
 """`python -m tools.train run --out DIR [--minutes N] [--resume]` trains a policy; `python -m tools.train evaluate POLICY` drives the envelope's
-courses with it.
+courses with it and, when it drives all of them, writes what it measured into the policy's header.
 """
 
 from __future__ import annotations
@@ -29,9 +29,15 @@ def main() -> None:
     evaluate.add_argument("--controller", choices=("hybrid", "policy"), default="hybrid")
     options, rest = parser.parse_known_args()
     if options.command == "evaluate":
+        from hal.locomotion.weights import load_weights, save_weights
         from tools.bench.envelope import run as bench
 
-        print(bench(["--controller", options.controller, "--policy", str(options.policy), *rest]).to_text())
+        report = bench(["--controller", options.controller, "--policy", str(options.policy), *rest])
+        print(report.to_text())
+        if not rest and options.policy.suffix == ".npz":
+            params, layers, facts = load_weights(options.policy)
+            rows = {row.key: [round(row.value, 3), row.unit] for row in report.rows}
+            save_weights(options.policy, params, layers, {**facts, "envelope": rows})
         return
     if rest:
         parser.error(f"unknown arguments: {' '.join(rest)}")

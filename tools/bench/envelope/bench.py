@@ -161,13 +161,15 @@ def run(args: list[str]) -> Report:
     parser = argparse.ArgumentParser(prog="envelope", description=__doc__)
     parser.add_argument("--controller", choices=CONTROLLERS, default="vmc")
     parser.add_argument(
-        "--policy", type=Path, help="folder of the learnt policy; else the one that was fetched"
+        "--policy",
+        default="",
+        help="of the controllers that learnt: folder, file or name; else ours for hybrid, the fetched one for policy",
     )
     parser.add_argument(
         "--only", default="", help="beginning of the keys wanted: envelope.vmc.ramp, hold_m, ..."
     )
     options = parser.parse_args(args)
-    controller = controller_of(options.controller, options.policy or "")
+    controller = controller_of(options.controller, options.policy)
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
     bench.conditions()

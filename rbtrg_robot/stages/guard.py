@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -250,4 +251,6 @@ class GuardStage:
 
 def build(config: StackConfig) -> GuardStage:
     """From the stack's configuration."""
-    return GuardStage(config.guard, config.capabilities())
+    # What the operator forbids to drive over is in the way, whatever the robot could climb.
+    robot = replace(config.capabilities(), max_step=config.graph_params().max_step)
+    return GuardStage(config.guard, robot)

@@ -21,7 +21,7 @@ from rbtrg_robot.wire.messages import decode, encode
 from tests.rbtrg_robot.hearsay import map_offset
 
 RES = 0.04
-CONFIG = load(None, [], scene="flat")
+CONFIG = load(None, ["graph.max_step=0.1"], scene="flat")
 START = (2.0, 3.0, 1.0)
 """Where `odom` lies in `map`: x, y [m], yaw [rad]."""
 

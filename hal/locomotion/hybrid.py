@@ -7,6 +7,7 @@ rest and turns badly. The torques of both are mixed over `BLEND` at each change.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,12 @@ CALM_TIME = 1.0
 """[s] of level ground after which the climb is over."""
 CALM_SPREAD = 0.03
 """Largest difference of the wheels' heights [m] that counts as level ground."""
+PUSH_GAIN, PUSH_MOST = 0.4, 0.9
+"""Speed that is asked of the policy beyond the commanded one, per distance that it falls behind [1/s], and the sum of both at most [m/s]."""
+HELD_SHARE, HELD_TIME = 0.5, 0.2
+"""A wheel is held when it rolls slower than this share of the commanded speed; after so long [s] ..."""
+SHAKE = 0.4
+"""... the policy's outputs are shaken by this standard deviation, somewhat more than it was trained with."""
 SLOW = 0.05
 """Speed of the wheels [m/s] below which the model-based controller takes over for a turn on the spot, a slow drive, or a tilt of the trunk..."""
 OTHER_TIME = 0.6
@@ -56,6 +63,7 @@ class HybridController:
         self._share = 0.0
         """Of the learnt policy in the torques."""
         self._calm = self._other = 0.0
+        self._push = self._held = 0.0
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         """One motor period."""
@@ -75,7 +83,7 @@ class HybridController:
         self._share = float(np.clip(self._share + (step if self.climbing else -step), 0.0, 1.0))
         if self._share == 0.0:
             return self.wheels.step(state, velocity, posture)
-        learnt = self.climber.step(state, velocity, posture)
+        learnt = self.climber.step(state, self._helped(state, velocity), posture)
         if self._share == 1.0:
             return learnt
         return mixed(self.wheels.step(state, velocity, posture), learnt, self._share, self._command)
@@ -83,6 +91,25 @@ class HybridController:
     def warning(self) -> str:
         """What it does instead of plain driving, in words."""
         return "climbing with the learnt policy" if self.climbing else self.wheels.warning()
+
+    def _helped(self, state: LowState, velocity: VelocityCommand) -> VelocityCommand:
+        """The command for the learnt policy, which is helped out of where it does not get on by itself.
+
+        It is asked for more speed than was commanded as long as the wheels turn slower than that. Where one wheel is held for long, its outputs
+        are shaken: a network without memory of what it tried repeats the same motion for ever.
+        """
+        way, speed = float(np.sign(velocity.vx)), abs(velocity.vx)
+        drives = speed >= ONWARD
+        rolling = way * go2w.WHEEL_RADIUS * state.dq[go2w.WHEELS]
+        most = max(PUSH_MOST - speed, 0.0) if drives else 0.0
+        behind = speed - float(rolling.mean())
+        self._push = float(np.clip(self._push + PUSH_GAIN * behind * self.period, 0.0, most))
+        held = drives and float(rolling.min()) < HELD_SHARE * speed
+        self._held = float(
+            np.clip(self._held + (self.period if held else -self.period), 0.0, 2.0 * HELD_TIME)
+        )
+        self.climber.shake = SHAKE if drives and self._held >= HELD_TIME else 0.0
+        return replace(velocity, vx=velocity.vx + way * self._push)
 
     def _over(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> bool:
         """Whether the model-based controller goes on."""

@@ -87,6 +87,9 @@ class PolicyController:
 
     def reset(self) -> None:
         """Forget all state."""
+        self.shake = 0.0
+        """Standard deviation of noise on the outputs, as policies are trained with. The same after each reset."""
+        self._noise = np.random.default_rng(0)
         self._action = np.zeros(16, np.float32)
         self._tick = 0
         self._begun = False
@@ -142,7 +145,10 @@ class PolicyController:
             frames[1:] = frames[0]
             self._begun = True
         observation = frames[list(self.params.ages)].ravel()
-        self._action = np.clip(forward(self.layers, observation), layout.lower, layout.upper)
+        action = forward(self.layers, observation)
+        if self.shake > 0.0:
+            action = action + self._noise.normal(0.0, self.shake, 16).astype(np.float32)
+        self._action = np.clip(action, layout.lower, layout.upper)
         c = self._command
         c.q[:], c.dq[:] = layout.targets(self._action)
         c.tau[:] = 0.0

@@ -48,7 +48,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
         max_slope=math.radians(30.0),
         max_gap=0.12,
         max_trunk_tilt=math.radians(15.0),
-        max_posts=0.15,
+        max_posts=0.12,
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and

@@ -53,7 +53,7 @@ ENVELOPE: dict[Controller, dict[str, float]] = {
         "rough": 0.05,
     },
     "policy": CLIMBS,
-    "hybrid": CLIMBS,
+    "hybrid": {**CLIMBS, "posts": 0.12},
 }
 """Largest slope [deg], face, bar, rail, post, gap and roughness [m] that a controller drives over reliably with friction 0.6 to 1.0,
 as `tools.bench envelope` measures it (docs/simulated_robot.md), and never more than its capabilities declare."""

@@ -143,7 +143,7 @@ SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_
 """... and the courses that must be passed at them as well."""
 OBLIQUE = (5, 10, 15, 20, 25)
 """Heights [cm] of faces and bars, as far as the controller's capabilities go, met at `ANGLES`."""
-POSTS = (4, 5, 7, 10, 15, 20)
+POSTS = (4, 5, 7, 10, 12, 15, 20)
 """Heights [cm] of the highest posts of a stepfield, from half of the controller's capabilities to twice of them..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
 """... and speeds [m/s] at which it is driven through."""

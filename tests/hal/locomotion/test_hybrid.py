@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hal.locomotion.climb import DRIVE
-from hal.locomotion.hybrid import BLEND, FAST, HybridController, mixed
+from hal.locomotion.controllers import OURS
+from hal.locomotion.hybrid import BLEND, FAST, PUSH_MOST, SHAKE, HybridController, mixed
 from hal.locomotion.layout import FRAME, PolicyParams
 from hal.locomotion.params import VmcParams
 from hal.locomotion.torchfile import Layer
 from hal.locomotion.vmc import VmcController
-from hal.locomotion.weights import save_weights
+from hal.locomotion.weights import load_weights, save_weights
 from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
-from tests.places import POLICY, needs_shared
 from tools.bench.envelope.driving import hold_on_slope
 from tools.bench.envelope.terrain import RESOLUTION, course
 from tools.bench.envelope.trial import drive
@@ -121,6 +122,32 @@ def test_who_stands_amid_a_climb_is_held_by_the_policy_until_something_else_is_a
     assert not hybrid.climbing, "the policy knows no posture"
 
 
+def test_a_policy_that_does_not_get_on_is_asked_for_more_and_shaken_and_one_that_stops_is_not(
+    standing: Path,
+) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    asked: list[float] = []
+    step = hybrid.climber.step
+
+    def seen(state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
+        asked.append(velocity.vx)
+        return step(state, velocity, posture)
+
+    hybrid.climber.step = seen  # type: ignore[method-assign]
+    for tick in range(900):
+        driver.step(0.5 if tick > 100 else 0.0)
+    assert hybrid.climber.shake == SHAKE, "this policy brakes for ever"
+    assert asked[0] == pytest.approx(0.5, abs=0.01)
+    assert 0.75 < asked[-1] <= PUSH_MOST
+    assert max(abs(b - a) for a, b in itertools.pairwise(asked)) < 0.01
+    hybrid._calm = -60.0
+    for _ in range(20):
+        driver.step()
+    assert hybrid.climber.shake == 0.0
+    assert asked[-1] == 0.0
+
+
 def test_slow_it_lifts_wheels_itself(standing: Path) -> None:
     for speed, yaw in ((FAST - 0.05, 0.0), (0.05 - FAST, np.pi)):
         sim, hybrid = on("step_up_5"), HybridController(standing)
@@ -159,13 +186,18 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
     assert max(np.array(jumps)[changing]) < 4.5, "Nm from tick to tick; the motors give 23.7"
 
 
-@needs_shared
 @pytest.mark.parametrize("name", ["step_up_25", "stairs_up_15"])
-def test_with_a_learnt_policy_it_climbs_what_the_model_based_one_does_not(name: str) -> None:
-    hybrid = HybridController(POLICY)
+def test_with_our_policy_it_climbs_what_the_model_based_one_does_not(name: str) -> None:
+    hybrid = HybridController(OURS)
     assert all(drive(hybrid, name, run).passed for run in range(2))
 
 
-@needs_shared
-def test_with_a_learnt_policy_it_still_stands_still() -> None:
-    assert hold_on_slope(HybridController(POLICY)) < 0.01
+def test_with_our_policy_it_still_stands_still() -> None:
+    assert hold_on_slope(HybridController(OURS)) < 0.01
+
+
+def test_our_policy_is_small_and_tells_how_it_was_made() -> None:
+    assert OURS.stat().st_size < 300_000
+    _, _, facts = load_weights(OURS)
+    assert facts["trained"]["million_steps"] > 10
+    assert "envelope.hybrid.step_up_25" in facts["envelope"]

@@ -218,7 +218,7 @@ def test_no_limit_of_the_graph_is_looser_than_the_robots_own() -> None:
     loose = ["graph.max_step=0.3", "graph.max_slope=0.9", "graph.max_gap=0.5"]
     assert load(None, scene="flat").graph.max_step is None
     for flags, step, gap in (
-        ({"scene": "flat"}, 0.25, 0.12),
+        ({"scene": "flat"}, 0.20, 0.12),
         ({"scene": "flat", "controller": "vmc"}, 0.10, 0.10),
         ({"backend": "unitree"}, 0.15, 0.10),
     ):

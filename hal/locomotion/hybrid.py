@@ -33,6 +33,8 @@ CALM_SPREAD = 0.03
 """Largest difference of the wheels' heights [m] that counts as level ground."""
 PUSH_GAIN, PUSH_MOST = 0.4, 0.9
 """Speed that is asked of the policy beyond the commanded one, per distance that it falls behind [1/s], and the sum of both at most [m/s]."""
+PUSH_FADE = 0.2
+"""What is left of it at the next take-over is less by so much per time without the policy [m/s^2]."""
 HELD_SHARE, HELD_TIME = 0.5, 0.2
 """A wheel is held when it rolls slower than this share of the commanded speed; after so long [s] ..."""
 SHAKE = 0.4
@@ -75,6 +77,7 @@ class HybridController:
             self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
+                self._held = 0.0
         elif self.climbing and self._over(state, velocity, posture):
             self.climbing = False
             if self._share == 1.0:
@@ -82,6 +85,7 @@ class HybridController:
         step = self.period / BLEND
         self._share = float(np.clip(self._share + (step if self.climbing else -step), 0.0, 1.0))
         if self._share == 0.0:
+            self._push = max(self._push - PUSH_FADE * self.period, 0.0)
             return self.wheels.step(state, velocity, posture)
         learnt = self.climber.step(state, self._helped(state, velocity), posture)
         if self._share == 1.0:

@@ -128,10 +128,12 @@ def test_a_policy_that_does_not_get_on_is_asked_for_more_and_shaken_and_one_that
     sim, hybrid = on("step_up_15"), HybridController(standing)
     driver = Driver(sim, hybrid)
     asked: list[float] = []
+    times: list[float] = []
     step = hybrid.climber.step
 
     def seen(state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
         asked.append(velocity.vx)
+        times.append(state.time)
         return step(state, velocity, posture)
 
     hybrid.climber.step = seen  # type: ignore[method-assign]
@@ -140,12 +142,24 @@ def test_a_policy_that_does_not_get_on_is_asked_for_more_and_shaken_and_one_that
     assert hybrid.climber.shake == SHAKE, "this policy brakes for ever"
     assert asked[0] == pytest.approx(0.5, abs=0.01)
     assert 0.75 < asked[-1] <= PUSH_MOST
-    assert max(abs(b - a) for a, b in itertools.pairwise(asked)) < 0.01
+    told = zip(itertools.pairwise(times), itertools.pairwise(asked), strict=True)
+    jumps = [abs(after - before) for (a, b), (before, after) in told if b - a < 1.5 * hybrid.period]
+    assert len(jumps) > 300
+    assert max(jumps) < 0.01
     hybrid._calm = -60.0
     for _ in range(20):
         driver.step()
     assert hybrid.climber.shake == 0.0
     assert asked[-1] == 0.0
+
+
+def test_the_next_climb_begins_without_the_push_of_the_last(standing: Path) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    hybrid._push = 0.4
+    for _ in range(450):
+        driver.step()
+    assert hybrid._push == 0.0
 
 
 def test_slow_it_lifts_wheels_itself(standing: Path) -> None:

@@ -28,8 +28,10 @@ OPEN = len(KINDS)
 """The kind of the open field."""
 FIELD = 14.0
 """Side of the open field along y [m]."""
-ANGLES = (0.0, 20.0, -35.0, 45.0, -50.0)
-"""To the head-on way [deg]: of bars by level, of steps up one after the other."""
+ANGLES = (0.0, 20.0, -35.0, 50.0, -60.0)
+"""To the head-on way [deg]: of bars by level, of plateaus one after the other."""
+PLATEAU = 1.2
+"""Along the lane, and the same between two of them [m]."""
 
 
 def lane(kind: str, level: int) -> NDArray[np.float32]:
@@ -42,9 +44,10 @@ def lane(kind: str, level: int) -> NDArray[np.float32]:
     rng = np.random.default_rng(100 * KINDS.index(kind) + level)
     if kind == "steps":
         up = np.zeros(s.shape, bool)
-        for k in range(int(LENGTH / 1.2)):
-            angle = np.radians(ANGLES[(k // 2 + level) % len(ANGLES)]) if k % 2 == 0 else 0.0
-            up ^= (s - 1.2 * k) * np.cos(angle) + y * np.sin(angle) > 0.0
+        for k in range(int(LENGTH / (2.0 * PLATEAU))):
+            angle = np.radians(ANGLES[(k + 2 * level + 2) % len(ANGLES)])
+            across = (s - (2.0 * k + 0.5) * PLATEAU) * np.cos(angle) + y * np.sin(angle)
+            up |= np.abs(across) < 0.5 * PLATEAU * np.cos(angle)
         z = up * (0.04 + 0.026 * level)
     elif kind == "stairs":
         within = s % 4.8

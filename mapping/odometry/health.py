@@ -122,6 +122,8 @@ class HealthMonitor:
         self.lost = False
         self._doubt = ""
         """Why the robot may be elsewhere."""
+        self._tracked = False
+        """Nothing but a second opinion speaks for that: scan after scan fitted."""
         self._last_fit = 0
         self._fits = 0
         self._usual = np.array(FITS_AGAIN) / USUAL
@@ -132,9 +134,15 @@ class HealthMonitor:
     def start(self, stamp: int, lost: bool = False) -> None:
         """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
         self.lost, self._doubt, self._last_fit, self._fits = lost, "", stamp, 0
+        self._tracked = False
 
-    def doubt(self, reason: str) -> None:
-        """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row."""
+    def doubt(self, reason: str, tracked: bool = False) -> None:
+        """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row.
+
+        `tracked`: a second opinion about a robot that was tracked until now. Its scans need not fit as well as is usual: where it has just
+        come to, they may not have done so before either, and as long as they are refused the map does not learn what is new there.
+        """
+        self._tracked = tracked and not self.lost and (self._tracked or not self._doubt)
         self._doubt, self._fits = reason, 0
 
     def doubts(self, stamp: int) -> bool:
@@ -197,7 +205,7 @@ class HealthMonitor:
                 bad = f"registration jumped by {moved:.2f} m"
             elif (again or strange) and turned > math.degrees(TURN_SLACK + 3.0 * _sigma(prior[3:, 3:])):
                 bad = f"the scan fits where the gyro does not lead, {turned:.0f} deg off"
-            elif (again or strange) and not self.fits_again(match, young):
+            elif (again or strange) and not self.fits_again(match, young, self._only_asked(stamp, strange)):
                 bad = f"{match.overlap:.0%} of the scan overlaps the map, {match.inliers:.0%} of that lies on its surfaces"
             elif match.overlap < s.overlap_low and not young:
                 weak = f"scan overlaps the map by {match.overlap:.0%}"
@@ -224,21 +232,28 @@ class HealthMonitor:
             return Verdict(
                 health, "scans fit again, confirming", True, False, covariance, direction, share, strange
             )
-        self.lost, self._doubt = False, ""
+        self.lost, self._doubt, self._tracked = False, "", False
         if scans >= s.young and self.fits_again(match, False):
             self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
         return Verdict(health, weak, True, True, covariance, direction, share, strange)
 
-    def fits_again(self, match: Match, young: bool) -> bool:
+    def _only_asked(self, stamp: int, strange: bool) -> bool:
+        """Whether a second opinion is all that speaks against the tracker at `stamp` [ns]."""
+        return self._tracked and not (self.lost or strange) and self.gap(stamp) <= self.params.gap_again
+
+    def fits_again(self, match: Match, young: bool, tracked: bool = False) -> bool:
         """A scan after a gap fits as well as those of a robot that knows where it is. Level ground fits everywhere: in a
         wrong place up to 0.9 of a scan overlaps and up to 0.93 of that lies on surfaces, 3 to 9 cm off them.
 
         `young`: the local map has few scans. On open ground the rings of one scan make hardly any plane; where there is none, overlap has to do.
+        `tracked`: there was no gap, see `doubt`; then it fits as well as a scan must that is `good`.
         """
         if young and match.on_planes < self.params.min_on_planes:
             return match.overlap >= self.params.overlap_again
         off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + (SPARE, 0.0))
+        if tracked:
+            off, residual = 1.0 - self.params.inliers_low, self.params.residual_high
         return (
             match.overlap >= self.params.overlap_again
             and (young or match.on_planes >= ON_PLANES * match.points)

@@ -203,7 +203,7 @@ class LidarInertialOdometry:
             return
         against = self._witness.look(self._engine.frame, self._filter.pose(), sure)
         if against:
-            self._monitor.doubt(against)
+            self._monitor.doubt(against, tracked=True)
             self._notes.append(against)
 
     def _calibrate(

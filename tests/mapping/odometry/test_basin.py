@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hal.rotation import rotation_rpy
-from mapping.odometry.health import Health, HealthConfig, HealthMonitor
+from mapping.odometry.health import Health, HealthConfig, HealthMonitor, Verdict
 from mapping.odometry.registration.engines import Match
 from mapping.odometry.registration.witness import KissConfig, Witness
 from tools.bench.perception.basin import Moved, trials
@@ -99,3 +99,24 @@ def test_after_a_strange_scan_others_must_fit_as_well_as_usual() -> None:
     again = [judged(0.98, 0.99, 0.013, 0.0) for _ in range(3)]
     assert [v.insert for v in again] == [False, False, True]
     assert [v.health for v in again] == [Health.DEGRADED, Health.DEGRADED, Health.GOOD]
+
+
+@pytest.mark.parametrize("tracked", [True, False])
+def test_a_second_opinion_alone_does_not_lock_out_a_robot_that_has_just_come_somewhere(tracked: bool) -> None:
+    """There scans fit by 0.93 instead of the usual 0.99; refused, they would for ever, because the map learns nothing new."""
+    monitor = HealthMonitor(HealthConfig())
+    prior = 1e-4 * np.eye(6)
+    monitor.start(0)
+    here = at(0.0)
+
+    def judged(k: int, inliers: float) -> Verdict:
+        return monitor.judge(k * 100_000_000, match(0.98, inliers, 0.02, here), here, prior, 30, 0.008)
+
+    for k in range(1, 30):
+        assert judged(k, 0.99 if k < 20 else 0.93).insert
+    monitor.doubt("KISS-ICP disagrees", tracked=tracked)
+    after = [judged(k, 0.93) for k in range(30, 34)]
+    assert [v.use for v in after] == [tracked] * 4
+    assert [v.insert for v in after] == [False, False, tracked, tracked]
+    monitor.doubt("KISS-ICP disagrees", tracked=True)
+    assert not judged(45, 0.93).use, "after a gap of more than a second it is no second opinion only"

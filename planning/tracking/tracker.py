@@ -330,7 +330,7 @@ class PathTracker:
     def _turn_rate(self, error: float) -> float:
         """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
         p = self.params
-        rate = min(p.max_yaw_rate, math.sqrt(p.max_yaw_accel * abs(error)))
+        rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
         return math.copysign(max(rate, p.min_yaw_rate), error)
 
     def _slope_factor(self, slope: float) -> float:

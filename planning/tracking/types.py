@@ -20,7 +20,7 @@ class TrackerConfig(BaseModel):
         ge=0,
         description="[m/s] that comes over faces: a base that stalls is driven so fast; 0: any does",
     )
-    max_yaw_rate: float = Field(default=1.0, gt=0, description="[rad/s]")
+    max_yaw_rate: float = Field(default=0.8, gt=0, description="[rad/s]")
     min_yaw_rate: float = Field(
         default=0.15, gt=0, description="[rad/s] slowest turn on the spot the drive follows reliably"
     )

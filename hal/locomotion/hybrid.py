@@ -35,6 +35,8 @@ PUSH_GAIN, PUSH_MOST = 0.4, 0.9
 """Speed that is asked of the policy beyond the commanded one, per distance that it falls behind [1/s], and the sum of both at most [m/s]."""
 PUSH_FADE = 0.2
 """What is left of it at the next take-over is less by so much per time without the policy [m/s^2]."""
+TURN_MOST = 0.8
+"""Yaw rate [rad/s] that is asked of the policy amid a climb at most, as in the lanes it learnt in: at 1.0 rad/s it tipped over on a plate of 10 cm."""
 HELD_SHARE, HELD_TIME = 0.5, 0.2
 """A wheel is held when it rolls slower than this share of the commanded speed; after so long [s] ..."""
 SHAKE = 0.4
@@ -113,7 +115,8 @@ class HybridController:
             np.clip(self._held + (self.period if held else -self.period), 0.0, 2.0 * HELD_TIME)
         )
         self.climber.shake = SHAKE if drives and self._held >= HELD_TIME else 0.0
-        return replace(velocity, vx=velocity.vx + way * self._push)
+        turn = min(max(velocity.wz, -TURN_MOST), TURN_MOST)
+        return replace(velocity, vx=velocity.vx + way * self._push, wz=turn)
 
     def _over(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> bool:
         """Whether the model-based controller goes on."""

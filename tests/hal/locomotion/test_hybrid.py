@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hal.locomotion.climb import DRIVE
 from hal.locomotion.controllers import OURS
-from hal.locomotion.hybrid import BLEND, FAST, PUSH_MOST, SHAKE, HybridController, mixed
+from hal.locomotion.hybrid import BLEND, FAST, PUSH_MOST, SHAKE, TURN_MOST, HybridController, mixed
 from hal.locomotion.layout import FRAME, PolicyParams
 from hal.locomotion.params import VmcParams
 from hal.locomotion.torchfile import Layer
@@ -151,6 +151,27 @@ def test_a_policy_that_does_not_get_on_is_asked_for_more_and_shaken_and_one_that
         driver.step()
     assert hybrid.climber.shake == 0.0
     assert asked[-1] == 0.0
+
+
+@pytest.mark.parametrize("wz", [-1.0, -0.3, 1.0])
+def test_amid_a_climb_it_turns_no_faster_than_it_learnt(standing: Path, wz: float) -> None:
+    sim, hybrid = on("step_up_15"), HybridController(standing)
+    driver = Driver(sim, hybrid)
+    while not hybrid.climbing:
+        driver.step(0.5 if sim.time > 0.5 else 0.0)
+        assert sim.time < 4.0
+    asked: list[float] = []
+    step = hybrid.climber.step
+
+    def seen(state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
+        asked.append(velocity.wz)
+        return step(state, velocity, posture)
+
+    hybrid.climber.step = seen  # type: ignore[method-assign]
+    for _ in range(100):
+        driver.step(0.5, wz)
+    assert asked[-1] == pytest.approx(np.clip(wz, -TURN_MOST, TURN_MOST), abs=1e-3)
+    assert max(map(abs, asked)) <= TURN_MOST
 
 
 def test_the_next_climb_begins_without_the_push_of_the_last(standing: Path) -> None:

@@ -36,7 +36,7 @@ PUSH_GAIN, PUSH_MOST = 0.4, 0.9
 PUSH_FADE = 0.2
 """What is left of it at the next take-over is less by so much per time without the policy [m/s^2]."""
 TURN_MOST = 0.8
-"""Yaw rate [rad/s] that is asked of the policy amid a climb at most, as in the lanes it learnt in: at 1.0 rad/s it tipped over on a plate of 10 cm."""
+"""Yaw rate [rad/s] that is asked of the policy amid a climb at most, as in the lanes it learnt in: at 1.0 rad/s a policy tipped over on a plate of 10 cm."""
 HELD_SHARE, HELD_TIME = 0.5, 0.2
 """A wheel is held when it rolls slower than this share of the commanded speed; after so long [s] ..."""
 SHAKE = 0.4

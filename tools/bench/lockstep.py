@@ -16,8 +16,8 @@ from tools.bench.report import Report
 from tools.bench.spent import Spent
 
 GOALS = "a,b,rough,platform,behind_wall,home"
-FASTEST = 0.35
-"""Mean speed [m/s] that the six goals ask for."""
+LEAST_SPEED = 0.35
+"""Mean speed [m/s] over the six goals."""
 
 
 class Way:
@@ -52,17 +52,19 @@ def run(args: list[str]) -> Report:
         stack.wait_ready()
         spent_in = Spent(stack)
         cpu, simulated = time.process_time(), stack.seconds
-        way, driving = Way(stack), 0.0
+        driven, driving, all_reached = 0.0, 0.0, True
         for name in options.goals.split(","):
             x, y, yaw = scene.goals[name]
             begun = stack.seconds
             stack.send_goal(x, y, yaw, timeout=150.0)
+            way = Way(stack)
             stack.run_until(way.ended, 160.0, name)
             status = stack.newest[t.GOAL_STATUS]
-            driving += stack.seconds - begun
+            driven, driving = driven + way.length, driving + stack.seconds - begun
             stack.run(1.0)
             place = stack.newest[t.TRUTH].pose.pose
             reached = status.state == "reached"
+            all_reached &= reached
             report.add(f"reached.{name}", float(reached), "bool", 1.0, at_least=True)
             error = math.hypot(place.position.x - x, place.position.y - y)
             report.add(f"error_m.{name}", error if reached else math.nan, "m", 0.25)
@@ -73,9 +75,9 @@ def run(args: list[str]) -> Report:
             report.add(f"replans.{name}", status.replans, "-")
         report.add(
             "mean_speed",
-            way.length / driving,
+            driven / driving if all_reached else math.nan,
             "m/s",
-            FASTEST if options.goals == GOALS else None,
+            LEAST_SPEED if options.goals == GOALS else None,
             at_least=True,
         )
         spent, seconds = time.process_time() - cpu, stack.seconds - simulated

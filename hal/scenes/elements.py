@@ -192,10 +192,10 @@ def posts(random: np.random.Generator, grade: Grade) -> Element:
 
 
 def gaps(random: np.random.Generator, grade: Grade) -> Element:
-    """Two gaps across the lane, 1.0 m apart."""
+    """Two gaps across the lane, 1.0 m apart, and level ground behind them: the next element may begin with a gap."""
     # A gap that no cell centre lies in does not exist: at least two cells of 0.02 m.
     wide = max(grade.draw(random, "gap"), 0.04)
-    return Element("gaps", 1.0 + wide, lambda s, t: np.where((s < wide) | (s >= 1.0), PIT, 0.0))
+    return Element("gaps", 1.3 + wide, lambda s, t: np.where((s % 1.0 < wide) & (s < 1.2), PIT, 0.0))
 
 
 def platform(random: np.random.Generator, grade: Grade) -> Element:

@@ -4,7 +4,7 @@ from math import degrees
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hal.mujoco.config import CAPABILITIES
@@ -79,6 +79,7 @@ def test_a_lane_is_between_1_1_and_1_2_m_wide_with_walls_of_half_a_metre(seed, l
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS, st.integers(1, 4), CONTROLLER)
+@example(185, 2, "vmc")  # two pairs of gaps one behind the other
 def test_up_to_level_4_a_body_can_drive_the_way_within_the_capabilities(seed, level, controller) -> None:
     one = lane(seed, level=level, controller=controller)
     able = CAPABILITIES[controller]

@@ -24,7 +24,7 @@ class PathLimits(BaseModel):
 
     max_speed: float = Field(default=0.8, gt=0.0, description="fastest [m/s]")
     min_speed: float = Field(default=0.1, gt=0.0, description="slowest while moving [m/s]")
-    max_accel: float = Field(default=0.6, gt=0.0, description="speeding up and braking [m/s^2]")
+    max_accel: float = Field(default=0.8, gt=0.0, description="speeding up and braking [m/s^2]")
     lateral_accel: float = Field(default=0.6, gt=0.0, description="in curves [m/s^2]")
     max_yaw_rate: float = Field(default=0.8, gt=0.0, description="in curves [rad/s]")
     max_slope: float = Field(default=0.436, gt=0.0, description="steepest ground; half speed there [rad]")

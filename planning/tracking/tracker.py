@@ -3,7 +3,7 @@
 One control step: predict the pose through the drive's lag, find the place on the path (progress never goes back, so
 a path may cross itself), steer with curvature feed-forward plus line-of-sight guidance (aim = path heading
 + atan(-cross_track / lookahead)), and drive as fast as the path's profile, the slope, the heading error and the way
-to the goal allow. Where the aim is more than `turn_threshold` off, the base stops and turns in place first. At the
+to the goal allow. What the base is slower than commanded is learnt and made up for. Where the aim is more than `turn_threshold` off, the base stops and turns in place first. At the
 end it stops on the goal and turns to the requested yaw; a miss is corrected a few times by driving straight to the
 goal, then accepted and reported.
 """
@@ -41,6 +41,14 @@ _ROCK = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
 _MAX_DRIFT = 0.35
 """Bound of the learnt sideways drift [rad]."""
+_SLIP_RATE = 1.0
+"""How fast the slip is learnt [1/s]."""
+_MAX_SLIP = 0.1
+"""Bound of the slip: the share of the commanded speed that is missing, as far as it is made up for."""
+_STEADY = 0.02
+"""Slip is learnt while the command is this close to what it goes to [m/s] ..."""
+_ROLLS = 0.7
+"""... and the base has this share of its speed: one that the ground holds does not slip."""
 
 
 class PathTracker:
@@ -64,7 +72,7 @@ class PathTracker:
         self._phase = TrackPhase.IDLE
         self._s = 0.0
         self._started = False
-        self._drift = 0.0
+        self._drift = self._slip = 0.0
         self._tries = 0
         self._missed = False
         self._settle_since: int | None = None
@@ -103,11 +111,14 @@ class PathTracker:
         if goal_yaw is not None and not math.isfinite(goal_yaw):
             raise PathError("goal_yaw must be finite or None")
         path, *rest = track_paths(points, yaw, speed, least, **self.params.profile())
-        drift = self._drift if self._phase is TrackPhase.FOLLOWING and path.reverse == self._reverse else 0.0
+        same = path.reverse == self._reverse
+        drift = self._drift if self._phase is TrackPhase.FOLLOWING and same else 0.0
+        slip = self._slip if same else 0.0
         self.clear()
         self._path, self._rest, self._reverse = path, rest, path.reverse
         self._goal_yaw, self._path_id = goal_yaw, path_id
         self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, drift))
+        self._slip = slip
         self._phase = TrackPhase.FOLLOWING
         self._tries = p.goal_retries
 
@@ -223,7 +234,11 @@ class PathTracker:
             self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, self._drift))
         if abs(rate) > p.max_yaw_rate:  # keep the bend's shape: slow down rather than cut or widen it
             speed = max(least, speed * p.max_yaw_rate / abs(rate))
-        self._slew(sign * speed, rate, dt)
+        wanted = sign * speed * (1.0 + self._slip)
+        if sign * v > _ROLLS * speed and abs(wanted - self._vx) < _STEADY:
+            self._slip += _SLIP_RATE * (1.0 - sign * v / speed) * dt
+            self._slip = max(-_MAX_SLIP, min(_MAX_SLIP, self._slip))
+        self._slew(wanted, rate, dt)
         return TrackOutput(self._vx, self._wz, self._phase, **report)
 
     def _final(
@@ -296,7 +311,7 @@ class PathTracker:
         self._driven += path.length
         self._path = self._rest.pop(0)
         self._reverse = self._path.reverse
-        self._s, self._drift = 0.0, 0.0
+        self._s, self._drift, self._slip = 0.0, 0.0, 0.0
         self._phase = TrackPhase.FOLLOWING
 
     def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:
@@ -306,7 +321,7 @@ class PathTracker:
         self._correcting = track_path(
             [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self.params.profile()
         )
-        self._s, self._started, self._drift = 0.0, False, 0.0
+        self._s, self._started, self._drift, self._slip = 0.0, False, 0.0, 0.0
         # Aligning, not following: short of the goal there is no room to bend towards it.
         self._phase = TrackPhase.ALIGNING
 
@@ -330,7 +345,7 @@ class PathTracker:
     def _turn_rate(self, error: float) -> float:
         """Yaw rate that turns by `error` in place and can still brake; never slower than the drive follows."""
         p = self.params
-        rate = min(p.max_yaw_rate, p.heading_gain * abs(error), math.sqrt(p.max_yaw_accel * abs(error)))
+        rate = min(p.max_yaw_rate, math.sqrt(p.max_yaw_accel * abs(error)))
         return math.copysign(max(rate, p.min_yaw_rate), error)
 
     def _slope_factor(self, slope: float) -> float:

@@ -13,7 +13,7 @@ class TrackerConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    max_speed: float = Field(default=0.8, gt=0, description="[m/s] whatever the path allows")
+    max_speed: float = Field(default=0.8, gt=0, description="[m/s] of the base, whatever the path allows")
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
     step_speed: float = Field(
         default=0.0,
@@ -26,7 +26,7 @@ class TrackerConfig(BaseModel):
     )
     max_accel: float = Field(default=0.8, gt=0, description="[m/s^2] slew of the forward speed")
     max_decel: float = Field(
-        default=0.6, gt=0, description="[m/s^2] planned braking for goal, bends and slow stretches"
+        default=0.8, gt=0, description="[m/s^2] planned braking for goal, bends and slow stretches"
     )
     max_yaw_accel: float = Field(default=2.5, gt=0, description="[rad/s^2] slew of the yaw rate")
     lateral_accel: float = Field(default=0.4, gt=0, description="[m/s^2] in bends")
@@ -36,7 +36,9 @@ class TrackerConfig(BaseModel):
     lookahead: float = Field(
         default=0.35, gt=0, description="[m] line-of-sight distance: smaller returns to the path harder"
     )
-    heading_gain: float = Field(default=2.0, gt=0, description="[1/s] yaw rate per heading error")
+    heading_gain: float = Field(
+        default=2.0, gt=0, description="[1/s] yaw rate per heading error while it drives"
+    )
     drift_gain: float = Field(
         default=0.3, ge=0, description="[1/s] learns a constant sideways drift (cross-slope, bends)"
     )

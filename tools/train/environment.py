@@ -27,6 +27,14 @@ TALL = 0.38
 """Height of the trunk over the ground from which the critic's heights are counted [m]."""
 BACKWARD = 7
 """One of so many robots in the lanes drives backward, as a robot that backs out of what it cannot pass."""
+DETOUR = (0.4, 1.5)
+"""[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as a path amid rubble does..."""
+DETOUR_EVERY = 3.0
+"""... and the mean time [s] between two commands of this kind, and on open ground between any two."""
+SLOWEST = 0.15
+"""Of the speeds then told [m/s]: slower ones are not asked of a policy."""
+TURN = 0.8
+"""Fastest turn in lanes [rad/s], as `steering` asks for and the hybrid controller allows."""
 LOW = (0.25, 0.13)
 """Of the trunk over the ground [m]: from where it costs, and where it counts as a fall."""
 
@@ -105,8 +113,14 @@ class Environment:
         self.level = rng.integers(0, settings.first_level + 1, n)
         self.action = np.zeros((n, 16), np.float32)
         self.command = np.zeros((n, 3))
+        self._cruise = np.zeros(n)
+        """vx outside of detours [m/s]."""
+        self._detour = np.zeros((n, 2))
+        """Speed [m/s] and yaw rate beyond that of the lane [rad/s] of the detour, ..."""
+        self._left = np.zeros(n)
+        """... and what is left of it [s]."""
         self._asked = np.zeros(n)
-        """Distance that was commanded [m]."""
+        """Distance along the lane that was commanded [m]."""
         self._began = np.zeros(n)
         """x at the start [m]."""
         self._age = np.zeros(n, int)
@@ -152,7 +166,8 @@ class Environment:
         lanes = self.kind != OPEN
         aside = s[:, 2] - self.robots.ground.middle(self.kind, self.level)
         ahead = np.where(self.back, np.arctan2(-np.sin(b.yaw), -np.cos(b.yaw)), b.yaw)
-        self.command[lanes, 2] = steering(aside, ahead)[lanes]
+        told_turn = np.clip(steering(aside, ahead) + self._detour[:, 1] * (self._left > 0.0), -TURN, TURN)
+        self.command[lanes, 2] = np.where(self.command[:, 0] == 0.0, 0.0, told_turn)[lanes]
         n, rng, noise = len(s), self._rng, self.settings.physics.noise
         self._newest = (self._newest + 1) % len(self._frames)
         frame = self._frames[self._newest]
@@ -188,8 +203,9 @@ class Environment:
         broken = self.robots.step(self.action)
         self._lean += GAIN * PERIOD * (felt((self.robots.state[:, 24:27] - speed) / PERIOD) - self._lean)
         self._age += 1
-        self._asked += np.abs(self.command[:, 0]) * PERIOD
         b, s = self.body(), self.robots.state
+        along = np.maximum(np.abs(np.cos(b.yaw)), 0.3)  # a detour does not lead along the lane
+        self._asked += np.abs(self.command[:, 0]) * along * PERIOD
         terms = rewards(b, self.command, self.action, before, self.layout)
         total = reward.scale * sum(getattr(reward, name) * value for name, value in terms.items())
         lanes = self.kind != OPEN
@@ -237,7 +253,7 @@ class Environment:
         yaw = np.where(self.back[which], yaw + np.pi, yaw)
         self._draw(which)
         # The controller that hands over to this policy is driving already.
-        wish = self.command[which, 0]
+        wish = self._cruise[which]
         wish = np.where(self.back[which], wish, np.clip(wish, 0.0, None))
         rolling = wish * rng.uniform(0.0, 1.0, n) * (rng.random(n) < 0.5)
         self.robots.place(which, x, y, yaw, rolling)
@@ -245,9 +261,10 @@ class Environment:
         self._lean[which] = 0.0
         self._age[which], self._asked[which], self._began[which] = 0, 0.0, x
         self._fresh[which] = True
+        self._left[which] = 0.0
 
     def _draw(self, which: NDArray[np.int64]) -> None:
-        """New commands: one direction in lanes; anything on open ground, turns on the spot and zero among it."""
+        """New commands: one direction in lanes; anything on open ground, turns on the spot and zero among it. Detours come later."""
         n, rng = len(which), self._rng
         free = self.kind[which] == OPEN
         spot = rng.random(n) < 0.3
@@ -258,9 +275,23 @@ class Environment:
         self.command[which] = np.stack(
             [np.where(zero, 0.0, vx), np.zeros(n), np.where(zero, 0.0, wz)], axis=1
         )
+        self._cruise[which] = self.command[which, 0]
 
     def _change_commands(self) -> None:
-        self._draw(np.flatnonzero((self.kind == OPEN) & (self._rng.random(len(self.kind)) < PERIOD / 3.0)))
+        n, rng = len(self.kind), self._rng
+        lanes = self.kind != OPEN
+        due = rng.random(n) < PERIOD / DETOUR_EVERY
+        self._draw(np.flatnonzero(due & ~lanes))
+        self._left = np.maximum(self._left - PERIOD, 0.0)
+        begins = np.flatnonzero(due & lanes & (self._left == 0.0))
+        k = len(begins)
+        cruise = self._cruise[begins]
+        slow = np.sign(cruise) * rng.uniform(SLOWEST, np.maximum(np.abs(cruise), SLOWEST))
+        self._detour[begins, 0] = np.where(rng.random(k) < 0.2, 0.0, slow)
+        self._detour[begins, 1] = rng.uniform(-TURN, TURN, k) * (rng.random(k) < 0.7)
+        self._left[begins] = rng.uniform(*DETOUR, k)
+        vx = np.where(self._left > 0.0, self._detour[:, 0], self._cruise)
+        self.command[lanes, 0] = vx[lanes]
 
     def levels(self) -> dict[str, float]:
         """Mean level of each kind."""

@@ -30,8 +30,8 @@ FIELD = 14.0
 """Side of the open field along y [m]."""
 ANGLES = (0.0, 20.0, -35.0, 50.0, -60.0)
 """To the head-on way [deg]: of bars by level, of plateaus one after the other."""
-PLATEAU = 1.2
-"""Along the lane, and the same between two of them [m]."""
+PLATEAUS = (1.2, 0.8)
+"""Length of plateaus along the lane, and the same between two of them [m], by level."""
 
 
 def lane(kind: str, level: int) -> NDArray[np.float32]:
@@ -43,11 +43,11 @@ def lane(kind: str, level: int) -> NDArray[np.float32]:
     s = x - BEGIN
     rng = np.random.default_rng(100 * KINDS.index(kind) + level)
     if kind == "steps":
-        up = np.zeros(s.shape, bool)
-        for k in range(int(LENGTH / (2.0 * PLATEAU))):
+        up, length = np.zeros(s.shape, bool), PLATEAUS[level % len(PLATEAUS)]
+        for k in range(int(LENGTH / (2.0 * length))):
             angle = np.radians(ANGLES[(k + 2 * level + 2) % len(ANGLES)])
-            across = (s - (2.0 * k + 0.5) * PLATEAU) * np.cos(angle) + y * np.sin(angle)
-            up |= np.abs(across) < 0.5 * PLATEAU * np.cos(angle)
+            across = (s - (2.0 * k + 0.5) * length) * np.cos(angle) + y * np.sin(angle)
+            up |= np.abs(across) < 0.5 * length * np.cos(angle)
         z = up * (0.04 + 0.026 * level)
     elif kind == "stairs":
         within = s % 4.8
@@ -66,7 +66,7 @@ def lane(kind: str, level: int) -> NDArray[np.float32]:
         c = np.clip((np.maximum(s, 0.0) / side).astype(int), 0, cols - 1)
         z = heights[r, c] * (0.05 + 0.02 * level)
     elif kind == "ramps":
-        rise = np.tan(np.radians(8.0 + 3.0 * level))
+        rise = np.tan(np.radians(8.0 + 3.5 * level))
         within = np.maximum(s, 0.0) % 4.0
         z = np.minimum(within, 4.0 - within) * rise
         knots = rng.uniform(-1.0, 1.0, (int(WIDTH / 0.15) + 2, int(LENGTH / 0.15) + 2))

@@ -17,8 +17,20 @@ from hal.rotation import up_of
 from hal.types import PostureCommand, VelocityCommand
 from tools.train import teacher
 from tools.train.checkpoint import Checkpoint
-from tools.train.environment import KNOWN, SEEN, Body, Environment, felt, in_body, rewards
-from tools.train.settings import PARAMS, Physics, Settings
+from tools.train.environment import (
+    DETOUR,
+    DETOUR_EVERY,
+    KNOWN,
+    SEEN,
+    SLOWEST,
+    TURN,
+    Body,
+    Environment,
+    felt,
+    in_body,
+    rewards,
+)
+from tools.train.settings import PARAMS, PERIOD, Physics, Settings
 from tools.train.terrain import KINDS, LEVELS, OPEN, RESOLUTION, Ground, lane
 
 
@@ -93,6 +105,31 @@ def test_robots_may_begin_rolling(env: Environment) -> None:
     robots.place(
         np.arange(14), np.zeros(14), robots.ground.middle(env.kind, env.level), np.zeros(14), np.zeros(14)
     )
+
+
+def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> None:
+    one = Environment(Settings(physics=Physics(models=2)), 14, np.random.default_rng(5))
+    lanes = one.kind != OPEN
+    begun = one.command[lanes, 0].copy()
+    told, cruise = [], []
+    for _ in range(round(2.0 * DETOUR_EVERY / PERIOD)):
+        one._change_commands()
+        one.observe()
+        told.append(one.command[lanes].copy())
+        cruise.append(one.command[lanes, 0] == begun)
+    vx, wz, on_way = np.array(told)[:, :, 0], np.array(told)[:, :, 2], np.array(cruise)
+    assert ((vx * np.sign(begun) >= 0.0) & (np.abs(vx) <= np.abs(begun) + 1e-9)).all(), (
+        "never faster, never back"
+    )
+    assert (np.abs(vx[vx != 0.0]) >= SLOWEST).all()
+    assert (wz[vx == 0.0] == 0.0).all(), "who stands does not turn"
+    assert (np.abs(wz) <= TURN + 1e-9).all()
+    assert (np.ptp(wz, axis=0) > 0.2).any(), "they are where they began, and told to turn"
+    # A detour takes a second of four on average.
+    share = 1.0 - on_way.mean()
+    expected = np.mean(DETOUR) / (np.mean(DETOUR) + DETOUR_EVERY)
+    assert 0.3 * expected < share < 2.0 * expected
+    assert (on_way[-1] & ~on_way.all(axis=0)).any(), "it ends by itself"
 
 
 def body(**changes: np.ndarray) -> Body:

@@ -1,8 +1,8 @@
-"""The model-based controller drives; the learnt one takes over where a wheel is held by the ground, and hands back on level ground.
+"""The model-based controller drives; the learnt one takes over where the ground holds a wheel or twists the robot, and hands back on level ground.
 
 The model-based controller stands, creeps, stops, turns on the spot and drives on ground that needs no climbing: it does that to the
-centimetre. It climbs by lifting one wheel at a time, up to 0.10 m. A learnt policy climbs higher while driving, but it sways at
-rest and turns badly. The torques of both are mixed over `BLEND` at each change.
+centimetre. It climbs by lifting one wheel at a time, up to 0.10 m; with one wheel 0.2 m below the others it tips over. A learnt policy
+climbs higher while driving, but it sways at rest and turns badly. The torques of both are mixed over `BLEND` at each change.
 """
 
 from __future__ import annotations
@@ -27,6 +27,10 @@ ONWARD = 0.15
 """The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
 BLOCKED = 0.5
 """Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
+TWIST = 0.08
+"""One wheel so far [m] off the plane of the others is what the model-based controller cannot drive with: there the learnt one does all but rest..."""
+TWIST_TIME = 0.1
+"""... after so long [s]: a wheel that was lifted is put down in less."""
 CALM_TIME = 1.0
 """[s] of level ground after which the climb is over."""
 CALM_SPREAD = 0.03
@@ -66,7 +70,7 @@ class HybridController:
         """The learnt policy drives."""
         self._share = 0.0
         """Of the learnt policy in the torques."""
-        self._calm = self._other = 0.0
+        self._calm = self._other = self._twist = 0.0
         self._push = self._held = 0.0
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
@@ -74,13 +78,19 @@ class HybridController:
         fast = abs(velocity.vx) >= FAST
         # It lifts wheels only where the learnt policy cannot help.
         self.wheels.lift_wheels(not fast)
-        if not self.climbing and fast and self.wheels.blocked() >= BLOCKED:
+        heights = go2w.wheel_centres(state.q) @ np.array(up_of(state.quaternion))
+        off = abs(heights[0] + heights[3] - heights[1] - heights[2]) > TWIST
+        blocked, moves = self.wheels.blocked(), velocity.vx != 0.0 or velocity.wz != 0.0
+        lifting = not self.climbing and blocked >= 1.0
+        self._twist = self._twist + self.period if off and not lifting else 0.0
+        twisted = self._twist >= TWIST_TIME
+        if not self.climbing and ((fast and blocked >= BLOCKED) or (twisted and moves)):
             self.climbing = True
             self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
                 self._held = 0.0
-        elif self.climbing and self._over(state, velocity, posture):
+        elif self.climbing and self._over(state, velocity, posture, float(np.ptp(heights)), twisted):
             self.climbing = False
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
@@ -118,15 +128,21 @@ class HybridController:
         turn = min(max(velocity.wz, -TURN_MOST), TURN_MOST)
         return replace(velocity, vx=velocity.vx + way * self._push, wz=turn)
 
-    def _over(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> bool:
-        """Whether the model-based controller goes on."""
-        heights = go2w.wheel_centres(state.q) @ np.array(up_of(state.quaternion))
-        level = np.ptp(heights) < CALM_SPREAD
+    def _over(
+        self,
+        state: LowState,
+        velocity: VelocityCommand,
+        posture: PostureCommand,
+        spread: float,
+        twisted: bool,
+    ) -> bool:
+        """Whether the model-based controller goes on; `spread` of the wheels' heights [m]."""
+        level = spread < CALM_SPREAD
         self._calm = self._calm + self.period if level else 0.0
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
         tilted = posture.roll != 0.0 or posture.pitch != 0.0
-        other = tilted if stop else abs(velocity.vx) < ONWARD
+        other = not twisted and (tilted if stop else abs(velocity.vx) < ONWARD)
         self._other = self._other + self.period if other else 0.0
         slow = other and abs(_rolling(state)) < SLOW
         return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME

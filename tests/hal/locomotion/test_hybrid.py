@@ -11,8 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hal.locomotion.climb import DRIVE
+from hal import go2w
 from hal.locomotion.controllers import OURS
-from hal.locomotion.hybrid import BLEND, FAST, PUSH_MOST, SHAKE, TURN_MOST, HybridController, mixed
+from hal.locomotion.hybrid import (
+    BLEND,
+    FAST,
+    OTHER_TIME,
+    PUSH_MOST,
+    SHAKE,
+    TURN_MOST,
+    TWIST,
+    HybridController,
+    mixed,
+)
 from hal.locomotion.layout import FRAME, PolicyParams
 from hal.locomotion.params import VmcParams
 from hal.locomotion.torchfile import Layer
@@ -172,6 +183,54 @@ def test_amid_a_climb_it_turns_no_faster_than_it_learnt(standing: Path, wz: floa
         driver.step(0.5, wz)
     assert asked[-1] == pytest.approx(np.clip(wz, -TURN_MOST, TURN_MOST), abs=1e-3)
     assert max(map(abs, asked)) <= TURN_MOST
+
+
+def on_wheels(state: LowState, raised: dict[int, float]) -> LowState:
+    """`state` level at rest with wheels raised by so much [m]: legs FR, FL, RR, RL."""
+    q = state.q.copy()
+    for leg, height in raised.items():
+        for share in np.linspace(0.0, 1.0, 400):
+            q[3 * leg + 1 : 3 * leg + 3] = state.q[3 * leg + 1 : 3 * leg + 3] + share * np.array([0.6, -1.2])
+            if go2w.wheel_centres(q)[leg, 2] - go2w.wheel_centres(state.q)[leg, 2] >= height:
+                break
+        else:
+            raise AssertionError("a leg cannot fold so far")
+    return LowState(state.time, q, state.dq, state.tau, np.array([1.0, 0, 0, 0]), np.zeros(3), state.accel)
+
+
+@pytest.mark.parametrize(
+    ("raised", "twisted"),
+    [
+        ({0: 1.2 * TWIST}, True),
+        ({3: 1.2 * TWIST}, True),
+        ({0: 0.7 * TWIST, 3: 0.7 * TWIST}, True),
+        ({0: 0.8 * TWIST}, False),
+        ({0: 1.5 * TWIST, 1: 1.5 * TWIST}, False),
+        ({1: 1.5 * TWIST, 3: 1.5 * TWIST}, False),
+        ({}, False),
+    ],
+    ids=["front", "rear", "diagonal", "little", "ramp", "side slope", "level"],
+)
+def test_where_one_wheel_is_off_the_plane_of_the_others_only_the_policy_drives(
+    standing: Path, raised: dict[int, float], twisted: bool
+) -> None:
+    sim = on("ramp_up_0")
+    driver = Driver(sim, VmcController())
+    for _ in range(200):
+        driver.step()
+    state = on_wheels(sim.low_state(), raised)
+    for vx, wz in ((0.1, 0.0), (-0.2, 0.3), (0.0, 0.5), (0.5, 0.0)):
+        hybrid = HybridController(standing)
+        for _ in range(50):
+            hybrid.step(state, VelocityCommand(0), PostureCommand(0))
+        assert not hybrid.climbing, "who stands goes on standing"
+        hybrid.step(state, VelocityCommand(0, vx, 0.0, wz), PostureCommand(0))
+        assert hybrid.climbing == twisted
+        if not twisted:
+            continue
+        for _ in range(round(2.0 * OTHER_TIME / hybrid.period)):
+            hybrid.step(state, VelocityCommand(0, 0.0, 0.0, 0.5), PostureCommand(0))
+        assert hybrid.climbing, "not even a turn on the spot is handed back"
 
 
 def test_the_next_climb_begins_without_the_push_of_the_last(standing: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hal.locomotion.climb import DRIVE
 from hal import go2w
+from hal.locomotion.climb import DRIVE
 from hal.locomotion.controllers import OURS
 from hal.locomotion.hybrid import (
     BLEND,

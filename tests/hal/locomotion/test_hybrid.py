@@ -21,6 +21,7 @@ from hal.locomotion.hybrid import (
     SHAKE,
     TURN_MOST,
     TWIST,
+    UNTWIST,
     HybridController,
     mixed,
 )
@@ -205,8 +206,8 @@ def on_wheels(state: LowState, raised: dict[int, float]) -> LowState:
         ({3: 1.2 * TWIST}, True),
         ({0: 0.7 * TWIST, 3: 0.7 * TWIST}, True),
         ({0: 0.8 * TWIST}, False),
-        ({0: 1.5 * TWIST, 1: 1.5 * TWIST}, False),
-        ({1: 1.5 * TWIST, 3: 1.5 * TWIST}, False),
+        ({0: 1.2 * TWIST, 1: 1.2 * TWIST}, False),
+        ({1: 1.2 * TWIST, 3: 1.2 * TWIST}, False),
         ({}, False),
     ],
     ids=["front", "rear", "diagonal", "little", "ramp", "side slope", "level"],
@@ -218,7 +219,8 @@ def test_where_one_wheel_is_off_the_plane_of_the_others_only_the_policy_drives(
     driver = Driver(sim, VmcController())
     for _ in range(200):
         driver.step()
-    state = on_wheels(sim.low_state(), raised)
+    rest = sim.low_state()
+    state = on_wheels(rest, raised)
     for vx, wz in ((0.1, 0.0), (-0.2, 0.3), (0.0, 0.5), (0.5, 0.0)):
         hybrid = HybridController(standing)
         for _ in range(50):
@@ -231,6 +233,10 @@ def test_where_one_wheel_is_off_the_plane_of_the_others_only_the_policy_drives(
         for _ in range(round(2.0 * OTHER_TIME / hybrid.period)):
             hybrid.step(state, VelocityCommand(0, 0.0, 0.0, 0.5), PostureCommand(0))
         assert hybrid.climbing, "not even a turn on the spot is handed back"
+        for less, kept in ((1.2 * UNTWIST, True), (0.8 * UNTWIST, False)):
+            for _ in range(round(2.0 * OTHER_TIME / hybrid.period)):
+                hybrid.step(on_wheels(rest, {0: less}), VelocityCommand(0, 0.0, 0.0, 0.5), PostureCommand(0))
+            assert hybrid.climbing == kept
 
 
 def test_the_next_climb_begins_without_the_push_of_the_last(standing: Path) -> None:

@@ -17,7 +17,7 @@ from hal.locomotion.policy import PolicyController
 from hal.locomotion.vmc import VmcController
 from hal.lowlevel import LowCommand, LowState
 from hal.rotation import up_of
-from hal.types import PostureCommand, VelocityCommand
+from hal.types import Array, PostureCommand, VelocityCommand
 
 BLEND = 0.16
 """[s] over which one controller's torques turn into the other's."""
@@ -27,10 +27,10 @@ ONWARD = 0.15
 """The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
 BLOCKED = 0.5
 """Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
-TWIST, UNTWIST = 0.14, 0.08
-"""One wheel so far [m] off the plane of the others calls the learnt controller. It then drives, turns and creeps itself down to the second."""
-TWIST_TIME = 0.1
-"""[s] for which it is so: a wheel that was lifted is put down in less. On smooth ground the model-based controller drives well with 0.1 m."""
+TWIST, TWIST_TIME = 0.14, 0.1
+"""One wheel so far [m] off the plane of the others for so long [s] calls the learnt controller; a wheel that was lifted is put down in less."""
+ASTRIDE = 0.12
+"""While the legs' lengths differ by more [m] the learnt controller turns and creeps, too: the model-based one tips over there."""
 CALM_TIME = 1.0
 """[s] of level ground after which the climb is over."""
 CALM_SPREAD = 0.03
@@ -78,20 +78,18 @@ class HybridController:
         fast = abs(velocity.vx) >= FAST
         # It lifts wheels only where the learnt policy cannot help.
         self.wheels.lift_wheels(not fast)
-        heights = go2w.wheel_centres(state.q) @ np.array(up_of(state.quaternion))
-        twist = abs(heights[0] + heights[3] - heights[1] - heights[2])
+        centres = go2w.wheel_centres(state.q)
+        heights = centres @ np.array(up_of(state.quaternion))
         blocked, moves = self.wheels.blocked(), velocity.vx != 0.0 or velocity.wz != 0.0
-        lifting = not self.climbing and blocked >= 1.0
-        off = twist > (UNTWIST if self.climbing else TWIST) and not lifting
-        self._twist = self._twist + self.period if off else 0.0
-        twisted = self._twist >= TWIST_TIME
-        if not self.climbing and ((fast and blocked >= BLOCKED) or (twisted and moves)):
+        twisted = abs(heights[0] + heights[3] - heights[1] - heights[2]) > TWIST and blocked < 1.0
+        self._twist = self._twist + self.period if twisted else 0.0
+        if not self.climbing and ((fast and blocked >= BLOCKED) or (moves and self._twist >= TWIST_TIME)):
             self.climbing = True
             self._calm = self._other = 0.0
             if self._share == 0.0:
                 self.climber.reset()
                 self._held = 0.0
-        elif self.climbing and self._over(state, velocity, posture, float(np.ptp(heights)), twisted):
+        elif self.climbing and self._over(state, velocity, posture, centres, heights):
             self.climbing = False
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
@@ -134,16 +132,17 @@ class HybridController:
         state: LowState,
         velocity: VelocityCommand,
         posture: PostureCommand,
-        spread: float,
-        twisted: bool,
+        centres: Array,
+        heights: Array,
     ) -> bool:
-        """Whether the model-based controller goes on; `spread` of the wheels' heights [m]."""
-        level = spread < CALM_SPREAD
+        """Whether the model-based controller goes on; wheels (4, 3) in base_link and their heights (4,) [m]."""
+        level = np.ptp(heights) < CALM_SPREAD
+        astride = np.ptp(centres[:, 2]) > ASTRIDE
         self._calm = self._calm + self.period if level else 0.0
         # A robot that stands amid what it climbs is braked and held by the policy: the model-based controller would move to its own stance.
         stop = velocity.vx == 0.0 and velocity.vy == 0.0 and velocity.wz == 0.0
         tilted = posture.roll != 0.0 or posture.pitch != 0.0
-        other = not twisted and (tilted if stop else abs(velocity.vx) < ONWARD)
+        other = not astride and (tilted if stop else abs(velocity.vx) < ONWARD)
         self._other = self._other + self.period if other else 0.0
         slow = other and abs(_rolling(state)) < SLOW
         return self._calm >= CALM_TIME or slow or self._other >= OTHER_TIME

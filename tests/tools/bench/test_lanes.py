@@ -10,7 +10,7 @@ from hal.scenes.lanes import lane
 from tools.bench import goals
 from tools.bench.lanes.bench import numbers
 from tools.bench.lanes.table import table
-from tools.bench.lanes.trial import Trial, Watch
+from tools.bench.lanes.trial import Trial, Watch, drive
 from tools.bench.report import least_rate
 
 
@@ -124,3 +124,11 @@ def test_contacts_are_named_and_point_to_the_robot() -> None:
     assert set(contacts.bodies) == {f"{leg}_wheel" for leg in ("FR", "FL", "RR", "RL")}
     assert (contacts.normals[:, 2] > 0.9).all()
     assert abs(contacts.places[:, 2]).max() < 0.02
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("seed", [7, 10])
+def test_the_default_robot_does_not_fall_on_kerbs_at_its_limit(seed: int) -> None:
+    end = drive(Trial(seed, 4, "hybrid", "prior", made_of="kerbs"))
+    assert end["outcome"] == "reached"
+    assert end["tilt"] < 40.0

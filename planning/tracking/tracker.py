@@ -3,9 +3,9 @@
 One control step: predict the pose through the drive's lag, find the place on the path (progress never goes back, so
 a path may cross itself), steer with curvature feed-forward plus line-of-sight guidance (aim = path heading
 + atan(-cross_track / lookahead)), and drive as fast as the path's profile, the slope, the heading error and the way
-to the goal allow. What the base is slower than commanded is learnt and made up for. Where the aim is more than `turn_threshold` off, the base stops and turns in place first. At the
-end it stops on the goal and turns to the requested yaw; a miss is corrected a few times by driving straight to the
-goal, then accepted and reported.
+to the goal allow. What the base is slower than commanded is learnt and made up for. Where the aim is more than
+`turn_threshold` off, the base stops and turns in place first. At the end it stops on the goal and turns to the
+requested yaw; a miss is corrected a few times by driving straight to the goal, then accepted and reported.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ CAPABILITIES: dict[Controller, Capabilities] = {
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and
 `max_posts` from its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted.
 The hybrid controller has the slow speeds and the tilt of the model-based one, and climbs at the speed of the policy. Its row is that of our
-policy: head-on it climbs 0.30 m and askew 0.20 m (rows `oblique_face_*`: up to 60 deg); the limits are lower, because
-a robot meets faces more askew than its path."""
+policy: head-on it climbs 0.30 m and askew 0.20 m (rows `oblique_face_*`: up to 60 deg); the limits
+are those of an earlier policy, which fell beyond them."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

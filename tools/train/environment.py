@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal import go2w
+from hal.locomotion.hybrid import ONWARD, TURN_MOST
 from hal.locomotion.layout import FRAME, Layout
 from hal.mujoco.attitude import GAIN
 from hal.types import GRAVITY, Array
@@ -28,13 +29,9 @@ TALL = 0.38
 BACKWARD = 7
 """One of so many robots in the lanes drives backward, as a robot that backs out of what it cannot pass."""
 DETOUR = (0.4, 1.5)
-"""[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as a path amid rubble does..."""
+"""[s] for which a robot in a lane is told to drive slower, to turn aside, or to stand, as the hybrid controller asks of a policy amid rubble..."""
 DETOUR_EVERY = 3.0
 """... and the mean time [s] between two commands of this kind, and on open ground between any two."""
-SLOWEST = 0.15
-"""Of the speeds then told [m/s]: slower ones are not asked of a policy."""
-TURN = 0.8
-"""Fastest turn in lanes [rad/s], as `steering` asks for and the hybrid controller allows."""
 LOW = (0.25, 0.13)
 """Of the trunk over the ground [m]: from where it costs, and where it counts as a fall."""
 
@@ -166,8 +163,9 @@ class Environment:
         lanes = self.kind != OPEN
         aside = s[:, 2] - self.robots.ground.middle(self.kind, self.level)
         ahead = np.where(self.back, np.arctan2(-np.sin(b.yaw), -np.cos(b.yaw)), b.yaw)
-        told_turn = np.clip(steering(aside, ahead) + self._detour[:, 1] * (self._left > 0.0), -TURN, TURN)
-        self.command[lanes, 2] = np.where(self.command[:, 0] == 0.0, 0.0, told_turn)[lanes]
+        turn = steering(aside, ahead) + self._detour[:, 1] * (self._left > 0.0)
+        turn = np.clip(turn, -TURN_MOST, TURN_MOST)
+        self.command[lanes, 2] = np.where(self.command[:, 0] == 0.0, 0.0, turn)[lanes]
         n, rng, noise = len(s), self._rng, self.settings.physics.noise
         self._newest = (self._newest + 1) % len(self._frames)
         frame = self._frames[self._newest]
@@ -286,9 +284,9 @@ class Environment:
         begins = np.flatnonzero(due & lanes & (self._left == 0.0))
         k = len(begins)
         cruise = self._cruise[begins]
-        slow = np.sign(cruise) * rng.uniform(SLOWEST, np.maximum(np.abs(cruise), SLOWEST))
+        slow = np.sign(cruise) * rng.uniform(ONWARD, np.maximum(np.abs(cruise), ONWARD))
         self._detour[begins, 0] = np.where(rng.random(k) < 0.2, 0.0, slow)
-        self._detour[begins, 1] = rng.uniform(-TURN, TURN, k) * (rng.random(k) < 0.7)
+        self._detour[begins, 1] = rng.uniform(-TURN_MOST, TURN_MOST, k) * (rng.random(k) < 0.7)
         self._left[begins] = rng.uniform(*DETOUR, k)
         vx = np.where(self._left > 0.0, self._detour[:, 0], self._cruise)
         self.command[lanes, 0] = vx[lanes]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hal import go2w
+from hal.locomotion.hybrid import ONWARD, TURN_MOST
 from hal.locomotion.layout import FRAME, Layout
 from hal.locomotion.policy import PolicyController
 from hal.locomotion.torchfile import Layer
@@ -22,8 +23,6 @@ from tools.train.environment import (
     DETOUR_EVERY,
     KNOWN,
     SEEN,
-    SLOWEST,
-    TURN,
     Body,
     Environment,
     felt,
@@ -121,9 +120,9 @@ def test_robots_in_lanes_are_told_to_slow_down_to_turn_aside_and_to_stand() -> N
     assert ((vx * np.sign(begun) >= 0.0) & (np.abs(vx) <= np.abs(begun) + 1e-9)).all(), (
         "never faster, never back"
     )
-    assert (np.abs(vx[vx != 0.0]) >= SLOWEST).all()
+    assert (np.abs(vx[vx != 0.0]) >= ONWARD).all()
     assert (wz[vx == 0.0] == 0.0).all(), "who stands does not turn"
-    assert (np.abs(wz) <= TURN + 1e-9).all()
+    assert (np.abs(wz) <= TURN_MOST + 1e-9).all()
     assert (np.ptp(wz, axis=0) > 0.2).any(), "they are where they began, and told to turn"
     # A detour takes a second of four on average.
     share = 1.0 - on_way.mean()

@@ -16,6 +16,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from hal.rotation import wrap
+from planning.tracking.learnt import Learnt
 from planning.tracking.path import PathError, TrackPath, track_path, track_paths
 from planning.tracking.slow import slowed_by
 from planning.tracking.stall import Stall
@@ -39,16 +40,6 @@ _TURN_LEAST = 0.05
 """[rad]"""
 _ROCK = 0.08
 """How far from the goal it drives back and forth while it turns [m]."""
-_MAX_DRIFT = 0.35
-"""Bound of the learnt sideways drift [rad]."""
-_SLIP_RATE = 1.0
-"""How fast the slip is learnt [1/s]."""
-_MAX_SLIP = 0.1
-"""Bound of the slip: the share of the commanded speed that is missing, as far as it is made up for."""
-_STEADY = 0.02
-"""Slip is learnt while the command is this close to what it goes to [m/s] ..."""
-_ROLLS = 0.7
-"""... and the base has this share of its speed: one that the ground holds does not slip."""
 
 
 class PathTracker:
@@ -72,7 +63,7 @@ class PathTracker:
         self._phase = TrackPhase.IDLE
         self._s = 0.0
         self._started = False
-        self._drift = self._slip = 0.0
+        self._learnt = Learnt()
         self._tries = 0
         self._missed = False
         self._settle_since: int | None = None
@@ -111,14 +102,13 @@ class PathTracker:
         if goal_yaw is not None and not math.isfinite(goal_yaw):
             raise PathError("goal_yaw must be finite or None")
         path, *rest = track_paths(points, yaw, speed, least, **self.params.profile())
-        same = path.reverse == self._reverse
-        drift = self._drift if self._phase is TrackPhase.FOLLOWING and same else 0.0
-        slip = self._slip if same else 0.0
+        learnt = self._learnt if path.reverse == self._reverse else Learnt()
+        if self._phase is not TrackPhase.FOLLOWING:
+            learnt.drift = 0.0
         self.clear()
         self._path, self._rest, self._reverse = path, rest, path.reverse
         self._goal_yaw, self._path_id = goal_yaw, path_id
-        self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, drift))
-        self._slip = slip
+        self._learnt = learnt
         self._phase = TrackPhase.FOLLOWING
         self._tries = p.goal_retries
 
@@ -204,7 +194,7 @@ class PathTracker:
 
         # Whether to stop and turn is told by where the base is: at a sharp corner the prediction's heading jumps with
         # every bit of speed, and a base that stops for that never comes to the corner.
-        back_to = math.atan2(-cross_p, p.lookahead) - self._drift
+        back_to = math.atan2(-cross_p, p.lookahead) - self._learnt.drift
         off = wrap(line.at(line.heading, s) + back_to - course_p)
         # From rest, turning first costs little and saves the swing out of the corridor that a bend would need.
         at_rest = self._vx == 0.0 and abs(v) < 0.05
@@ -230,14 +220,11 @@ class PathTracker:
         report["slow"] = slowed_by(line, s, p, (profile, stop, tilted * p.max_speed, turned * p.max_speed))
         rate = line.at(line.curvature, s_p) * abs(self._vx) + p.heading_gain * off
         if abs(v) > 0.1 and abs(cross) < 0.3 and abs(off) < free:
-            self._drift += p.drift_gain * cross_p / p.lookahead * dt
-            self._drift = max(-_MAX_DRIFT, min(_MAX_DRIFT, self._drift))
+            self._learnt.learn_drift(p.drift_gain * cross_p / p.lookahead * dt)
         if abs(rate) > p.max_yaw_rate:  # keep the bend's shape: slow down rather than cut or widen it
             speed = max(least, speed * p.max_yaw_rate / abs(rate))
-        wanted = sign * speed * (1.0 + self._slip)
-        if sign * v > _ROLLS * speed and abs(wanted - self._vx) < _STEADY:
-            self._slip += _SLIP_RATE * (1.0 - sign * v / speed) * dt
-            self._slip = max(-_MAX_SLIP, min(_MAX_SLIP, self._slip))
+        wanted = sign * self._learnt.command(speed)
+        self._learnt.learn_slip(speed, sign * v, sign * self._vx, dt)
         self._slew(wanted, rate, dt)
         return TrackOutput(self._vx, self._wz, self._phase, **report)
 
@@ -311,7 +298,8 @@ class PathTracker:
         self._driven += path.length
         self._path = self._rest.pop(0)
         self._reverse = self._path.reverse
-        self._s, self._drift, self._slip = 0.0, 0.0, 0.0
+        self._s = 0.0
+        self._learnt = Learnt()
         self._phase = TrackPhase.FOLLOWING
 
     def _correct(self, x: float, y: float, yaw: float, goal_x: float, goal_y: float) -> None:
@@ -321,7 +309,8 @@ class PathTracker:
         self._correcting = track_path(
             [(x, y), (goal_x, goal_y)], None, self.params.min_speed, **self.params.profile()
         )
-        self._s, self._started, self._drift, self._slip = 0.0, False, 0.0, 0.0
+        self._s, self._started = 0.0, False
+        self._learnt = Learnt()
         # Aligning, not following: short of the goal there is no room to bend towards it.
         self._phase = TrackPhase.ALIGNING
 

@@ -37,7 +37,7 @@ class VmcParams(NamedTuple):
     # --- legs
     leg_kp: float = 110.0
     """Hip and thigh position gain [Nm/rad], closed in the motor: holds the wheels under the trunk."""
-    leg_kd: float = 4.0
+    leg_kd: float = 6.0
     """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
     calf_kd: float = 2.0
     calf_share: float = 1.0
@@ -52,15 +52,13 @@ class VmcParams(NamedTuple):
     """Wheel speed gain [Nm s/rad], closed in the motor."""
     wheel_torque: float = 6.0
     """Largest torque the speed loop may add to the feed-forward [Nm]."""
-    wheel_kp: float = 12.0
+    wheel_kp: float = 18.0
     """Position gain [Nm/rad] of a wheel that holds its place."""
     speed_ki: float = 4.0
     """Common speed integral [Nm/m]."""
-    rolling: float = 0.91
-    """Ground covered per rolled circumference: the tyre gives and creeps."""
     accel: float = 2.5
     """Slew of the commanded speed [m/s^2]."""
-    decel: float = 3.7
+    decel: float = 4.0
     """The same while braking [m/s^2]; ground with less friction than 0.4 lets the wheels slide."""
     alpha: float = 4.0
     """Slew of the commanded yaw rate [rad/s^2]."""

@@ -8,7 +8,6 @@ import numpy as np
 from numba import njit
 
 from hal.go2w import (
-    ARMATURE,
     BASE,
     DAMPING,
     FRICTIONLOSS,
@@ -21,7 +20,6 @@ from hal.go2w import (
     THIGH_LINK,
     THIGH_Y,
     TREAD_Y,
-    WHEEL,
     WHEEL_RADIUS,
     wheel_centres,
     wheel_jacobians,
@@ -43,8 +41,6 @@ from hal.wheel_force import inverse3
 
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
 """What the legs carry and push [kg]; shank and wheel follow the ground."""
-DRIVEN = MASS + 4.0 * (WHEEL.inertia[1] + ARMATURE) / WHEEL_RADIUS**2
-"""What the wheel motors accelerate [kg]: the robot and their own rotors."""
 
 OUT_Q, OUT_DQ, OUT_TAU, OUT_KP, OUT_KD = range(5)
 """Rows of the (5, 16) command."""
@@ -122,7 +118,6 @@ def vmc_tick(
     m.height = -ground
 
     # --- wheel centres relative to base_link, velocity in H; ground speed from rolling
-    radius = WHEEL_RADIUS * p.rolling
     velocity = np.empty((4, 3))
     spin = np.empty(4)
     rolled = np.empty(4)
@@ -307,7 +302,7 @@ def vmc_tick(
         # A wheel that is far from its place rolls back to it: one that is held must not let the others drive on under the trunk.
         astray = error_x - clip(error_x, -p.astray, p.astray) if stands else 0.0
         ground_speed = m.vx - turn * points[leg, 1] + rate_x + p.astray_rate * astray
-        want = ground_speed / radius - spin[leg]
+        want = ground_speed / WHEEL_RADIUS - spin[leg]
         band = limit / p.wheel_kd
         want = clip(want, dq[wheel] - band, dq[wheel] + band)
         friction = FRICTIONLOSS * clip(want / 0.5, -1.0, 1.0) + DAMPING * want
@@ -315,7 +310,9 @@ def vmc_tick(
         out[OUT_KD, wheel] = p.wheel_kd
         if m.hold == 1:
             rolled = q[3 * leg + 1] + q[3 * leg + 2] + pitch
-            m.latch[leg] += rate_x / radius * dt  # a wheel that changes its place under the trunk rolls there
+            m.latch[leg] += (
+                rate_x / WHEEL_RADIUS * dt
+            )  # a wheel that changes its place under the trunk rolls there
             out[OUT_Q, wheel] = m.latch[leg] - rolled
             out[OUT_KP, wheel] = p.wheel_kp
             out[OUT_TAU, wheel] = hold_torque
@@ -324,7 +321,8 @@ def vmc_tick(
             out[OUT_KP, wheel] = 0.0
             drive_torque = m.speed_i * clip(limit / p.wheel_torque, 0.0, 1.0)
             if not climbing:
-                drive_torque += WHEEL_RADIUS * DRIVEN * push[0] * m.load[leg] / total_load
+                # For the sprung mass alone: shanks, wheels and rotors follow the speed loop. With them a stop overshoots.
+                drive_torque += WHEEL_RADIUS * SPRUNG * push[0] * m.load[leg] / total_load
             out[OUT_TAU, wheel] = hold_torque + friction + drive_torque
         torque[leg] = out[OUT_TAU, wheel] - friction
     if m.hold == 0:

@@ -276,3 +276,25 @@ def test_friction_set_later_is_friction_built_in_and_nothing_is_left_of_a_run_be
     used.set_friction(0.6)
     assert run(used) == run(fresh)
     assert other != run(used)
+
+
+@pytest.mark.parametrize("timestep", [0.002, 0.005])
+@pytest.mark.parametrize("speed", [-6.0, 2.0, 6.0])
+def test_wheels_that_roll_cover_their_circumference(speed: float, timestep: float) -> None:
+    sim = on_flat(timestep=timestep)
+    command = stand_command()
+    command.kp[go2w.WHEELS], command.kd[go2w.WHEELS] = 0.0, 5.0
+
+    def roll(seconds: float) -> None:
+        for _ in range(round(seconds / timestep)):
+            command.dq[go2w.WHEELS] = speed * min(1.0, sim.time)
+            sim.apply(command)
+            sim.step()
+
+    roll(1.5)
+    start, angle = sim.position[0], sim.low_state().q[go2w.WHEELS].mean()
+    roll(1.0)
+    driven = sim.position[0] - start
+    rolled = go2w.WHEEL_RADIUS * (sim.low_state().q[go2w.WHEELS].mean() - angle)
+    assert abs(rolled) > 0.1
+    assert driven / rolled == pytest.approx(1.0, abs=0.01)

@@ -310,9 +310,8 @@ def vmc_tick(
         out[OUT_KD, wheel] = p.wheel_kd
         if m.hold == 1:
             rolled = q[3 * leg + 1] + q[3 * leg + 2] + pitch
-            m.latch[leg] += (
-                rate_x / WHEEL_RADIUS * dt
-            )  # a wheel that changes its place under the trunk rolls there
+            # A wheel that changes its place under the trunk rolls there.
+            m.latch[leg] += rate_x / WHEEL_RADIUS * dt
             out[OUT_Q, wheel] = m.latch[leg] - rolled
             out[OUT_KP, wheel] = p.wheel_kp
             out[OUT_TAU, wheel] = hold_torque

@@ -42,8 +42,6 @@ TRUTH_PERIOD = NS // 50
 STATE_PERIOD = NS // 10
 LIDAR_SLICE = NS // 100
 """Rays are cast this often, from where the sensor is then."""
-BATTERY_LIFE = 7200.0
-"""[s]"""
 BACKLOG = 2 * NS
 """`read` refuses to advance further in one call: the host's clock jumped."""
 
@@ -246,7 +244,7 @@ class MujocoBackend:
             fr, fl, rr, rl = (load > CONTACT_FORCE).tolist()
             self._contact = fr, fl, rr, rl
             temperature = 30.0 + 10.0 * min(elapsed / NS / 1800.0, 1.0)
-            battery = max(o.battery - elapsed / NS / BATTERY_LIFE, 0.0)
+            battery = max(o.battery - elapsed / NS / o.battery_life, 0.0)
             self._state = RobotState(stamp, phase, cause, battery, temperature, self._contact)
             self._out.put(stamp, self._state)
 

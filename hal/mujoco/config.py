@@ -112,8 +112,7 @@ class SimConfig(BaseModel):
     imu_delay: float = Field(0.0, ge=0.0, le=1.0, description="from measurement to delivery [s]")
     joint_delay: float = Field(0.0, ge=0.0, le=1.0, description="from measurement to delivery [s]")
     lidar_delay: float = Field(0.0, ge=0.0, le=1.0, description="from the end of a sweep to delivery [s]")
-    battery: float = Field(
-        1.0, ge=0.0, le=1.0, description="state of charge at the start [0..1]; drains in two hours"
-    )
+    battery: float = Field(1.0, ge=0.0, le=1.0, description="state of charge at the start [0..1]")
+    battery_life: float = Field(7200.0, gt=0.0, description="from a full battery to an empty one [s]")
     pushes: tuple[Push, ...] = Field((), description="shoves on the trunk")
     obstacles: tuple[Obstacle, ...] = Field((), description="boxes that come, move and go")

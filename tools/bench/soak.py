@@ -24,6 +24,8 @@ SAMPLE = 60.0
 """Simulated seconds between two samples."""
 COARSE = "sim.lidar_step=8"
 """A quarter of the points of the live simulation: the rays cost most of the time."""
+FRESH = "sim.battery_life=1e6"
+"""A battery of two hours stops the robot after 1.8 h, as it must: the rest of the soak would watch a robot that stands."""
 
 
 def run(args: list[str]) -> Report:
@@ -35,7 +37,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--scene", default="yard")
     parser.add_argument("--places", nargs=2, default=["a", "b"], help="named goals of the scene")
     options = parser.parse_args(args)
-    config = load(None, [COARSE], scene=options.scene, seed=options.seed)
+    config = load(None, [COARSE, FRESH], scene=options.scene, seed=options.seed)
     goals = config.load_scene().goals
     places = [goals[name][:2] for name in options.places]
     report = Report("soak")
@@ -52,6 +54,10 @@ def run(args: list[str]) -> Report:
         number = 0
         while stack.seconds - first < 3600.0 * options.hours:
             if time.monotonic() - began > 60.0 * options.wall_minutes:
+                break
+            state = stack.newest[t.ROBOT_STATE]
+            if state.estop:  # nothing drives any more
+                print(f"stopped: {state.estop_cause}", flush=True)
                 break
             status = stack.newest.get(t.GOAL_STATUS)
             if status is None or GoalState(status.state).terminal or not status.id:

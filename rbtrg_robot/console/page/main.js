@@ -210,6 +210,8 @@ function banner(words, kind = "") {
   at.className = kind;
   at.textContent = words;
 }
+// What stands at the end of the page can be scrolled out from behind the bar, however high its warnings make it.
+new ResizeObserver(([bar]) => document.body.style.setProperty("--bar", `${bar.borderBoxSize[0].blockSize}px`)).observe($("stopbar"));
 const speak = (words) => banner(words, words ? "bad" : "");
 
 picture.begin();

@@ -107,6 +107,20 @@ def test_a_goal_by_mouse_is_shown_before_it_is_sent(visit: Callable[..., Page], 
     until(page, "document.querySelector('#why-still').textContent.includes('reached')")
 
 
+def test_a_page_that_shifts_under_a_drag_does_not_turn_the_goal(visit: Callable[..., Page]) -> None:
+    page = visit(size={"width": 800, "height": 600})
+    page.click("#follow")
+    press, end = on_screen(page, 1.6, 0.2), on_screen(page, 1.6, 1.0)
+    page.mouse.move(*press)
+    page.mouse.down()
+    page.evaluate("document.querySelector('header').style.paddingTop = '90px'")
+    page.mouse.move(*end, steps=4)
+    page.mouse.up()
+    page.wait_for_selector("#answer .verdict")
+    assert float(page.input_value("#gx")) == pytest.approx(1.6, abs=0.1)
+    assert float(page.input_value("#gyaw")) == pytest.approx(90.0, abs=12.0)
+
+
 def test_a_goal_by_touch_on_a_phone(visit: Callable[..., Page], robot: Robot) -> None:
     page = visit(size=PHONE, has_touch=True, is_mobile=True)
     page.touchscreen.tap(*on_screen(page, 1.6, 0.2))
@@ -215,11 +229,13 @@ def test_stop_with_a_frozen_feed_and_what_is_old_is_grey_and_locked(
     visit: Callable[..., Page], robot: Robot
 ) -> None:
     page = visit()
+    picture = page.locator("#view canvas").bounding_box()
     robot.frozen = True
     until(page, "document.body.dataset.fresh === 'stale'")
     assert page.is_disabled("#ask")
     assert "grayscale" in page.evaluate("getComputedStyle(document.querySelector('#view')).filter")
     until(page, "document.querySelector('#banner').textContent.includes('locked')")
+    assert page.locator("#view canvas").bounding_box() == picture  # a warning moves nothing under a finger
     page.focus("#stick")
     page.keyboard.down("ArrowUp")
     page.wait_for_timeout(200)

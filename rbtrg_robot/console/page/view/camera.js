@@ -115,15 +115,16 @@ export function multiply(a, b) {
 export function steer(element, camera, { moving, changed, moved, place, aim, pick }) {
   const down = new Map();
   let start = null,
-    gesture = null;
-  const spot = (event) => {
-    const box = element.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top];
-  };
+    gesture = null,
+    corner = null;
+  // Pixels of the picture. Where it stood when the first finger came down counts until the last one is gone: a warning that
+  // comes meanwhile may move the picture, and must not turn the heading that a finger draws.
+  const spot = (event) => [event.clientX - corner.left, event.clientY - corner.top];
 
   element.addEventListener("contextmenu", (event) => event.preventDefault());
   element.addEventListener("pointerdown", (event) => {
     element.setPointerCapture(event.pointerId);
+    if (!down.size) corner = element.getBoundingClientRect();
     down.set(event.pointerId, spot(event));
     if (down.size === 2) {
       start = null;

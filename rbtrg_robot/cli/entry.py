@@ -12,6 +12,8 @@ def main() -> None:
         from rbtrg_robot.cli.stop import command
 
         sys.exit(command(words[1:]))
-    from rbtrg_robot.cli.main import main as whole
-
+    try:
+        from rbtrg_robot.cli.main import main as whole
+    except KeyboardInterrupt:  # the imports take a second on a cold disk; nothing was sent yet
+        sys.exit(130)
     whole()

@@ -104,6 +104,20 @@ def told(done: subprocess.CompletedProcess[str], words: str) -> None:
     assert words in lines[0]
 
 
+def test_ctrl_c_during_the_imports_is_no_traceback() -> None:
+    script = (
+        "import sys;"
+        "from rbtrg_robot.cli.entry import main\n"
+        "class Pressed:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'rbtrg_robot.cli.main': raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Pressed())\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 def test_a_taken_port_is_told(tmp_path: Path) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

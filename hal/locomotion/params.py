@@ -39,6 +39,8 @@ class VmcParams(NamedTuple):
     """Hip and thigh position gain [Nm/rad], closed in the motor: holds the wheels under the trunk."""
     leg_kd: float = 6.0
     """Damping of hip and thigh [Nm s/rad], closed in the motor, so that it suffers no delay."""
+    halt_kd: float = 20.0
+    """The same of the hip of a robot that is told to stand: one that brakes in a curve sways out of it. In turns it would cost a tenth of the rate."""
     calf_kd: float = 2.0
     calf_share: float = 1.0
     """Share of the calf in holding a wheel's place; 1 makes that force horizontal."""

@@ -292,6 +292,8 @@ def vmc_tick(
             out[OUT_DQ, i] = inv[joint, 0] * (m.shift_rate[0] + rate_x) + inv[joint, 1] * m.shift_rate[1]
             out[OUT_KP, i] = p.swing_kp if leg == lifted else (0.0 if joint == 2 else p.leg_kp)
             out[OUT_KD, i] = p.calf_kd if joint == 2 else p.leg_kd
+            if joint == 0 and halt:
+                out[OUT_KD, i] = p.halt_kd
         if leg != lifted:
             # The thigh's spring alone would push along the calf, mostly upwards; the calf's share makes its force horizontal.
             thigh = 3 * leg + 1

@@ -12,8 +12,8 @@ from hal.types import NS, Capabilities, PostureCommand
 
 TILT_RATE = 0.8
 """[rad/s] at which the trunk follows, in either direction: 12 deg take 0.26 s, and sweeps of 10 Hz still lie 5 deg apart."""
-LAG = 0.2
-"""[s] after which a trunk that is told to be level is: the simulated one follows 0.13 s late."""
+LAG = 0.5
+"""[s] after which a trunk that is told to be level is: the simulated one follows 0.13 s late, and its last 3 deg take 0.4 s."""
 STANDS = 0.3
 """[s] for which the velocity has been zero before the trunk tilts."""
 AT_REST = 0.1

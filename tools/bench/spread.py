@@ -5,12 +5,16 @@ from __future__ import annotations
 import logging
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from concurrent.futures import CancelledError
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from multiprocessing import resource_tracker
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hal.errors import OperatorError
+
+if TYPE_CHECKING:
+    from distributed import Future
 
 AHEAD = 64
 """Trials handed to the cluster at a time: their arguments need not all be in its memory."""
@@ -73,17 +77,31 @@ def spread(
         first = [client.submit(function, *t, pure=False) for t in islice(left, AHEAD)]
         queue = as_completed(first)
         for future in queue:
-            if future.status in ("cancelled", "lost"):
-                raise SchedulerLost(
-                    f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
-                )
-            if future.status == "finished":
-                yield future.result()
+            result = _outcome(future, scheduler)
+            if isinstance(result, BaseException):
+                failed.append(f"{type(result).__name__}: {result}")
             else:
-                failed.append(f"{type(future.exception()).__name__}: {future.exception()}")
+                yield result
             future.release()
             following = next(left, None)
             if following is not None:
                 queue.add(client.submit(function, *following, pure=False))
     if failed:
         raise TrialsFailed(f"{len(failed)} of {len(trials)} trials failed, the first with {failed[0]}")
+
+
+def _outcome(future: Future[Result], scheduler: str) -> Result | BaseException:
+    """What a finished trial gave or raised; SchedulerLost where nobody knows any more."""
+    from distributed.comm.core import CommClosedError
+
+    outcome: Result | BaseException | None = None
+    with suppress(CommClosedError, CancelledError):  # the scheduler died while it was asked
+        if future.status == "finished":
+            outcome = future.result()
+        elif future.status == "error":
+            outcome = future.exception()
+    if outcome is None:
+        raise SchedulerLost(
+            f"the scheduler {scheduler} is gone: start it and its workers, then give the same command again; what is done is kept"
+        )
+    return outcome

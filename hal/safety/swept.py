@@ -4,7 +4,8 @@ Every point of the body's rim that leads a motion draws a track over the height 
 stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
 may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
 ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
-be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
+be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle. A wall that
+the side of the body touches is none for driving along it: a robot that slid against a wall could not move at all.
 """
 
 from __future__ import annotations
@@ -65,6 +66,8 @@ class Reach:
     kind: int = CLEAR
     height: float = 0.0
     """Height of the face or depth of the drop [m]."""
+    beside: bool = False
+    """A wall touches the side of the body all along the way."""
 
 
 def straight_tracks(reach: float, sign: float) -> Array:
@@ -128,12 +131,13 @@ def reach_of(
     robot: Capabilities,
     *,
     seen: bool,
+    sides: int = 0,
 ) -> Reach:
     """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`; `seen`: on
-    ground that the map knows alone.
+    ground that the map knows alone; `sides`: so many of the first and of the last tracks run along the sides of the body.
     """
     gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
-    sample, kind, height = nearest_obstacle(
+    sample, kind, height, beside = nearest_obstacle(
         tracks,
         around.height,
         around.bound,
@@ -150,8 +154,9 @@ def reach_of(
         math.tan(robot.max_slope) * SPACING,
         gap,
         gap if seen else tracks.shape[1],
+        sides,
     )
-    return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
+    return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height, beside)
 
 
 @njit(cache=True)
@@ -175,9 +180,26 @@ def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma:
 
 @njit(cache=True)
 def nearest_obstacle(
-    tracks, height, bound, source, occupied, x0, y0, resolution, x, y, yaw, stand, limit, rise, gap, blind
+    tracks,
+    height,
+    bound,
+    source,
+    occupied,
+    x0,
+    y0,
+    resolution,
+    x,
+    y,
+    yaw,
+    stand,
+    limit,
+    rise,
+    gap,
+    blind,
+    sides,
 ):  # pragma: no cover - compiled
-    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none.
+    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none. Last whether a wall
+    touches the body on one of the `sides` first or last tracks.
 
     `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from sample to sample; `gap`: samples a gap may span; `blind`:
     samples that may lie between one whose ground is known and the next.
@@ -185,7 +207,7 @@ def nearest_obstacle(
     rows, cols = height.shape
     count, samples = tracks.shape[0], tracks.shape[1]
     c, s = math.cos(yaw), math.sin(yaw)
-    first, kind, size = samples, CLEAR, 0.0
+    first, kind, size, touched = samples, CLEAR, 0.0, False
     ground = np.empty(samples)
     low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
     felt = np.empty(samples, np.bool_)
@@ -210,6 +232,8 @@ def nearest_obstacle(
         landed = 0  # behind a gap: what lies in it is not driven on
         rim, over = np.nan, -1  # height of a gap's near rim, and the sample up to which the far rim may lie
         end, what, much = samples, CLEAR, 0.0
+        outer = k < sides or k >= count - sides
+        beside = False  # the track begins in a wall
         i = 0
         while i < samples:
             if busy[i] and i > BEFORE:
@@ -239,7 +263,9 @@ def nearest_obstacle(
                 continue
             if worst < -limit and not felt[i] and not math.isnan(level):
                 rim, over = level, last + gap + 1
-            if abs(worst) > limit and (i <= BEFORE or felt[i]):
+            if outer and worst > limit and i == BEFORE:
+                beside = touched = True
+            if abs(worst) > limit and (i <= BEFORE or felt[i] or (beside and worst > 0.0)):
                 # A wall beside the body that the map shows a cell too near, or a wheel in the air.
                 low[i] = True
                 known = max(known, i)
@@ -268,7 +294,7 @@ def nearest_obstacle(
             i += 1
         if end < first:
             first, kind, size = end, what, much
-    return first, kind, size
+    return first, kind, size, touched
 
 
 @njit(cache=True)

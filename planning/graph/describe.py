@@ -21,6 +21,12 @@ NOISE = 3.5
 """Median deviations of the rises that are noise: the largest of some hundred on even ground is about five."""
 EDGE_BASE = 0.12
 """Distance over which an edge under the wheels is measured [m]."""
+TURN_SLOPE = math.radians(20.0)
+"""Steepest ground [rad] on which turns on the spot were measured (`tools.bench envelope`, rows `turn_ramp_*`)."""
+STEEP, SLOPE_NOISE = 4, 1.15
+"""One part of so many of what is under the wheels may be steeper. Factor on the tangent, for map noise: on a ramp of just that slope turns are free."""
+FACE_SLOPE = math.radians(40.0)
+"""What rises steeper [rad] is a face, and an edge under the wheels."""
 UNKNOWN_RUN = 0.20
 """Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
@@ -113,7 +119,8 @@ def turn_is_free(headings, yaw_in, turn):
 
 @njit(cache=True)
 def turn_edge(height, trusted, x0, y0, res, x, y):
-    """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope.
+    """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope. Infinite where a
+    part of the ground is steeper than `TURN_SLOPE`.
 
     Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
     nor part of a plate counts; what the map's noise makes of even ground is taken off,
@@ -166,7 +173,24 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
                 rises[i] = abs(rises[i] - slope)
             noise = NOISE * select(rises, count, count // 2)
             most = max(most, max(high - slope, slope - low) - noise)
-    return most
+    return np.inf if _steep(mean, base, n, inner, outer, base * stride * res) else most
+
+
+@njit(cache=True)
+def _steep(mean, base, n, inner, outer, run):
+    """Whether one part of `STEEP` of the ring is a slope steeper than `TURN_SLOPE`: rises over `run` [m], those of faces left out."""
+    low = (run * math.tan(TURN_SLOPE) * SLOPE_NOISE) ** 2
+    high = (run * math.tan(FACE_SLOPE)) ** 2
+    steep = total = 0
+    for i in range(len(mean) - base):
+        for j in range(len(mean) - base):
+            d2 = (i + 0.5 * base - n) ** 2 + (j + 0.5 * base - n) ** 2
+            if inner <= d2 <= outer:
+                rise2 = (mean[i + base, j] - mean[i, j]) ** 2 + (mean[i, j + base] - mean[i, j]) ** 2
+                if rise2 == rise2:
+                    total += 1
+                    steep += low < rise2 < high
+    return steep * STEEP > total
 
 
 @njit(cache=True)

@@ -38,6 +38,8 @@ VIRTUAL = 256
 price, driven on only when it was seen."""
 POSTS = 512
 """Part of a stepfield whose posts are too high (`planning.graph.fields`)."""
+FIELD = 1024
+"""Part of a stepfield with posts of more than a third of what is driven through: planned over at a price (`planning.graph.edges`)."""
 
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""

@@ -40,8 +40,8 @@ class TraversalGraph:
         indices: (nnz,) int32 target nodes.
         risk: (nnz,) float32 native risk, the same in both directions.
         frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
-        turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; 0 where
-            not known (native, `from_edges`).
+        turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; infinite on
+            ground too steep for turns, 0 where not known (native, `from_edges`).
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
             clear of obstacles at the node; `planning.graph.describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.

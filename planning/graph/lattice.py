@@ -80,7 +80,7 @@ class Lattice:
             if p.max_posts is not None:
                 wide = pad + reach(cells.res)
                 grown = (max(0, r0 - wide), max(0, c0 - wide), min(rows, r1 + wide), min(cols, c1 + wide))
-                mark_fields(cells.flags, cells.faces, cells.res, grown, p.max_posts)
+                mark_fields(cells.flags, cells.faces, grid.trusted, cells.res, grown, p.max_posts)
             touched.append(grown)
         assumed = assume_blind(cells.flags, *cells.origin, cells.res, *self.first, p.blind_radius)
         if assumed[0] < assumed[2]:

@@ -40,7 +40,7 @@ def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
     c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
     x = path.points[:, :1] + sign[:, None] * u * c - v * s
     y = path.points[:, 1:2] + sign[:, None] * u * s + v * c
-    hidden = _at(virtual, x, y, cells.origin, cells.res)
+    hidden = at_places(virtual, x, y, cells.origin, cells.res)
     c0, s0 = c[0, 0], s[0, 0]
     dx, dy = x - path.points[0, 0], y - path.points[0, 1]
     under = (np.abs(c0 * dx + s0 * dy) <= STAND[0]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND[1])
@@ -67,10 +67,12 @@ def is_hidden(graph: TraversalGraph, x: float, y: float) -> bool:
     """Whether the ground at x, y [m] is virtual."""
     c = graph.cells
     place = np.array([x]), np.array([y])
-    return c is not None and bool(_at((c.flags & (VIRTUAL | ASSUMED)) == VIRTUAL, *place, c.origin, c.res)[0])
+    return c is not None and bool(
+        at_places((c.flags & (VIRTUAL | ASSUMED)) == VIRTUAL, *place, c.origin, c.res)[0]
+    )
 
 
-def _at(
+def at_places(
     mask: NDArray[np.bool_],
     x: NDArray[np.float64],
     y: NDArray[np.float64],

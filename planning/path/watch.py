@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
+from planning.graph.flags import FIELD
 from planning.graph.graph import TraversalGraph
+from planning.path.confirmed import at_places
 from planning.path.types import Path
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import steps_under
@@ -19,6 +21,8 @@ TOLERANCE = 0.02
 """[m] by which a new face must exceed the robot's limit."""
 NOISE = 0.04
 """[m] by which a face must have grown: four standard deviations of its change, when each height is known to 5 mm."""
+LONG = 0.5
+"""[m] of a path in a stepfield that was not known when the path was made: reason enough to look for another."""
 
 
 def still_safe(path: Path, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> tuple[bool, str]:
@@ -58,3 +62,28 @@ def face_in_the_way(path: Path, grid: ElevationGrid, body: BodyModel) -> str:
 def terrain_around(grid: ElevationGrid, xy: Array, body: BodyModel) -> Terrain:
     """Terrain that a body on a path near the points (n, 2) can touch: the cost of a path must not grow with the map."""
     return terrain_of(grid.around(xy, body.circumradius + SIDE), body)
+
+
+def in_fields(path: Path, graph: TraversalGraph) -> NDArray[np.bool_]:
+    """(k,) where the poses that are watched lie in a stepfield with high posts."""
+    cells = graph.cells
+    if cells is None:
+        return np.zeros(len(path.watched), np.bool_)
+    x, y = path.watched[:, 0], path.watched[:, 1]
+    return at_places(cells.flags & FIELD > 0, x, y, cells.origin, cells.res)
+
+
+def new_field(path: Path, graph: TraversalGraph, before: NDArray[np.bool_]) -> str:
+    """The stepfield ahead that was not known when the path was made; empty without one, or for a robot that is in a field already: it does not turn there.
+
+    before: (k,) or more, `in_fields` of then; its last k belong to the poses that are still watched.
+    """
+    now = in_fields(path, graph)
+    if not len(now) or now[0]:
+        return ""
+    new = now & ~before[-len(now) :]
+    step = np.hypot(*np.diff(path.watched[:, :2], axis=0, append=path.watched[-1:, :2]).T)
+    if float(step[new].sum()) < LONG:
+        return ""
+    x, y, _ = path.watched[int(np.argmax(new))]
+    return f"a stepfield begins at ({x:.2f}, {y:.2f})"

@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.graph import TraversalGraph
-from planning.risk.turns import TURN_COST
+from planning.risk.turns import turn_rates
 
 
 class Arcs(NamedTuple):
@@ -30,7 +30,7 @@ class Arcs(NamedTuple):
     room: NDArray[np.uint64]
     """(nodes,) `TraversalGraph.free_headings`: where the robot may turn in place."""
     turn_rate: NDArray[np.float64]
-    """(nodes,) [m/rad] what an edge under the wheels adds to a turn in place."""
+    """(nodes,) [m/rad] what an edge under the wheels or steep ground adds to a turn in place."""
 
 
 def arcs_of(graph: TraversalGraph) -> Arcs:
@@ -52,7 +52,7 @@ def arcs_of(graph: TraversalGraph) -> Arcs:
         np.arctan2(dy, dx),
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
-        np.where(graph.turn_edge > graph.params.max_turn_step, TURN_COST, 0.0),
+        turn_rates(graph.turn_edge, graph.params.max_turn_step),
     )
 
 

@@ -2,27 +2,35 @@
 
 An edge that is driven over straight ahead can tip a robot that turns on it: of a simulated one with a bar of 4 cm under it
 about 4 % fell per radian. A fall weighs as much as 100 m of driving: such turns cost 4 m per radian, so they are made
-where there is no other way.
+where there is no other way. On steep ground the robot slides 0.1 m down for each radian (`tools.bench envelope`, rows `turn_ramp_*`), in a bend as well, and
+one that turned beside the edge of a ramp of 27 deg slid over it.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from planning.graph.describe import HEADINGS, turn_is_free
 
-TURN_COST = 4.0
-"""[m/rad]"""
+TURN_COST, STEEP_COST = 4.0, 8.0
+"""[m/rad] over an edge, and on ground too steep for turns."""
 FREE_TURN = np.radians(30.0)
-"""Turns up to here [rad] are driven as a bend and cost nothing more."""
+"""Turns over an edge up to here [rad] are driven as a bend and cost nothing more."""
 _STEP = np.pi / HEADINGS
 
 
 @njit(cache=True)
 def turn_cost(rate: float, turn: float, each: float) -> float:
-    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `rate` [m/rad] where it turns over an edge."""
-    return (each + (rate if abs(turn) > FREE_TURN else 0.0)) * abs(turn)
+    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `rate` [m/rad] where it turns over an edge or on steep ground."""
+    return (each + (rate if abs(turn) > FREE_TURN or rate == STEEP_COST else 0.0)) * abs(turn)
+
+
+def turn_rates(turn_edge: NDArray[np.float32] | float, max_turn_step: float) -> NDArray[np.float64]:
+    """`rate` [m/rad] at places with the highest edge `turn_edge` [m] under the wheels, in its shape."""
+    steep = np.isinf(turn_edge) & (max_turn_step < np.inf)
+    return np.where(steep, STEEP_COST, np.where(turn_edge > max_turn_step, TURN_COST, 0.0))
 
 
 @njit(cache=True)

@@ -22,6 +22,7 @@ from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
+from planning.risk.turns import turn_rates
 
 XY = tuple[float, float]
 STAND = 0.05
@@ -123,14 +124,22 @@ class Ground:
         ]  # fmt: skip
         risk = [self.risk(xy, self._at(k)) for k in nodes]
         known = [(k, r) for k, r in zip(nodes, risk, strict=True) if r >= 0.0]
-        c, grid = self._cells, self._grid
         return Spot(
             xy,
             np.array([k for k, _ in known], np.int64),
             np.array([r for _, r in known], np.float32),
-            float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy)),
+            self._turn_edge(xy),
             self.headings(xy),
         )
+
+    def _turn_edge(self, xy: XY) -> float:
+        """`TraversalGraph.turn_edge` at x, y [m]."""
+        c, grid = self._cells, self._grid
+        return float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy))
+
+    def turn_rate(self, xy: XY) -> float:
+        """`Arcs.turn_rate` at x, y [m/rad]."""
+        return float(turn_rates(self._turn_edge(xy), self._graph.params.max_turn_step))
 
     def allows(self, a: XY, b: XY) -> bool:
         """Whether a straight move a -> b touches nothing that is to be avoided."""

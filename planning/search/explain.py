@@ -13,7 +13,7 @@ from planning.risk.cost import Weights, transition_cost
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
-from planning.risk.turns import FREE_TURN
+from planning.risk.turns import FREE_TURN, STEEP_COST
 from planning.search.request import SETS, DriveRules, Plan, PlanRequest, Transition
 
 
@@ -96,12 +96,13 @@ class Route:
         return np.arctan2(*np.diff(self.xy, axis=0).T[::-1]) + np.pi * self.back
 
     def turn_cost(self) -> NDArray[np.float64]:
-        """(n - 1,) [m] for each transition's turns, more with edges under the wheels."""
+        """(n - 1,) [m] for each transition's turns, more with edges under the wheels and on steep ground."""
         if len(self.xy) < 2:
             return np.zeros(0)
         yaw = np.concatenate([[self.start_yaw], self.heading, [self.goal_yaw]])
         turn = np.abs(wrap(np.diff(yaw)))  # NaN where no heading was asked for
-        rate = self.rules.turning + np.where(turn > FREE_TURN, self.turn_rate, 0.0)
+        counts = (turn > FREE_TURN) | (self.turn_rate == STEEP_COST)
+        rate = self.rules.turning + np.where(counts, self.turn_rate, 0.0)
         cost = rate * np.nan_to_num(turn)
         cost[-2] += cost[-1]
         return cost[:-1]

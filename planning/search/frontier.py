@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.flags import VIRTUAL
+from planning.graph.flags import FIELD, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.search.request import PlanRequest
 
@@ -45,6 +45,8 @@ OBSTACLE = 0.25
 """A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
 CLOSED = 1e3
 """Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
+IN_FIELD = 4.0
+"""What a metre of the way to go counts in a stepfield with high posts, as the metre of an edge (`planning.graph.edges.FIELD_RISK`)."""
 
 
 class FrontierMemory:
@@ -126,6 +128,11 @@ def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
     return (inside & (near & VIRTUAL > 0)).any(axis=1)
 
 
+def fields_of(graph: TraversalGraph) -> NDArray[np.bool_] | None:
+    """(rows, cols) of the graph's map: what lies in a stepfield with high posts; None where the graph knows no map."""
+    return None if graph.cells is None else graph.cells.flags & FIELD > 0
+
+
 def is_beside_virtual(graph: TraversalGraph, xy: tuple[float, float]) -> bool:
     """Whether the node at x, y [m] was looked for as one beside virtual ground; False where it is gone."""
     away = np.hypot(graph.nodes[:, 0] - xy[0], graph.nodes[:, 1] - xy[1])
@@ -159,11 +166,15 @@ def worth_keeping(kept: float, best: float) -> bool:
 
 
 def way_to_go(
-    grid: ElevationGrid, points: NDArray[np.float64], goal: tuple[float, float]
+    grid: ElevationGrid,
+    points: NDArray[np.float64],
+    goal: tuple[float, float],
+    fields: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
 
     Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way.
+    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times.
     """
     x0, y0, x1, y1 = grid.extent
     # one cell of free ground around the map: who leaves it may go around everything
@@ -178,7 +189,15 @@ def way_to_go(
     inside = x0 <= goal[0] <= x1 and y0 <= goal[1] <= y1
     # the goal may stand close to something
     seeds = straight <= 1.5 * CELL if inside else rim
-    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim)
+    dear = np.ones(shape)
+    if fields is not None:
+        # the raster's cells whose middle lies in a field
+        row = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
+        col = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)
+        on = np.outer((row >= 0) & (row < fields.shape[0]), (col >= 0) & (col < fields.shape[1]))
+        middle = fields.take(row, 0, mode="clip").take(col, 1, mode="clip")
+        dear[on & middle] = IN_FIELD
+    way = _flood(blocked & ~seeds, np.where(seeds, straight, np.inf), rim, dear)
     col = np.clip(np.floor((points[:, 0] - ox) / CELL + 0.5).astype(np.int64), 1, shape[1] - 2)
     row = np.clip(np.floor((points[:, 1] - oy) / CELL + 0.5).astype(np.int64), 1, shape[0] - 2)
     # a node may stand nearer to an obstacle than KEEP_OFF: the best of the cells around it
@@ -212,8 +231,8 @@ def _block(height, trusted, res, dx, dy, blocked):
 
 
 @njit(cache=True)
-def _flood(blocked, way, free):
-    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked."""
+def _flood(blocked, way, free, dear):
+    """Dijkstra over the eight neighbours from the finite cells of `way`; cells in `free` are never blocked. `dear`: what a metre counts there."""
     rows, cols = way.shape
     heap = [(0.0, 0, 0) for _ in range(0)]
     for r in range(rows):
@@ -228,7 +247,7 @@ def _flood(blocked, way, free):
             for b in range(max(0, c - 1), min(cols, c + 2)):
                 if blocked[a, b] and not free[a, b]:
                     continue
-                new = d + CELL * math.hypot(a - r, b - c)
+                new = d + CELL * math.hypot(a - r, b - c) * 0.5 * (dear[r, c] + dear[a, b])
                 if new < way[a, b]:
                     way[a, b] = new
                     heapq.heappush(heap, (new, a, b))

@@ -59,7 +59,7 @@ def _rest(
         request.rules,
         start_yaw,
         goal_yaw,
-        at.table.arcs.turn_rate[[found.nodes[0], *near, found.nodes[-1]]],
+        np.array([ground.turn_rate(place) for place in places]),
         np.empty((count, 3, 3, 4)),
     )
     if (route.risk < 0.0).any() or not all(has_room(ground, route, k) for k in range(len(xy))):

@@ -16,7 +16,7 @@ from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
-from planning.search.frontier import SAME_FRONTIER, open_frontiers, way_to_go, worth_keeping
+from planning.search.frontier import SAME_FRONTIER, fields_of, open_frontiers, way_to_go, worth_keeping
 from planning.search.keep import kept
 from planning.search.nodes import search_nodes
 from planning.search.pairs import search_pairs
@@ -147,7 +147,7 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     ends = open_frontiers(graph, at.start, request)
     if not ends.any():
         return None
-    to_go = way_to_go(grid, nodes, goal)
+    to_go = way_to_go(grid, nodes, goal, fields_of(graph))
     best = _search(at, request, ends, to_go, goal, start_yaw, np.nan)
     if best is None:
         return None
@@ -170,7 +170,7 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
     """
     nodes = at.table.graph.nodes[:, :2]
     goal = position(at.table.graph, request.goal, "goal")
-    to_go = way_to_go(at.table.grid, nodes, goal)
+    to_go = way_to_go(at.table.grid, nodes, goal, fields_of(at.table.graph))
     nearest = np.argsort(to_go, kind="stable")[:NEAREST].tolist()
     for node in [*(k for k in nearest if to_go[k] < to_go[at.start] - NEARER), at.start]:
         ends = np.arange(len(nodes)) == node

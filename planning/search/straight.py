@@ -72,6 +72,8 @@ def _chord(
         new = route.cost(w)[i:last]
         if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
             cost[i:last] = new
+            # A later chord may turn at one of the points that were moved.
+            route.turn_rate[i + 1 : j] = [ground.turn_rate(place) for place in places[1:-1]]
             return True
     route.xy[i : j + 1], route.risk[i:j], route.moments[i:last] = before
     return False

@@ -17,6 +17,8 @@ from planning.braking import bend_speed, brake
 
 STEP = 0.05
 """Spacing of the resampled path [m]."""
+SHARP = math.radians(100.0)
+"""A path that turns by more at one point is driven to that point first: the ways to and from it lie beside each other."""
 LONGEST = 10_000.0
 """[m]: a longer path is an error of somebody's."""
 
@@ -93,7 +95,7 @@ def track_paths(
     least: ArrayLike | float,
     **limits: float,
 ) -> list[TrackPath]:
-    """`track_path` of each stretch in one direction, in their order: backward where the body's heading is against the travel."""
+    """`track_path` of each stretch in one direction, in their order: backward where the body's heading is against the travel. A stretch ends at a sharp corner too."""
     whole = track_path(points, yaw, speed, least, **limits)
     if yaw is None or whole.length == 0.0:
         return [whole]
@@ -101,8 +103,10 @@ def track_paths(
     rows = [np.broadcast_to(np.asarray(v, np.float64), len(xy)) for v in (speed, least)]
     keep = np.flatnonzero(np.append(np.hypot(*np.diff(xy, axis=0).T) > 1e-6, True))
     chord = np.diff(xy[keep], axis=0)
-    back = np.cos(facing[keep][:-1] - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0
-    ends = [0, *(np.flatnonzero(back[1:] != back[:-1]) + 1).tolist(), len(back)]
+    course = np.arctan2(chord[:, 1], chord[:, 0])
+    back = np.cos(facing[keep][:-1] - course) < 0.0
+    cut = (back[1:] != back[:-1]) | (np.abs(wrap(np.diff(course))) > SHARP)
+    ends = [0, *(np.flatnonzero(cut) + 1).tolist(), len(back)]
     out = []
     for first, last in pairwise(ends):
         part = keep[first : last + 1]

@@ -54,6 +54,8 @@ FAR = 2.4
 goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 AROUND = 2.0
 """[m] from base_link: points of a sweep beyond are of no interest."""
+BESIDE = 0.2
+"""[m/s] along a wall that touches the body."""
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {
@@ -205,15 +207,17 @@ class GuardStage:
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
         speeds, words = [], []
         for k, (where, tracks, step) in enumerate(self._ways):
-            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k == 1)
+            sides = 0 if k > 1 else math.ceil(self._around.resolution / SPACING)
+            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k == 1, sides=sides)
             speed = self._speed(reach, turning=k > 1)
+            if reach.beside:
+                speed = min(speed, BESIDE)
             most = self._robot.max_wz if k > 1 else self._robot.max_vx
             speeds.append(min(speed, most))
             if speed < most:
                 unit = f"{math.degrees(reach.free):.0f} deg" if k > 1 else f"{reach.free:.2f} m"
-                words.append(
-                    f"{WORDS[reach.kind].format(reach.height)} {unit} {where}" if reach.kind else where
-                )
+                what = WORDS[reach.kind].format(reach.height) if reach.kind else "a wall at the side"
+                words.append(f"{what} {unit} {where}" if reach.kind else f"{what} {where}")
         limits = msg.MotionLimits(
             header=header(now, BASE),
             forward=speeds[0],

@@ -17,6 +17,8 @@ from planning.path import (
     Path,
     PathLimits,
     face_in_the_way,
+    in_fields,
+    new_field,
     still_safe,
 )
 from planning.risk.body import BodyModel
@@ -71,6 +73,8 @@ class PlannerStage:
         """The newest path, over virtual ground too."""
         self._path: Path | None = None
         """The part of it that is driven."""
+        self._fields = np.zeros(0, np.bool_)
+        """Of the poses that are watched on `_path`: those in stepfields that were known when it was made."""
         self._malformed = 0
         self._returning = MapBlocks()
         self._verdict = (True, "")
@@ -175,7 +179,9 @@ class PlannerStage:
             self._checked_version = graph.version
             assert grid is not None
             if self._params.method == "rb_trg":
-                self._verdict = still_safe(self._path, graph, grid, self._body)
+                _, why = still_safe(self._path, graph, grid, self._body)
+                why = why or new_field(self._path, graph, self._fields)
+                self._verdict = (not why, why)
             else:  # its routes keep to no graph
                 face = face_in_the_way(self._path, grid, self._body)
                 self._verdict = (not face, face)
@@ -221,6 +227,8 @@ class PlannerStage:
             reason = Reason.INVALID
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
         found, self._whole, self._path = way.plan, way.whole, way.path
+        if self._map.graph is not None:
+            self._fields = in_fields(way.path, self._map.graph)
         self._checked_version = -1
         outputs: Outputs = [
             (t.PLAN, msg.Plan(**base, **plan_fields(found, way.path, message))),

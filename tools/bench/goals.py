@@ -39,7 +39,7 @@ def run(args: list[str]) -> Report:
         if name not in known:
             parser.error(f"--goals: {goal}: the goals of {scene} are {', '.join(known)}")
     trials = [
-        Trial(seed, 0, controller, how, options.policy, goal=goal)
+        Trial(seed, 0, controller, how, options.policy, log=str(options.logs or ""), goal=goal)
         for seed, how, controller, goal in product(
             numbers(options.seeds),
             options.map.split(","),

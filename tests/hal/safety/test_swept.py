@@ -65,8 +65,9 @@ def look(
         "right": (turn_tracks(0.6, -1.0), turn_step()),
     }
     return {
-        name: reach_of(tracks, step, around, pose, stand, ROBOT, seen=name in ("ahead", "behind"))
+        name: reach_of(tracks, step, around, pose, stand, ROBOT, seen=straight, sides=2 * straight)
         for name, (tracks, step) in ways.items()
+        for straight in [name in ("ahead", "behind")]
     }
 
 
@@ -197,6 +198,23 @@ def test_a_wall_beside_the_body_stops_the_turn_and_not_the_drive() -> None:
     assert found["right"].free == pytest.approx(found["left"].free, abs=0.1)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_robot_that_touches_a_wall_may_drive_along_it_and_no_further(side: float) -> None:
+    beside = np.where(side * Y > SIDE - 0.03, WALL, 0.0)
+    found = look(ground(beside))
+    assert (found["ahead"].kind, found["behind"].kind) == (CLEAR, CLEAR)
+    assert found["ahead"].beside
+    assert found["left"].free == found["right"].free == 0.0
+    # The wall comes in front of the robot, or ends at a pit.
+    corner = np.where((side * Y > SIDE - 0.03) | ((X > 0.8) & (side * Y > SIDE - 0.15)), WALL, 0.0)
+    assert look(ground(corner))["ahead"].free == pytest.approx(0.8 - FRONT, abs=2 * RES)
+    pit = np.where((X > 0.8) & (side * Y > 0.0), -WALL, beside)
+    assert look(ground(pit))["ahead"].kind == DROP
+    # Deeper in, something is wrong: it does not move.
+    assert look(ground(np.where(side * Y > SIDE - 0.13, WALL, 0.0)))["ahead"].free == 0.0
+    assert not look(ground(np.where(side * Y > SIDE + 0.06, WALL, 0.0)))["ahead"].beside
+
+
 def test_what_the_newest_sweep_shows_ends_the_way() -> None:
     there = (np.abs(X + 0.60) < 0.05) & (np.abs(Y) < 0.1)
     found = look(ground(np.zeros_like(X), occupied=there))
@@ -241,14 +259,20 @@ def test_the_answer_turns_and_moves_with_the_robot(yaw: float) -> None:
 
 
 def oracle(
-    tracks: NDArray[Any], around: Surroundings, pose: tuple[float, float, float], stand: Stand, *edges: int
-) -> tuple[int, int]:
-    """The same rules, written for reading: (sample, kind) of the first obstacle on any track. `edges`: gap and blind."""
+    tracks: NDArray[Any],
+    around: Surroundings,
+    pose: tuple[float, float, float],
+    stand: Stand,
+    sides: int,
+    *edges: int,
+) -> tuple[int, int, bool]:
+    """The same rules, written for reading: (sample, kind) of the first obstacle on any track, and whether a wall touches one of the `sides` first or
+    last. `edges`: gap and blind."""
     limit, rise = ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING
     x, y, yaw = pose
     rows, cols = around.height.shape
-    best = (tracks.shape[1], CLEAR)
-    for track in tracks:
+    best, touched = (tracks.shape[1], CLEAR), False
+    for k, track in enumerate(tracks):
         u, v = track.T
         col = np.floor((x + math.cos(yaw) * u - math.sin(yaw) * v - around.origin[0]) / RES + 0.5).astype(int)
         row = np.floor((y + math.sin(yaw) * u + math.cos(yaw) * v - around.origin[1]) / RES + 0.5).astype(int)
@@ -259,9 +283,10 @@ def oracle(
         source = np.where(on, around.source[row, col], 0)
         busy = on & (around.occupied[row, col] > 0)
         level = stand[0] + stand[1] * u[0] + stand[2] * v[0]
-        found = _walk(known, bound, source, busy, level, limit, rise, *edges)
-        best = min(best, *found, key=lambda end: end[0])
-    return best
+        outer = min(k, len(tracks) - 1 - k) < sides
+        found, beside = _walk(known, bound, source, busy, level, limit, rise, outer, *edges)
+        best, touched = min(best, *found, key=lambda end: end[0]), touched or beside
+    return *best, touched
 
 
 def _walk(
@@ -272,9 +297,11 @@ def _walk(
     level: float,
     limit: float,
     rise: float,
+    outer: bool,
     gap: int,
     blind: int,
-) -> list[tuple[int, int]]:
+) -> tuple[list[tuple[int, int]], bool]:
+    beside = False
     stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
     sure = [BEFORE]  # samples that the map knows
     ends = [(len(known), CLEAR)]
@@ -282,7 +309,7 @@ def _walk(
     rim, over = math.nan, -1
     while i < len(known):
         if busy[i] and i > BEFORE:
-            return [*ends, (i, SWEEP)]
+            return [*ends, (i, SWEEP)], beside
         if i - max(sure) > blind:
             ends.append((max(sure) + 1, UNSEEN))
         below = math.isnan(known[i]) and bound[i] < level - limit
@@ -308,19 +335,20 @@ def _walk(
         if worst < -limit and source[i] != WHEELS and not math.isnan(level):
             rim, over = level, last + gap + 1
         if abs(worst) > limit:
-            if i <= BEFORE or source[i] == WHEELS:
+            beside |= outer and worst > 0.0 and i == BEFORE
+            if i <= BEFORE or source[i] == WHEELS or (beside and worst > 0.0):
                 sure.append(i)
                 i += 1
                 continue
             if worst > 0.0:
-                return [*ends, (i, FACE)]
+                return [*ends, (i, FACE)], beside
             landing = [
                 j
                 for j in range(i + 1, min(len(known), last + gap + 2))
                 if source[j] != WHEELS and not math.isnan(known[j]) and abs(known[j] - level) <= limit
             ]
             if not landing:
-                return [(min(i, max(sure) + 1), DROP), *ends]
+                return [(min(i, max(sure) + 1), DROP), *ends], beside
             last, level = landing[0], known[landing[0]]
             stood = [(last, level)]
             sure.append(last)
@@ -330,7 +358,7 @@ def _walk(
             sure.append(i)
             last, level = i, height
         i += 1
-    return ends
+    return ends, beside
 
 
 def shrunk(value: float, by: float) -> float:
@@ -359,12 +387,17 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
         tilt = rng.uniform(-0.3, 0.3, 2)
         stand = stand_of(around, pose, np.array([*tilt, math.sqrt(1.0 - tilt @ tilt)]))
         gap = math.ceil((ROBOT.max_gap + RES) / SPACING)
-        for tracks, blind in ((straight_tracks(0.7, 1.0), gap), (turn_tracks(0.6, -1.0), 1000)):
-            sample, kind, _ = nearest_obstacle(
+        for tracks, blind, sides in (
+            (straight_tracks(0.7, 1.0), gap, 2),
+            (straight_tracks(0.7, -1.0), gap, 0),
+            (turn_tracks(0.6, -1.0), 1000, 0),
+        ):
+            sample, kind, _, touched = nearest_obstacle(
                 *(tracks, around.height, around.bound, around.source, around.occupied, *around.origin, RES),
                 *(*pose, stand, ROBOT.max_step + NOISE, math.tan(ROBOT.max_slope) * SPACING, gap, blind),
+                sides,
             )
-            assert (sample, kind) == oracle(tracks, around, pose, stand, gap, blind)
+            assert (sample, kind, touched) == oracle(tracks, around, pose, stand, sides, gap, blind)
             kinds.add(kind)
     assert len(kinds) > 2
 

@@ -9,7 +9,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, sums
-from planning.graph.flags import POSTS
+from planning.graph.flags import FIELD, POSTS
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.search.plan import PlanRequest, plan
 
@@ -31,7 +31,7 @@ def marked(z: np.ndarray, max_posts: float = 0.05) -> int:
     faces = np.zeros((*z.shape, 2), np.int16)
     update_faces(faces, z.astype(np.float32), np.ones(z.shape, bool), RES, 0, 0, *z.shape)
     flags = np.zeros(z.shape, np.uint16)
-    mark_fields(flags, faces, RES, (0, 0, *z.shape), max_posts)
+    mark_fields(flags, faces, np.ones(z.shape, bool), RES, (0, 0, *z.shape), max_posts)
     return int(np.count_nonzero(flags & POSTS))
 
 
@@ -74,6 +74,33 @@ def test_no_way_leads_through_a_field_of_too_high_posts(limit: float | None) -> 
     else:
         with pytest.raises(NoRoute):
             plan(graph, grid, request)
+
+
+def test_a_way_around_a_field_is_taken_where_its_posts_are_above_half_the_limit() -> None:
+    z = np.where(Y < 1.3, posts(0.08, 1), 0.004 * np.random.default_rng(2).standard_normal(X.shape))
+    grid = ElevationGrid(z.astype(np.float32), np.ones(z.shape, bool), (0.0, 0.0), RES)
+
+    def highest(limit: float | None) -> float:
+        graph = TraversalGraph.build(grid, (0.7, 0.6), GraphParams(max_posts=limit, blind_radius=0.0))
+        found = plan(graph, grid, PlanRequest((0.7, 0.6), (3.3, 0.6)))
+        middle = np.linspace(1.5, 2.5, 20)
+        return float(np.interp(middle, *found.points.T[:2]).max())
+
+    assert highest(0.10) > 1.5, "around"
+    assert highest(0.20) < 1.0, "through: half of it is above the posts"
+    assert highest(None) < 1.0
+
+
+def test_a_field_of_which_half_was_seen_has_its_price_but_is_not_out() -> None:
+    z = posts(0.15, 3)
+    faces = np.zeros((*z.shape, 2), np.int16)
+    trusted = np.random.default_rng(4).random((15, 25)).repeat(4, 0).repeat(4, 1) < 0.6
+    update_faces(faces, z.astype(np.float32), trusted, RES, 0, 0, *z.shape)
+    flags = np.zeros(z.shape, np.uint16)
+    mark_fields(flags, faces, trusted, RES, (0, 0, *z.shape), 0.10)
+    inside = (X > 1.6) & (X < 2.4)
+    assert (flags[inside] & FIELD > 0).mean() > 0.6
+    assert (flags & POSTS > 0).mean() < 0.02
 
 
 def test_a_part_that_is_computed_again_is_what_a_full_build_gives() -> None:

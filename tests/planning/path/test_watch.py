@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.graph.graph import TraversalGraph
-from planning.path import face_in_the_way, make_path, still_safe
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path import face_in_the_way, in_fields, make_path, new_field, still_safe
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import steps_under
 from planning.search.plan import PlanRequest, plan
@@ -124,3 +124,26 @@ def test_a_face_off_the_grid_is_not_looked_for():
     assert face_in_the_way(path, part, BODY) == ""
     away = ElevationGrid(grid.height, grid.trusted, (50.0, 50.0), grid.resolution)
     assert face_in_the_way(path, away, BODY) == ""
+
+
+def test_a_stepfield_that_was_not_known_is_told_to_a_robot_before_it() -> None:
+    grid = flat(8, 4)
+    _, path = straight(grid)
+    posts = np.random.default_rng(0).choice(4, (40, 80), p=[0.4, 0.3, 0.2, 0.1]) * 0.05
+    y, x = np.mgrid[0 : grid.shape[0], 0 : grid.shape[1]] * grid.resolution
+    posts = posts[np.minimum((y / 0.12).astype(int), 39), np.minimum((x / 0.12).astype(int), 79)]
+    height = np.where((x > 3.0) & (x < 5.0), posts, 0.0).astype(np.float32)
+    grown = ElevationGrid(height, np.ones(grid.shape, bool), grid.origin, grid.resolution)
+    params = GraphParams(max_step=0.25, max_posts=0.20, blind_radius=0.0)
+    before, after = (TraversalGraph.build(g, (1.0, 2.0), params) for g in (grid, grown))
+    known = in_fields(path, before)
+    assert not known.any()
+    assert new_field(path, before, known) == ""
+    told = new_field(path, after, known)
+    assert told.startswith("a stepfield begins at (")
+    assert 2.7 < float(told.partition("(")[2].partition(",")[0]) < 3.6
+    assert new_field(path, after, in_fields(path, after)) == "", "the path was made through it"
+    nearer = path.beyond(1.9, 2.0).beyond(2.5, 2.0)
+    assert new_field(nearer, after, known) == told
+    inside = nearer.beyond(3.4, 2.0).beyond(4.0, 2.0)
+    assert new_field(inside, after, known) == "", "it does not turn there"

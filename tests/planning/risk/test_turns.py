@@ -12,10 +12,11 @@ from planning.errors import NoRoute
 from planning.graph.describe import ALL_HEADINGS
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
+from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
-from planning.risk.turns import may_turn_to
-from planning.search.plan import Plan, PlanRequest, Variant, plan
+from planning.risk.turns import FREE_TURN, STEEP_COST, TURN_COST, may_turn_to, turn_cost
+from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
 
 BODY = BodyModel()
@@ -106,6 +107,18 @@ def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
             assert graph.turn_edge[away > 0.75].max() < 0.02
 
 
+@pytest.mark.parametrize("towards", [(1.0, 0.0), (0.7, -0.7)])
+def test_turns_cost_more_on_ground_that_is_too_steep_for_them(towards: tuple[float, float]) -> None:
+    y, x = np.mgrid[0:120, 0:200] * 0.025
+    for degrees, steep in ((18, False), (24, True)):
+        _, graph = ground(
+            np.tan(np.radians(degrees)) * (x * towards[0] + y * towards[1]) / np.hypot(*towards)
+        )
+        assert len(graph.nodes) > 50
+        assert (np.isinf(graph.turn_edge) == steep).all()
+        assert (arcs_of(graph).turn_rate == (STEEP_COST if steep else 0.0)).all()
+
+
 def test_a_robot_drives_off_a_bar_before_it_turns_round() -> None:
     _, x = np.mgrid[0:120, 0:240] * 0.025
     bar = 0.06 * (np.abs(x - 3.0) < 0.05)
@@ -169,3 +182,24 @@ def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:
     assert may_turn_to(room, deg(50), 0.0)
     assert may_turn_to(room, deg(90), deg(-25))
     assert not may_turn_to(room, deg(90), deg(-33))
+
+
+def test_bends_are_free_over_edges_and_not_on_steep_ground() -> None:
+    for rate, free in ((0.0, 4.0), (TURN_COST, FREE_TURN), (STEEP_COST, 0.0)):
+        for turn in (0.1, -0.5, 0.6, -3.0):
+            wanted = 0.3 * abs(turn) + (rate * abs(turn) if abs(turn) > free else 0.0)
+            assert turn_cost(rate, turn, 0.3) == pytest.approx(wanted)
+
+
+def test_a_robot_turns_round_before_a_ramp_and_not_on_it() -> None:
+    _, x = np.mgrid[0:120, 0:240] * 0.025
+    rise = np.tan(np.radians(27)) * np.clip(x - 2.2, 0.0, 2.4)
+    noisy = rise + 0.003 * np.random.default_rng(0).standard_normal(x.shape)
+    grid = ElevationGrid(noisy.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), 0.025)
+    graph = TraversalGraph.build(grid, (0.8, 1.5), GraphParams(max_slope=0.53, blind_radius=0.0), 0)
+    rules = DriveRules(backward=1.3, turning=0.3)
+    # up on the ramp it has to look back down
+    found = plan(graph, grid, PlanRequest((0.8, 1.5), (3.4, 1.5), 0.0, np.pi, rules=rules))
+    up = [t.backward for k, t in enumerate(found.transitions) if found.points[k + 1, 0] > 2.0]
+    assert len(up) > 2
+    assert all(up)

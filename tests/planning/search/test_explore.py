@@ -106,6 +106,17 @@ def test_the_way_to_go_leads_around_what_is_known_to_stand_there() -> None:
     np.testing.assert_allclose(way_to_go(grid, np.array([[4.3, 1.5]]), (4.0, 1.5)), 0.3, atol=0.01)
 
 
+def test_the_way_to_go_leads_around_a_stepfield_or_counts_it_four_times() -> None:
+    grid = flat(6, 4)
+    points = np.array([[1.0, 2.0], [5.0, 2.0]])
+    y, x = np.mgrid[0:81, 0:121] * 0.05
+    fields = (np.abs(x - 3.0) < 1.0) & (y < 3.0)
+    around = 2.0 * np.hypot(1.0, 1.0) + 2.0
+    np.testing.assert_allclose(way_to_go(grid, points, (5.0, 2.0), fields), [around, 0.0], atol=0.35)
+    through = np.abs(x - 3.0) < 0.2
+    np.testing.assert_allclose(way_to_go(grid, points, (5.0, 2.0), through), [5.2, 0.0], atol=0.35)
+
+
 def test_a_frontier_counts_as_seen_when_the_robot_plans_from_it() -> None:
     memory = FrontierMemory()
     memory.at((0.0, 0.0), 0.0)

@@ -636,3 +636,17 @@ def test_a_short_turn_on_the_spot_that_something_slows_down_goes_on_as_a_bend(de
     assert phases[50] is TrackPhase.ALIGNING
     assert moved[99] == 0.0
     assert (moved[-1] > 0.5) == bends
+
+
+def test_a_path_that_comes_back_beside_itself_is_driven_to_its_corner_first():
+    out, back = np.linspace((0.0, 0.0), (2.0, 0.0), 101), np.linspace((2.0, 0.0), (1.2, 0.01), 41)
+    yaw = np.concatenate([np.zeros(100), np.full(41, math.pi - 0.012)])
+    tracker, base = PathTracker(), Base(noise=0.01)
+    tracker.set_path(np.concatenate([out, back[1:]]), yaw, 0.4)
+    run = drive(tracker, base)
+    assert 1.95 < run.xy[:, 0].max() < 2.05
+    first = [o.phase for o in run.outputs].index(TrackPhase.ALIGNING)
+    assert run.xy[first, 0] > 1.9, "it turns there and not before"
+    assert run.last.phase is TrackPhase.DONE
+    assert run.last.goal_distance <= 0.10
+    assert run.last.progress == pytest.approx(2.8, abs=0.03)

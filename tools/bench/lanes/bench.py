@@ -29,10 +29,7 @@ def run(args: list[str]) -> Report:
         "--made-of", default="", help="elements instead of the seed's own, such as kerbs or kerbs,bars,rails"
     )
     parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
-    parser.add_argument("--logs", type=Path, help="folder for the log of every trial")
     options = drives(parser, args, "prior")
-    if options.logs:
-        options.logs.mkdir(parents=True, exist_ok=True)
     trials = [
         Trial(
             seed,
@@ -66,6 +63,7 @@ def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argpar
     parser.add_argument(
         "--pictures", type=Path, help="folder for a picture of every trial not as it should be"
     )
+    parser.add_argument("--logs", type=Path, help="folder for the log of every trial")
     parser.add_argument("--workers", type=int, default=1, help="processes on this machine; 0: this one")
     parser.add_argument(
         "--scheduler", default="", help="address of a dask scheduler: spread the trials there"
@@ -74,8 +72,9 @@ def drives(parser: argparse.ArgumentParser, args: list[str], how: str) -> argpar
     for name, known in (("controller", set(CONTROLLERS)), ("map", {"prior", "seen"})):
         if unknown := set(getattr(options, name).split(",")) - known:
             parser.error(f"--{name}: {', '.join(sorted(unknown))} is none of {', '.join(sorted(known))}")
-    if options.pictures:
-        options.pictures.mkdir(parents=True, exist_ok=True)
+    for folder in (options.pictures, options.logs):
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
     return options
 
 

@@ -211,6 +211,8 @@ class Capabilities:
     """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess, too."""
     max_step: float = 0.10
     """Highest vertical face driven over [m]."""
+    max_step_back: float | None = None
+    """Highest face climbed backward [m] (`tools.bench envelope`, rows `back_*`); None: as forward."""
     max_slope: float = 0.436
     """[rad]."""
     max_gap: float = 0.10

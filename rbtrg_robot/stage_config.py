@@ -74,6 +74,10 @@ class GraphConfig(GraphSettings):
         description="highest posts of a stepfield that is driven through [m]; None = what robot and controller can",
     )
 
+    max_step_back: float | None = Field(
+        None, gt=0.0, description="highest face driven over backward at no extra cost [m]; None = the robot's"
+    )
+
     keep_step: float = Field(
         0.03, ge=0.0, description="ground found drivable stays so up to this much above max_step [m]"
     )
@@ -88,6 +92,7 @@ class GraphConfig(GraphSettings):
                 ("max_gap", robot.max_gap),
                 ("max_oblique", robot.max_oblique),
                 ("max_posts", robot.max_posts),
+                ("max_step_back", robot.max_step if robot.max_step_back is None else robot.max_step_back),
             )
         }
         return GraphParams(**(self.model_dump() | limits))

@@ -32,6 +32,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
         step_vx=0.5,
         min_wz=0.3,
         max_step=0.25,
+        max_step_back=0.10,
         max_slope=math.radians(30.0),
         max_gap=0.12,
         max_posts=0.20,
@@ -45,6 +46,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
         step_vx=0.5,
         min_wz=0.05,
         max_step=0.20,
+        max_step_back=0.10,
         max_oblique=math.radians(15.0),
         max_slope=math.radians(30.0),
         max_gap=0.12,
@@ -53,7 +55,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and
-`max_posts` from its rows `posts_*`. The policy knows no posture: its trunk cannot be tilted.
+`max_posts` from its rows `posts_*`, `max_step_back` of the hybrid controller from its rows `back_*` (not measured for the policy alone). The policy knows no posture: its trunk cannot be tilted.
 The hybrid controller has the slow speeds and the tilt of the model-based one, and climbs at the speed of the policy. Its row is that of our
 policy: head-on it climbs 0.30 m and askew 0.20 m (rows `oblique_face_*`: up to 60 deg); the limits
 are those of an earlier policy, which fell beyond them."""

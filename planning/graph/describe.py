@@ -25,6 +25,8 @@ TURN_SLOPE = math.radians(20.0)
 """Steepest ground [rad] on which turns on the spot were measured (`tools.bench envelope`, rows `turn_ramp_*`)."""
 STEEP, SLOPE_NOISE = 4, 1.15
 """One part of so many of what is under the wheels may be steeper. Factor on the tangent, for map noise: on a ramp of just that slope turns are free."""
+ONE_WAY = 0.7
+"""Least length of the mean of the steep rises, as a share of their mean length."""
 FACE_SLOPE = math.radians(40.0)
 """What rises steeper [rad] is a face, and an edge under the wheels."""
 UNKNOWN_RUN = 0.20
@@ -178,19 +180,26 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
 
 @njit(cache=True)
 def _steep(mean, base, n, inner, outer, run):
-    """Whether one part of `STEEP` of the ring is a slope steeper than `TURN_SLOPE`: rises over `run` [m], those of faces left out."""
+    """Whether one part of `STEEP` of the ring is a slope steeper than `TURN_SLOPE`, with rises over `run` [m]. What is steeper than `FACE_SLOPE`, and
+    what rises now this way and now that, are faces."""
     low = (run * math.tan(TURN_SLOPE) * SLOPE_NOISE) ** 2
     high = (run * math.tan(FACE_SLOPE)) ** 2
     steep = total = 0
+    size = sum_x = sum_y = 0.0
     for i in range(len(mean) - base):
         for j in range(len(mean) - base):
             d2 = (i + 0.5 * base - n) ** 2 + (j + 0.5 * base - n) ** 2
             if inner <= d2 <= outer:
-                rise2 = (mean[i + base, j] - mean[i, j]) ** 2 + (mean[i, j + base] - mean[i, j]) ** 2
+                rise_x, rise_y = mean[i, j + base] - mean[i, j], mean[i + base, j] - mean[i, j]
+                rise2 = rise_x * rise_x + rise_y * rise_y
                 if rise2 == rise2:
                     total += 1
-                    steep += low < rise2 < high
-    return steep * STEEP > total
+                    if low < rise2 < high:
+                        steep += 1
+                        size += math.sqrt(rise2)
+                        sum_x += rise_x
+                        sum_y += rise_y
+    return steep * STEEP > total and math.hypot(sum_x, sum_y) > ONE_WAY * size
 
 
 @njit(cache=True)

@@ -82,6 +82,11 @@ class GraphParams(GraphSettings):
         gt=0.0,
         description="corrected: highest posts of a stepfield that is driven through [m]; None = any up to max_step",
     )
+    max_step_back: float | None = Field(
+        default=None,
+        gt=0.0,
+        description="corrected: highest face driven over backward at no extra cost [m]; None = max_step",
+    )
     keep_step: float = Field(
         default=0.0,
         ge=0.0,

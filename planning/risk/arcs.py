@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.graph import TraversalGraph
-from planning.risk.turns import turn_rates
+from planning.risk.turns import forward_only, turn_rates
 
 
 class Arcs(NamedTuple):
@@ -31,6 +31,8 @@ class Arcs(NamedTuple):
     """(nodes,) `TraversalGraph.free_headings`: where the robot may turn in place."""
     turn_rate: NDArray[np.float64]
     """(nodes,) [m/rad] what an edge under the wheels or steep ground adds to a turn in place."""
+    forward_only: NDArray[np.bool_]
+    """(nodes,) a face under the wheels is too high to be climbed backward."""
 
 
 def arcs_of(graph: TraversalGraph) -> Arcs:
@@ -53,6 +55,7 @@ def arcs_of(graph: TraversalGraph) -> Arcs:
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
         turn_rates(graph.turn_edge, graph.params.max_turn_step),
+        forward_only(graph.turn_edge, graph.params),
     )
 
 

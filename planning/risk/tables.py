@@ -46,7 +46,7 @@ def evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot) -
 def evaluate_edges(sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables) -> None:
     """Evaluate every edge that is not yet."""
     work = scratch(sampler)
-    x, y, _, source, target, reverse, _, _, _, _, _ = arcs
+    x, y, _, source, target, reverse, _, _, _, _, _, _ = arcs
     edge = tables.edge
     for slot in range(target.size):
         if np.isnan(edge[slot, 0]):

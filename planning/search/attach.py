@@ -22,7 +22,7 @@ from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import turn_rates
+from planning.risk.turns import forward_only, turn_rates
 
 XY = tuple[float, float]
 STAND = 0.05
@@ -137,9 +137,10 @@ class Ground:
         c, grid = self._cells, self._grid
         return float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy))
 
-    def turn_rate(self, xy: XY) -> float:
-        """`Arcs.turn_rate` at x, y [m/rad]."""
-        return float(turn_rates(self._turn_edge(xy), self._graph.params.max_turn_step))
+    def under_wheels(self, xy: XY) -> tuple[float, bool]:
+        """`turn_rate` [m/rad] and `forward_only` of `Arcs` at x, y [m]."""
+        edge, params = self._turn_edge(xy), self._graph.params
+        return float(turn_rates(edge, params.max_turn_step)), bool(forward_only(edge, params))
 
     def allows(self, a: XY, b: XY) -> bool:
         """Whether a straight move a -> b touches nothing that is to be avoided."""

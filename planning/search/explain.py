@@ -13,7 +13,7 @@ from planning.risk.cost import Weights, transition_cost
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
-from planning.risk.turns import FREE_TURN, STEEP_COST
+from planning.risk.turns import FORWARD_ONLY, FREE_TURN, STEEP_COST
 from planning.search.request import SETS, DriveRules, Plan, PlanRequest, Transition
 
 
@@ -36,6 +36,8 @@ class Route:
     """[rad], NaN = any."""
     turn_rate: NDArray[np.float64]
     """(n,) [m/rad] what an edge under the wheels adds to a turn at each point."""
+    forward_only: NDArray[np.bool_]
+    """(n,) faces at each point are too high to be climbed backward."""
     moments: NDArray[np.float64]
     """(n - 1, 3, 3, 4), see `route_moments`."""
 
@@ -65,6 +67,7 @@ class Route:
             start_yaw,
             goal_yaw,
             arcs.turn_rate[list(nodes)],
+            arcs.forward_only[list(nodes)],
             np.empty((len(slots), 3, 3, 4)),
         )
         out.evaluate(table.sampler, weights_of(table.body), 0, len(slots))
@@ -126,7 +129,8 @@ class Route:
     @property
     def factor(self) -> NDArray[np.float64]:
         """(n - 1,) by which the direction makes each edge dearer."""
-        return np.where(self.back, self.rules.backward, 1.0)
+        over = self.forward_only[:-1] | self.forward_only[1:]
+        return np.where(self.back, self.rules.backward * np.where(over, FORWARD_ONLY, 1.0), 1.0)
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:

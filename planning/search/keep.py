@@ -50,6 +50,7 @@ def _rest(
     xy = np.array(places)
     near = [int(np.argmin(np.hypot(*(nodes[:, :2] - p).T))) for p in xy[1:-1]]
     count = len(moves)
+    under = [ground.under_wheels(place) for place in places]
     route = Route(
         (found.nodes[0], *near, found.nodes[-1]),
         xy,
@@ -59,7 +60,8 @@ def _rest(
         request.rules,
         start_yaw,
         goal_yaw,
-        np.array([ground.turn_rate(place) for place in places]),
+        np.array([rate for rate, _ in under]),
+        np.array([only for _, only in under]),
         np.empty((count, 3, 3, 4)),
     )
     if (route.risk < 0.0).any() or not all(has_room(ground, route, k) for k in range(len(xy))):

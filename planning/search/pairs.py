@@ -20,7 +20,7 @@ from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import may_turn_to, turn_cost
+from planning.risk.turns import back_factor, may_turn_to, turn_cost
 from planning.search.heap import grown, pop, push
 
 
@@ -40,7 +40,7 @@ def cost_to_go(
     least what the start costs; that is its bound, and the whole is still consistent. inf: no end can be reached.
     """
     work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, _, risk, _, _ = arcs
+    x, y, indptr, source, target, reverse, length, _, risk, _, _, _ = arcs
     edge = tables.edge
     count = x.size
     h = np.full(count, np.inf)
@@ -109,7 +109,7 @@ def search_pairs(
 
     That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
     requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost `turning` [m/rad] and more over edges, and are only made where there is room. An edge driven
-    backward costs `backward` times as much (inf: none is); yaws are the body's. The footprint is the same turned by half a turn,
+    backward costs `backward` times as much (inf: none is), more over faces that are climbed forward only; yaws are the body's. The footprint is the same turned by half a turn,
     so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or with the other.
     Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
     """
@@ -119,7 +119,7 @@ def search_pairs(
     if np.isinf(h[start]):
         return np.inf, none, 0, turns
     work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate = arcs
+    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     states = 2 * target.size
@@ -149,7 +149,9 @@ def search_pairs(
             step = transition_cost(w, length[out], risk[out], b, u)
             for way in range(ways):
                 to = 2 * out + way
-                cost = g + (backward * step if way else step)
+                cost = g + step
+                if way:
+                    cost = g + back_factor(backward, forward_only[at], forward_only[target[out]]) * step
                 if closed[to] or cost >= best[to]:
                     continue
                 if entries == came.size:
@@ -175,8 +177,8 @@ def search_pairs(
                 state = to
                 break
             out, way = to // 2, to % 2
-            factor = backward if way else 1.0
             at, k = source[out], target[out]
+            factor = back_factor(backward, forward_only[at], forward_only[k]) if way else 1.0
             if np.isnan(edge[out, 0]):
                 evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
             b, u = edge[out, 0], edge[out, 1]

@@ -64,19 +64,31 @@ def _chord(
         risk[k] = ground.risk(a, b)
         if risk[k] < 0.0:
             return False
+    inner = slice(i + 1, j)
     before = route.xy[i : j + 1].copy(), route.risk[i:j].copy(), route.moments[i:last].copy()
+    faces = route.turn_rate[inner].copy(), route.forward_only[inner].copy()
     route.xy[i : j + 1] = points
     route.risk[i:j] = risk
+    if route.back[i]:
+        _look_under(ground, route, inner)
     if has_room(ground, route, i) and has_room(ground, route, j):
         route.evaluate(table.sampler, w, i, last)
         new = route.cost(w)[i:last]
         if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
             cost[i:last] = new
-            # A later chord may turn at one of the points that were moved.
-            route.turn_rate[i + 1 : j] = [ground.turn_rate(place) for place in places[1:-1]]
+            if not route.back[i]:  # nothing turns there now, but a later chord may
+                _look_under(ground, route, inner)
             return True
     route.xy[i : j + 1], route.risk[i:j], route.moments[i:last] = before
+    route.turn_rate[inner], route.forward_only[inner] = faces
     return False
+
+
+def _look_under(ground: Ground, route: Route, points: slice) -> None:
+    """Bring what the ground under some points of the route says up to date."""
+    under = [ground.under_wheels((float(x), float(y))) for x, y in route.xy[points]]
+    route.turn_rate[points] = [rate for rate, _ in under]
+    route.forward_only[points] = [only for _, only in under]
 
 
 def has_room(ground: Ground, route: Route, k: int) -> bool:

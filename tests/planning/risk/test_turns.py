@@ -203,3 +203,18 @@ def test_a_robot_turns_round_before_a_ramp_and_not_on_it() -> None:
     up = [t.backward for k, t in enumerate(found.transitions) if found.points[k + 1, 0] > 2.0]
     assert len(up) > 2
     assert all(up)
+
+
+@pytest.mark.parametrize(("least", "backward"), [(None, True), (0.10, False)])
+def test_faces_that_are_climbed_forward_only_are_turned_to(least: float | None, backward: bool) -> None:
+    _, x = np.mgrid[0:120, 0:240] * 0.025
+    bar = 0.15 * (np.abs(x - 2.6) < 0.06)
+    noisy = bar + 0.003 * np.random.default_rng(0).standard_normal(x.shape)
+    grid = ElevationGrid(noisy.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), 0.025)
+    params = GraphParams(max_step=0.20, max_step_back=least, blind_radius=0.0)
+    graph = TraversalGraph.build(grid, (4.0, 1.5), params, 0)
+    rules = DriveRules(backward=1.1, turning=1.0, straight=True)
+    found = plan(graph, grid, PlanRequest((4.0, 1.5), (1.2, 1.5), 0.0, rules=rules))
+    over = [t.backward for k, t in enumerate(found.transitions) if 2.1 < found.points[k, 0] < 3.1]
+    assert over
+    assert all(over) == any(over) == backward

@@ -17,6 +17,7 @@ import numpy as np
 from hal.locomotion.controllers import controller_of
 from hal.lowlevel import CONTROLLERS, Controller, Locomotion
 from hal.mujoco.config import CAPABILITIES
+from tools.bench.envelope.backward import TRIALS, passes_backward
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope.lane import LANES, through_lane
@@ -143,6 +144,8 @@ SLOW_COURSES = ("step_up_5", "step_up_10", "step_up_15", "stairs_up_10", "krail_
 """... and the courses that must be passed at them as well."""
 OBLIQUE = (5, 10, 15, 20, 25)
 """Heights [cm] of faces and bars, as far as the controller's capabilities go, met at `ANGLES`."""
+BACK = (5, 10, 12, 15, 20)
+"""Heights of bars and steps that are driven over backward [cm]."""
 POSTS = (4, 5, 7, 10, 12, 15, 20)
 """Heights [cm] of the highest posts of a stepfield, from half of the controller's capabilities to twice of them..."""
 POSTS_SPEEDS = (0.2, 0.3, 0.4, 0.5)
@@ -254,7 +257,7 @@ class _Bench:
                 add(f"slow.{name}.{speed}", successes, of, self._least(19.0), at_least=True)
 
     def faces(self) -> None:
-        """Faces and bars at an angle, and stepfields at several speeds."""
+        """Faces and bars at an angle, stepfields at several speeds, and bars and steps backward."""
         name, add = self.name, self.report.add
         for kind in ("face", "bar"):
             for height in OBLIQUE:
@@ -268,6 +271,13 @@ class _Bench:
                 if self._wanted(f"posts_{height}_{speed}"):
                     successes = self._passed(f"posts_{height}", Conditions(speed=speed))
                     add(f"posts_{height}_{speed}.{name}", successes, f"of {len(RUNS)}")
+        for kind in ("bar", "step"):
+            for height in BACK:
+                if height <= 100.0 * CAPABILITIES[name].max_step and self._wanted(f"back_{kind}_{height}"):
+                    ends = [
+                        passes_backward(self.controller, kind, height / 100.0, *trial) for trial in TRIALS
+                    ]
+                    add(f"back_{kind}_{height}.{name}", sum(ends), f"of {len(ends)}")
 
     def lanes(self) -> None:
         """Rescue lanes of level 4 made of faces at an angle."""

@@ -107,8 +107,8 @@ def carried(store: TileStore, resolution: float, contacts: NDArray[np.float64]) 
     reach = np.arange(-round(WHEEL_SPOT / resolution), round(WHEEL_SPOT / resolution) + 1)
     i, j = (np.rint(v / resolution).astype(np.int64)[:, None] + reach for v in (y, x))
     n = len(reach)
-    cells = store.cells[store.locate(np.repeat(i, n, axis=1).ravel(), np.tile(j, n).ravel())]
-    cells = cells.reshape(len(x), n * n)
+    at = store.locate(np.repeat(i, n, axis=1).ravel(), np.tile(j, n).ravel())  # it may grow the pool
+    cells = store.cells[at].reshape(len(x), n * n)
     seen = cells["source"] == LIDAR
     out[out] = ~seen.any(axis=1) | (seen & (np.abs(cells["height"] - z[:, None]) <= ROUGH)).any(axis=1)
     return out

@@ -189,6 +189,15 @@ def test_three_wheels_on_rubble_tell_of_their_own_spots_where_the_lidar_contradi
     assert np.nanmin(elevation.window(0.0, 0.0, 0.05).layers["elevation"]) == pytest.approx(-0.15, abs=0.01)
 
 
+def test_wheels_on_a_tile_that_nobody_saw_find_the_pool_of_tiles_full() -> None:
+    elevation = ElevationMap()
+    store = elevation.store
+    far = 1 + int(20.0 / elevation.params.resolution) >> store.shift
+    while store.used < store.touched.size:
+        store.allocate(far, far + store.used)
+    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 1) > 1000
+
+
 def test_two_wheels_on_the_ground_tell_of_their_own_spots_only() -> None:
     elevation = ElevationMap()
     raised = WHEELS[[0, 3]] + [[0.0, 0.0, 0.1], [0.0, 0.0, 0.0]]

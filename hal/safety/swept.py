@@ -56,6 +56,12 @@ class Surroundings:
     """x, y [m] of the centre of cell [0, 0]."""
     resolution: float
 
+    def holds(self, x: float, y: float) -> bool:
+        """Whether a place [m] lies on the lattice."""
+        rows, cols = self.height.shape
+        col, row = (x - self.origin[0]) / self.resolution, (y - self.origin[1]) / self.resolution
+        return 0.0 <= col <= cols - 1 and 0.0 <= row <= rows - 1
+
 
 @dataclass(frozen=True, slots=True)
 class Reach:

@@ -46,7 +46,7 @@ from rbtrg_robot.wire.convert import (
     xyzw,
     yaw_of,
 )
-from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.frames import MapFrame, Planar
 from rbtrg_robot.wire.messages import header, stamp_of
 
 FAR = 2.4
@@ -198,12 +198,9 @@ class GuardStage:
         missing = self._missing()
         if missing:
             return [(t.MOTION_LIMITS, msg.MotionLimits(header=header(now, BASE), reason=missing))]
-        assert self._pose is not None
         assert self._around is not None
+        here, orientation = self._place()
         self._sweep()
-        pose = self._pose.pose.pose
-        here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
-        _, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
         speeds, words = [], []
         for k, (where, tracks, step) in enumerate(self._ways):
@@ -250,7 +247,19 @@ class GuardStage:
             age = (self._now - stamp) / NS
             if abs(age) > limit:
                 return f"{topic.name} is {age:.1f} s old"
+        assert self._around is not None
+        here, orientation = self._place()
+        if not np.isfinite((*here, *orientation)).all() or not self._around.holds(*here[:2]):
+            # Beyond the window nothing is known, and ground that nobody saw does not stop a robot that drives forward.
+            return f"{t.POSE.name} lies outside of {t.MAP_WINDOW.name}"
         return ""
+
+    def _place(self) -> tuple[Planar, NDArray[np.float64]]:
+        """x, y [m], yaw [rad] of the robot in `map`, and its orientation x, y, z, w."""
+        assert self._pose is not None
+        pose = self._pose.pose.pose
+        here = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+        return here, self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))[1]
 
 
 def build(config: StackConfig) -> GuardStage:

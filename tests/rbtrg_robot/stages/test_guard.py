@@ -35,6 +35,7 @@ class Around:
         self.yaw = yaw
         self.silent: set[Topic] = set()
         self.limits: Any = None
+        self.position, self.orientation = (0.0, 0.0, 0.4), rpy_quaternion((0.0, 0.0, yaw))
         self.hear(t.TF_STATIC, map_offset(*START))
 
     def hear(self, topic: Topic, message: Any) -> None:
@@ -53,9 +54,7 @@ class Around:
         layers = {name: np.zeros(x.shape, np.float32) for name in PATCH_LAYERS}
         layers["elevation"] = np.asarray(height(forward, left), np.float32)
         layers["trusted"][:], layers["source"][:] = 1.0, LIDAR
-        pose = odometry_msg(
-            self.now, (0.0, 0.0, 0.4), rpy_quaternion((0.0, 0.0, self.yaw)), np.zeros(3), np.zeros(3)
-        )
+        pose = odometry_msg(self.now, self.position, self.orientation, np.zeros(3), np.zeros(3))
         cloud = cloud_msg(self.now, "base_link", np.reshape(points, (-1, 3)).astype(np.float32))
         for topic, message in (
             (t.MAP_WINDOW, patch_msg(MapPatch(corner, RES, self.now, 0, layers))),
@@ -131,3 +130,28 @@ def test_nothing_is_allowed_before_everything_was_seen(topic: Topic) -> None:
     limits = around.tick(flat)
     assert four(limits) == (0.0,) * 4
     assert limits.reason == f"no {topic.name} yet"
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation"),
+    [
+        ((math.nan, 0.0, 0.4), None),
+        ((0.0, math.inf, 0.4), None),
+        ((1e300, 0.0, 0.4), None),
+        ((9.0, 0.0, 0.4), None),
+        (None, (math.nan, 0.0, 0.0, 1.0)),
+    ],
+)
+def test_a_pose_off_the_window_allows_nothing(position: Any, orientation: Any) -> None:
+    around = Around()
+    around.position = position or around.position
+    around.orientation = orientation or around.orientation
+    limits = around.tick(flat)
+    assert four(limits) == (0.0,) * 4
+    assert limits.reason == "/odom/fast lies outside of /elevation_map/window"
+
+
+def test_a_start_in_the_map_that_is_no_number_allows_nothing() -> None:
+    around = Around()
+    around.hear(t.TF_STATIC, map_offset(*START[:2], math.nan))
+    assert four(around.tick(flat)) == (0.0,) * 4

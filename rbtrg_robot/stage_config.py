@@ -14,11 +14,11 @@ from planning.graph.params import GraphParams, GraphSettings
 class NavigatorConfig(BaseModel):
     """Patience of the navigator."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     replan_period: float = Field(2.0, gt=0, description="least time between two replans while driving [s]")
     plan_retry: float = Field(2.0, gt=0, description="ask the planner again after [s]")
-    input_timeout: float = Field(1.0, gt=0, description="odometry or map older than this halts [s]")
+    input_timeout: float = Field(1.0, gt=0, le=5.0, description="odometry or map older than this halts [s]")
     patience: float = Field(12.0, gt=0, description="give up after inputs were missing for [s]")
     goal_tolerance: float = Field(
         0.25, gt=0, description="a path that ends further from the goal does not reach it [m]"
@@ -38,12 +38,12 @@ class NavigatorConfig(BaseModel):
 class FreshnessConfig(BaseModel):
     """Largest age of the tracker's inputs while it drives."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    pose: float = Field(0.12, gt=0, description="control pose [s]")
-    scan: float = Field(0.8, gt=0, description="scan odometry behind the pose [s]")
-    map: float = Field(1.2, gt=0, description="map status [s]")
-    goal: float = Field(1.2, gt=0, description="goal status of the navigator [s]")
+    pose: float = Field(0.12, gt=0, le=0.5, description="control pose [s]")
+    scan: float = Field(0.8, gt=0, le=3.0, description="scan odometry behind the pose [s]")
+    map: float = Field(1.2, gt=0, le=5.0, description="map status [s]")
+    goal: float = Field(1.2, gt=0, le=5.0, description="goal status of the navigator [s]")
 
 
 class GraphConfig(GraphSettings):
@@ -103,11 +103,15 @@ class GuardConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    reaction: float = Field(0.3, gt=0, description="from the sweep that shows an obstacle to the brakes [s]")
-    deceleration: float = Field(1.5, gt=0, description="that the robot brakes with at least [m/s^2]")
+    reaction: float = Field(
+        0.3, gt=0, le=2.0, description="from the sweep that shows an obstacle to the brakes [s]"
+    )
+    deceleration: float = Field(1.5, gt=0, le=5.0, description="that the robot brakes with at least [m/s^2]")
     margin: float = Field(0.03, ge=0, description="kept between body and obstacle [m]")
-    window_timeout: float = Field(0.5, gt=0, description="a map window older than this says nothing [s]")
-    pose_timeout: float = Field(0.2, gt=0, description="so does a pose [s]")
+    window_timeout: float = Field(
+        0.5, gt=0, le=2.0, description="a map window older than this says nothing [s]"
+    )
+    pose_timeout: float = Field(0.2, gt=0, le=1.0, description="so does a pose [s]")
 
 
 class ElevationStageConfig(BaseModel):

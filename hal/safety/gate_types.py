@@ -14,14 +14,14 @@ from hal.types import RobotState
 
 
 class SensorTimeouts(BaseModel):
-    """Oldest accepted sample [s] by sensor. Every sensor here must be alive; none can be left out."""
+    """Oldest accepted sample [s] by sensor. Every sensor here must be alive; none can be left out, and no limit is so long that it is none."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    state: float = Field(default=0.5, gt=0, description="[s] summary state of the robot")
-    imu: float = Field(default=0.2, gt=0, description="[s]")
-    joints: float = Field(default=0.3, gt=0, description="[s]")
-    lidar: float = Field(default=1.0, gt=0, description="[s]")
+    state: float = Field(default=0.5, gt=0, le=3.0, description="[s] summary state of the robot")
+    imu: float = Field(default=0.2, gt=0, le=3.0, description="[s]")
+    joints: float = Field(default=0.3, gt=0, le=3.0, description="[s]")
+    lidar: float = Field(default=1.0, gt=0, le=3.0, description="[s]")
 
 
 class GateConfig(BaseModel):
@@ -34,22 +34,28 @@ class GateConfig(BaseModel):
     )
     deadman_ramp: float = Field(default=0.08, ge=0, description="[s] before that, the velocity ramps down")
     future: float = Field(default=0.05, ge=0, description="[s] a stamp may lie ahead of the clock")
-    max_tilt: float = Field(default=0.70, gt=0, description="[rad] between trunk and gravity; latches")
+    max_tilt: float = Field(
+        default=0.70, gt=0, le=1.2, description="[rad] between trunk and gravity; latches"
+    )
     min_battery: float = Field(default=0.10, ge=0, lt=1, description="state of charge [0..1]; latches")
-    max_motor_temperature: float = Field(default=90.0, description="[deg C]; latches")
+    max_motor_temperature: float = Field(default=90.0, gt=0, le=120.0, description="[deg C]; latches")
     sensor_timeout: SensorTimeouts = SensorTimeouts()
     guard_timeout: float = Field(
-        default=0.3, gt=0, description="[s] a guard silent for longer means zero velocity"
+        default=0.3, gt=0, le=1.0, description="[s] a guard silent for longer means zero velocity"
     )
-    not_moving_warn: float = Field(default=1.0, gt=0, description="[s] commanded but not moving: flagged")
+    not_moving_warn: float = Field(
+        default=1.0, gt=0, le=60.0, description="[s] commanded but not moving: flagged"
+    )
     not_moving_stop: float = Field(
-        default=12.0, gt=0, description="[s] the same, latches; longer than a recovery"
+        default=12.0, gt=0, le=60.0, description="[s] the same, latches; longer than a recovery"
     )
-    moving_stop: float = Field(default=1.0, gt=0, description="[s] moving but not commanded, latches")
+    moving_stop: float = Field(default=1.0, gt=0, le=5.0, description="[s] moving but not commanded, latches")
     moving_speed: float = Field(
-        default=0.3, gt=0, description="[m/s] counts as moving; yaw rates double, in rad/s"
+        default=0.3, gt=0, le=1.0, description="[m/s] counts as moving; yaw rates double, in rad/s"
     )
-    braking_time: float = Field(default=1.0, gt=0, description="[s] in which a moving robot comes to rest")
+    braking_time: float = Field(
+        default=1.0, gt=0, le=5.0, description="[s] in which a moving robot comes to rest"
+    )
     fence_margin: float = Field(
         default=0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH),
         ge=0,

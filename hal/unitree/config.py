@@ -18,7 +18,7 @@ _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/li
 class UnitreeConfig(BaseModel):
     """Settings to reach and drive a real Go2-W and the LiDARs it carries. Times in seconds."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     domain: int | None = Field(
         default=None, ge=0, le=232, description="DDS domain; null: 0 on the robot's network, 1 on loopback"
@@ -44,9 +44,11 @@ class UnitreeConfig(BaseModel):
         default=0.2, gt=0, le=0.5, description="without a drive call for this long the robot stops"
     )
     state_timeout: float = Field(
-        default=0.2, gt=0, description="without LowState for this long: disconnected"
+        default=0.2, gt=0, le=1.0, description="without LowState for this long: disconnected"
     )
-    sport_timeout: float = Field(default=1.0, gt=0, description="without sportmodestate for this long: fault")
+    sport_timeout: float = Field(
+        default=1.0, gt=0, le=5.0, description="without sportmodestate for this long: fault"
+    )
     connect_timeout: float = Field(default=10.0, gt=0, description="for discovery")
     rpc_timeout: float = Field(default=1.0, gt=0, description="per request, then it is repeated")
     rpc_tries: int = Field(default=3, ge=1, description="requests before a service counts as silent")
@@ -67,6 +69,10 @@ class UnitreeConfig(BaseModel):
     lidars: tuple[LidarConfig, ...] = Field(
         default=DEFAULT_LIDARS, exclude=True, description="the stack's own `lidars`; set there, not here"
     )
+
+    def dds_domain(self, interface: str) -> int:
+        """DDS domain of the robot behind a network interface."""
+        return self.domain if self.domain is not None else 1 if interface == "lo" else 0
 
     def topic(self, lidar: LidarConfig) -> str:
         """DDS topic of its clouds."""

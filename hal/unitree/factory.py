@@ -42,8 +42,7 @@ def make_backend(
     """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given. Raises MissingExtra, or BackendError for an unusable interface."""
     check(interface)
     from hal.unitree.backend import UnitreeBackend
+    from hal.unitree.config import UnitreeConfig
 
-    domain = None if options is None else options.domain
-    if domain is None:
-        domain = 1 if interface == "lo" else 0
+    domain = (options or UnitreeConfig()).dds_domain(interface)
     return UnitreeBackend(interface, domain, options, dry_run, clock=clock)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import logging
 import os
 import socket
 import stat
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from hal.errors import OperatorError
+
+log = logging.getLogger(__name__)
 
 CONSOLE_ENTER = "/enter"
 LOOKING = 0.2
@@ -84,10 +87,13 @@ class RunLock:
         return True
 
     def write_state(self, **state: Any) -> None:
-        """Replace the state file."""
+        """Replace the state file. A full disk ends no stack: the commands find its router at the default port, or where --port says."""
         fresh = self._state.with_suffix(".tmp")
-        fresh.write_text(json.dumps({"pid": os.getpid(), **state}))
-        fresh.replace(self._state)
+        try:
+            fresh.write_text(json.dumps({"pid": os.getpid(), **state}))
+            fresh.replace(self._state)
+        except OSError as error:
+            log.warning("%s cannot be written (%s)", self._state, error.strerror)
 
     def release(self) -> None:
         """Remove the state file and give the lock away."""
@@ -116,7 +122,7 @@ def running() -> list[str]:
     return found
 
 
-def take_interface(interface: str, domain: int | None) -> socket.socket:
+def take_interface(interface: str, domain: int) -> socket.socket:
     """Hold a robot's network interface for this process: two stacks would command one robot. Raises RobotTaken.
 
     An abstract socket is one for all users of the computer, and the system frees it however its owner ends. `domain`: of DDS.

@@ -36,6 +36,10 @@ KillMode=control-group
 TimeoutStartSec={start}
 TimeoutStopSec={stop}
 WatchdogSec={watchdog}
+# A supervisor that hangs: SIGABRT would end robot process and guardian at once, and nobody would stop the robot.
+WatchdogSignal=SIGTERM
+# A process that the kernel kills for its memory is started again by the supervisor; the others go on.
+OOMPolicy=continue
 Restart=on-failure
 RestartSec=5
 # A process was given up: a restart does not help, somebody has to look.
@@ -50,6 +54,8 @@ WantedBy={target}
 _USER = """\
 User={user}
 RuntimeDirectory={name}
+# An emergency stop and a mission outlive the service, see `process.latch`.
+RuntimeDirectoryPreserve=yes
 Environment=XDG_RUNTIME_DIR=%t/{name}
 """
 _ANYWHERE = """\

@@ -98,7 +98,8 @@ class Supervisor:
         """Bring the stack up and keep it up until `stopping()`. Raises StartFailed, BusError, AlreadyRunning, RobotTaken."""
         config = self._config
         real = config.backend != "sim"
-        held = take_interface(config.interface, config.unitree.domain) if real else nullcontext()
+        domain = config.unitree.dds_domain(config.interface)
+        held = take_interface(config.interface, domain) if real else nullcontext()
         with held:
             self._run(stopping, on_turn)
 

@@ -51,6 +51,20 @@ def test_what_is_shown_loads_again(tmp_path: Path) -> None:
         (["sim.seed=3"], "sim.seed"),
         (["sim.controller=policy"], "sim.controller"),
         (["planner.seed=3"], "planner.seed"),
+        # A limit so long that it never trips is a check switched off.
+        (["gate.guard_timeout=30"], "gate.guard_timeout"),
+        (["gate.sensor_timeout.lidar=1e9"], "gate.sensor_timeout.lidar"),
+        (["gate.max_tilt=3.2"], "gate.max_tilt"),
+        (["gate.max_motor_temperature=1e6"], "gate.max_motor_temperature"),
+        (["gate.moving_stop=1e6"], "gate.moving_stop"),
+        (["guard.pose_timeout=1e6"], "guard.pose_timeout"),
+        (["guard.window_timeout=1e6"], "guard.window_timeout"),
+        (["guard.deceleration=1e6"], "guard.deceleration"),
+        (["freshness.pose=.inf"], "freshness.pose"),
+        (["freshness.map=1e6"], "freshness.map"),
+        (["navigator.input_timeout=.inf"], "navigator.input_timeout"),
+        (["unitree.state_timeout=.inf"], "unitree.state_timeout"),
+        (["unitree.sport_timeout=1e6"], "unitree.sport_timeout"),
     ],
 )
 def test_wrong_keys_and_values_are_named(sets: list[str], named: str) -> None:

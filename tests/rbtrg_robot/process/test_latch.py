@@ -123,3 +123,19 @@ def test_a_latch_is_written_and_taken_back_and_a_broken_one_counts(
     latch.follow(b"", latched=False)
     latch.follow(b"", latched=False)
     assert latch.read() == b""
+
+
+def test_a_latch_that_cannot_be_written_ends_nothing_and_is_written_when_there_is_room(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    latch = LatchFile("a")
+    latched = encode(msg.RobotState(estop=True, estop_cause="operator"))
+    full = tmp_path / "rbtrg" / "a.new"
+    full.mkdir()
+    for _ in range(3):
+        latch.follow(latched, latched=True)
+    assert caplog.text.count("cannot be written") == 1
+    full.rmdir()
+    latch.follow(latched, latched=True)
+    assert LatchFile("a").read() == latched

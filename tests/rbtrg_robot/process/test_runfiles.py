@@ -5,27 +5,54 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from pathlib import Path
+from typing import Any
 
 import pytest
 
-from rbtrg_robot.process.runfiles import RobotTaken, take_interface
+from hal.unitree.config import UnitreeConfig
+from rbtrg_robot.config import load
+from rbtrg_robot.process.runfiles import RobotTaken, RunLock, read_state, take_interface
+from rbtrg_robot.process.supervisor import Supervisor
 
 
 def test_two_stacks_on_one_interface_are_refused_and_the_death_of_one_frees_it() -> None:
     interface = f"test{os.getpid()}"
     script = (
         "import sys; from rbtrg_robot.process.runfiles import take_interface;"
-        f"held = take_interface({interface!r}, None); print('held', flush=True); sys.stdin.read()"
+        f"held = take_interface({interface!r}, 0); print('held', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     try:
         assert other.stdout is not None
         assert other.stdout.readline() == b"held\n"
         with pytest.raises(RobotTaken, match=interface):
-            take_interface(interface, None)
+            take_interface(interface, 0)
         take_interface(interface, 5).close()  # another DDS domain: another robot
         other.kill()
     finally:
         other.kill()
         other.communicate()
-    take_interface(interface, None).close()
+    take_interface(interface, 0).close()
+
+
+def test_a_second_stack_that_names_the_domain_which_the_first_takes_by_default_is_refused() -> None:
+    interface = f"test{os.getpid()}named"
+    config = load(None, ["backend=unitree", f"interface={interface}", "unitree.domain=0"])
+    second: Any = Supervisor(config, None, lambda _text: None)  # type: ignore[arg-type]
+    first = UnitreeConfig().dds_domain(interface)
+    with take_interface(interface, first), pytest.raises(RobotTaken, match=interface):
+        second.run(lambda: True, lambda _status: None)
+
+
+def test_a_run_folder_on_a_full_disk_ends_no_stack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    lock = RunLock("a")
+    lock.write_state(ready=False)
+    (tmp_path / "rbtrg" / "a.tmp").mkdir()  # what was to be written there fails
+    lock.write_state(ready=True)
+    assert "cannot be written" in caplog.text
+    assert read_state("a")["ready"] is False
+    lock.release()

@@ -112,6 +112,17 @@ def test_a_process_that_was_given_up_is_told_at_the_end(tmp_path: Path) -> None:
     assert stack._summary() == "ready; gave up: robot"
 
 
+def test_the_latch_outlives_the_service_and_its_end_leaves_time_to_stop_the_robot() -> None:
+    lines = service.unit("go2w", [], user=False).splitlines()
+    assert "RuntimeDirectoryPreserve=yes" in lines, (
+        "systemd removes the folder of the latch when the service ends"
+    )
+    # The signal of the watchdog goes to all processes of the service: the robot process must be able to take it.
+    assert "KillMode=control-group" in lines
+    assert "WatchdogSignal=SIGTERM" in lines
+    assert "OOMPolicy=continue" in lines
+
+
 @pytest.mark.parametrize("user", [False, True])
 def test_the_unit_file_is_one_that_systemd_takes(tmp_path: Path, user: bool) -> None:
     analyze = shutil.which("systemd-analyze")

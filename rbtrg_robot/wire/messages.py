@@ -1,4 +1,4 @@
-"""ROS 2 messages on the wire: CDR, hashes, definitions. The messages themselves are the dataclasses of `rbtrg_robot.msg`.
+"""ROS 2 messages on the wire: bytes, hashes, definitions. The messages themselves are the dataclasses of `rbtrg_robot.msg`.
 
 Standard types come from the ROS 2 Jazzy set that rosbags carries; ours from the .msg files beside this module.
 """
@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.msg import Header, Message, Time
+from rbtrg_robot.wire.cdr import HEADER, Codec
 
 M = TypeVar("M", bound=Message)
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -31,7 +32,7 @@ for _package in ("grid_map_msgs", "rbtrg_msgs"):
 for _type in vars(msg).values():
     if isinstance(_type, type) and issubclass(_type, Message) and _type is not Message:
         STORE.types[_type.__msgtype__] = cast(Any, _type)  # what the store decodes to
-
+CODEC = Codec(STORE)
 
 PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
     msg.GridMap: (("layers", "data"),),
@@ -70,7 +71,7 @@ class MessageError(ValueError):
 
 def encode(message: Message) -> bytes:
     """CDR bytes (little-endian XCDR1 with its 4-byte header) of a message."""
-    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+    return CODEC.encode(message)
 
 
 @overload
@@ -81,8 +82,9 @@ def decode(data: bytes, kind: Any) -> Any:
     """The message of a class or, where only a log knows it, a type's name. Arrays are views on `data`. Raises MessageError."""
     typename = kind if isinstance(kind, str) else kind.__msgtype__
     try:
-        message: Any = STORE.deserialize_cdr(data, typename)
-    except Exception as error:  # rosbags raises whatever the broken bytes trip over
+        known = data[:2] == HEADER[:2] and typename in STORE.types
+        message: Any = CODEC.decode(data, typename) if known else STORE.deserialize_cdr(data, typename)
+    except Exception as error:  # whatever the broken bytes trip over
         raise MessageError(f"not a {typename}: {error}") from error
     for names in PARALLEL.get(type(message), ()):
         if len({len(getattr(message, name)) for name in names}) > 1:

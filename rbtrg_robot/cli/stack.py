@@ -114,11 +114,11 @@ def up(
         _check(loaded)
         folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
         loaded = loaded.model_copy(update={"log_dir": str(folder)})
-        (folder / "config.yaml").write_text(loaded.to_yaml())
-        for gone in prune(folder.parent, loaded.recorder.keep_gb, spare=folder):
+        for gone in prune(folder.parent, loaded.recorder.keep_gb, spare=folder):  # makes room first
             print(
                 f"removed {gone}: the runs took more than recorder.keep_gb = {loaded.recorder.keep_gb:g} GB"
             )
+        _write_config(folder, loaded)
         code = _supervise(loaded, zygote)
         if render is not None and not code:
             from rbtrg_robot.cli.logs import draw
@@ -185,6 +185,15 @@ def _run_folder(base: Path, label: str) -> Path:
     except OSError as error:
         raise LogError(f"cannot write {folder}: {error.strerror}; choose another --log-dir") from error
     return folder
+
+
+def _write_config(folder: Path, config: StackConfig) -> None:
+    """Into the run's folder. A robot drives without a log: a full disk is told, and what can be recorded will be."""
+    path = folder / "config.yaml"
+    try:
+        path.write_text(config.to_yaml())
+    except OSError as error:
+        print(f"rbtrg-robot: cannot write {path}: {error.strerror}; make room", file=sys.stderr)
 
 
 def _supervise(config: StackConfig, zygote: Zygote) -> int:

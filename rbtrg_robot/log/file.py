@@ -127,7 +127,13 @@ class LogWriter:
         self._schemas: dict[str, int] = {}
         self._since_flush = 0
         self.messages = 0
-        self.flush()
+        try:
+            self.flush()
+        except LogError:  # a file with nothing in it is no log, and its readers say so
+            self._file.close()
+            if path.is_file():
+                path.unlink()
+            raise
 
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int, sequence: int = 0) -> None:
         """Append a message; times in ns."""
@@ -262,9 +268,11 @@ def read_log(
 
 
 def log_files(path: Path) -> list[Path]:
-    """The files of a run: `path` itself, or all .mcap files of a folder in order. Raises LogError."""
+    """The files of a run: `path` itself, or all .mcap files of a folder in order, but for those of a recorder that was killed before it
+    wrote. Raises LogError."""
     if path.is_dir():
-        files = sorted(path.glob("*.mcap"), key=lambda p: (len(p.name), p.name))
+        written = [file for file in path.glob("*.mcap") if file.stat().st_size]
+        files = sorted(written, key=lambda p: (len(p.name), p.name))
         if not files:
             raise LogError(f"no .mcap file in {path}")
         return files

@@ -5,11 +5,12 @@ A run is a folder below the log folder that holds `config.yaml`. A file `KEEP` i
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from rbtrg_robot.log.file import LogError, is_being_written
+from rbtrg_robot.log.file import CONFIG, LogError, is_being_written
 
 MARK = "KEEP"
 GIGABYTE = 1_000_000_000
@@ -30,13 +31,13 @@ class Run:
 
 def runs(base: Path) -> list[Run]:
     """All runs below `base`, oldest first (their names begin with the date)."""
-    found = sorted(path.parent for path in base.glob("*/config.yaml"))
+    found = sorted(path.parent for path in base.glob(f"*/{CONFIG}"))
     return [_run(folder) for folder in found]
 
 
 def mark(folder: Path, keep: bool = True) -> None:
     """Keep a run, or no longer. Raises LogError when `folder` is no run."""
-    if not (folder / "config.yaml").is_file():
+    if not (folder / CONFIG).is_file():
         raise LogError(f"{folder} is no run: name a folder that holds config.yaml")
     if keep:
         (folder / MARK).touch()
@@ -57,11 +58,20 @@ def prune(base: Path, quota: float, spare: Path | None = None) -> list[Path]:
             break
         if run.kept or run.active or run.folder == spare:
             continue
-        shutil.rmtree(run.folder, ignore_errors=True)
+        _remove(run.folder)
         if not run.folder.exists():
             total -= run.size
             removed.append(run.folder)
     return removed
+
+
+def _remove(folder: Path) -> None:
+    """What makes it a run goes last: a removal that is cut short goes on at the next."""
+    for path in folder.rglob("*"):
+        if path.is_file() and path.name != CONFIG:
+            with contextlib.suppress(OSError):
+                path.unlink()
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run(folder: Path) -> Run:
@@ -72,5 +82,14 @@ def _run(folder: Path) -> Run:
             size += path.stat().st_size
         except OSError:  # it was removed meanwhile
             continue
-    logs = [path for path in files if path.suffix == ".mcap" and path.exists()]
-    return Run(folder, size, (folder / MARK).exists(), any(is_being_written(path) for path in logs))
+    logs = [path for path in files if path.suffix == ".mcap"]
+    return Run(folder, size, (folder / MARK).exists(), any(_is_active(path) for path in logs))
+
+
+def _is_active(log: Path) -> bool:
+    try:
+        return is_being_written(log)
+    except FileNotFoundError:  # another stack removed it meanwhile
+        return False
+    except OSError:  # of somebody else: nobody here can tell
+        return True

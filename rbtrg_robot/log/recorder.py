@@ -45,7 +45,7 @@ class Recorder:
         attachments: dict[str, bytes],
         clock: SourceClock,
     ) -> None:
-        """`clock` says when a message was recorded. Raises LogError when the folder cannot be written."""
+        """`clock` says when a message was recorded. Raises LogError when the folder cannot be written; a disk that is full now is waited for."""
         self._clock = clock
         self._folder = folder
         self._params = params
@@ -56,7 +56,6 @@ class Recorder:
             if not is_intact(path):
                 log.warning("%s has no index: `rbtrg-robot log recover` makes one", path.name)
         self._number = 1 + max((int(path.stem[4:]) for path in older), default=-1)
-        self._writer: LogWriter | None = self._open()
         self._opened = self._flushed = time.monotonic()
         self._retry = 0.0
         self._free_due = 0.0
@@ -66,6 +65,13 @@ class Recorder:
         """What an operator should know, in plain words; empty when everything is recorded."""
         self.left_out = 0
         """Messages that were not recorded for want of space."""
+        self._writer: LogWriter | None = None
+        try:
+            self._writer = self._open()
+        except LogError as error:
+            if not error.retry:
+                raise
+            self._give_up(str(error))
 
     def _open(self) -> LogWriter:
         return LogWriter(self._folder / f"log_{self._number}.mcap", self._metadata, self._attachments)
@@ -100,9 +106,8 @@ class Recorder:
             return
         big = self._writer.size > self._params.rotate_megabytes * 1_000_000
         if big or now - self._opened > self._params.rotate_seconds:
-            self._retire(self._writer)
+            self._retire(self._writer, tidy=True)
             self._begin(now)
-            prune(self._folder.parent, self._params.keep_gb, spare=self._folder)
 
     @property
     def _full(self) -> bool:
@@ -144,15 +149,17 @@ class Recorder:
             self._writer.abandon()
             self._writer = None
 
-    def _retire(self, writer: LogWriter) -> None:
-        """Index a full file and wait for the disk beside the recording: an fsync can take longer than a heartbeat may."""
+    def _retire(self, writer: LogWriter, *, tidy: bool = False) -> None:
+        """Index a full file, wait for the disk and remove old runs beside the recording: each can take longer than a heartbeat may."""
 
         def close() -> None:
             try:
                 writer.close()
-            except LogError as error:
+            except (LogError, OSError) as error:
                 log.warning("%s", error)
                 writer.abandon()
+            if tidy:
+                prune(self._folder.parent, self._params.keep_gb, spare=self._folder)
 
         self._closing = [thread for thread in self._closing if thread.is_alive()]
         self._closing.append(threading.Thread(target=close, name="close log"))

@@ -124,9 +124,16 @@ def last_seconds(folder: Path, target: Path, seconds: float) -> int:
 
     The newest earlier message of each latched topic stands before it. Raises LogError.
     """
-    files = log_files(folder)[-2:]  # a file is minutes long
-    end = max((entry.log_time for path in files for entry, _, _ in read_log(path)), default=0)
-    begin = end - round(seconds * 1e9)
+    files: list[Path] = []
+    begin = None
+    for path in reversed(log_files(folder)):  # a file is minutes long, or as short as the life of a recorder that was killed
+        times = [entry.log_time for entry, _, _ in read_log(path)]
+        files.insert(0, path)
+        if times and begin is None:
+            begin = max(times) - round(seconds * 1e9)
+        if times and begin is not None and min(times) < begin:
+            break
+    begin = begin or 0
     contents = LogContents()
     latched: dict[str, tuple[Entry, Schema | None, Channel]] = {}
     writer: LogWriter | None = None

@@ -15,7 +15,9 @@ import yaml
 
 from hal.types import NS
 from rbtrg_robot import topics as t
+from rbtrg_robot.cli import stack
 from rbtrg_robot.cli.main import main
+from rbtrg_robot.config import load
 from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
@@ -252,3 +254,11 @@ def test_detached_it_waits_for_the_robot_it_started_however_that_was_named(
     finally:
         down = run("down", "--robot", "alpha", tmp_path=tmp_path)
     assert down.returncode == 0, down.stderr
+
+
+def test_a_disk_that_takes_no_configuration_keeps_no_robot_from_starting(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "config.yaml").symlink_to("/dev/full")
+    stack._write_config(tmp_path, load())
+    assert "No space left on device; make room" in capsys.readouterr().err

@@ -193,3 +193,10 @@ def test_a_length_that_no_memory_has_is_damage_and_no_crash(tmp_path: Path) -> N
     contents = LogContents()
     assert list(read_log(path, contents)) == []
     assert "OverflowError" in contents.damage
+
+
+def test_a_recorder_that_was_killed_before_it_wrote_does_not_spoil_the_run(tmp_path: Path) -> None:
+    (tmp_path / "log_0.mcap").touch()
+    with LogWriter(tmp_path / "log_1.mcap", {}) as writer:
+        writer.write(t.ODOM, encode(t.ODOM.kind()), 1, 1)
+    assert [entry.topic for entry in read_run(tmp_path)] == [t.ODOM.name]

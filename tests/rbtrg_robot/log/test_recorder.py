@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import threading
 from collections import namedtuple
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.log import file as log_file
+from rbtrg_robot.log import keep
 from rbtrg_robot.log import recorder as module
 from rbtrg_robot.log.file import is_intact, read_log
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
@@ -122,6 +124,50 @@ def test_a_write_that_fails_does_not_end_the_recorder(
     assert is_intact(tmp_path / "run" / "log_1.mcap")
 
 
+def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(
+    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = log_file._LogFile.write
+
+    def write(self: log_file._LogFile, data: bytes) -> int:
+        raise log_file._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+
+    monkeypatch.setattr(log_file._LogFile, "write", write)
+    recorder = recorder_in(tmp_path / "run")
+    one(recorder, t.IMU, 1)
+    recorder.housekeep()
+    assert "No space left" in recorder.trouble
+    monkeypatch.setattr(log_file._LogFile, "write", plain)
+    clock.now += 10.0
+    recorder.housekeep()
+    one(recorder, t.IMU, 2)
+    recorder.close()
+    assert recorder.left_out == 1
+    assert topics_in(tmp_path / "run") == [t.IMU.name], "and the attempt left no file that is none"
+
+
+def test_removing_old_runs_does_not_hold_the_recorder_up(
+    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = make_run(tmp_path, "20260101", 3)
+    slow = threading.Event()
+    plain = module.prune
+
+    def prune(*wanted: Any, **how: Any) -> list[Path]:
+        slow.wait(20.0)
+        return plain(*wanted, **how)
+
+    monkeypatch.setattr(module, "prune", prune)
+    recorder = recorder_in(tmp_path / "run", rotate_seconds=10.0, keep_gb=0.001)
+    clock.now += 11.0
+    recorder.housekeep()
+    assert old.exists(), "it goes on while the disk removes"
+    one(recorder, t.IMU, 2)
+    slow.set()
+    recorder.close()
+    assert not old.exists()
+
+
 def test_a_new_file_begins_and_the_old_one_gets_its_index(tmp_path: Path, clock: Clock) -> None:
     recorder = recorder_in(tmp_path / "run", rotate_seconds=10.0)
     one(recorder, t.IMU, 1)
@@ -150,6 +196,32 @@ def test_the_oldest_unmarked_runs_go_when_the_quota_is_full(tmp_path: Path) -> N
     mark(first, keep=False)
     assert prune(tmp_path, 0.0, spare=last) == [first]
     assert (tmp_path / "notes").is_dir()
+
+
+def test_a_removal_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = make_run(tmp_path, "20260101", 3)
+    monkeypatch.setattr(keep.shutil, "rmtree", lambda *_, **__: None)  # the process is killed before it comes to that
+    assert prune(tmp_path, 0.0) == []
+    monkeypatch.undo()
+    assert [path.name for path in run.iterdir()] == ["config.yaml"]
+    assert prune(tmp_path, 0.0) == [run], "it is still known as a run"
+
+
+def test_a_run_that_vanishes_or_belongs_to_somebody_else_ends_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine, theirs, gone = (make_run(tmp_path, f"2026010{k}", 3) for k in range(3))
+
+    def look(path: Path) -> bool:
+        if path.parent == theirs:
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        if path.parent == gone:
+            raise FileNotFoundError(errno.ENOENT, "No such file", str(path))
+        return False
+
+    monkeypatch.setattr(keep, "is_being_written", look)
+    assert prune(tmp_path, 0.0) == [mine, gone]
+    assert theirs.exists()
 
 
 def test_a_run_that_is_being_written_stays(tmp_path: Path, clock: Clock) -> None:

@@ -89,6 +89,14 @@ def test_the_last_minute_of_a_run_that_is_being_written_is_an_indexed_log(run: P
     assert [entry.log_time // SECOND for entry in entries[1:]] == list(range(70, 131))
 
 
+def test_a_minute_is_a_minute_however_often_the_recorder_was_killed(tmp_path: Path) -> None:
+    folder, target = tmp_path / "run", tmp_path / "last.mcap"
+    for number in range(12):
+        write(folder / f"log_{number}.mcap", 10 * number, 10 * number + 9).abandon()
+    report.last_seconds(folder, target, 60.0)
+    assert [entry.log_time // SECOND for entry, _, _ in read_log(target)] == list(range(59, 120))
+
+
 def test_what_is_missing_is_told_and_the_rest_is_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -87,8 +87,11 @@ class Backend(Protocol):
     def diagnostics(self) -> dict[str, float]:
         """Figures for operators by name: measured values as float (offsets of clocks in s), counters as int. Empty where there are none."""
 
-    def close(self) -> None:
-        """Leave the robot safe (stopped, then seated or damped) and release everything. Idempotent."""
+    def close(self, *, lie_down: bool = True) -> None:
+        """Leave the robot safe (stopped, then seated or damped) and release everything. Idempotent.
+
+        `lie_down` False: stopped and on its feet, where it may stand on a stair. A program that failed leaves it so.
+        """
 
 
 UP = (Phase.READY, Phase.MOVING, Phase.STOPPED)

@@ -171,8 +171,8 @@ class MujocoBackend:
         """None: no clock and no wire lies between here and the simulated robot."""
         return {}
 
-    def close(self) -> None:
-        """Damp the motors and stop the clock."""
+    def close(self, *, lie_down: bool = True) -> None:
+        """Damp the motors and stop the clock: with its simulator the robot is gone, on its feet or not."""
         self._connected = False
         self._modes.disconnect()
         self._state = replace(self._state, phase=self._modes.phase, cause=self._modes.cause)

@@ -178,14 +178,14 @@ class UnitreeBackend:
             self._now, self._phase, self._cause, t.battery, t.motor_temperature, t.contact, t.remote
         )
 
-    def close(self) -> None:
+    def close(self, *, lie_down: bool = True) -> None:
         """Stop, lie down, release. Bounded to about three seconds; never releases the motion service."""
         if self._telemetry is None:
             return
         try:
             if self._telemetry.low_age(self._clock()) < 1.0:
                 lying = self._phase is Phase.SITTING and not self._steps.goal
-                lie = self.options.sit_on_close and not lying and self._phase is not Phase.DAMPED
+                lie = lie_down and self.options.sit_on_close and not lying and self._phase is not Phase.DAMPED
                 self._steps.abandon()
                 self._halt()
                 self._run_now(self._steps.leave(lie))

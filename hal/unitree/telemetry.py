@@ -19,6 +19,7 @@ from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.lidars import LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
+from hal.unitree.quality import LinkQuality
 
 log = logging.getLogger(__name__)
 
@@ -56,6 +57,7 @@ class Telemetry:
         self._l1 = next((lidar for lidar in self.lidars if lidar.model == "l1"), None)
         self._leak = np.array([*options.l1_gyro_leak, 0.0])
         self.low_clock = ClockOffset()
+        self._link_quality = LinkQuality()
         self.low: np.void | None = None
         self.sport: np.void | None = None
         self._low_at: int | None = None
@@ -133,6 +135,7 @@ class Telemetry:
             raise WireError("its checksum is wrong")
         self.low_unread = ""
         tick = int(low["tick"])
+        step = 0
         if self._tick is not None:
             step = (tick - self._tick) % 2**32
             if step == 0:
@@ -144,6 +147,7 @@ class Telemetry:
                 log.warning(
                     "LowState tick went back from %d to %d ms: the robot was restarted", self._tick, tick
                 )
+        self._link_quality.heard(step, now)
         self._tick, self._low_at, self.low = tick, now, low
         self.low_clock.observe(tick * 1_000_000, now)
         return low
@@ -235,10 +239,11 @@ class Telemetry:
         return self._silence.words(self.lidars, now)
 
     def figures(self) -> dict[str, float]:
-        """Figures for the operator: offsets of clocks as float [s], counters as int."""
+        """Figures for the operator: offsets of clocks [s] and the rate of LowState [Hz] as float, counters as int."""
         clocks = {"low_state": self.low_clock, **{f"lidar_{x.name}": x.clock for x in self.lidars}}
         return {
             **{f"{name}_clock_offset": c.offset / NS for name, c in clocks.items() if c.offset is not None},
+            **self._link_quality.figures(),
             "clock_jumps": sum(clock.jumps for clock in clocks.values()),
             "robot_restarts": self.reboots,
             **{f"lidar_{lidar.name}_empty": lidar.empty for lidar in self.lidars},

@@ -141,6 +141,8 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
     stage = build(config, restored, bus.clock)
     window: Window | None = None
     now = stage.start_time if config.simulated else bus.clock()
+    told = False
+    """To end, and not by an error: after one, the next process takes the robot as it stands, on a stair or a ramp."""
     try:
         stage.warm_up()
         changes: deque[tuple[str, bool]] = deque()
@@ -182,10 +184,11 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
                     break
             if window is not None:
                 window.show()
+        told = True
     finally:
         if window is not None:
             window.close()
-        stage.close()
+        stage.close(lie_down=told)
 
 
 def _wait_for_all(bus: Bus, heart: Heart, config: StackConfig, stopping: Callable[[], bool]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from hal.types import Phase
 from rbtrg_robot.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.wire.messages import header
 
 OK, WARN, ERROR, STALE = (
@@ -17,6 +18,7 @@ OK, WARN, ERROR, STALE = (
 )
 SILENT = 2.0
 """A process without a heartbeat for this long [s] says nothing of the present."""
+FAILED = (GoalState.REJECTED.value, GoalState.ABORTED.value)
 SNMP = Path("/proc/net/snmp")
 
 
@@ -31,9 +33,16 @@ class Diagnosis:
     def message(self, status: dict[str, Any], stamp: int) -> DiagnosticArray:
         """From what `status --json` prints; `stamp` [ns, source clock]."""
         fresh = {row["process"] for row in status["processes"] if _beats(row)}
-        entries = [self._process(row) for row in status["processes"]]
+        entries = [self._stack(status), *(self._process(row) for row in status["processes"])]
         entries.append(self._topics(status["topics"]))
-        for made, owner in ((self._body, "robot"), (self._odometry, "odometry"), (self._map, "elevation")):
+        for made, owner in (
+            (self._body, "robot"),
+            (self._odometry, "odometry"),
+            (self._map, "elevation"),
+            (self._goal, "navigator"),
+            (self._tracker, "tracker"),
+            (self._mission, "mission"),
+        ):
             entry = made(status["robot"])
             if owner not in fresh:
                 entry.level, entry.message = STALE, f"the {owner} process is silent; {entry.message}"
@@ -41,11 +50,16 @@ class Diagnosis:
         entries.append(self._network())
         return DiagnosticArray(header=header(stamp, ""), status=entries)
 
-    def _entry(self, name: str, level: int, words: str, **values: Any) -> DiagnosticStatus:
+    def _entry(self, name: str, level: int, words: str, /, **values: Any) -> DiagnosticStatus:
         pairs = [KeyValue(key=key, value="" if v is None else str(v)) for key, v in values.items()]
         return DiagnosticStatus(
             level=level, name=f"rbtrg: {name}", message=words, hardware_id=self._robot, values=pairs
         )
+
+    def _stack(self, status: dict[str, Any]) -> DiagnosticStatus:
+        values = {k: status[k] for k in ("version", "pid", "uptime", "log_dir", "refused")}
+        ready = status["ready"]
+        return self._entry("stack", OK if ready else WARN, "ready" if ready else "not ready yet", **values)
 
     def _process(self, row: dict[str, Any]) -> DiagnosticStatus:
         level = OK if row["state"] == "ready" else ERROR if row["state"].startswith("failed") else WARN
@@ -88,9 +102,8 @@ class Diagnosis:
         if health is None:
             return self._entry("odometry", STALE, "not heard yet")
         level = {"good": OK, "degraded": WARN}.get(health, ERROR)
-        values: dict[str, Any] = {
-            k: robot[k] for k in ("x", "y", "z", "yaw", "speed", "pose_age") if k in robot
-        }
+        motion = ("x", "y", "z", "yaw", "speed", "yaw_rate", "pose_age")
+        values: dict[str, Any] = {k: robot[k] for k in motion if k in robot}
         for name, lidar in robot["lidars"].items():
             for key, seconds in lidar.items():
                 values[f"{name} {key} [ms]"] = f"{1e3 * seconds:.2f}"
@@ -103,7 +116,28 @@ class Diagnosis:
         warning = robot.get("map_warning")
         if warning is None:
             return self._entry("map", STALE, "not heard yet")
-        return self._entry("map", WARN if warning else OK, warning or "well")
+        return self._entry("map", WARN if warning else OK, warning or "well", location=robot["location"])
+
+    def _goal(self, robot: dict[str, Any]) -> DiagnosticStatus:
+        goal = robot.get("goal")
+        if goal is None:
+            return self._entry("goal", STALE, "not heard yet")
+        words = ": ".join(filter(None, (goal["state"], goal["reason"], goal["detail"]))) or "none"
+        return self._entry("goal", WARN if goal["state"] in FAILED else OK, words, **goal)
+
+    def _tracker(self, robot: dict[str, Any]) -> DiagnosticStatus:
+        if "tracker" not in robot:
+            return self._entry("tracker", STALE, "not heard yet")
+        hold, slow = robot["tracker_hold"], robot["tracker_slow"]
+        words = ": ".join(filter(None, (robot["tracker"], hold)))
+        return self._entry("tracker", WARN if hold else OK, words, hold=hold, slow=slow)
+
+    def _mission(self, robot: dict[str, Any]) -> DiagnosticStatus:
+        mission = robot.get("mission")
+        if mission is None:
+            return self._entry("mission", OK, "none")
+        words = ": ".join(filter(None, (mission["phase"], mission["reason"], mission["question"])))
+        return self._entry("mission", OK, words, **mission)
 
     def _network(self) -> DiagnosticStatus:
         """Datagrams that this computer lost because a receive buffer was full, of all programs, since it was switched on."""

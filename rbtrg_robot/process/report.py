@@ -126,7 +126,9 @@ def last_seconds(folder: Path, target: Path, seconds: float) -> int:
     """
     files: list[Path] = []
     begin = None
-    for path in reversed(log_files(folder)):  # a file is minutes long, or as short as the life of a recorder that was killed
+    for path in reversed(
+        log_files(folder)
+    ):  # a file is minutes long, or as short as the life of a recorder that was killed
         times = [entry.log_time for entry, _, _ in read_log(path)]
         files.insert(0, path)
         if times and begin is None:

@@ -101,9 +101,9 @@ class RobotStage:
         """Reach the robot. Raises BackendError."""
         self.backend.connect()
 
-    def close(self) -> None:
-        """Leave the robot safe."""
-        self.backend.close()
+    def close(self, *, lie_down: bool = True) -> None:
+        """Leave the robot safe; see `Backend.close`."""
+        self.backend.close(lie_down=lie_down)
 
     @property
     def start_time(self) -> int:

@@ -200,6 +200,16 @@ def test_close_stops_lies_down_and_never_releases_the_motion_service():
     assert world.backend.read(world.now) == []
 
 
+def test_a_program_that_failed_leaves_the_robot_stopped_and_on_its_feet():
+    world = ready()
+    world.run(2.0, vx=0.5)
+    world.backend.close(lie_down=False)
+    world.advance(1.5)
+    assert abs(world.body.v) < REST
+    assert world.body.phase is Phase.READY
+    assert Sport.STAND_DOWN not in world.apis()
+
+
 def test_attitude_offsets_are_repeated_at_rest_only():
     world = ready()
     world.backend.posture(PostureCommand(world.now, roll=0.2, pitch=2.0))

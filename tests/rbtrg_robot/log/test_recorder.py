@@ -200,7 +200,9 @@ def test_the_oldest_unmarked_runs_go_when_the_quota_is_full(tmp_path: Path) -> N
 
 def test_a_removal_that_was_cut_short_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = make_run(tmp_path, "20260101", 3)
-    monkeypatch.setattr(keep.shutil, "rmtree", lambda *_, **__: None)  # the process is killed before it comes to that
+    monkeypatch.setattr(
+        keep.shutil, "rmtree", lambda *_, **__: None
+    )  # the process is killed before it comes to that
     assert prune(tmp_path, 0.0) == []
     monkeypatch.undo()
     assert [path.name for path in run.iterdir()] == ["config.yaml"]

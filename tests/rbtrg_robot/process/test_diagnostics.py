@@ -16,6 +16,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import render
 from rbtrg_robot.process import diagnostics as module
 from rbtrg_robot.process.diagnostics import ERROR, OK, STALE, WARN, Diagnosis
+from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.wire.messages import decode, encode
@@ -27,14 +28,23 @@ __all__ = ["supervisor"]
 ROBOT = {
     "mode": "ready", "cause": "", "estop": False, "estop_cause": "", "hold": "", "battery": 0.8, "realtime_factor": 1.0,
     "refused": {"stale": 3}, "localization": "good", "localization_reason": "", "map_warning": "",
+    "x": 1.0, "y": 2.0, "z": 0.4, "yaw": 0.1, "speed": 0.2, "yaw_rate": 0.3, "pose_age": 0.01, "location": "found",
+    "tracker": "tracking", "tracker_hold": "", "tracker_slow": "a slope",
+    "goal": {"id": "g1", "state": "moving", "reason": "", "detail": "", "x": 4.0, "y": 0.0, "distance_left": 3.0, "replans": 1, "recoveries": 2},
     "calibration": "", "lidars": {"main": {"time_offset": 0.0101, "sigma": 0.0002, "applied": 0.0098}},
 }  # fmt: skip
 
 
 def status(state: str = "ready", age: float | None = 0.1, ok: bool = True, **robot: Any) -> dict[str, Any]:
-    names = ("robot", "odometry", "elevation")
+    names = ("robot", "odometry", "elevation", "navigator", "tracker", "mission")
     row = {"pid": 7, "restarts": 0, "cpu": 1.0, "memory_mb": 2.0, "dropped": 0, "refused": 0, "detail": ""}
     return {
+        "version": "1",
+        "pid": 6,
+        "ready": True,
+        "uptime": 9.0,
+        "log_dir": "/logs/run",
+        "refused": 0,
         "processes": [{"process": name, "state": state, "heartbeat_age": age, **row} for name in names],
         "topics": [{"topic": "/odom", "rate": 9.7, "nominal": 10, "age": None, "ok": ok}],
         "robot": ROBOT | robot,
@@ -49,8 +59,9 @@ def levels(found: dict[str, Any]) -> dict[str, int]:
 
 
 ALL_WELL = {
-    "process robot": OK, "process odometry": OK, "process elevation": OK,
-    "topics": OK, "robot": OK, "odometry": OK, "map": OK, "network": OK,
+    **{f"process {name}": OK for name in ("robot", "odometry", "elevation", "navigator", "tracker", "mission")},
+    "stack": OK, "topics": OK, "robot": OK, "odometry": OK, "map": OK, "network": OK,
+    "goal": OK, "tracker": OK, "mission": OK,
 }  # fmt: skip
 
 
@@ -66,11 +77,13 @@ ALL_WELL = {
         (status(localization="lost"), {"odometry": ERROR}),
         (status(calibration="the stamps are off"), {"odometry": WARN}),
         (status(map_warning="the prior map does not fit"), {"map": WARN}),
-        (status(age=5.0), dict.fromkeys([n for n in ALL_WELL if n not in ("topics", "network")], STALE)),
+        (status(age=5.0), dict.fromkeys([n for n in ALL_WELL if n not in ("stack", "topics", "network")], STALE)),
         (
             status(state="failed: no scene", age=None),
-            {**dict.fromkeys([n for n in ALL_WELL if n.startswith("process")], ERROR), "robot": STALE, "odometry": STALE, "map": STALE},
+            {**dict.fromkeys([n for n in ALL_WELL if n.startswith("process")], ERROR), **dict.fromkeys(("robot", "odometry", "map", "goal", "tracker", "mission"), STALE)},
         ),
+        (status(tracker_hold="/odom is 0.9 s old"), {"tracker": WARN}),
+        (status(goal=ROBOT["goal"] | {"state": "aborted", "reason": "stuck"}), {"goal": WARN}),
     ],
 )  # fmt: skip
 def test_levels(found: dict[str, Any], differs: dict[str, int]) -> None:
@@ -92,6 +105,37 @@ def test_values_are_those_of_status() -> None:
     assert clock["main time_offset [ms]"] == "10.10"
     body = {p.key: p.value for p in entries["rbtrg: robot"].values}
     assert (body["battery"], body["refused: stale"]) == ("0.8", "3")
+
+
+MISSION = {"name": "round", "phase": "paused", "reason": "by hand", "step": 2, "steps": 5, "question": "on?"}
+ELSEWHERE = (
+    "backend",
+    "map_warning",
+    "localization",
+    "localization_reason",
+    "calibration",
+    "mode",
+    "tracker",
+)
+"""Of the robot's own entry in /diagnostics, or in the words of an entry instead of its values."""
+
+
+def test_everything_that_status_knows_of_the_robot_is_told() -> None:
+    health = Health(simulated=False)
+    for topic in Health.WATCHED:
+        health.take(topic, topic.kind())
+    health.take(t.MISSION_STATE, msg.MissionState(order_id="o", phase="paused"))
+    known = health.robot_row()
+    told = Diagnosis("rex").message(status(mission=MISSION), 0).status
+    keys = {pair.key for entry in told for pair in entry.values}
+    for key, value in known.items():
+        if key in ("goal", "mission"):
+            assert set(value) <= keys, key
+        elif key not in (*ELSEWHERE, "lidars", "refused"):
+            assert key.removeprefix("tracker_") in keys, key
+    words = {entry.name.removeprefix("rbtrg: "): entry.message for entry in told}
+    assert words["mission"] == "paused: by hand: on?"
+    assert words["tracker"] == "tracking"
 
 
 def test_datagrams_lost_for_want_of_a_buffer_are_told(
@@ -135,6 +179,24 @@ def test_the_robot_process_tells_the_figures_of_its_backend_once_a_second() -> N
     entry = run(2.0)[-1]
     assert entry.level == WARN
     assert "unreadable rt/lowstate" in entry.message
+
+
+def test_how_well_the_link_to_the_robot_is_is_told() -> None:
+    world = World(options=UnitreeConfig(lidars=only("xt16")))
+    world.backend.connect()
+    world.backend.diagnostics()
+    world.run(1.0)
+    well = world.backend.diagnostics()
+    assert well["low_state_rate"] == pytest.approx(500.0, rel=0.05)
+    assert well["low_state_gaps"] == 0
+    world.faults.low_silent = True
+    world.run(0.1)
+    world.faults.low_silent = False
+    world.run(0.9)
+    ill = world.backend.diagnostics()
+    assert ill["low_state_rate"] == pytest.approx(450.0, rel=0.05)
+    assert ill["low_state_gaps"] == 1
+    assert isinstance(ill["low_state_gaps"], int), "a counter that rises is a warning"
 
 
 def test_sweeps_that_never_came_are_counted() -> None:

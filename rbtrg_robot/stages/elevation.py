@@ -160,7 +160,8 @@ class ElevationStage:
                     self._location = Location()
                 self._location.restore(message)
                 self.map.epoch = max(self.map.epoch, message.epoch)
-                self.map.alignment.height = message.height_correction
+                if math.isfinite(message.height_correction):
+                    self.map.alignment.height = message.height_correction
             elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
                 self._restore(message)
             return self._join()

@@ -129,7 +129,8 @@ class GuardStage:
             if self._frame.take(message):
                 self._around = None  # it lay elsewhere
         elif t.MAP_STATUS.carried(message, topic):
-            self._correction = message.height_correction
+            if math.isfinite(message.height_correction):
+                self._correction = message.height_correction
         elif t.ODOM.carried(message, topic):
             self._keep(self._odoms, stamp_of(message), message)
         elif t.CLOUD.carried(message, topic):

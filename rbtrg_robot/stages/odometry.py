@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hal.rotation import rotation, wrap
+from hal.rotation import wrap
 from hal.types import Extrinsics, MountedLidar
 from hal.urdf import urdf
+from mapping.elevation.exchange import MapError
+from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
@@ -113,12 +115,14 @@ class OdometryStage:
             elif t.TF_STATIC.carried(message, topic):  # of the process before this one
                 known = MapFrame()
                 known.take(message)
-                self._start = (known.x, known.y, known.yaw)
+                if known.known:
+                    self._start = (known.x, known.y, known.yaw)
             elif t.ODOM.carried(message, topic):
+                checked_pose(xyz(message.pose.pose.position), xyzw(message.pose.pose.orientation))
                 self._before, self._before_stamp = message.pose.pose, stamp_of(message)
             elif t.CLOUD.carried(message, topic):
                 self._resume(message)
-        except LayoutError:
+        except (LayoutError, MapError):
             self._malformed += 1
         for scan in self._odometry.poll():
             if self._before is not None:
@@ -132,8 +136,7 @@ class OdometryStage:
         if self._before is None or stamp_of(cloud) != self._before_stamp:
             return
         pose = np.eye(4)
-        pose[:3, :3] = rotation(xyzw(self._before.orientation))
-        pose[:3, 3] = xyz(self._before.position)
+        pose[:3, :3], pose[:3, 3] = checked_pose(xyz(self._before.position), xyzw(self._before.orientation))
         self._odometry.resume(pose, cloud_points(cloud))
         self._before = None
 

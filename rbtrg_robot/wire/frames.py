@@ -30,14 +30,14 @@ class MapFrame:
         self.yaw = 0.0
 
     def take(self, message: TFMessage) -> bool:
-        """From a tf2_msgs/TFMessage. Returns whether an offset that was known became another one."""
+        """From a tf2_msgs/TFMessage; an offset that is no number is none. Returns whether one that was known became another one."""
         before = (self.x, self.y, self.z, self.yaw) if self.known else None
         for transform in message.transforms:
             if transform.header.frame_id == MAP and transform.child_frame_id == ODOM:
-                offset = transform.transform.translation
-                self.x, self.y, self.z = offset.x, offset.y, offset.z
-                self.yaw = yaw_of(transform.transform.rotation)
-                self.known = True
+                offset, yaw = transform.transform.translation, yaw_of(transform.transform.rotation)
+                if all(map(math.isfinite, (offset.x, offset.y, offset.z, yaw))):
+                    self.x, self.y, self.z, self.yaw = offset.x, offset.y, offset.z, yaw
+                    self.known = True
         return before not in (None, (self.x, self.y, self.z, self.yaw))
 
     def pose2(self, x: float, y: float, yaw: float) -> Planar:

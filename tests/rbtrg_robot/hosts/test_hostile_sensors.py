@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -16,8 +17,9 @@ from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg
+from rbtrg_robot.wire.convert import cloud_msg, imu_msg, joint_msg, odometry_msg, scan_msg
 from rbtrg_robot.wire.messages import decode, encode, stamp_of
+from tests.rbtrg_robot.hearsay import map_offset
 from tools.synthetic import arena_run
 
 BAD = range(12, 15)
@@ -50,7 +52,8 @@ class Pipeline:
         self.newest: dict[Topic, Any] = {}
         self.stamps: list[int] = []
         self.reasons: list[str] = []
-        self.host = SyncHost(build_stages(config, ["odometry", "elevation"]), self._hear)
+        self.stages = build_stages(config, ["odometry", "elevation"])
+        self.host = SyncHost(self.stages, self._hear)
 
     def _hear(self, topic: Topic, payload: bytes, now: int) -> None:
         heard = self.newest[topic] = decode(payload, topic.kind)
@@ -78,6 +81,32 @@ class Pipeline:
         assert -0.1 < p.x < 1.0
         assert self.newest[t.MAP_STATUS].known_cells > 3000
         assert self.newest[t.MAP_STATUS].scans > 12
+
+
+@pytest.mark.parametrize(
+    "quaternion", [(0.0, 0.0, 0.0, math.nan), (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 7.0)]
+)
+def test_what_is_handed_to_a_restarted_process_may_be_broken(
+    samples: list[Sample], quaternion: tuple[float, ...]
+) -> None:
+    """The supervisor hands on the newest messages of before the death: a broken one must not end each process that follows."""
+    pipeline = Pipeline()
+    (odometry, _), (elevation, _) = pipeline.stages.values()
+    nowhere = math.nan if quaternion[3] == 0.0 else 0.0
+    odometry.on(t.TF_STATIC, map_offset(math.nan))
+    odometry.on(t.ODOM, odometry_msg(5, (nowhere, 0.0, 0.4), quaternion, np.zeros(3), np.zeros(3)))
+    ring = np.linspace(0.0, 6.0, 2000)
+    wall = np.column_stack([3 * np.cos(ring), 3 * np.sin(ring), ring / 6])
+    odometry.on(t.CLOUD, cloud_msg(5, "base_link", wall.astype(np.float32)))
+    elevation.on(t.MAP_STATUS, t.MAP_STATUS.kind(height_correction=math.nan))
+    pipeline.feed([message(s) for s in samples])
+    if quaternion[3] == 7.0:  # sound but for its length: no wall of the arena is where it was
+        assert pipeline.newest[t.ODOM_HEALTH].health == "lost"
+        return
+    pipeline.well()
+    (offset, *_) = [x for x in pipeline.newest[t.TF_STATIC].transforms if x.child_frame_id == "odom"]
+    assert math.isfinite(offset.transform.translation.x)
+    assert math.isfinite(pipeline.newest[t.MAP_STATUS].height_correction)
 
 
 def spoil(samples: list[Sample], change: Callable[[LidarScan], list[Any]]) -> Messages:

@@ -153,5 +153,15 @@ def test_a_pose_off_the_window_allows_nothing(position: Any, orientation: Any) -
 
 def test_a_start_in_the_map_that_is_no_number_allows_nothing() -> None:
     around = Around()
+    around.stage = guard.build(CONFIG)
     around.hear(t.TF_STATIC, map_offset(*START[:2], math.nan))
-    assert four(around.tick(flat)) == (0.0,) * 4
+    limits = around.tick(flat)
+    assert four(limits) == (0.0,) * 4
+    assert limits.reason == "no /tf_static yet"
+
+
+def test_a_correction_of_the_map_that_is_no_number_hides_no_obstacle() -> None:
+    around = Around()
+    leg = np.array([[0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.2, -0.1, 0.0)])
+    around.hear(t.MAP_STATUS, t.MAP_STATUS.kind(height_correction=math.nan))
+    assert around.tick(flat, leg).forward < 0.7

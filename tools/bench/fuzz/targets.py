@@ -25,7 +25,7 @@ from rbtrg_robot.log.replay import Controls, play
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
-from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Role, Topic
 from rbtrg_robot.wire.bus import Bus, Received
@@ -61,9 +61,10 @@ class Target(Protocol):
 class OneStage:
     """A stage behind the wire. It begins with sound messages, so that it has something to lose."""
 
-    def __init__(self, stage: Stage, samples: Samples) -> None:
+    def __init__(self, stage: Stage, samples: Samples, restores: tuple[Topic, ...] = ()) -> None:
+        """`restores`: topics whose newest messages are handed to it after a restart."""
         self._stage = stage
-        self.inputs = tuple(stage.inputs)
+        self.inputs = tuple(dict.fromkeys([*stage.inputs, *restores]))
         stage.warm_up()
         sound = [(topic, payload) for topic in stage.inputs for payload in samples[topic]]
         for topic, payload in sound:
@@ -298,12 +299,13 @@ def _check(path: Path) -> None:
 
 
 def _stage(name: str, config: StackConfig, samples: Samples, _folder: Path) -> Target:
+    restores = BY_NAME[name].restores
     if name == "robot":
-        robot = OneStage(build(config), samples)
+        robot = OneStage(build(config), samples, restores)
         for now in range(0, newest_stamp(samples), NS):  # the simulator does not jump
             robot.turn(now)
         return robot
-    return OneStage(build_stages(config, [name])[name][0], samples)
+    return OneStage(build_stages(config, [name])[name][0], samples, restores)
 
 
 TARGETS: dict[str, Callable[[StackConfig, Samples, Path], Target]] = {

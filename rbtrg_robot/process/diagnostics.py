@@ -7,7 +7,6 @@ from typing import Any
 
 from hal.types import Phase
 from rbtrg_robot.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.wire.messages import header
 
 OK, WARN, ERROR, STALE = (
@@ -18,7 +17,8 @@ OK, WARN, ERROR, STALE = (
 )
 SILENT = 2.0
 """A process without a heartbeat for this long [s] says nothing of the present."""
-FAILED = (GoalState.REJECTED.value, GoalState.ABORTED.value)
+FAILED = ("rejected", "aborted")
+"""States of a goal that was not reached for a reason of its own."""
 SNMP = Path("/proc/net/snmp")
 
 

@@ -92,6 +92,7 @@ class GuardStage:
         self._laid = True
         """Nothing came since the newest sweep was laid over the window."""
         self._malformed = 0
+        self._ahead = round(params.pose_timeout * NS)
         p = params
         around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
         self._ways = (
@@ -175,7 +176,8 @@ class GuardStage:
         if self._laid:
             return
         self._laid = True
-        both = self._clouds.keys() & self._odoms.keys()
+        # One that is stamped ahead of the clock would hide all that come after it.
+        both = [x for x in self._clouds.keys() & self._odoms.keys() if x <= self._now + self._ahead]
         if not both or self._around is None or not self._frame.known:
             return
         newest = max(both)

@@ -96,9 +96,10 @@ class Goal:
 
     @classmethod
     def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
-        """From rbtrg_msgs/GoalRequest."""
+        """From rbtrg_msgs/GoalRequest. One without an id is known by its stamp: otherwise the next would be taken for a repeat of it."""
         yaw = message.yaw if message.has_yaw else None
-        return cls(message.id, message.x, message.y, yaw, now, message.timeout, message.owner)
+        known = message.id or f"request-{stamp_of(message) or now}"
+        return cls(known, message.x, message.y, yaw, now, message.timeout, message.owner)
 
     @classmethod
     def from_pose(cls, message: msg.PoseStamped, now: int) -> Goal:

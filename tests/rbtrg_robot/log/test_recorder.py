@@ -146,6 +146,21 @@ def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(
     assert topics_in(tmp_path / "run") == [t.IMU.name], "and the attempt left no file that is none"
 
 
+def test_waiting_for_the_disk_does_not_hold_the_recorder_up(
+    tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slow = threading.Event()
+    monkeypatch.setattr(log_file.os, "fsync", lambda _file: slow.wait(20.0))
+    recorder = recorder_in(tmp_path / "run", rotate_seconds=10.0)
+    clock.now += 11.0
+    recorder.housekeep()
+    one(recorder, t.IMU, 2)
+    assert not slow.is_set(), "it records while the disk takes the file before"
+    slow.set()
+    recorder.close()
+    assert is_intact(tmp_path / "run" / "log_0.mcap")
+
+
 def test_removing_old_runs_does_not_hold_the_recorder_up(
     tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:

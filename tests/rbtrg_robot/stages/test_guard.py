@@ -109,6 +109,16 @@ def test_what_the_newest_sweep_shows_limits_before_the_map_has_it(yaw: float) ->
     assert around.tick(flat).backward == 1.0, "it is gone"
 
 
+def test_a_sweep_from_the_future_hides_none_that_comes_after_it() -> None:
+    around = Around()
+    around.tick(flat)
+    late = around.now + 60 * NS
+    around.hear(t.CLOUD, cloud_msg(late, "base_link", np.zeros((0, 3), np.float32)))
+    around.hear(t.ODOM, odometry_msg(late, around.position, around.orientation, np.zeros(3), np.zeros(3)))
+    leg = np.array([[0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.2, -0.1, 0.0)])
+    assert around.tick(flat, leg).forward < 0.7
+
+
 @pytest.mark.parametrize(("topic", "limit"), [(t.MAP_WINDOW, 0.5), (t.POSE, 0.2)])
 def test_without_new_inputs_nothing_is_allowed(topic: Topic, limit: float) -> None:
     around = Around()

@@ -745,6 +745,19 @@ def test_a_goal_from_rviz_is_a_goal(world: World) -> None:
     assert (world.status.state, world.status.x, world.status.has_yaw) == ("planning", 2.0, True)
 
 
+def test_a_goal_without_an_id_is_one_and_so_is_the_next(world: World) -> None:
+    for x in (3.0, 5.0):
+        world.goal(x, goal_id="")
+        assert (world.status.state, world.status.x) == ("planning", x)
+        assert world.status.id
+        world.run(1.0)
+    stamped = header(7, "map")
+    world.goal(6.0, goal_id="", header=stamped)
+    first = world.status.id
+    world.goal(6.0, goal_id="", header=stamped)
+    assert world.status.id == first, "a repeat"
+
+
 def test_a_turn_that_stalls_is_left_straight_along_the_heading_on_ground_it_stood_on(world: World) -> None:
     world.come_along()
     for heading, along in ((math.pi - 0.05, 1.0), (0.05, -1.0)):

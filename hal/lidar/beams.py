@@ -12,7 +12,9 @@ from hal.types import POINT_QUANTUM, TIME_QUANTUM
 @njit(cache=True, nogil=True, error_model="numpy")
 def moving_rays(
     beams: NDArray[np.float32],
-    alpha: NDArray[np.float64],
+    time: NDArray[np.int64],
+    begin: int,
+    end: int,
     p0: NDArray[np.float64],
     q0: NDArray[np.float64],
     p1: NDArray[np.float64],
@@ -21,14 +23,15 @@ def moving_rays(
     origins: NDArray[np.float32],
     directions: NDArray[np.float32],
 ) -> None:
-    """World origin and direction of beams (n, 3; `base_link` axes) fired at fractions `alpha` between two base poses.
+    """World origin and direction of beams (n, 3; `base_link` axes) fired at `time` (n,) [ns] between two base poses at `begin` and `end`.
 
     Quaternions are w, x, y, z; `mount` (3,) is the sensor's position in `base_link`. Between the poses position is
     linear and attitude a normalised linear blend, right to 1e-5 rad for steps up to 0.1 rad.
     """
     sign = 1.0 if q0[0] * q1[0] + q0[1] * q1[1] + q0[2] * q1[2] + q0[3] * q1[3] >= 0.0 else -1.0
+    span = float(end - begin)
     for i in range(beams.shape[0]):
-        a = alpha[i]
+        a = (time[i] - begin) / span
         w = (1.0 - a) * q0[0] + a * sign * q1[0]
         x = (1.0 - a) * q0[1] + a * sign * q1[1]
         y = (1.0 - a) * q0[2] + a * sign * q1[2]

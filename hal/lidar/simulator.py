@@ -186,15 +186,17 @@ class LidarSimulator:
         assert self._last is not None
         last, p0, q0 = self._last
         first = sweep.fired
-        until = int(np.searchsorted(sweep.time, pose[0] - sweep.start, side="right"))
+        until = int(sweep.time.searchsorted(pose[0] - sweep.start, side="right"))
         if until <= first:
             return
         sweep.fired = until
         due = slice(first, until)
-        alpha = (sweep.time[due] + (sweep.start - last)) / float(pose[0] - last)
         origins = np.empty((until - first, 3), np.float32)
         directions = np.empty_like(origins)
-        moving_rays(sweep.beams[due], alpha, p0, q0, pose[1], pose[2], self._offset, origins, directions)
+        begin, end = last - sweep.start, pose[0] - sweep.start
+        moving_rays(
+            sweep.beams[due], sweep.time[due], begin, end, p0, q0, pose[1], pose[2], self._offset, origins, directions
+        )  # fmt: skip
         ranges, sweep.cosine[due] = self.caster.returns(origins, directions)
         if len(self._boxes):
             terrain = ranges.copy()

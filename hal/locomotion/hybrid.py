@@ -81,7 +81,8 @@ class HybridController:
         centres = go2w.wheel_centres(state.q)
         heights = centres @ np.array(up_of(state.quaternion))
         blocked, moves = self.wheels.blocked(), velocity.vx != 0.0 or velocity.wz != 0.0
-        twisted = abs(heights[0] + heights[3] - heights[1] - heights[2]) > TWIST and blocked < 1.0
+        fr, fl, rr, rl = heights.tolist()
+        twisted = abs(fr + rl - fl - rr) > TWIST and blocked < 1.0
         self._twist = self._twist + self.period if twisted else 0.0
         if not self.climbing and ((fast and blocked >= BLOCKED) or (moves and self._twist >= TWIST_TIME)):
             self.climbing = True
@@ -94,7 +95,7 @@ class HybridController:
             if self._share == 1.0:
                 self.wheels.take_over(_rolling(state))
         step = self.period / BLEND
-        self._share = float(np.clip(self._share + (step if self.climbing else -step), 0.0, 1.0))
+        self._share = min(max(self._share + (step if self.climbing else -step), 0.0), 1.0)
         if self._share == 0.0:
             self._push = max(self._push - PUSH_FADE * self.period, 0.0)
             return self.wheels.step(state, velocity, posture)

@@ -29,6 +29,8 @@ class VmcController:
         self.period = period
         self._record = np.array([self.params], RECORD)
         self._memory = np.zeros(1, MEMORY)
+        self._mode, self._blocked = self._memory["mode"], self._memory["blocked"][0]
+        self._climb = self._record["climb"]
         self._command = np.zeros(5)
         self._out = np.zeros((5, 16))
         self._low = LowCommand(
@@ -45,7 +47,7 @@ class VmcController:
 
     def lift_wheels(self, may: bool) -> None:
         """Whether blocked wheels are lifted onto what blocks them; a climb under way goes on."""
-        self._record["climb"] = self.params.climb if may else 0.0
+        self._climb[0] = self.params.climb if may else 0.0
 
     def take_over(self, vx: float) -> None:
         """Forget all state but this: the robot drives at `vx` [m/s]."""
@@ -81,9 +83,9 @@ class VmcController:
 
     def blocked(self) -> float:
         """For how long the ground has held a wheel, as a share of the time after which the wheel is lifted; 1 while it is."""
-        if self._memory["mode"][0] != DRIVE:
+        if self._mode[0] != DRIVE:
             return 1.0
-        return float(self._memory["blocked"][0].max()) / self.params.blocked_time
+        return max(self._blocked.tolist()) / self.params.blocked_time
 
     def warning(self) -> str:
         """An edge felt while creeping, in words; empty most of the time."""

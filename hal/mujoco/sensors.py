@@ -16,23 +16,22 @@ ACCEL_SIGMA, ACCEL_BIAS = 0.06, 0.03
 """[m/s^2]"""
 POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA = 0.0005, 0.02, 0.1
 """Joint encoders and torque estimate: [rad], [rad/s], [Nm]."""
+SIGMA = np.repeat([GYRO_SIGMA, ACCEL_SIGMA, POSITION_SIGMA, VELOCITY_SIGMA, EFFORT_SIGMA], [3, 3, 16, 16, 16])
 
 _BLOCK = 1024
 
 
 class Gaussian:
-    """Rows of standard normal numbers, drawn in blocks."""
+    """Rows of normal numbers with standard deviations `sigma` (width,), drawn in blocks."""
 
-    def __init__(self, random: np.random.Generator, width: int) -> None:
-        self._random = random
-        self._shape = (_BLOCK, width)
-        self._rows = random.standard_normal(self._shape)
-        self._next = 0
+    def __init__(self, random: np.random.Generator, sigma: Array) -> None:
+        self._random, self._sigma = random, sigma
+        self._next = _BLOCK
 
     def row(self) -> Array:
         """(width,)"""
         if self._next == _BLOCK:
-            self._rows = self._random.standard_normal(self._shape)
+            self._rows = self._random.standard_normal((_BLOCK, len(self._sigma))) * self._sigma
             self._next = 0
         self._next += 1
         return self._rows[self._next - 1]
@@ -48,22 +47,20 @@ class Sensors:
         self._gyro_bias = GYRO_BIAS * constant[:3]
         self._accel_bias = ACCEL_BIAS * constant[3:6]
         self._attitude = AttitudeFilter(self._gyro_bias, self._accel_bias)
-        self._gaussian = Gaussian(np.random.default_rng(streams[1]), 6 + 48)
-        self._imu_scale = np.array([GYRO_SIGMA] * 3 + [ACCEL_SIGMA] * 3)
+        self._gaussian = Gaussian(np.random.default_rng(streams[1]), SIGMA)
 
     def measure(self, state: LowState) -> LowState:
         """One control tick's LowState with errors, in place."""
         if not self._noise:
             return state
         row = self._gaussian.row()
-        imu = row[:6] * self._imu_scale
-        state.gyro += imu[:3]
+        state.gyro += row[:3]
         state.gyro += self._gyro_bias
-        state.accel += imu[3:]
+        state.accel += row[3:6]
         state.accel += self._accel_bias
-        state.q += POSITION_SIGMA * row[6:22]
-        state.dq += VELOCITY_SIGMA * row[22:38]
-        state.tau += EFFORT_SIGMA * row[38:54]
+        state.q += row[6:22]
+        state.dq += row[22:38]
+        state.tau += row[38:]
         self._attitude.measure(state)
         return state
 

@@ -81,14 +81,16 @@ class Geofence:
 
     def outside(self, x: float, y: float) -> float:
         """Distance out of the polygon [m]; negative inside (distance to the nearest edge)."""
+        # Plain comparisons: `min` and `max` take half of the time, and this runs two times at each tick of the gate.
         inside, nearest = False, math.inf
         previous_x, previous_y = self.corners[-1]
         for corner_x, corner_y in self.corners:
             dx, dy = corner_x - previous_x, corner_y - previous_y
             squared = dx * dx + dy * dy
             along = ((x - previous_x) * dx + (y - previous_y) * dy) / squared if squared > 0.0 else 0.0
-            along = min(1.0, max(0.0, along))
-            nearest = min(nearest, math.hypot(x - previous_x - along * dx, y - previous_y - along * dy))
+            along = 0.0 if along < 0.0 else 1.0 if along > 1.0 else along
+            away = math.hypot(x - previous_x - along * dx, y - previous_y - along * dy)
+            nearest = away if away < nearest else nearest
             if (corner_y > y) != (previous_y > y) and x < previous_x + (y - previous_y) * dx / dy:
                 inside = not inside
             previous_x, previous_y = corner_x, corner_y

@@ -81,12 +81,14 @@ class SyncHost:
     def tick(self, now: int) -> None:
         """Move the clock to `now` [ns] and tick every stage whose period has come."""
         self.now = now
-        for name, stage in self._stages.items():
-            if now >= self._due[name] and name not in self._dead:
+        for name, due in self._due.items():
+            if now >= due and name not in self._dead:
                 period = self._period[name]
                 self._due[name] = (now // period + 1) * period
-                self._collect(name, stage.tick(now))
-                self._drain()
+                outputs = self._stages[name].tick(now)
+                if outputs:
+                    self._collect(name, outputs)
+                    self._drain()
 
     def _collect(self, name: str, outputs: list[tuple[Topic, Any]]) -> None:
         declared = self._stages[name].outputs
@@ -109,7 +111,9 @@ class SyncHost:
             message = messages.decode(payload, topic.kind)
             for name in consumers:
                 if name not in self._dead:
-                    self._collect(name, self._stages[name].on(topic, message))
+                    outputs = self._stages[name].on(topic, message)
+                    if outputs:
+                        self._collect(name, outputs)
 
     def close(self) -> None:
         """Close every stage."""

@@ -225,7 +225,10 @@ def test_beams_follow_a_plain_pose_interpolation() -> None:
     p0, p1, mount = np.array([1.0, 2.0, 0.4]), np.array([1.1, 2.0, 0.42]), np.array([0.2, 0.1, 0.1])
     origins, directions = np.empty((50, 3), np.float32), np.empty((50, 3), np.float32)
     # A quaternion and its negative are the same attitude.
-    moving_rays(beams, alpha, p0, wxyz(rpy0), p1, -wxyz(rpy1), mount, origins, directions)
+    time = np.round(alpha * 1e9).astype(np.int64) + 7
+    moving_rays(
+        beams, time, 7, 10**9 + 7, p0, wxyz(rpy0), p1, -wxyz(rpy1), mount, origins, directions
+    )  # fmt: skip
     for k, a in enumerate(alpha):
         r = rotation_rpy(*((1 - a) * rpy0 + a * rpy1))
         assert directions[k] == pytest.approx(r @ beams[k], abs=1e-3)

@@ -24,6 +24,8 @@ class Pyramid(NamedTuple):
     """(ceil((rows - 1) / BLOCK), ceil((cols - 1) / BLOCK)): of BLOCK x BLOCK cells."""
     around: NDArray[np.float32]
     """As `blocks`: of all blocks up to REACH rows and columns away."""
+    highest: float
+    """Of all."""
 
 
 def pyramid(height: NDArray[np.float32]) -> Pyramid:
@@ -36,7 +38,7 @@ def pyramid(height: NDArray[np.float32]) -> Pyramid:
     blocks = np.ascontiguousarray(padded.reshape(rows, BLOCK, cols, BLOCK).max(axis=(1, 3)))
     window = (2 * REACH + 1, 2 * REACH + 1)
     views = np.lib.stride_tricks.sliding_window_view(np.pad(blocks, REACH, mode="edge"), window)
-    return Pyramid(cells, blocks, np.ascontiguousarray(views.max(axis=(2, 3))))
+    return Pyramid(cells, blocks, np.ascontiguousarray(views.max(axis=(2, 3))), float(blocks.max()))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -26,6 +26,7 @@ def cast_surface(
     cells: NDArray[np.float32],
     blocks: NDArray[np.float32],
     around: NDArray[np.float32],
+    highest: float,
     resolution: float,
     x0: float,
     y0: float,
@@ -41,7 +42,7 @@ def cast_surface(
     """
     n = origins.shape[0]
     ranges, cosine = np.empty(n, np.float32), np.empty(n, np.float32)
-    top = blocks.max() + 1e-3
+    top = highest + 1e-3
     scale = 1.0 / resolution
     rows, cols = height.shape
     last_bc, last_br = blocks.shape[1] - 1, blocks.shape[0] - 1

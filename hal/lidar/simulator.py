@@ -118,10 +118,11 @@ class LidarSimulator:
     def advance(self, stamp: int, position: Array, quaternion: Array) -> LidarScan | None:
         """Fire all rays due in (last stamp, `stamp`]; the finished scan when its sweep ended, else None.
 
-        `stamp` [ns]; `position` (3,) of base_link in the world [m]; `quaternion` (4,) w, x, y, z, world <- base_link.
+        `stamp` [ns]; `position` (3,) of base_link in the world [m]; `quaternion` (4,) w, x, y, z, world <- base_link. Both are kept until the next call.
         Sweeps start at multiples of the period; the first one at or after the first stamp.
         """
-        pose = (int(stamp), np.array(position, np.float64), np.array(quaternion, np.float64))
+        where = np.ascontiguousarray(position, np.float64), np.ascontiguousarray(quaternion, np.float64)
+        pose = (int(stamp), *where)
         if self._last is None:
             self._last = (pose[0] - 1, pose[1], pose[2])
             self._sweep = self._open(-(-pose[0] // self.spec.period) * self.spec.period)

@@ -230,9 +230,9 @@ class MujocoBackend:
             self._out.put(stamp + self._joint_delay, joint_sample(stamp, self._low))
             self._watch()
         if self._lidars and elapsed % LIDAR_SLICE < dt:
-            sim = self.simulation
+            position, quaternion = self.simulation.position, self.simulation.quaternion
             for lidar in self._lidars:
-                scan = lidar.advance(stamp, sim.position, sim.quaternion)
+                scan = lidar.advance(stamp, position, quaternion)
                 if scan is not None:
                     self._out.put(stamp + self._lidar_delay, scan)
         if elapsed % TRUTH_PERIOD < dt:

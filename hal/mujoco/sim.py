@@ -99,6 +99,7 @@ class Simulation:
         self._force = self.data.actuator_force
         self._range = self.model.actuator_forcerange
         self._accel = self.data.sensordata[:3]
+        self._warned = self.data.warning.number
         self._limited = False
         self._push_until = -1
         mujoco.mj_forward(self.model, self.data)
@@ -175,7 +176,7 @@ class Simulation:
     @property
     def diverged(self) -> bool:
         """MuJoCo met NaN or huge values since the last reset and has put the robot back to the origin."""
-        return bool(self.data.warning.number[_BAD].any())
+        return bool(self._warned[_BAD].any())
 
     # --- doing -----------------------------------------------------------------------------------------------------
     def reset(

@@ -46,6 +46,8 @@ class Inbox:
         self._ends: dict[LidarName, int] = {}
         """End of the newest sweep of each LiDAR [ns]."""
         self._first: int | None = None
+        self.now = 0
+        """Newest stamp of any topic [ns], 0 before the first."""
         self._joint_stamp = -NS
         self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
         self._clocks: dict[str, TopicClock] = {
@@ -54,11 +56,6 @@ class Inbox:
             **{name: TopicClock("scan", 2, counters) for name in self._sweeps},
         }
 
-    @property
-    def now(self) -> int:
-        """Newest stamp of any topic [ns], 0 before the first."""
-        return max([c.newest for c in self._clocks.values() if c.newest is not None], default=0)
-
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
         return self._clocks[topic].newest is not None
@@ -66,7 +63,7 @@ class Inbox:
     def take_imu(self, sample: ImuSample) -> Array | None:
         """The sample as a row (6,); None when it is refused."""
         row = _row((sample.gyro, 3), (sample.accel, 3))
-        if row is None or not np.abs(row).max() <= 1e3:  # nor where one is not a number
+        if row is None or not all(abs(v) <= 1e3 for v in row.tolist()):  # nor where one is not a number
             self._counters["imu_not_finite"] += 1
             return None
         if not self._admit("imu", sample.stamp):
@@ -155,8 +152,10 @@ class Inbox:
 
     def _admit(self, topic: str, stamp: int) -> bool:
         verdict = self._clocks[topic].admit(stamp)
-        if self._first is None and verdict == "ok":
-            self._first = int(stamp)
+        if verdict == "ok":
+            self.now = max(self.now, int(stamp))
+            if self._first is None:
+                self._first = int(stamp)
         if verdict == "jump":
             self._follow_clock(topic, int(stamp))
         return verdict != "drop"
@@ -172,7 +171,7 @@ class Inbox:
         for queue in self._sweeps.values():
             queue.clear()
         self._ends.clear()
-        self._first = stamp
+        self._first = self.now = stamp
         self._on_jump(stamp)
 
 

@@ -14,6 +14,8 @@ from planning.graph.risk import select
 RAYS = 16
 HEADINGS = 36
 """Headings of the footprint over half a turn, 5 deg apart: the poses of a sweep."""
+COS = np.array([math.cos(h * math.pi / HEADINGS) for h in range(HEADINGS)])
+SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
@@ -93,8 +95,7 @@ def free_headings(flags, x0, y0, res, x, y, length, width):
                 continue
             dx = x0 + c * res - x
             for h in range(HEADINGS):
-                cs = math.cos(h * math.pi / HEADINGS)
-                sn = math.sin(h * math.pi / HEADINGS)
+                cs, sn = COS[h], SIN[h]
                 if abs(dx * cs + dy * sn) <= 0.5 * length and abs(dy * cs - dx * sn) <= 0.5 * width:
                     bit = np.uint64(1) << np.uint64(h)
                     if flag & HIGH:

@@ -53,6 +53,23 @@ def row_span(y, xa, ya, ux, uy, lo, hi, half):
 
 
 @njit(cache=True)
+def _covered(flags, x0, y0, res, xa, ya, ux, uy, end, front, half, r_lo, r_hi):
+    """All flags under the corridor that begins `front` behind a and ends `end` ahead of it. Most edges end here, so this is a loop that runs in
+    vector registers."""
+    cols = flags.shape[1]
+    met = np.uint16(0)
+    for r in range(r_lo, r_hi + 1):
+        low, high = row_span(y0 + r * res, xa, ya, ux, uy, -front, end, half)
+        c_lo = max(0, math.ceil((low - x0) / res))
+        c_hi = min(cols - 1, math.floor((high - x0) / res))
+        row = flags[r]
+        for c in range(c_lo, c_hi + 1):
+            met |= row[np.uint64(c)]
+    return met
+
+
+# error_model: no test for zero before each division.
+@njit(cache=True, error_model="numpy")
 def corridor(
     height,
     flags,
@@ -105,9 +122,10 @@ def corridor(
         or max(xa, xb) + reach_x > x0 + cols * res
     ):
         return -1.0
+    met = _covered(flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, r_lo, r_hi)
+    if met & FACE == FACE or met & (TIP | POSTS):
+        return -1.0
     strip = half / 3.0
-    sides = 0
-    holes = False
     oblique = field = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
@@ -115,22 +133,16 @@ def corridor(
         c_lo = max(0, math.ceil((low - x0) / res))
         c_hi = min(cols - 1, math.floor((high - x0) / res))
         for c in range(c_lo, c_hi + 1):
-            flag = flags[r, c]
-            sides |= flag & FACE
-            if sides == FACE:
-                return -1.0
-            if flag & (TIP | POSTS):
-                return -1.0
-            holes |= flag & HOLE > 0
+            flag = flags[r, np.uint64(c)]
             field += flag & FIELD > 0
-            face_x = faces[r, c, 0]
-            face_y = faces[r, c, 1]
+            face_x = faces[r, np.uint64(c), 0]
+            face_y = faces[r, np.uint64(c), 1]
             if (face_x != 0 or face_y != 0) and is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
                 oblique += 1
             ex = x0 + c * res - xa
             ey = y - ya
-            i = int((ex * ux + ey * uy + front) / SECTION)
-            i = min(max(i, 0), n - 1)
+            k = int((ex * ux + ey * uy + front) / SECTION)
+            i = np.uint64(min(max(k, 0), n - 1))
             sums[i, 0] += 1.0
             if flag & (VIRTUAL | ASSUMED) == VIRTUAL:
                 sums[i, 8] += 1.0
@@ -139,7 +151,7 @@ def corridor(
                 continue
             if flag & VIRTUAL:
                 continue  # only faces tell of it: filled from a wall beside it, it looks steep
-            z = height[r, c]
+            z = height[r, np.uint64(c)]
             if z != z:
                 continue
             across = ey * ux - ex * uy
@@ -153,12 +165,12 @@ def corridor(
                 sums[i, 7] += 1.0
     virtual = 0
     area = 0.0
-    for i in range(n):
-        area += sums[i, 0]
-        if sums[i, 1] > (1.0 - min_coverage) * sums[i, 0]:
+    for k in range(n):
+        area += sums[k, 0]
+        if sums[k, 1] > (1.0 - min_coverage) * sums[k, 0]:
             return -1.0
-        virtual += sums[i, 8] > (1.0 - min_coverage) * sums[i, 0]
-    if holes and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
+        virtual += sums[k, 8] > (1.0 - min_coverage) * sums[k, 0]
+    if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip):
         return -1.0

@@ -51,11 +51,13 @@ class Alignment:
         self, turned: NDArray[np.float64], place: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the robot is."""
-        self.height += float(self.slopes @ (place[:2] - self._at))
-        self._at = place[:2].copy()
         if self.slopes.any():
+            self.height += float(self.slopes @ (place[:2] - self._at))
             turned = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0) @ turned
-        return turned, place + np.array([0.0, 0.0, self.height])
+        self._at = place[:2].copy()
+        at = place.copy()
+        at[2] += self.height
+        return turned, at
 
     def take(
         self,

@@ -24,132 +24,134 @@ def _entry(mark, which, k, index):  # pragma: no cover
     """Row of pool cell `index` in the scan, -1 if it is not there."""
     if index < 0:
         return np.int64(-1)
-    s = np.int64(mark[index])
-    return s if 0 <= s < k and which[s] == index else np.int64(-1)
+    s = np.int64(mark[np.uint64(index)])
+    return s if 0 <= s < k and which[np.uint64(s)] == index else np.int64(-1)
 
 
 @njit(cache=True)
 def fill_faces(
-    z, weight, shared, slot, m, ends, ray, sensor, band, resolution, directory, first, shift,
+    z, weight, shared, slot, m, ends, ray, sensor, band, resolution, directory, first, tiles, shift,
     cells, mark, which, sums, k,
 ):  # fmt: skip  # pragma: no cover
     """Hand faces whose points lie in the far half of their cell to the cell behind; see the module.
 
     z, weight, shared (m,): the points of one scan, see `fusion.project`; slot (m,): row of each in which (k,), sums (k, 8) of
-    `fusion.reduce_cells`; ray (m,): row of each in ends (q, 3), world; sensor (3,) world; mark: scratch of `reduce_cells`, as it left it.
+    `fusion.reduce_cells`; ray (m,): row of each in ends (q, 3), world; sensor (3,) world; directory, first, tiles, shift: of the tile
+    store; mark: scratch of `reduce_cells`, as it left it.
     A cell that hands its face on keeps its foot where the cell before it is as high, else the scan says nothing of it. Points within `band` of the top
     are not of the face: a box has a top. Returns the new number of rows k.
     """
-    inv = 1.0 / resolution
-    size = np.int64(1) << shift
+    # Few cells are tall or unknown, and their points are few: both are listed without a branch, because no processor can
+    # predict which they are, and all the rest is worked out for those alone.
     # the ground that a face stands on: seen in this scan, known in the cell, or in the cells before it
     ground = np.empty(k, np.float32)
-    tall, open_ = np.zeros(k, np.bool_), np.zeros(k, np.bool_)
-    # few cells are tall or open; all the rest is worked out for those alone
+    tall, open_ = np.empty(k, np.bool_), np.empty(k, np.bool_)
     some, number = np.empty(k, np.int32), np.empty(k, np.int32)
     n = 0
-    for t in range(k):
-        cell = cells[which[t]]
-        ground[t] = sums[t, BOTTOM]
-        if cell.source == 2:
-            ground[t] = min(ground[t], cell.height)
-        open_[t] = cell.source != 2
-        tall[t] = sums[t, TOP] - ground[t] > 2.0 * band
+    for t in range(np.uint64(k)):
+        cell = cells[np.uint64(which[t])]
+        bottom, height = sums[t, BOTTOM], cell.height
+        known = cell.source == 2
+        low = height if known and height < bottom else bottom
+        ground[t] = low
+        open_[t] = not known
+        tall[t] = sums[t, TOP] - low > 2.0 * band
         number[t] = -1
-        if tall[t] or open_[t]:
-            number[t] = n
-            some[n] = t
-            n += 1
-    place = np.empty((n, 2), np.int64)
-    left = n
-    for p in range(m - 1, -1, -1):
-        if left == 0:
-            break
-        c = number[slot[p]]
-        if c >= 0:
-            number[slot[p]] = -1
-            left -= 1
-            place[c, 0] = np.int64(np.floor(ends[ray[p], 1] * inv + 0.5))
-            place[c, 1] = np.int64(np.floor(ends[ray[p], 0] * inv + 0.5))
+        some[n] = t
+        n += tall[t] | open_[t]
+    place, middle = np.empty((n, 2), np.int64), np.empty((n, 2))
     faces = 0
     for c in range(n):
         t = some[c]
+        i, j = _lattice(which[t], tiles, shift)
+        y, x = i * resolution, j * resolution
         if open_[t]:
-            i, j = place[c, 0], place[c, 1]
-            di = np.int64(1) if i * resolution > sensor[1] else np.int64(-1)
-            dj = np.int64(1) if j * resolution > sensor[0] else np.int64(-1)
+            di = np.int64(1) if y > sensor[1] else np.int64(-1)
+            dj = np.int64(1) if x > sensor[0] else np.int64(-1)
             for axis in range(2):
-                near = _pool(directory, first, shift, size, i - di * axis, j - dj * (1 - axis))
+                near = _beside(directory, first, shift, which[t], i, j, -di * axis, -dj * (1 - axis))
                 if near >= 0 and cells[near].source == 2:
                     ground[t] = min(ground[t], cells[near].height)
             tall[t] = sums[t, TOP] - ground[t] > 2.0 * band
         if tall[t]:
-            some[faces], place[faces, 0], place[faces, 1] = t, place[c, 0], place[c, 1]
+            some[faces], place[faces, 0], place[faces, 1] = t, i, j
+            middle[faces, 0], middle[faces, 1] = x, y
             number[t] = faces
             faces += 1
     if faces == 0:
         return k
-    # points, their sums of x and y from the middle of the cell: on the face, on face and top
-    face, above = np.zeros((faces, 3)), np.zeros((faces, 3))
-    for p in range(m):
-        t = slot[p]
-        c = number[t]
-        if c < 0 or z[p] <= ground[t] + band:
-            continue
-        x = np.float64(ends[ray[p], 0]) - place[c, 1] * resolution
-        y = np.float64(ends[ray[p], 1]) - place[c, 0] * resolution
-        above[c, 0] += 1.0
-        above[c, 1] += x
-        above[c, 2] += y
-        if z[p] < sums[t, TOP] - band:
-            face[c, 0] += 1.0
-            face[c, 1] += x
-            face[c, 2] += y
+    floor = np.empty(k)
+    for t in range(k):
+        floor[t] = ground[t] + band if number[t] >= 0 else np.inf
+    mine = np.empty(m, np.uint32)
+    n = 0
+    for p in range(np.uint64(m)):
+        mine[n] = p
+        n += z[p] > floor[np.uint32(slot[p])]
+    # Points on face and top of a row; of a face: those on the face alone, sums of x and y from the middle of the cell on the
+    # face, on face and top.
+    above, part = np.zeros(k, np.int32), np.zeros((faces, 5))
+    for a in range(n):
+        p = mine[a]
+        t, c = slot[p], number[slot[p]]
+        x = np.float64(ends[ray[p], 0]) - middle[c, 0]
+        y = np.float64(ends[ray[p], 1]) - middle[c, 1]
+        on_face = 1.0 if z[p] < sums[t, TOP] - band else 0.0
+        above[t] += 1
+        part[c, 0] += on_face
+        part[c, 1] += on_face * x
+        part[c, 2] += on_face * y
+        part[c, 3] += x
+        part[c, 4] += y
     most = k + PASSES * faces
     handed, given = np.zeros(most, np.uint8), np.zeros(most, np.bool_)
-    again = np.ones(faces, np.bool_)
+    todo = np.arange(faces)
     rows, gone = k, False
     for _ in range(PASSES):
         front = tall.copy()
-        for q in range(faces):
+        left = 0
+        for a in range(len(todo)):
+            q = todo[a]
             t = some[q]
-            if not again[q] or not front[t] or given[t] or above[q, 0] == 0.0:
+            if not front[t] or given[t] or above[t] == 0:
                 continue
-            again[q] = False  # without a face before it nothing changes until the next pass
             # points of a top fill their cell, those of a face alone stand where it is
-            on_face = face[q, 0] > 0.0
-            points = face[q, 0] if on_face else above[q, 0]
+            on_face = part[q, 0] > 0.0
+            points = part[q, 0] if on_face else np.float64(above[t])
             best, behind, before = 0.0 if on_face else 0.25 * resolution, np.int64(-1), np.int64(-1)
-            i, j = place[q, 0], place[q, 1]
-            dx, dy = j * resolution - sensor[0], i * resolution - sensor[1]
+            here, i, j = which[t], place[q, 0], place[q, 1]
+            dx, dy = middle[q, 0] - sensor[0], middle[q, 1] - sensor[1]
             far = np.sqrt(dx * dx + dy * dy)
+            hidden = False  # without a face before it nothing changes until the next pass
             for axis in range(2):
                 along = dx if axis == 0 else dy
                 if abs(along) < SIDEWAYS * far:
                     continue
                 d = np.int64(1) if along > 0.0 else np.int64(-1)
                 di, dj = (np.int64(0), d) if axis == 0 else (d, np.int64(0))
-                depth = d * (face[q, 1 + axis] if on_face else above[q, 1 + axis]) / points
+                depth = d * (part[q, 1 + axis] if on_face else part[q, 3 + axis]) / points
                 if not depth > best:
                     continue
-                near = _pool(directory, first, shift, size, i - di, j - dj)
+                near = _beside(directory, first, shift, here, i, j, -di, -dj)
                 s = _entry(mark, which, k, near)
                 if s >= 0 and front[s]:
-                    again[q] = True
+                    hidden = True
                     continue
                 wide, side = True, np.int64(-1)
                 while wide and side <= 1:
                     wide = False
                     for deep in range(2):
-                        r, c = i + deep * di + side * dj, j + deep * dj + side * di
-                        s = _entry(mark, which, k, _pool(directory, first, shift, size, r, c))
-                        if s >= 0 and number[s] >= 0 and 2.0 * above[number[s], 0] >= above[q, 0]:
+                        up, right = deep * di + side * dj, deep * dj + side * di
+                        s = _entry(mark, which, k, _beside(directory, first, shift, here, i, j, up, right))
+                        if s >= 0 and 2 * above[s] >= above[t]:
                             wide = True
                             break
                     side += 2
                 if wide:
                     best, before = depth, near
-                    behind = _pool(directory, first, shift, size, i + di, j + dj)
+                    behind = _beside(directory, first, shift, here, i, j, di, dj)
+            todo[left] = q
+            left += hidden
             if behind < 0:
                 continue
             s = _entry(mark, which, rows, behind)
@@ -172,20 +174,27 @@ def fill_faces(
             level = before >= 0 and cells[before].source == 2 and abs(cells[before].height - foot) <= band
             level = level or (s >= 0 and abs(sums[s, TOP] - foot) <= band)
             handed[t] = 1 if level and foot <= ground[t] + band else 2
+        todo = todo[:left]
     if not gone:
         return k
     for t in range(k):
-        if handed[t] == 1:
+        foot = handed[t] == 1
+        floor[t] = sums[t, BOTTOM] + band if foot else -np.inf
+        if foot:
             sums[t, TOP] = sums[t, BOTTOM]
             sums[t, WEIGHT] = sums[t, DEPTH] = sums[t, POINTS] = sums[t, SHARED] = 0.0
-    for p in range(m):
+    n = 0
+    for p in range(np.uint64(m)):
+        mine[n] = p
+        n += z[p] <= floor[np.uint32(slot[p])]
+    for a in range(n):
+        p = mine[a]
         t = slot[p]
-        if handed[t] == 1 and z[p] <= sums[t, BOTTOM] + band:
-            w = weight[p]
-            sums[t, WEIGHT] += w
-            sums[t, DEPTH] += w * (z[p] - sums[t, TOP])
-            sums[t, POINTS] += np.float32(1.0)
-            sums[t, SHARED] += shared[p]
+        w = weight[p]
+        sums[t, WEIGHT] += w
+        sums[t, DEPTH] += w * (z[p] - sums[t, TOP])
+        sums[t, POINTS] += np.float32(1.0)
+        sums[t, SHARED] += shared[p]
     n = 0
     for t in range(rows):
         if handed[t] != 2:
@@ -198,13 +207,28 @@ def fill_faces(
 
 @njit(cache=True)
 def _copy_row(sums, of, to):  # pragma: no cover
-    """One row onto another, without the views that an assignment of rows makes."""
-    for column in range(sums.shape[1]):
-        sums[to, column] = sums[of, column]
+    """One row of 8 onto another: as one piece, which a loop over the columns is not."""
+    a, b, c, d = sums[of, 0], sums[of, 1], sums[of, 2], sums[of, 3]
+    e, f, g, h = sums[of, 4], sums[of, 5], sums[of, 6], sums[of, 7]
+    sums[to, 0], sums[to, 1], sums[to, 2], sums[to, 3] = a, b, c, d
+    sums[to, 4], sums[to, 5], sums[to, 6], sums[to, 7] = e, f, g, h
 
 
 @njit(cache=True)
-def _pool(directory, first, shift, size, i, j):  # pragma: no cover
-    """Pool index of cell (i, j), -1 if its tile is absent."""
+def _lattice(index, tiles, shift):  # pragma: no cover
+    """Row and column of pool cell `index`."""
+    tile, mask = index >> (2 * shift), (np.int64(1) << shift) - 1
+    i = (np.int64(tiles[tile, 0]) << shift) + ((index >> shift) & mask)
+    return i, (np.int64(tiles[tile, 1]) << shift) + (index & mask)
+
+
+@njit(cache=True)
+def _beside(directory, first, shift, index, i, j, di, dj):  # pragma: no cover
+    """Pool index of the cell `di` rows and `dj` columns from cell `index` at (i, j), -1 if its tile is absent."""
+    size = np.int64(1) << shift
+    r, c = (i & (size - 1)) + di, (j & (size - 1)) + dj
+    if 0 <= r < size and 0 <= c < size:
+        return index + di * size + dj
+    i, j = i + di, j + dj
     base = base_of(directory, first, shift, i >> shift, j >> shift)
     return base + ((i & (size - 1)) << shift) + (j & (size - 1)) if base >= 0 else np.int64(-1)

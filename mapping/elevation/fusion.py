@@ -69,8 +69,7 @@ def project(
     size = np.int64(1) << shift
     mask = size - 1
     tile_rows, tile_cols = directory.shape
-    tile_i, tile_j = np.int64(1) << 40, np.int64(1) << 40
-    base = np.int64(-1)
+    first_row, first_col = first[0], first[1]
     near, far = limits[0] * limits[0], limits[1] * limits[1]
     along, across = noise[0] * noise[0], noise[1] * noise[1]
     tilt, lift = noise[2] * noise[2], noise[3] * noise[3]
@@ -106,15 +105,14 @@ def project(
             counts[DROP_CEILING] += 1
             continue
         i, j = np.int64(np.floor(wy * inv + 0.5)), np.int64(np.floor(wx * inv + 0.5))
-        ti, tj = i >> shift, j >> shift
-        if ti != tile_i or tj != tile_j:
-            r, c = ti - first[0], tj - first[1]
-            slot = np.int64(directory[r, c]) if 0 <= r < tile_rows and 0 <= c < tile_cols else np.int64(-1)
-            if slot < 0:
-                absent[0], absent[1] = ti, tj
-                counts[USED], counts[RAYS], counts[NEXT] = m, q, k
-                return False
-            tile_i, tile_j, base = ti, tj, slot << (2 * shift)
+        r, c = (i >> shift) - first_row, (j >> shift) - first_col
+        slot = np.int64(-1)
+        if 0 <= r < tile_rows and 0 <= c < tile_cols:
+            slot = np.int64(directory[np.uint64(r), np.uint64(c)])
+        if slot < 0:
+            absent[0], absent[1] = i >> shift, j >> shift
+            counts[USED], counts[RAYS], counts[NEXT] = m, q, k
+            return False
         ray[m] = q
         q += 1
         uz = r20 * dx + r21 * dy + r22 * dz
@@ -122,7 +120,7 @@ def project(
         weight[m] = rr / (along * uz2 + across * (rr - uz2) * rr)
         shared[m] = tilt * dd + lift
         z[m] = wz
-        cell[m] = base + ((i & mask) << shift) + (j & mask)
+        cell[m] = (slot << (2 * shift)) + ((i & mask) << shift) + (j & mask)
         m += 1
     counts[USED], counts[RAYS], counts[NEXT] = m, q, points.shape[0]
     return True
@@ -169,6 +167,7 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
         sums[t, DEPTH] += sums[t, WEIGHT] * (sums[t, FIRST] - sums[t, TOP])
     if highest <= np.float32(band):
         return k, 0
+    # Which points lie where no processor can predict: they are listed without a branch.
     again = np.empty(m, dtype=np.uint32)  # their points
     n = np.uint32(0)
     for p in range(np.uint64(m)):
@@ -193,16 +192,20 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
     for t in range(k):
         if tall[t]:
             sums[t, WEIGHT] = sums[t, DEPTH] = sums[t, POINTS] = sums[t, SHARED] = zero
+    surface = np.uint32(0)
     for q in range(n):
         p = again[q]
+        d = z[p] - sums[np.uint32(slot[p]), TOP]
+        again[surface] = p
+        surface += np.uint32((d <= zero) & (d >= np.float32(-band)))
+    for q in range(surface):
+        p = again[q]
         s = np.uint32(slot[p])
-        d = z[p] - sums[s, TOP]
-        if zero >= d >= np.float32(-band):
-            w = weight[p]
-            sums[s, WEIGHT] += w
-            sums[s, DEPTH] += w * d
-            sums[s, POINTS] += one
-            sums[s, SHARED] += shared[p]
+        w = weight[p]
+        sums[s, WEIGHT] += w
+        sums[s, DEPTH] += w * (z[p] - sums[s, TOP])
+        sums[s, POINTS] += one
+        sums[s, SHARED] += shared[p]
     return k, overhangs
 
 

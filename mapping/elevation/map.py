@@ -169,7 +169,7 @@ class ElevationMap:
         )  # fmt: skip
         k = fill_faces(
             self._z, self._weight, self._shared, self._slot, m, self._ends, self._ray, self._sensor,
-            p.surface_band, p.resolution, s.directory, s.first, s.shift, s.cells, s.mark, self._which, self._sums, k,
+            p.surface_band, p.resolution, s.directory, s.first, s.tiles, s.shift, s.cells, s.mark, self._which, self._sums, k,
         )  # fmt: skip
         if sensor.levels and self._lay(k):
             return self.fuse(points, position, orientation, stamp, sensor, attitude_sigma, height_sigma)
@@ -187,7 +187,7 @@ class ElevationMap:
         if self.scans % CLOUD_EVERY == 0:
             self.cloud.add(points, rotation, place)
         self._rays = rays
-        self._angle = float(np.hypot(noise[1], noise[2]))
+        self._angle = math.hypot(noise[1], noise[2])
         self.scans += 1
         out[kernels.OVERHANG] += overhangs
         return kernels.report_of(len(points), drops, out, self.alignment.height)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,11 +21,12 @@ def checked_pose(
     """Rotation matrix (3,3) and position (3,) of a pose with orientation (4,) x, y, z, w. Raises MapError."""
     place = np.array(position, dtype=np.float64)
     q = np.asarray(orientation, dtype=np.float64)
-    if place.shape != (3,) or q.shape != (4,) or not (np.isfinite(place).all() and np.isfinite(q).all()):
+    # plain numbers: on arrays this small numpy's calls cost more than the work
+    if place.shape != (3,) or q.shape != (4,) or not all(map(math.isfinite, (*place.tolist(), *q.tolist()))):
         raise MapError(f"pose must be finite (3,) and (4,), got {place} and {q}")
-    if np.abs(place).max() > FARTHEST:
+    if max(map(abs, place.tolist())) > FARTHEST:
         raise MapError(f"pose {place} is more than {FARTHEST / 1000:.0f} km from the origin of `map`")
-    norm = float(np.linalg.norm(q))
+    norm = math.hypot(*q.tolist())
     if norm < 0.5:
         raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
     return rotation(q / norm), place

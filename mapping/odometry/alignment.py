@@ -25,7 +25,7 @@ PRIOR_OFFSET, PRIOR_TURN, PRIOR_PLACE = 0.05, 0.05, 0.05
 MEMORY = 300.0
 """Scans of a moving robot after which one counts 1/e."""
 KEPT = 0.1
-"""Weight of what was measured before the stamps were shifted: sweeps were bent by the wrong time."""
+"""Weight of what was measured before the stamps were shifted: sweeps were bent by the wrong time. After the largest shift they still are."""
 ASSUMED = 30.0
 """Measurements that the assumed noise counts for beside those that were made."""
 CONSECUTIVE = 150_000_000
@@ -120,10 +120,11 @@ class GyroFit:
         a = jacobian.T @ weighted
         self._fit.add(a[:, :4], a[:, 4], float(residual @ weighted[:, 4]), 3.0)
 
-    def shifted(self) -> None:
-        """The stamps are shifted by another time from now on."""
+    def shifted(self, wholly: bool = True) -> None:
+        """The stamps are shifted by another time from now on; `wholly`: by all that they are off."""
         self._last = None
-        self._fit.fade(KEPT)
+        if wholly:
+            self._fit.fade(KEPT)
 
     def solve(self) -> tuple[Array, Array]:
         """The unknowns and their standard deviations, (4,) each."""
@@ -174,9 +175,10 @@ class MapFit:
         b = b + h @ known
         self._fit.add(d.T @ h @ d, d.T @ b, c, INDEPENDENT)
 
-    def shifted(self) -> None:
-        """The stamps are shifted by another time from now on."""
-        self._fit.fade(KEPT)
+    def shifted(self, wholly: bool = True) -> None:
+        """The stamps are shifted by another time from now on; `wholly`: by all that they are off."""
+        if wholly:
+            self._fit.fade(KEPT)
 
     def solve(self) -> tuple[Array, Array]:
         """The unknowns and their standard deviations, (7,) each."""

@@ -19,7 +19,7 @@ CERTAIN, REFINED = 5.0, 3.0
 WORTH, SMALL = 0.003, 0.001
 """Offset [s] from which a clock is corrected, and what a correction may leave. Simulated physics has 2 to 2.5 ms, half of its
 time step: its poses move by the rate at the end of a step, and the gyro's samples are joined by straight lines."""
-YOUNG = 10
+YOUNG = 5
 """Scans in the local map below which nothing is compared with it."""
 KNOWN = 0.001
 """Standard deviation [s] of the main LiDAR's offset up to which the others are compared with its map: until then it is bent."""
@@ -124,7 +124,7 @@ class Calibration:
         if not sure or off <= max(beyond * float(sigma[0]), least):
             return False
         self.shift[name] = wanted
-        fit.shifted()
+        fit.shifted(wholly=abs(wanted) < round(self._max * NS))
         return True
 
     def fits(self) -> tuple[LidarFit, ...]:

@@ -29,6 +29,9 @@ SHORT = 0.5
 """The two ends of a ray prove nothing [m]."""
 TALL = 1.2
 """Something up to this high above known ground contradicts it [m]; what hangs higher may always hang there."""
+LOW, RISES = 0.25, 6.0
+"""Points up to so high above known ground [m], where nothing higher stands, and the weight of their share: ramps and kerbs are all that tells
+the two ends of a lane apart, and boxes, which are moved, are higher."""
 FLAT = 0.1
 """Largest range of heights [m] in a square of known ground."""
 
@@ -87,10 +90,13 @@ class Surfaces:
         structure = cloud[:, 2] > GROUND
         met = np.unique(near[on & structure]).size
         gone = int(pierced(eye, there, self.points, self.normals, *self.index, self.voxel).sum())
-        height = there[:, 2] - self.ground.below(there)
-        stands = structure & ~on & (height > GROUND) & (height < TALL)
+        low, high, where = self.ground.below(there)
+        stands = structure & ~on & (there[:, 2] > low + GROUND) & (there[:, 2] < low + TALL)
         agree = share(on, structure) * share(on, ~structure)
-        return agree, share(stands, structure) + gone / max(1, gone + met)
+        over = there[:, 2] - high
+        beside_tall = np.isin(where, _with_neighbours(np.unique(where[over > LOW])))
+        rises = float(((over > ON) & (over < LOW) & ~beside_tall).mean())
+        return agree, share(stands, structure) + gone / max(1, gone + met) + RISES * rises
 
 
 def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
@@ -109,7 +115,7 @@ class FlatGround:
         first = [tuple(round(v / res) for v in block.origin) for block in ground]
         col, row = min(c for c, _ in first), min(r for _, r in first)
         self._corner = ((col - 0.5) * res, (row - 0.5) * res)
-        keys, heights = [np.empty(0, np.int64)], [np.empty(0, np.float32)]
+        keys, heights = [np.empty(0, np.int64)], [np.empty((0, 2), np.float32)]
         for block, (c0, r0) in zip(ground, first, strict=True):
             skip_r, skip_c = (row - r0) % k, (col - c0) % k
             cut = np.where(block.trusted, block.height, np.nan)[skip_r:, skip_c:]
@@ -118,21 +124,30 @@ class FlatGround:
             low, high = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))  # NaN where any cell is unknown
             r, c = np.nonzero(high - low < FLAT)
             keys.append(_key(r + (r0 + skip_r - row) // k, c + (c0 + skip_c - col) // k))
-            heights.append(low[r, c])
+            heights.append(np.column_stack([low[r, c], high[r, c]]))
         key, height = np.concatenate(keys), np.concatenate(heights)
         order = np.argsort(key)
         self._keys, self._heights = key[order], height[order]
 
-    def below(self, points: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n,) height of the square that each of (n, 3) lies over [m], NaN where it is not known."""
-        out = np.full(len(points), np.nan, np.float32)
+    def below(
+        self, points: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
+        """Of the square that each of (n, 3) lies over: lowest and highest height (n,) [m], NaN where it is not known, and its number (n,)."""
+        out = np.full((2, len(points)), np.nan, np.float32)
+        key = np.zeros(len(points), np.int64)
         if len(self._keys):
             c, r = (np.floor((points[:, k] - self._corner[k]) / self._side).astype(np.int64) for k in (0, 1))
             key = _key(r, c)
             at = np.searchsorted(self._keys, key).clip(max=len(self._keys) - 1)
             here = self._keys[at] == key
-            out[here] = self._heights[at[here]]
-        return out
+            out[:, here] = self._heights[at[here]].T
+        return out[0], out[1], key
+
+
+def _with_neighbours(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Squares by their numbers (n,) and the eight around each."""
+    row, col = np.mgrid[-1:2, -1:2].reshape(2, -1)
+    return (keys[:, None] + _key(row, col)).ravel()
 
 
 def _key(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -7,10 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from mapping.relocalise import Submap, locate
+from mapping.relocalise import Place, PriorMap, Submap, locate
 from mapping.relocalise.verify import pierced
 from mapping.thin_cloud import ThinCloud
-from tests.mapping.relocalise.rooms import corner_room, floor, look, prior_of, room, seen_from, walls
+from tests.mapping.relocalise.rooms import (
+    corner_room,
+    floor,
+    ground_of,
+    look,
+    prior_of,
+    room,
+    seen_from,
+    walls,
+)
 
 
 def submap_of(cloud: np.ndarray, *places: tuple[float, float, float]) -> Submap:
@@ -123,3 +132,33 @@ def test_rays_pierce_the_surfaces_that_they_cross_and_not_those_that_they_end_at
             expected[m] |= 0.5 <= along <= length - 0.5 and aside < 0.075
     assert expected.sum() >= 1
     assert (pierced(eyes, ends, surfaces, normals, *wall.index, wall.voxel) == expected).all()
+
+
+def test_after_one_look_a_place_that_is_nearly_as_good_is_not_ruled_out() -> None:
+    # a piece of wall alone tells the two sides apart: it may have been moved
+    marked = np.concatenate([room(4.0, 3.0), walls((2.0, 1.0, 2.0, 3.0))])
+    prior, submap = prior_of(marked), submap_of(marked, (1.0, -0.5, 0.5))
+    verdict = locate(prior, submap)
+    best, other = verdict.candidates[:2]
+    assert best.certainty - other.certainty > 0.12
+    assert other.certainty > 0.7
+    assert verdict.answer == "ambiguous"
+    look(submap, seen_from(marked, 0.0, -0.5, 0.5), (-math.cos(0.5), math.sin(0.5), 0.0))
+    assert locate(prior, submap).answer == "located"
+    assert locate(prior, submap).candidates[0].place.x == pytest.approx(0.0, abs=0.05)
+
+
+def test_a_kerb_where_the_map_knows_level_ground_speaks_against_a_place() -> None:
+    a, b = (v.ravel() for v in np.meshgrid(np.arange(-3.0, -1.0, 0.1), np.arange(-2.5, 2.5, 0.1)))
+    cloud = np.concatenate([room(4.0, 3.0), np.column_stack([a, b, np.full_like(a, 0.12)])])
+    ground = ground_of(4.0, 3.0)
+    columns = -4.0 + 0.04 * np.arange(ground.height.shape[1])
+    ground.height[:, (columns > -3.0) & (columns < -1.0)] = 0.12
+    prior = PriorMap(cloud.astype(np.float32), [ground])
+    submap = submap_of(cloud, (1.0, -0.5, 0.5))
+    points, eyes = submap.cloud()
+    right, wrong = (
+        Place(x, y, 0.0, yaw, 1.0) for x, y, yaw in ((1.0, -0.5, 0.5), (-1.0, 0.5, 0.5 - math.pi))
+    )
+    assert prior.surfaces.evidence(points, eyes, right)[1] < 0.01
+    assert prior.surfaces.evidence(points, eyes, wrong)[1] > 0.2

@@ -42,6 +42,10 @@ class NotRunning(OperatorError):
     """No stack for this robot name is up."""
 
 
+class NoRoom(OperatorError):
+    """The run folder takes no file."""
+
+
 class UnsafeFolder(OperatorError):
     """Somebody else could have put locks and state there."""
 
@@ -63,7 +67,7 @@ class RunLock:
     """Held by `up` while it lives; the system releases it however `up` ends."""
 
     def __init__(self, robot: str) -> None:
-        """Raises AlreadyRunning."""
+        """Raises AlreadyRunning, NoRoom."""
         self._state = run_dir() / f"{robot}.json"
         self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
         patience = time.monotonic() + LOOKING
@@ -76,8 +80,13 @@ class RunLock:
                 raise AlreadyRunning(robot, pid)
             time.sleep(0.01)
         self._file.truncate(0)
-        self._file.write(str(os.getpid()))
-        self._file.flush()
+        try:
+            os.write(self._file.fileno(), str(os.getpid()).encode())
+        except OSError as error:
+            self._file.close()
+            raise NoRoom(
+                f"cannot write {self._file.name}: {error.strerror}; make room, or set XDG_RUNTIME_DIR to another folder"
+            ) from error
 
     def _taken(self) -> bool:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -12,7 +13,8 @@ import pytest
 
 from hal.unitree.config import UnitreeConfig
 from rbtrg_robot.config import load
-from rbtrg_robot.process.runfiles import RobotTaken, RunLock, read_state, take_interface
+from rbtrg_robot.process import runfiles
+from rbtrg_robot.process.runfiles import NoRoom, RobotTaken, RunLock, read_state, take_interface
 from rbtrg_robot.process.supervisor import Supervisor
 
 
@@ -56,3 +58,10 @@ def test_a_run_folder_on_a_full_disk_ends_no_stack(
     assert "cannot be written" in caplog.text
     assert read_state("a")["ready"] is False
     lock.release()
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(runfiles.os, "write", full)
+    with pytest.raises(NoRoom, match="No space left on device; make room"):
+        RunLock("b")

@@ -209,7 +209,7 @@ def _supervise(config: StackConfig, zygote: Zygote) -> int:
     supervisor = Supervisor(config, zygote, screen.say)
     with screen:
         supervisor.run(lambda: bool(stopped), screen.show)
-    print("down")
+    screen.say("down")
     return FATAL if supervisor.given_up else 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from types import TracebackType
 from typing import Any, Self
@@ -90,7 +91,7 @@ def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:
 
 
 class Screen:
-    """What `up` shows."""
+    """What `up` shows. A terminal that is gone and a file on a full disk take no words: the robot drives on without them."""
 
     def __init__(self) -> None:
         self._console = Console()
@@ -100,17 +101,19 @@ class Screen:
 
     def say(self, line: str) -> None:
         """An event."""
-        if self._rich:
-            self._console.print(f"[dim]{time.strftime('%H:%M:%S')}[/dim] {line}", highlight=False)
-        else:
-            print(line, flush=True)
+        with contextlib.suppress(OSError):
+            if self._rich:
+                self._console.print(f"[dim]{time.strftime('%H:%M:%S')}[/dim] {line}", highlight=False)
+            else:
+                print(line, flush=True)
 
     def show(self, status: dict[str, Any]) -> None:
         """The table, twice a second."""
         now = time.monotonic()
         if self._rich and now >= self._due:
             self._due = now + REFRESH
-            self._live.update(render(status), refresh=True)
+            with contextlib.suppress(OSError):
+                self._live.update(render(status), refresh=True)
 
     def __enter__(self) -> Self:
         if self._rich:
@@ -120,4 +123,5 @@ class Screen:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._live.stop()
+        with contextlib.suppress(OSError):
+            self._live.stop()

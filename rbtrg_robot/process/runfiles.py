@@ -96,7 +96,7 @@ class RunLock:
         return True
 
     def write_state(self, **state: Any) -> None:
-        """Replace the state file. A full disk ends no stack: the commands find its router at the default port, or where --port says."""
+        """Replace the state file. A full disk ends no stack; `stop` finds it at the default port all the same."""
         fresh = self._state.with_suffix(".tmp")
         try:
             fresh.write_text(json.dumps({"pid": os.getpid(), **state}))

@@ -34,6 +34,8 @@ from tools.bench.report import Report
 
 DRIVING, RESTING = 0.4, 0.05
 """Speeds [m/s] at which the kill is given, and below which the robot is at rest."""
+BRAKING = 0.1
+"""[m/s] slower than at the kill: somebody has noticed it. The rest of the time is the body's."""
 STEADY = 1.0
 """Seconds above DRIVING before the kill: the robot cruises by then."""
 AHEAD = 4.0
@@ -253,10 +255,12 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
     watch.turn()
     os.kill(pid, signal.SIGSTOP if hang else signal.SIGKILL)
     killed, stamp = time.monotonic(), watch.stamp
-    speed, rest, back = watch.speed, math.nan, math.nan
+    speed, braking, rest, back = watch.speed, math.nan, math.nan, math.nan
     look = killed
     while time.monotonic() - killed < 60.0:
         watch.turn()
+        if math.isnan(braking) and watch.speed < speed - BRAKING:
+            braking = (watch.stamp - stamp) / 1e9
         if math.isnan(rest) and watch.speed < RESTING:
             rest = (watch.stamp - stamp) / 1e9
         if math.isnan(back) and time.monotonic() > look:
@@ -266,9 +270,13 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
                 back = time.monotonic() - killed
         if watch.goal.state in ENDED and not math.isnan(back):
             break
-    print(f"{label}: at rest after {rest:.2f} s, back after {back:.1f} s, {watch.goal.state}", flush=True)
+    print(
+        f"{label}: brakes after {braking:.2f} s, at rest after {rest:.2f} s, back after {back:.1f} s, {watch.goal.state}",
+        flush=True,
+    )
     report.add(f"speed.{label}", speed, "m/s")
     if row.stops_motion:
+        report.add(f"braking_s.{label}", braking, "s")
         report.add(f"rest_s.{label}", rest, "s", 1.3 if hang else 0.3)
     # A process that hangs is ended when its heartbeat is that old.
     report.add(f"back_s.{label}", back, "s", 5.0 + (row.hang if hang else 0.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import socket
@@ -17,6 +18,7 @@ from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli import stack
 from rbtrg_robot.cli.main import main
+from rbtrg_robot.cli.table import Screen
 from rbtrg_robot.config import load
 from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
@@ -262,3 +264,11 @@ def test_a_disk_that_takes_no_configuration_keeps_no_robot_from_starting(
     (tmp_path / "config.yaml").symlink_to("/dev/full")
     stack._write_config(tmp_path, load())
     assert "No space left on device; make room" in capsys.readouterr().err
+
+
+def test_words_that_nobody_takes_end_no_stack(monkeypatch: pytest.MonkeyPatch) -> None:
+    with io.TextIOWrapper(io.FileIO("/dev/full", "w"), write_through=True) as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        with Screen() as screen:
+            screen.say("a process ended")
+        screen.say("down")

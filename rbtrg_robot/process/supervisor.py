@@ -16,7 +16,7 @@ from typing import Any
 
 import psutil
 
-from hal.errors import OperatorError
+from hal.errors import OperatorError, one_line
 from hal.types import LYING
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
@@ -33,7 +33,7 @@ from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
 from rbtrg_robot.process.supervised import Child, end
-from rbtrg_robot.process.zygote import Zygote
+from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.clock import SourceClock
@@ -218,6 +218,17 @@ class Supervisor:
         child.usage = psutil.Process(child.forked.pid)
         child.usage.cpu_percent()
 
+    def _spawn_again(self, child: Child) -> None:
+        """While the computer has no room for it, the others go on without it: what it means for motion is told at its end."""
+        try:
+            self._spawn(child)
+        except (ZygoteError, OSError) as error:
+            if not self._ready:
+                raise
+            if str(error) != child.words:
+                self._say(f"{child.row.name} cannot be started ({one_line(error)}); trying again")
+            child.words, child.due = str(error), time.monotonic() + BACKOFF[-1]
+
     def _mend(self) -> None:
         now = time.monotonic()
         for child in self._children.values():
@@ -226,7 +237,7 @@ class Supervisor:
                 continue
             if child.forked is None:
                 if now >= child.due:
-                    self._spawn(child)
+                    self._spawn_again(child)
                 continue
             code = child.forked.poll()
             if code is None:

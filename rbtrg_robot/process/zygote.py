@@ -27,6 +27,8 @@ from typing import Any
 
 from hal.errors import OperatorError
 
+log = logging.getLogger(__name__)
+
 PR_SET_PDEATHSIG, PR_SET_NAME, PR_SET_CHILD_SUBREAPER = 1, 15, 36
 PRELOAD = (
     "zenoh",
@@ -123,8 +125,9 @@ class Zygote:
         pid = self._ask(request)
         if not pid:  # it was killed or stopped; the processes it forked live on
             self.__exit__()
-            self._start()
-            pid = self._ask(request)
+            with contextlib.suppress(OSError):  # no memory, no process number
+                self._start()
+                pid = self._ask(request)
         if not pid:
             raise ZygoteError(
                 "cannot start processes: the one that forks them ended or is stopped, see the lines above"
@@ -142,11 +145,15 @@ class Zygote:
             return b""
 
     def mend(self) -> bool:
-        """Replace it if it has ended, before somebody must wait for the imports of a new one. Returns whether it had."""
+        """Replace it if it has ended, before somebody must wait for the imports of a new one. Returns whether it was; call it again."""
         if self._popen.poll() is None:
             return False
         self.__exit__()
-        self._start()
+        try:
+            self._start()
+        except OSError as error:
+            log.warning("the process that starts the others cannot be started: %s", error.strerror)
+            return False
         return True
 
     def reap(self, known: set[int]) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import socket
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +13,11 @@ import pytest
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.process import zygote as zygote_module
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
+from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import array, header
 
@@ -90,6 +95,45 @@ def test_what_a_restart_cannot_mend_is_given_up(tmp_path: Path) -> None:
     assert zygote.started == 1
     assert row["state"] == "failed: there is no scene 'yrad'"
     assert said == ["robot gave up: there is no scene 'yrad'"]
+
+
+def test_a_computer_without_memory_for_a_process_keeps_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [(-9, ""), None])
+    supervisor._ready = True
+    mend(supervisor)
+    mend(supervisor)
+    plain = zygote.fork
+
+    def full(*_: Any) -> Scripted:
+        raise ZygoteError("cannot start processes")
+
+    monkeypatch.setattr(zygote, "fork", full)
+    for _ in range(3):
+        assert mend(supervisor)["state"].startswith("restarting")
+    monkeypatch.setattr(zygote, "fork", plain)
+    assert mend(supervisor)["state"].startswith("starting")
+    assert said[1:] == ["robot cannot be started (cannot start processes); trying again"]
+
+
+def test_a_zygote_that_finds_no_memory_is_replaced_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: Any = Zygote.__new__(Zygote)
+    made._socket, theirs = socket.socketpair()
+    made._popen = subprocess.Popen(["/bin/true"])
+    made._popen.wait()
+    with monkeypatch.context() as full:
+
+        def popen(*_: Any, **__: Any) -> None:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+        full.setattr(zygote_module.subprocess, "Popen", popen)
+        assert made.mend() is False
+        assert made.mend() is False
+        with pytest.raises(ZygoteError, match="cannot start processes"):
+            made.fork({}, Path("x.log"))
+    theirs.close()
+    made._socket.close()
 
 
 @pytest.mark.parametrize("end", [AWAY, (FATAL, "there is no scene 'yrad'")])

@@ -43,7 +43,7 @@ class FreshnessConfig(BaseModel):
     pose: float = Field(0.12, gt=0, le=0.5, description="control pose [s]")
     scan: float = Field(0.8, gt=0, le=3.0, description="scan odometry behind the pose [s]")
     map: float = Field(1.2, gt=0, le=5.0, description="map status [s]")
-    goal: float = Field(1.2, gt=0, le=5.0, description="goal status of the navigator [s]")
+    goal: float = Field(1.0, gt=0, le=5.0, description="goal status of the navigator [s]")
 
 
 class GraphConfig(GraphSettings):

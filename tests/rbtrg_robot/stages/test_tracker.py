@@ -71,7 +71,9 @@ def test_no_path_is_driven_on_old_inputs_whatever_its_id(path_id: str, topic: To
     world.path(path_id)
     assert max(world.run(1.0)) > 0.3
     world.silent = {topic}
-    assert set(world.run(4.0)[75:]) == {0.0}
+    # A process that hangs is seen within a second; elevation by the guard, from its window.
+    seen = 75 if topic is t.MAP_STATUS else 51
+    assert set(world.run(4.0)[seen:]) == {0.0}
     assert world.state.phase == "stopped"
     assert topic.name in world.state.hold
 

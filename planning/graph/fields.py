@@ -21,13 +21,16 @@ FACES = 0.26
 their height squared."""
 LEAST = 0.03
 """Lower faces [m] are noise."""
+EVEN, SPREAD = 0.5, 1.2
+"""From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field whose rim was seen goes on over ground
+within this distance [m] on which posts would be above this share of the least height, as far as that ground was seen."""
 WALL = 0.25
 """Higher ones [m] are no posts, and nothing is compared beside them."""
 
 
 def reach(res: float) -> int:
     """Cells around a changed face in which the flag may change."""
-    return math.ceil(0.5 * SIDE / res) + math.ceil(0.5 * LOCAL / res) + 2
+    return math.ceil(0.5 * SIDE / res) + math.ceil(0.5 * LOCAL / res) + math.ceil(SPREAD / res) + 2
 
 
 def mark_fields(
@@ -41,20 +44,33 @@ def mark_fields(
     """Set or clear `POSTS` and `FIELD` in the window of `flags` (rows, cols): fields with posts higher than `max_posts` [m], and than a third of it.
 
     faces: (rows, cols, 2) [mm], see `planning.graph.faces`, known around the window as far as `reach`. A field that is out must be seen well;
-    for a price that part of it tells which is `trusted` (rows, cols). Sums are of whole numbers, so that a part gives exactly what the whole map gives.
+    for a price that part of it tells which is `trusted` (rows, cols), and the field goes on as far as `SPREAD`. Sums are of whole numbers, so that a
+    part gives exactly what the whole map gives.
     """
-    local, wide = round(0.5 * LOCAL / res), round(0.5 * SIDE / res)
-    for flag, posts, parts in ((POSTS, max_posts, False), (FIELD, max_posts / 3.0, True)):
-        least = FACES * (1000.0 * posts) ** 2
-        _mark(flags, np.uint16(flag), faces, trusted, parts, *window, reach(res), local, wide, least)
+    r0, c0, r1, c1 = window
+    pad = reach(res)
+    around = np.s_[max(0, r0 - pad) : r1 + pad, max(0, c0 - pad) : c1 + pad]
+    inner = np.s_[min(r0, pad) : min(r0, pad) + r1 - r0, min(c0, pad) : min(c0, pad) + c1 - c0]
+    out = flags[r0:r1, c0:c1]
+    # Copies: a piece and a whole map would be two layouts, and the kernel would be compiled for both.
+    piece = np.ascontiguousarray(faces[around]), np.ascontiguousarray(trusted[around])
+    sides = round(0.5 * LOCAL / res), round(0.5 * SIDE / res)
+
+    def higher(posts: float, *, parts: bool) -> NDArray[np.bool_]:
+        return fields_in(*piece, parts, *sides, FACES * (1000.0 * posts) ** 2)
+
+    rim = higher(max_posts / 3.0, parts=True)
+    near = sums(rim.astype(np.int32), round(SPREAD / res)) > 0
+    uneven = higher(EVEN * max_posts / 3.0, parts=True)
+    for flag, found in ((POSTS, higher(max_posts, parts=False)), (FIELD, rim | (near & uneven))):
+        out[:] = np.where(found[inner], out | np.uint16(flag), out & ~np.uint16(flag))
 
 
 @njit(cache=True)
-def _mark(flags, flag, faces, trusted, parts, r0, c0, r1, c1, pad, local, wide, least):
-    """Set or clear `flag`, see `mark_fields`; `least`: the smaller eigenvalue of a cell, averaged over a local square. `parts`: over that part of it
-    which is trusted."""
-    ra, ca = max(0, r0 - pad), max(0, c0 - pad)
-    rows, cols = min(flags.shape[0], r1 + pad) - ra, min(flags.shape[1], c1 + pad) - ca
+def fields_in(faces, trusted, parts, local, wide, least):
+    """(rows, cols) where a square of 2 `wide` + 1 cells is a field. `least`: the smaller eigenvalue of a cell [mm^2], averaged over a square of
+    2 `local` + 1 cells; `parts`: over that part of it which is `trusted`. Of what lies outside nothing is known."""
+    rows, cols = trusted.shape
     xx = np.zeros((rows, cols), np.int32)
     yy = np.zeros((rows, cols), np.int32)
     xy = np.zeros((rows, cols), np.int32)
@@ -62,10 +78,10 @@ def _mark(flags, flag, faces, trusted, parts, r0, c0, r1, c1, pad, local, wide, 
     known = np.ones((rows, cols), np.int32)
     for r in range(rows):
         for c in range(cols):
-            x = np.int64(faces[ra + r, ca + c, 0])
-            y = np.int64(faces[ra + r, ca + c, 1])
+            x = np.int64(faces[r, c, 0])
+            y = np.int64(faces[r, c, 1])
             size2 = x * x + y * y
-            if parts and not trusted[ra + r, ca + c]:
+            if parts and not trusted[r, c]:
                 known[r, c] = 0
             if size2 > (1000.0 * WALL) ** 2:
                 walls[r, c] = 1
@@ -85,15 +101,15 @@ def _mark(flags, flag, faces, trusted, parts, r0, c0, r1, c1, pad, local, wide, 
                 off = float(xy[r, c])
                 over = mean - least * (count[r, c] if parts else whole)
                 both[r, c] = over > 0.0 and over * over > half * half + off * off
-    ground, both = sums(ground, wide), sums(both, wide)
+    area, share, beside = sums(ground, wide), sums(both, wide), sums(both, local)
     enough = (1.0 - SHARE) * (2 * wide + 1) ** 2
-    for r in range(r0, r1):
-        for c in range(c0, c1):
-            area = ground[r - ra, c - ca]
-            if area > enough and both[r - ra, c - ca] > SHARE * area:
-                flags[r, c] |= flag
-            else:
-                flags[r, c] &= ~flag
+    out = np.zeros((rows, cols), np.bool_)
+    for r in range(rows):
+        for c in range(cols):
+            # beside a wall little ground is left of the square: an even lane there would count as the field beside it
+            of_it = both[r, c] > 0 or (known[r, c] == 0 and beside[r, c] > 0)
+            out[r, c] = of_it and area[r, c] > enough and share[r, c] > SHARE * area[r, c]
+    return out
 
 
 @njit(cache=True)

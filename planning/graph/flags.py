@@ -139,6 +139,8 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
                 hole = z[r, c] - height[r, c] > limits[k]
                 flags[k, r, c] = flag | (HOLE if hole else 0)
                 holes[k] |= hole
+    # A ray tells that virtual ground is not above its height: no face rises to it.
+    below = virtual & ~trusted
     diff = np.empty((rows, cols), np.float32)
     for direction in range(4):
         dr = 0 if direction == 0 else 1
@@ -156,18 +158,21 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
             most = max(most, _rises(diff[r, left : left + wide], z[r, left : left + wide], ahead))
         for k in range(2):
             if most > limits[k]:
-                _mark_steps(flags[k], z, diff, trusted, dr, dc, n, side, limits[k], max_tan * n * scale)
+                _mark_steps(
+                    flags[k], z, diff, trusted, below, dr, dc, n, side, limits[k], max_tan * n * scale
+                )
     floor = closed(height, pit) if holes.any() else z
     for k in range(2):
-        _complete_corners(z, trusted, flags[k], limits[k])
+        _complete_corners(z, trusted, below, flags[k], limits[k])
         if holes[k]:
             _mark_tips(z, floor, height, flags[k], gap, limits[k])
     return flags
 
 
 @njit(cache=True)
-def _mark_steps(flags, z, diff, trusted, dr, dc, n, side, limit, slope_cap):
-    """Mark both sides of the steps above `limit` [m] along (dr, dc); `diff`: the rise over n cells from each."""
+def _mark_steps(flags, z, diff, trusted, below, dr, dc, n, side, limit, slope_cap):
+    """Mark both sides of the steps above `limit` [m] along (dr, dc); `diff`: the rise over n cells from each; `below`: where heights are
+    bounds from above."""
     rows, cols = z.shape
     lr = dc
     lc = -dr
@@ -194,6 +199,8 @@ def _mark_steps(flags, z, diff, trusted, dr, dc, n, side, limit, slope_cap):
             if step - slope <= limit and own - slope <= limit + OUTLIER:
                 continue
             if not (trusted[r, c] or trusted[rb, cb]) and max(step, own) <= UNSEEN_STEP:
+                continue
+            if below[rb, cb] if mean > 0.0 else below[r, c]:
                 continue
             # the face is where the height changes most on the way, over an unknown stretch if there is one
             last = 0
@@ -288,7 +295,7 @@ def _mark_tips(z, wide, height, flags, gap, limit):
 
 
 @njit(cache=True)
-def _complete_corners(z, trusted, flags, limit):
+def _complete_corners(z, trusted, below, flags, limit):
     """Mark jumps between neighbours beside marked cells: averaging along the step loses the tips of corners."""
     rows, cols = z.shape
     marked = flags & FACE
@@ -299,6 +306,8 @@ def _complete_corners(z, trusted, flags, limit):
                 cb = c + 1 - k
                 jump = z[rb, cb] - z[r, c]
                 if not abs(jump) > limit or not (trusted[r, c] or trusted[rb, cb] or abs(jump) > UNSEEN_STEP):
+                    continue
+                if below[rb, cb] if jump > 0.0 else below[r, c]:
                     continue
                 near = np.uint16(0)
                 for i in range(r - 1, rb + 2):

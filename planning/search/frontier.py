@@ -17,7 +17,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
-from planning.graph.flags import FIELD, VIRTUAL
+from planning.graph.describe import RAYS
+from planning.graph.fields import SPREAD, sums
+from planning.graph.flags import FACE, FIELD, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.search.request import PlanRequest
 
@@ -37,6 +39,8 @@ STANDS = 0.1
 """A robot that moved less [m] from one plan to the next stands."""
 LONGEST = 2.0
 """Longest time [s] between two plans that counts: the goal may have been paused."""
+BEGINS = 0.4
+"""Virtual ground that begins farther than this [m] ahead of a body at a node is not looked at from there."""
 CELL = 0.2
 """Raster of the way through unknown ground [m]."""
 KEEP_OFF = 0.2
@@ -45,7 +49,7 @@ OBSTACLE = 0.25
 """A face this high [m] is an obstacle whatever the controller: what is lower may still be crossed further on."""
 CLOSED = 1e3
 """Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
-IN_FIELD = 4.0
+IN_FIELD = 11.0
 """What a metre of the way to go counts in a stepfield with high posts, as the metre of an edge (`planning.graph.edges.FIELD_RISK`)."""
 
 
@@ -113,19 +117,35 @@ def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> N
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
-    """(n,) nodes from whose surroundings virtual ground begins."""
+    """(n,) nodes from whose surroundings virtual ground begins: what lies behind a wall does not."""
     c = graph.cells
     if c is None:
         return np.zeros(len(graph.nodes), np.bool_)
-    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
-    ring = 0.5 * graph.params.length + np.array([0.1, 0.25, 0.4])
-    dx, dy = (np.outer(ring, f(angle)).ravel() for f in (np.cos, np.sin))
-    col = np.floor((graph.nodes[:, :1] + dx - c.origin[0]) / c.res + 0.5).astype(np.int64)
-    row = np.floor((graph.nodes[:, 1:2] + dy - c.origin[1]) / c.res + 0.5).astype(np.int64)
-    rows, cols = c.flags.shape
-    inside = (row >= 0) & (col >= 0) & (row < rows) & (col < cols)
-    near = c.flags[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
-    return (inside & (near & VIRTUAL > 0)).any(axis=1)
+    clear = 0.5 * graph.params.length
+    return virtual_around(
+        c.flags, *c.origin, c.res, np.ascontiguousarray(graph.nodes[:, :2]), clear, clear + BEGINS
+    )
+
+
+@njit(cache=True)
+def virtual_around(flags, x0, y0, res, points, near, far):
+    """(n,) whether one of sixteen rays from points (n, 2) [m] comes to virtual ground between `near` and `far` [m] and to no face before."""
+    rows, cols = flags.shape
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        for a in range(RAYS):
+            ux, uy = math.cos(2.0 * math.pi * a / RAYS), math.sin(2.0 * math.pi * a / RAYS)
+            for k in range(1, math.floor(far / res) + 1):
+                c = math.floor((points[i, 0] + k * res * ux - x0) / res + 0.5)
+                r = math.floor((points[i, 1] + k * res * uy - y0) / res + 0.5)
+                if r < 0 or c < 0 or r >= rows or c >= cols or flags[r, c] & FACE:
+                    break
+                if k * res > near and flags[r, c] & VIRTUAL:
+                    out[i] = True
+                    break
+            if out[i]:
+                break
+    return out
 
 
 def fields_of(graph: TraversalGraph) -> NDArray[np.bool_] | None:
@@ -174,7 +194,7 @@ def way_to_go(
     """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
 
     Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way.
-    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times.
+    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground beside them that was not seen: most likely they go on there.
     """
     x0, y0, x1, y1 = grid.extent
     # one cell of free ground around the map: who leaves it may go around everything
@@ -190,7 +210,9 @@ def way_to_go(
     # the goal may stand close to something
     seeds = straight <= 1.5 * CELL if inside else rim
     dear = np.ones(shape)
-    if fields is not None:
+    if fields is not None and fields.any():
+        beside = sums(fields.astype(np.int32), round(SPREAD / grid.resolution)) > 0
+        fields = fields | (beside & ~grid.trusted)
         # the raster's cells whose middle lies in a field
         row = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
         col = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)

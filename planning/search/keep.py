@@ -26,7 +26,10 @@ def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goa
     route = _rest(at, request, found, start_yaw, goal_yaw)
     if route is None or not worth_keeping(float(route.cost(weights_of(at.table.body)).sum()), found.cost):
         return found
-    same = {name: getattr(found, name) for name in ("reaches_goal", "frontier", "exact", "short", "expanded")}
+    same = {
+        name: getattr(found, name)
+        for name in ("reaches_goal", "frontier", "to_go", "exact", "short", "expanded")
+    }
     return replace(describe(at.table, request, at.table.body, route, 0), **same, kept=True)
 
 

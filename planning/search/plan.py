@@ -159,7 +159,8 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
         ):
             best = kept
     x, y, _ = best.points[-1]
-    return replace(best, reaches_goal=False, frontier=(float(x), float(y)))
+    left = float(to_go[best.nodes[-1]])
+    return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=left)
 
 
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
@@ -180,7 +181,7 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
             continue
         if node == at.start:
             return replace(found, short=float(np.hypot(x - goal[0], y - goal[1])))
-        return replace(found, reaches_goal=False, frontier=(x, y))
+        return replace(found, reaches_goal=False, frontier=(x, y), to_go=float(to_go[node]))
     return None
 
 

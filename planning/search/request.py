@@ -114,6 +114,8 @@ class Plan:
     """False when the plan ends at a frontier, from where the robot has to look again."""
     frontier: tuple[float, float] | None = None
     """x, y [m] of that frontier."""
+    to_go: float = 0.0
+    """[m] from that frontier to the goal, see `planning.search.frontier.way_to_go`."""
     exact: bool = False
     """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0
@@ -122,6 +124,11 @@ class Plan:
     """This is what was left of the route driven so far."""
     expanded: int = 0
     """States the search expanded."""
+
+    @property
+    def worth(self) -> float:
+        """[m] all the way to the goal as far as it is known: what is still to be paid. Smaller is better."""
+        return self.cost + self.to_go
 
     @property
     def maxima(self) -> tuple[float, float, float, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -14,7 +13,7 @@ from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.path import Path, PathLimits, ahead_of, drivable, is_hidden, make_path, rest_of
 from planning.risk.body import BodyModel
-from planning.search.frontier import SAME_FRONTIER, FrontierMemory, is_beside_virtual
+from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
@@ -29,8 +28,8 @@ NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
 REDRAWS, REDRAWN_CELLS = 5, 500_000
 """Other graphs that are searched at once; fewer on large maps: so many cells of the map may be drawn anew together."""
-FAR = 2.0
-"""A way to another frontier that is longer [m] is a reason to search other graphs."""
+LOST = 2.0
+"""A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may have been lost."""
 WAYS = 3
 """Tried, where they begin with ground that cannot be seen."""
 
@@ -63,8 +62,7 @@ class WaySearch:
         """The frontier on the way to lies beside virtual ground."""
         self._hidden: list[tuple[float, float, float]] = []
         """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen."""
-        self._reached = False
-        """The newest plan led to the goal."""
+        self._newest: Plan | None = None
 
     def find(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None, now: int) -> Way:
         """The way from where the robot stands at `now` [ns]. What is left of the path `driven` is kept unless another is clearly better.
@@ -111,9 +109,9 @@ class WaySearch:
     def _in_graphs(
         self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None
     ) -> tuple[Plan, Path]:
-        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, where the way to the goal was lost, or where
-        the robot would turn away to another frontier, other graphs are searched for a way to the goal."""
-        had, self._reached = self._reached, False
+        """As `_plan`. A narrow passage may hold no edge of one graph: where there is no way, and where a way was lost, other graphs are
+        searched for one."""
+        before, self._newest = self._newest, None
         found: tuple[Plan, Path] | None = None
         none = NoRoute(NoRouteReason.NO_ROUTE, "")
         try:
@@ -122,7 +120,7 @@ class WaySearch:
             none = error
             if none.reason is not NoRouteReason.NO_ROUTE:
                 raise
-        if found is None or (not found[0].reaches_goal and (had or self._turns_away(found[0]))):
+        if found is None or _lost(before, found[0]):
             kept = terrain.graph, terrain.table
             for _ in range(min(REDRAWS, REDRAWN_CELLS // terrain.ground().height.size)):
                 terrain.sample_anew()
@@ -131,22 +129,15 @@ class WaySearch:
                     other = self._plan(terrain, message, None)
                 except NoRoute:
                     continue
-                if found is None or other[0].reaches_goal:
+                if found is None or _lost(other[0], found[0]):
                     found, kept = other, (terrain.graph, terrain.table)
-                if found[0].reaches_goal:
+                if not _lost(before, found[0]):
                     break
             terrain.graph, terrain.table = kept
         if found is None:
             raise none
-        self._reached = found[0].reaches_goal
+        self._newest = found[0]
         return found
-
-    def _turns_away(self, found: Plan) -> bool:
-        """Whether the plan leads far and not to the frontier that was driven to so far."""
-        before = self._memory.chosen
-        if before is None or found.frontier is None or found.length < FAR:
-            return False
-        return math.dist(before, found.frontier) > SAME_FRONTIER
 
     def _plan(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> tuple[Plan, Path]:
         """The route in the graph of now, and its path."""
@@ -175,3 +166,11 @@ class WaySearch:
             pose = (message.start_x, message.start_y, message.start_yaw)
             return found, rest_of(driven, pose, terrain.ground(), self._body)
         return found, self.path_of(terrain, found)
+
+
+def _lost(before: Plan | None, plan: Plan) -> bool:
+    """Whether the way of the plan `before` is better than the other one: it alone leads to the goal, or less is still to be paid. The way to a
+    frontier tells little of what lies behind it."""
+    if before is None or before.reaches_goal is not plan.reaches_goal:
+        return before is not None and before.reaches_goal
+    return plan.worth > before.worth + LOST

@@ -302,3 +302,17 @@ def test_the_graph_holds_both_sides_of_unseen_ground_that_the_robot_stands_befor
 def crossing_edges_of_slit(graph: TraversalGraph) -> list[tuple[int, int]]:
     sides = graph.nodes[:, 0] > 1.6
     return [(a, b) for a, b in graph.edges.tolist() if sides[a] != sides[b]]
+
+
+def test_no_face_rises_to_ground_of_which_only_a_bound_is_known() -> None:
+    x, _y, z = _flat()
+    virtual = (x > 2.0) & (x < 4.0)
+    z[virtual & (np.abs(x - 3.0) < 0.06)] = 0.57  # filled from a wall: the rays there passed no lower
+    grid = ElevationGrid(z, ~virtual, (0.0, 0.0), RES, virtual)
+    assert _reaches(TraversalGraph.build(grid, (1.0, 2.0), PARAMS), (5.0, 2.0))
+    measured = ElevationGrid(z, ~virtual | (z > 0.5), (0.0, 0.0), RES, virtual & (z < 0.5))
+    assert not _reaches(TraversalGraph.build(measured, (1.0, 2.0), PARAMS), (5.0, 2.0))
+    z[:] = 0.0
+    z[x >= 2.0] = -0.4  # beyond an edge nothing is higher than that
+    deep = ElevationGrid(z, ~virtual, (0.0, 0.0), RES, virtual)
+    assert not _reaches(TraversalGraph.build(deep, (1.0, 2.0), PARAMS), (5.0, 2.0))

@@ -103,6 +103,32 @@ def test_a_field_of_which_half_was_seen_has_its_price_but_is_not_out() -> None:
     assert (flags & POSTS > 0).mean() < 0.02
 
 
+def flagged(z: np.ndarray, trusted: np.ndarray, max_posts: float) -> np.ndarray:
+    """(rows, cols) what has the price of a field."""
+    faces = np.zeros((*z.shape, 2), np.int16)
+    update_faces(faces, z.astype(np.float32), trusted, RES, 0, 0, *z.shape)
+    flags = np.zeros(z.shape, np.uint16)
+    mark_fields(flags, faces, trusted, RES, (0, 0, *z.shape), max_posts)
+    return flags & FIELD > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_field_goes_on_where_only_the_tops_of_its_posts_were_seen(seed: int) -> None:
+    z = posts(0.15, seed)
+    tops, seen = 0.10 + 0.35 * (z - 0.075), X < 2.6
+    inside = (X > 2.0) & (X < 2.4) & (Y > 0.3) & (Y < 2.1)
+    assert flagged(np.where(X > 1.9, tops, z), seen, 0.20)[inside].mean() > 0.5
+    assert flagged(np.where(X > 1.4, tops, 0.0), seen, 0.20)[inside].mean() < 0.05, "no rim"
+
+
+def test_a_lane_between_a_field_and_a_wall_is_none() -> None:
+    z = np.where(Y < 1.3, posts(0.15, 1), 0.004 * np.random.default_rng(2).standard_normal(X.shape))
+    z[Y > 1.9] = 0.6
+    found = flagged(z, np.ones(z.shape, bool), 0.12)
+    assert found[(X > 1.6) & (X < 2.4) & (Y > 0.3) & (Y < 1.2)].mean() > 0.8
+    assert found[(X > 1.5) & (X < 2.5) & (Y > 1.42)].mean() < 0.05
+
+
 def test_a_part_that_is_computed_again_is_what_a_full_build_gives() -> None:
     z = posts(0.08, 2).astype(np.float32)
     flat = z.copy()

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planning.graph.flags import HIGH, LOW, VIRTUAL
 from planning.graph.graph import TraversalGraph
-from planning.search.frontier import CLOSED, FrontierMemory, open_frontiers, way_to_go
+from planning.search.frontier import CLOSED, FrontierMemory, open_frontiers, virtual_around, way_to_go
 from planning.search.request import PlanRequest
 from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
 from tests.planning.worlds import flat
@@ -106,15 +107,23 @@ def test_the_way_to_go_leads_around_what_is_known_to_stand_there() -> None:
     np.testing.assert_allclose(way_to_go(grid, np.array([[4.3, 1.5]]), (4.0, 1.5)), 0.3, atol=0.01)
 
 
-def test_the_way_to_go_leads_around_a_stepfield_or_counts_it_four_times() -> None:
+def test_the_way_to_go_leads_around_a_stepfield_or_counts_it_eleven_times() -> None:
     grid = flat(6, 4)
     points = np.array([[1.0, 2.0], [5.0, 2.0]])
     y, x = np.mgrid[0:81, 0:121] * 0.05
     fields = (np.abs(x - 3.0) < 1.0) & (y < 3.0)
     around = 2.0 * np.hypot(1.0, 1.0) + 2.0
     np.testing.assert_allclose(way_to_go(grid, points, (5.0, 2.0), fields), [around, 0.0], atol=0.35)
-    through = np.abs(x - 3.0) < 0.2
-    np.testing.assert_allclose(way_to_go(grid, points, (5.0, 2.0), through), [5.2, 0.0], atol=0.35)
+    wide = flat(6, 24)
+    across = np.array([[1.0, 12.0], [5.0, 12.0]])
+    x = np.mgrid[0:481, 0:121][1] * 0.05
+    through = np.abs(x - 3.0) < 0.1
+    np.testing.assert_allclose(way_to_go(wide, across, (5.0, 12.0), through), [6.0, 0.0], atol=0.5)
+    wide.trusted[np.abs(x - 3.0) < 0.6] = False
+    unseen = way_to_go(wide, across, (5.0, 12.0), through)
+    np.testing.assert_allclose(
+        unseen, [16.0, 0.0], atol=2.0, err_msg="a field goes on where nothing was seen"
+    )
 
 
 def test_a_frontier_counts_as_seen_when_the_robot_plans_from_it() -> None:
@@ -165,6 +174,15 @@ def test_a_frontier_on_the_way_stays_open_until_the_robot_has_come_to_it() -> No
     assert np.flatnonzero(on_the_way).tolist() == [near]
     seen = replace(request, previous_frontier=(x, y), seen_frontiers=((x, y),))
     assert not open_frontiers(graph, start, seen).any()
+
+
+def test_ground_behind_a_wall_is_not_looked_at_from_before_it() -> None:
+    flags = np.zeros((40, 40), np.uint16)
+    flags[:, 30:] = VIRTUAL
+    points = np.array([[2.4, 2.0], [0.5, 2.0]])
+    assert virtual_around(flags, 0.0, 0.0, 0.1, points, 0.35, 0.75).tolist() == [True, False]
+    flags[:, 28] = HIGH | LOW
+    assert virtual_around(flags, 0.0, 0.0, 0.1, points, 0.35, 0.75).tolist() == [False, False]
 
 
 def test_a_robot_before_a_crest_looks_behind_it_before_it_turns_away_to_a_far_frontier(

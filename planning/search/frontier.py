@@ -28,8 +28,9 @@ SAME_FRONTIER = 1.0
 SWITCH_SHARE = 0.10
 SWITCH_LEAST = 0.5
 """Another frontier must be better by this share of the kept one's worth and by at least this much [m]."""
-LOOKED = 0.5
-"""Frontier nodes within this distance [m] of the robot or of a place looked from already show nothing new."""
+LOOKED = 0.35
+"""Frontier nodes within this distance [m] of the robot or of a place looked from already show nothing new. On a ramp it is the last 0.4 m to the crest that
+show what lies behind it."""
 ARRIVED = 0.3
 """This close to a frontier [m] the robot has seen what there is to see from it."""
 BESIDE, PATIENCE = 1.5, 6.0
@@ -60,7 +61,7 @@ class FrontierMemory:
         self.chosen: tuple[float, float] | None = None
         """x, y [m] of the frontier on the way to."""
         self.seen: list[tuple[float, float]] = []
-        """Frontiers looked from already."""
+        """Places looked from already, and frontiers given up."""
         self.been: list[tuple[float, float]] = []
         """Places the robot planned from."""
         self.exhausted = False
@@ -78,7 +79,7 @@ class FrontierMemory:
             return
         far = math.dist(self.chosen, xy)
         if far < ARRIVED:
-            self.seen.append(self.chosen)
+            self.seen.append(xy)
         elif virtual and last is not None and (far < BESIDE or math.dist(xy, last[0]) < STANDS):
             self._try(self.chosen, min(max(now - last[1], 0.0), LONGEST))
 

@@ -10,7 +10,15 @@ import pytest
 
 from planning.graph.flags import HIGH, LOW, VIRTUAL
 from planning.graph.graph import TraversalGraph
-from planning.search.frontier import CLOSED, FrontierMemory, open_frontiers, virtual_around, way_to_go
+from planning.search.frontier import (
+    ARRIVED,
+    CLOSED,
+    LOOKED,
+    FrontierMemory,
+    open_frontiers,
+    virtual_around,
+    way_to_go,
+)
 from planning.search.request import PlanRequest
 from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
 from tests.planning.worlds import flat
@@ -133,7 +141,7 @@ def test_a_frontier_counts_as_seen_when_the_robot_plans_from_it() -> None:
     memory.at((1.5, 0.0), 0.0)
     assert memory.seen == []
     memory.at((1.8, 0.1), 0.0)
-    assert memory.seen == [(2.0, 0.0)]
+    assert memory.seen == [(1.8, 0.1)]
 
 
 def test_a_node_beside_virtual_ground_is_given_up_after_a_while_however_the_samples_change() -> None:
@@ -159,12 +167,25 @@ def test_a_frontier_found_later_shows_other_ground_to_look_at() -> None:
     assert (memory.chosen, memory.exhausted) == ((2.0, 0.0), False)
 
 
+def test_from_a_ramp_the_crest_is_driven_to_before_another_frontier() -> None:
+    graph = TraversalGraph.build(flat(4.0, 3.0), (1.0, 1.5))
+    away = np.hypot(*(graph.nodes[:, None, :2] - graph.nodes[:, :2]).transpose(2, 0, 1))
+    start, crest = np.argwhere((away > 0.38) & (away < 0.45))[0].tolist()
+    graph.frontier[:] = False
+    graph.frontier[crest] = True
+    x, y = graph.nodes[start, :2].tolist()
+    memory = FrontierMemory()
+    memory.chosen = (x + 0.1, y)
+    memory.at((x, y), 0.0)
+    request = PlanRequest((x, y), (9.0, 1.5), been=None, seen_frontiers=tuple(memory.seen))
+    assert np.flatnonzero(open_frontiers(graph, start, request)).tolist() == [crest]
+
+
 def test_a_frontier_on_the_way_stays_open_until_the_robot_has_come_to_it() -> None:
     grid = flat(4.0, 3.0)
     graph = TraversalGraph.build(grid, (1.0, 1.5))
-    start = int(np.hypot(*(graph.nodes[:, :2] - (1.0, 1.5)).T).argmin())
-    away = np.hypot(*(graph.nodes[:, :2] - graph.nodes[start, :2]).T)
-    near = int(np.flatnonzero((away > 0.3) & (away < 0.5))[0])
+    away = np.hypot(*(graph.nodes[:, None, :2] - graph.nodes[:, :2]).transpose(2, 0, 1))
+    start, near = np.argwhere((away > ARRIVED) & (away < LOOKED))[0].tolist()
     graph.frontier[:] = False
     graph.frontier[near] = True
     request = PlanRequest((1.0, 1.5), (9.0, 1.5), been=None)

@@ -1,0 +1,43 @@
+"""A robot that was pushed over gets up, knows where it is and goes on with its goal: the whole stack, judged by the truth it never sees."""
+
+from __future__ import annotations
+
+import math
+
+from hal.mujoco.config import Push
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+
+
+GOAL = (2.0, 3.0)
+"""x, y [m]."""
+
+
+def test_a_robot_that_fell_gets_up_and_reaches_the_goal_when_it_is_sent_again() -> None:
+    config = load(None, ["sim.lidar_step=8"], scene="flat")
+    push = Push(time=3.5, force=(0.0, 600.0, 0.0), duration=0.3)
+    with Lockstep(
+        config.model_copy(update={"sim": config.sim.model_copy(update={"pushes": (push,)})})
+    ) as stack:
+        stack.wait_ready()
+        stack.send_goal(*GOAL)
+        fallen = stack.finish_goal(10.0)
+        assert (fallen.state, fallen.reason) == ("aborted", "emergency_stop")
+        stack.run_until(lambda: stack.newest[t.ROBOT_STATE].phase == "fault", 3.0, "the fall")
+        stack.command("resume")
+        stack.run(0.2)
+        stack.send_goal(fallen.x, fallen.y)
+        stack.run(0.2)
+        refused = stack.newest[t.GOAL_STATUS]
+        assert refused.state == "rejected", "a robot that lies drives nowhere"
+        assert "recover" in refused.detail or "resume" in refused.detail, "it says what to do"
+        stack.command("recover")
+        stack.run_until(lambda: stack.newest[t.ROBOT_STATE].phase in ("ready", "stopped"), 24.0, "standing")
+        stack.command("resume")
+        stack.run(0.2)
+        stack.send_goal(fallen.x, fallen.y)
+        assert stack.finish_goal(30.0).state == "reached"
+        stack.run(1.0)
+        place = stack.newest[t.TRUTH].pose.pose.position
+        assert math.dist((place.x, place.y), (fallen.x, fallen.y)) < 0.25

@@ -9,7 +9,6 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 
-
 GOAL = (2.0, 3.0)
 """x, y [m]."""
 

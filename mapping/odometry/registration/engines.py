@@ -82,7 +82,7 @@ class PlanesConfig(BaseModel):
     source_voxel: float = Field(
         default=0.5, gt=0.02, le=2.0, description="one point per voxel is registered [m]"
     )
-    min_source: int = Field(default=500, ge=0, description="with fewer points the source voxel is halved")
+    min_source: int = Field(default=1500, ge=0, description="with fewer points the source voxel is halved")
     surface_sigma: float = Field(
         default=0.008, gt=0, description="systematic error of a registered surface [m]"
     )

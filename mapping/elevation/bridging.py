@@ -17,6 +17,8 @@ WHEELS, OVER, BESIDE, ASSUMED = 1, 3, 4, 5
 what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
+SPREAD = 3.0
+"""Standard deviations by which a single point may be off."""
 
 
 @njit(cache=True)
@@ -100,7 +102,8 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
 
     A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
     A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
-    once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`.
+    once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`. The ground is
+    not above such a point by more than `SPREAD` of its standard deviations, which goes into `upper`: no bridge leads over it.
     """
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
@@ -126,6 +129,7 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
     for r in range(rows):
         for c in range(cols):
             if source[r, c] == 3:
+                upper[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
                 source[r, c] = 0
                 height[r, c] = np.nan
                 variance[r, c] = np.nan

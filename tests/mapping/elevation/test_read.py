@@ -29,8 +29,10 @@ def test_trust_equals_numpy() -> None:
     stray = (source == LIDAR) & (count < 3) & (support < 2)
     under = (source == CONTACT) & (upper < height - np.float32(0.04))
     want = ((source == CONTACT) & ~under) | ((source == LIDAR) & ~stray & (variance < 1e-3))
+    bound = np.where(stray | under, np.fmin(upper, height + 3.0 * np.sqrt(variance)), upper)
     got = trust(height, variance, upper, count, source, 1e-3, 3, 0.05, 0.04)
     assert np.array_equal(got, want)
+    np.testing.assert_allclose(upper, bound, rtol=1e-6)
     for gone in (stray, under):
         assert np.isnan(height[gone]).all()
         assert (source[gone] == UNKNOWN).all()
@@ -89,6 +91,20 @@ def test_the_rim_of_a_hole_stays_unknown() -> None:
     upper[:, 24:] = -0.10  # behind the near edge the rays go below the ground
     out = bridged(height, upper)
     assert np.isnan(out[22:38, 20:40]).all()
+
+
+def test_no_bridge_leads_over_a_single_point_on_the_floor_of_a_pit() -> None:
+    height = strips(np.zeros(30), [(13, 17)])
+    upper = np.full_like(height, 0.05)
+    count = np.where(np.isfinite(height), 9, 0).astype(np.uint8)
+    source = np.where(np.isfinite(height), LIDAR, UNKNOWN).astype(np.uint8)
+    variance = np.where(np.isfinite(height), 1e-4, np.nan).astype(np.float32)
+    floor = 10, 15
+    height[floor], count[floor], source[floor], variance[floor] = -0.12, 1, LIDAR, 1e-4
+    trust(height, variance, upper, count, source, 3.6e-3, 3, 0.05, 0.04)
+    assert upper[floor] == pytest.approx(-0.09, abs=1e-6)
+    assert np.isnan(bridged(height, upper)[7:14, 13:17]).all()
+    assert np.isfinite(bridged(height, np.full_like(height, 0.05))[7:14, 13:17]).all()
 
 
 def test_nothing_wider_than_the_limit_is_bridged() -> None:

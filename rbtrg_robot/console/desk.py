@@ -275,8 +275,8 @@ class Desk:
             raise Refused("a velocity is finite")
         delay = time.monotonic() - at
         page.quickest = min(page.quickest, delay)
-        if delay - page.quickest > LATE:
-            return
+        if delay - page.quickest > LATE and (v or w or not page.driving):
+            return  # the hands that let go count, however long that was under way
         robot = self._capabilities
         v = max(-robot.max_vx, min(robot.max_vx, v))
         w = max(-robot.max_wz, min(robot.max_wz, w))

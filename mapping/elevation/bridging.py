@@ -43,7 +43,7 @@ def _span(
     step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
     d = n * step
     ra, ca = r - n * dr, c - n * dc
-    blind = (
+    blind = rule[6] > 0.0 and (
         source[ra, ca] == WHEELS
         or source[r, c] == WHEELS
         or source[ra, ca] == BESIDE
@@ -97,13 +97,13 @@ def _span(
 
 
 @njit(cache=True)
-def trust(height, variance, upper, count, source, v_max, settled, agree, hole):  # pragma: no cover
+def trust(height, variance, upper, count, source, v_max, settled, agree, hole, bound):  # pragma: no cover
     """Which cells to believe (rows, cols) bool: wheel cells, and LiDAR cells certain enough (`v_max` [m^2]).
 
     A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
     A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
     once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`. The ground is
-    not above such a point by more than `SPREAD` of its standard deviations, which goes into `upper`: no bridge leads over it.
+    not above such a point by more than `SPREAD` of its standard deviations: `bound` is `upper` with these, for `bridge`.
     """
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
@@ -128,8 +128,9 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
                     out[r, c] = variance[r, c] < v_max
     for r in range(rows):
         for c in range(cols):
+            bound[r, c] = upper[r, c]
             if source[r, c] == 3:
-                upper[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
+                bound[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
                 source[r, c] = 0
                 height[r, c] = np.nan
                 variance[r, c] = np.nan
@@ -140,8 +141,9 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole): 
 def _most(rule, squared):  # pragma: no cover
     """Steps that the widest gap of all takes; a step is the root of `squared` cells long."""
     step = rule[0] * np.sqrt(squared)
-    n = int(rule[6] / step) + 1
-    while n * step > rule[6]:
+    widest = max(rule[1], rule[6])
+    n = int(widest / step) + 1
+    while n * step > widest:
         n -= 1
     return n
 
@@ -215,7 +217,7 @@ def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no
     """Bridge in place: height, source (OVER, BESIDE or ASSUMED) and trusted of bridged cells.
 
     height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
-    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell, widest gap that is trusted
+    trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (0: as everywhere), widest gap that is trusted
     (all metres): a wider one, over which rays pass low but into which none fell, has a height and no trust.
     out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch. Of several bridges over a cell the shortest wins;
     a bridge one or two cells wide is a coincidence between unlike surfaces and dropped. A second round from the bridged

@@ -59,7 +59,9 @@ class ElevationConfig(BaseModel):
     )
     trust_count: int = Field(default=3, ge=1, description="points of an established cell")
     # --- ground under the wheels
-    footprint: tuple[float, float] = Field(default=(0.70, 0.43), description="body length and width [m]")
+    footprint: tuple[float, float] = Field(
+        default=(0.38, 0.43), description="ground between the wheels: length and width [m]"
+    )
     footprint_margin: float = Field(
         default=0.0, description="support plane of a driving robot reaches this far beyond the footprint [m]"
     )

@@ -28,9 +28,9 @@ from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import PRIOR, TileStore
+from mapping.elevation.tiles import CONTACT, PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import carried, enter
+from mapping.elevation.wheels_ground import SupportPatch, carried, enter, take_back
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -58,6 +58,7 @@ class ElevationMap:
         self.scans = 0
         self._lived = 0
         self._fresh = True
+        self._around_start: SupportPatch | None = None
         self._rays = self._half = 0
         self._sensor = np.zeros(3)
         self._prior: PriorCheck | None = None
@@ -114,6 +115,7 @@ class ElevationMap:
         self._rays = 0
         self._prior = None
         self._fresh = True
+        self._around_start = None
 
     def fuse(
         self,
@@ -228,10 +230,24 @@ class ElevationMap:
         stands_on = carried(self.store, p.resolution, world)
         if not stands_on.any() or rotation[2, 2] < UPRIGHT:
             return 0
-        self._fresh = self._fresh and len(contacts) < 3
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
-        return enter(self.store, *around)
+        written = enter(self.store, *around)
+        if start:
+            self._fresh = self._fresh and len(contacts) < 3
+            self._around_start = written
+        return int(written.i.size)
+
+    def grant(self, granted: bool) -> None:
+        """Whether ground around the wheels that nobody saw counts: the support plane beyond the body at the start, and gaps from there to the
+        nearest ring. At first it does. It is right as long as a LiDAR sees that ground before the wheels come there."""
+        if granted is self._reader.granted:
+            return
+        self._reader.granted = granted
+        if not granted and self._around_start is not None:
+            take_back(self.store, self._around_start)
+            self._around_start = None
+        self.store.touch(CONTACT)
 
     def clean(self) -> int:
         """Look along the rays of the last scan; returns the number of cells removed. Call it at about 3 Hz."""

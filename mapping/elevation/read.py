@@ -33,10 +33,14 @@ class MapReader:
     def __init__(self, store: TileStore, params: ElevationConfig) -> None:
         self.store = store
         self.params = p = params
-        self._rule = bridge_rule(
-            p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, p.blind_gap,
-            p.bridge_trust,
-        )  # fmt: skip
+        self.granted = True
+        """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
+        self._rules = [
+            bridge_rule(
+                p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, blind, p.bridge_trust
+            )
+            for blind in (0.0, p.blind_gap)
+        ]  # fmt: skip
         self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
         self._result = _Scratch(np.float32)
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
@@ -56,14 +60,14 @@ class MapReader:
         p, pad = self.params, self._pad
         i0, j0, rows, cols = box
         wide = rows + 2 * pad, cols + 2 * pad
-        height, variance, upper, out, gap = self._floats.take(5, *wide)
+        height, variance, upper, bound, out, gap = self._floats.take(6, *wide)
         small = self._bytes.take(5, *wide)
         count, source, marks = small[0], small[1], small[2:]
         self.store.read(i0 - pad, j0 - pad, Layers(height, variance, upper, count, source))
         trusted = trust(
-            height, variance, upper, count, source, p.trust_sigma**2, p.trust_count, p.gate_min, p.hole
+            height, variance, upper, count, source, p.trust_sigma**2, p.trust_count, p.gate_min, p.hole, bound
         )
-        bridge(height, source, trusted, upper, self._rule, out, gap, marks)
+        bridge(height, source, trusted, bound, self._rules[self.granted], out, gap, marks)
         layers = self._result.take(5, rows, cols)
         _compose(height, variance, upper, source, trusted, pad, p.trust_sigma**2, layers)
         return layers

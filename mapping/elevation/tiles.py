@@ -253,6 +253,11 @@ class TileStore:
             done = locate(i, j, self.directory, self.first, s, out, done)
         return out
 
+    def touch(self, source: int) -> None:
+        """The tiles of the pool with a cell of this source count as changed."""
+        cells = self.cells["source"][: self._span(self.used).start].reshape(self.used, -1)
+        self.touched[: self.used] |= (cells == source).any(axis=1)
+
     def tile(self, slot: int) -> NDArray[np.void]:
         """(size, size) view of one tile's cells."""
         return self.cells[self._span(slot)].reshape(self.size, self.size)

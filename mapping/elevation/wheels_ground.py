@@ -30,6 +30,12 @@ class SupportPatch:
     under: NDArray[np.bool_]
     """Within the body rectangle."""
 
+    def those(self, which: NDArray[np.bool_]) -> SupportPatch:
+        """Some of the cells."""
+        return SupportPatch(
+            self.i[which], self.j[which], self.height[which], self.variance[which], self.under[which]
+        )
+
 
 def support_patch(
     contacts: NDArray[np.float64],
@@ -123,8 +129,8 @@ def enter(
     radius: float | None,
     sigma: float,
     resolution: float,
-) -> int:
-    """Write the ground under the wheels where the LiDAR knows nothing and no wheel knew better -> cells written; see `support_patch`.
+) -> SupportPatch:
+    """Write the ground under the wheels where the LiDAR knows nothing and no wheel knew better -> what was written; see `support_patch`.
 
     Three wheels on rubble always make a plane: where the LiDAR knows another ground under the body, only the wheels' spots are written.
     """
@@ -139,8 +145,30 @@ def enter(
     take = (old["source"] == UNKNOWN) | ((old["source"] == CONTACT) & (patch.variance <= old["variance"]))
     if radius is not None:  # the patch is larger than the body
         take &= ~behind(patch, off, centre, resolution)
-    cell, new = cell[take], old[take]
-    new["height"], new["variance"], new["source"] = patch.height[take], patch.variance[take], CONTACT
+    written = patch.those(take)
+    _write(store, cell[take], written.height, written.variance, CONTACT)
+    return written
+
+
+def take_back(store: TileStore, written: SupportPatch) -> None:
+    """Forget what was written beyond the body, as far as nobody has measured it since."""
+    beyond = written.those(~written.under)
+    cell = store.locate(beyond.i, beyond.j)
+    old = store.cells[cell]
+    same = (
+        (old["source"] == CONTACT) & (old["height"] == beyond.height) & (old["variance"] == beyond.variance)
+    )
+    _write(store, cell[same], np.nan, np.nan, UNKNOWN)
+
+
+def _write(
+    store: TileStore,
+    cell: NDArray[np.int64],
+    height: NDArray[np.float32] | float,
+    variance: NDArray[np.float32] | float,
+    source: int,
+) -> None:
+    new = store.cells[cell]
+    new["height"], new["variance"], new["source"] = height, variance, source
     store.cells[cell] = new
     store.touched[np.unique(cell >> (2 * store.shift))] = 1
-    return int(cell.size)

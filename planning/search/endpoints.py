@@ -91,7 +91,7 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         raise NoRoute(
             NoRouteReason.START_NOT_ON_GRAPH,
             f"no straight move leads from where the robot stands ({start_xy[0]:.2f}, {start_xy[1]:.2f}) to drivable "
-            "ground: drive it to open, seen ground",
+            "ground: drive it by hand, slowly, onto open ground that it sees",
         )
     query, kept = attached(graph, grid, new, between)
     return Endpoints(
@@ -217,7 +217,7 @@ def start_node(graph: TraversalGraph, grid: ElevationGrid, start: Place) -> int:
         raise NoRoute(
             NoRouteReason.START_NOT_ON_GRAPH,
             f"no drivable node within {SNAP_DISTANCE:.2f} m of the start ({xy[0]:.2f}, {xy[1]:.2f}): "
-            "drive the robot to open, seen ground",
+            "drive the robot by hand, slowly, onto open ground that it sees",
         )
     return node
 

@@ -192,8 +192,12 @@ class ElevationStage:
                 seen.append((sensor, points))
                 if self._scans % self._params.clean_every == 0:
                     self.map.clean()
+        # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not look at.
+        looks = "head" not in self._sensors or len(clouds.get("head", NOTHING)) > 0
+        self.map.grant(self._silent.get("head", 0) < SILENT_SCANS)
         if joints is not None:
-            self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp)
+            start = None if looks else False
+            self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp, start)
         if self._locate(odom, seen, joints):
             return self._begin("the robot was found")
         outputs: Outputs = []

@@ -106,7 +106,10 @@ class MapGraph:
     def ground(self) -> ElevationGrid:
         """The grid of the graph. Raises NoRoute."""
         if self.graph is None or self.grid is None:
-            raise NoRoute(NoRouteReason.NO_TERRAIN, "no ground around the robot is known yet")
+            raise NoRoute(
+                NoRouteReason.NO_TERRAIN,
+                "no ground around the robot is known yet: wait for the LiDAR, or drive it by hand, slowly, onto ground that it sees",
+            )
         return self.grid
 
     def search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:

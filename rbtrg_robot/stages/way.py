@@ -103,7 +103,8 @@ class WaySearch:
             self._hidden.append(ahead_of(whole))
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
-            "every way leads over ground that the robot cannot see from where it stands",
+            "every way leads over ground that the robot cannot see from where it stands: drive it by hand, slowly, to where it "
+            "sees the ground ahead, or choose another goal",
         )
 
     def _in_graphs(
@@ -160,7 +161,7 @@ class WaySearch:
             return found, self.path_of(terrain, found)
         found = terrain.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
         if found.short > NEAR and not found.transitions:
-            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it"
+            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it: choose another goal, or clear the way"
             raise NoRoute(NoRouteReason.NO_ROUTE, why)
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)

@@ -137,6 +137,39 @@ def test_wheels_fill_the_ground_the_lidar_cannot_see_and_yield_to_it() -> None:
     assert seen.layers["elevation"][0, 0] == pytest.approx(0.10, abs=1e-3)
 
 
+def test_what_is_taken_for_granted_around_the_wheels_can_be_taken_back() -> None:
+    elevation, mirror, rng = ElevationMap(), MapMirror(), np.random.default_rng(6)
+    for k in range(3):
+        elevation.fuse(flat_scan(rng), (0.0, 0.0, HEIGHT), LEVEL, k + 1)
+        elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, k + 1)
+
+    def trusted(*places: float) -> list[bool]:
+        for patch in elevation.take_patches():
+            mirror.apply(patch)
+        grid = mirror.patch().grid()
+        c = [round((x - grid.origin[0]) / grid.resolution) for x in places]
+        return grid.trusted[round(-grid.origin[1] / grid.resolution), c].tolist()
+
+    between, disc, gap, ring = 0.1, 0.6, 1.3, 2.09
+    assert trusted(between, disc, gap, ring) == [True] * 4
+    elevation.grant(False)
+    assert trusted(between, disc, gap, ring) == [True, False, False, True]
+    elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 9)
+    assert trusted(between, disc) == [True, False]
+    elevation.grant(True)
+    assert trusted(between, gap, ring) == [True, False, True]  # wider than from the disc on
+    elevation.fuse_ground(WHEELS, (0.9, 0.0, HEIGHT), LEVEL, 9)
+    assert trusted(gap) == [True]
+
+
+def test_wheels_tell_nothing_of_the_ground_under_the_nose() -> None:
+    elevation = ElevationMap()
+    elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 1, start=False)
+    known = np.isfinite(elevation.window(0.0, 0.0, 0.5).layers["elevation"])
+    x = 0.04 * (np.flatnonzero(known.any(axis=0)) - known.shape[1] // 2)
+    assert np.abs(x).max() <= 0.2
+
+
 @pytest.mark.parametrize("rise", [[0.20, 0.09, 0.0, 0.0], [0.10, 0.10, 0.0, 0.0], [0.15, 0.0, 0.15, 0.0]])
 def test_wheels_on_a_kerb_or_in_the_air_make_no_ground_where_the_lidar_knows_another(
     rise: list[float],
@@ -155,7 +188,7 @@ def test_wheels_on_a_kerb_or_in_the_air_make_no_ground_where_the_lidar_knows_ano
     ]  # of two, one hangs over the far side of the edge
     elevation.fuse_ground(edge, (0.0, 0.0, HEIGHT), LEVEL, 4, start=False)
     assert np.nanmax(elevation.window(0.3, 0.0, 0.4).layers["elevation"]) < 0.01
-    assert elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 5, start=False) > 25
+    assert elevation.fuse_ground(WHEELS, (0.2, 0.0, HEIGHT), LEVEL, 5, start=False) > 25
 
 
 def test_wheels_on_a_kerb_the_lidar_knows_make_no_ramp_behind_it() -> None:

@@ -29,10 +29,10 @@ def test_trust_equals_numpy() -> None:
     stray = (source == LIDAR) & (count < 3) & (support < 2)
     under = (source == CONTACT) & (upper < height - np.float32(0.04))
     want = ((source == CONTACT) & ~under) | ((source == LIDAR) & ~stray & (variance < 1e-3))
-    bound = np.where(stray | under, np.fmin(upper, height + 3.0 * np.sqrt(variance)), upper)
-    got = trust(height, variance, upper, count, source, 1e-3, 3, 0.05, 0.04)
+    want_bound = np.where(stray | under, np.fmin(upper, height + 3.0 * np.sqrt(variance)), upper)
+    got = trust(height, variance, upper, count, source, 1e-3, 3, 0.05, 0.04, bound := np.empty_like(upper))
     assert np.array_equal(got, want)
-    np.testing.assert_allclose(upper, bound, rtol=1e-6)
+    np.testing.assert_allclose(bound, want_bound, rtol=1e-6)
     for gone in (stray, under):
         assert np.isnan(height[gone]).all()
         assert (source[gone] == UNKNOWN).all()
@@ -101,9 +101,9 @@ def test_no_bridge_leads_over_a_single_point_on_the_floor_of_a_pit() -> None:
     variance = np.where(np.isfinite(height), 1e-4, np.nan).astype(np.float32)
     floor = 10, 15
     height[floor], count[floor], source[floor], variance[floor] = -0.12, 1, LIDAR, 1e-4
-    trust(height, variance, upper, count, source, 3.6e-3, 3, 0.05, 0.04)
-    assert upper[floor] == pytest.approx(-0.09, abs=1e-6)
-    assert np.isnan(bridged(height, upper)[7:14, 13:17]).all()
+    trust(height, variance, upper, count, source, 3.6e-3, 3, 0.05, 0.04, bound := np.empty_like(upper))
+    assert bound[floor] == pytest.approx(-0.09, abs=1e-6)
+    assert np.isnan(bridged(height, bound)[7:14, 13:17]).all()
     assert np.isfinite(bridged(height, np.full_like(height, 0.05))[7:14, 13:17]).all()
 
 

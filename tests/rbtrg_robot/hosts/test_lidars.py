@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,21 +15,31 @@ from hal.types import LidarScan, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.stages.navigation.goal import GoalState
 
 RESOLUTION = 0.02
 WIDTH = 1.12
 
 
-def lane() -> Scene:
-    """Ramps of 15 deg in a lane 1.12 m wide, with a fence around so that the odometry sees how far it came."""
-    x = np.arange(-1.5, 5.5, RESOLUTION)
+def ramps(x: np.ndarray) -> np.ndarray:
+    """Of 15 deg."""
+    return np.abs((np.maximum(x, 1.2) - 1.2 + 0.6) % 1.2 - 0.6) * math.tan(math.radians(15.0)) * (x < 3.6)
+
+
+def pit(x: np.ndarray) -> np.ndarray:
+    """Its near edge is nearer than the 1.9 m from which on the main LiDAR sees level ground."""
+    return -0.6 * ((x >= 0.95) & (x < 1.5))
+
+
+def lane(ground: Callable[[np.ndarray], np.ndarray] = ramps, first: float = -1.5) -> Scene:
+    """A lane 1.12 m wide from x = `first` on, with a fence around so that the odometry sees how far it came."""
+    x = np.arange(first, 5.5, RESOLUTION)
     y = np.arange(-1.5, 1.5, RESOLUTION)
-    rise = np.abs((np.maximum(x, 1.2) - 1.2 + 0.6) % 1.2 - 0.6) * math.tan(math.radians(15.0)) * (x < 3.6)
-    height = np.tile(rise.astype(np.float32), (len(y), 1))
-    wall = (np.abs(np.abs(y) - WIDTH / 2 - 0.03) < 0.03)[:, None] & (np.abs(x - 2.0) < 2.8)[None, :]
+    height = np.tile(ground(x).astype(np.float32), (len(y), 1))
+    wall = (np.abs(np.abs(y) - WIDTH / 2 - 0.03) < 0.03)[:, None] & ((x > first + 0.7) & (x < 4.8))[None, :]
     height[wall] = 0.6
     height[:4], height[-4:], height[:, :4], height[:, -4:] = 1.2, 1.2, 1.2, 1.2
-    return Scene("lane", height, RESOLUTION, (-1.5, -1.5), (0.0, 0.0, 0.0), {})
+    return Scene("lane", height, RESOLUTION, (first, -1.5), (0.0, 0.0, 0.0), {})
 
 
 @pytest.fixture
@@ -87,6 +98,53 @@ def test_ground_ahead_is_seen_to_the_first_crest_and_a_silent_head_lidar_is_told
         run(made, 1.5)
         assert "nothing from the head LiDAR" in made.newest[t.MAP_STATUS].warning
         assert made.newest[t.ROBOT_STATE].phase == "ready"
+
+
+def pit_is_trusted(stack: Lockstep) -> bool:
+    """Whether the map calls ground what nobody saw."""
+    patch = stack.host.stage("elevation").map.window(1.2, 0.0, 0.1)
+    return bool(((patch.layers["trusted"] > 0) & (patch.layers["elevation"] > -0.3)).any())
+
+
+def test_a_robot_whose_head_lidar_never_spoke_does_not_drive_into_a_pit_before_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = lane(pit)
+    monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
+    with stack(DEFAULT_LIDARS) as made:
+        mute(made, "head")
+        made.wait_ready()
+        run(made, 1.0)
+        assert "the ground at the feet is not seen" in made.newest[t.MAP_STATUS].warning
+        assert not pit_is_trusted(made)
+        made.send_goal(4.0, 0.0)
+        made.run_until(lambda: made.statuses[-1].state == "aborted", 8.0, "an end")
+        assert made.statuses[-1].reason == "start_not_on_graph"
+        assert "drive it by hand, slowly" in made.statuses[-1].detail
+        assert abs(moved(made)) < 0.3
+        assert made.newest[t.ROBOT_STATE].phase == "ready"
+
+
+def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = lane(lambda x: pit(-x), first=-4.5)
+    monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
+    with stack(DEFAULT_LIDARS) as made:
+        made.wait_ready()
+        run(made, 1.0)
+        mute(made, "head")
+        run(made, 1.0)
+        assert "the ground at the feet is not seen" in made.newest[t.MAP_STATUS].warning
+        made.send_goal(-3.5, 0.0)
+        run(made, 0.1)
+        end = made.seconds + 20.0
+        while made.seconds < end and not GoalState(made.statuses[-1].state).terminal:
+            run(made, 0.1)
+            assert moved(made) > -0.74  # its wheels stand before the pit
+        assert (made.statuses[-1].state, made.statuses[-1].reason) == ("aborted", "no_route")
+        assert "drive it by hand, slowly" in made.statuses[-1].detail
+        assert not made.newest[t.ROBOT_STATE].estop
 
 
 @pytest.mark.usefixtures("in_lane")

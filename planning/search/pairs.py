@@ -1,9 +1,9 @@
 """A* over ordered pairs of nodes for the body-aware cost.
 
-A state is a directed edge (i, j), driven forward or backward: twice its CSR slot, plus one if backward. Nearly all time goes into evaluating pose sets, so both
-searches are lazy: what enters a queue has a lower bound of its cost, its pose sets are evaluated when it comes up, and
-it goes back if that made it dearer. First a search over nodes, backwards from the goal, finds the cost to go without
-turns; that bound lacks so little that the search over pairs then evaluates few turns. The optimum is the one of
+A state is a directed edge (i, j), driven forward or backward: twice its CSR slot, plus one if backward. Nearly all time goes into evaluating pose sets, so the
+search is lazy: what enters the queue has a lower bound of its cost, its pose sets are evaluated when it comes up, and
+it goes back if that made it dearer. Two searches without the pose sets of turns come first (`planning.search.bounds`): what is
+left of their bound is only the risk of turns, so few turns are evaluated. The optimum is the one of
 Dijkstra over pairs; the bounds are never above the true cost. Evaluations are kept in tables, NaN = not yet. Paper:
 eq. 3-5.
 """
@@ -13,80 +13,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from planning.graph.describe import turn_is_free
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
 from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import back_factor, may_turn_to, turn_cost
+from planning.risk.turns import back_factor
+from planning.search.bounds import cost_to_come, cost_to_go, first_turn, last_turn, turn_between
 from planning.search.heap import grown, pop, push
-
-
-@njit(cache=True)
-def cost_to_go(
-    sampler: Sampler,
-    w: Weights,
-    arcs: Arcs,
-    tables: Tables,
-    start: int,
-    is_end: np.ndarray,
-    exit_cost: np.ndarray,
-) -> np.ndarray:
-    """(nodes,) lower bound of the cost from each node over an end to the goal, exact but for the turns: lazy A* backwards.
-
-    It stops at the start. What was not settled by then costs, together with the straight line from the start, at
-    least what the start costs; that is its bound, and the whole is still consistent. inf: no end can be reached.
-    """
-    work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, _, risk, _, _, _ = arcs
-    edge = tables.edge
-    count = x.size
-    h = np.full(count, np.inf)
-    closed = np.zeros(count, np.bool_)
-    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
-    n = 0
-    for i in range(count):
-        if is_end[i]:
-            h[i] = exit_cost[i]
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, h[i] + np.hypot(x[i] - x[start], y[i] - y[start]), i, -1)
-    while n > 0:
-        i, via = s[0], e[0]
-        n = pop(f, s, e, n)
-        if closed[i]:
-            continue
-        if via >= 0:  # an edge not evaluated when it was pushed
-            if np.isnan(edge[via, 0]):
-                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, via)
-            cost = h[source[via]] + transition_cost(w, length[via], risk[via], edge[via, 0], edge[via, 1])
-            if cost < h[i]:
-                h[i] = cost
-                n = push(f, s, e, n, cost + np.hypot(x[i] - x[start], y[i] - y[start]), i, -1)
-            continue
-        closed[i] = True
-        if i == start:
-            break
-        for out in range(indptr[i], indptr[i + 1]):
-            k = target[out]
-            if closed[k]:
-                continue
-            known = not np.isnan(edge[out, 0])
-            b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-            cost = h[i] + transition_cost(w, length[out], risk[out], b, u)
-            if cost >= h[k]:
-                continue
-            if known:
-                h[k] = cost
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, cost + np.hypot(x[k] - x[start], y[k] - y[start]), k, -1 if known else out)
-    for i in range(count):
-        if not closed[i]:
-            h[i] = max(0.0, h[start] - np.hypot(x[i] - x[start], y[i] - y[start]))
-    return h
 
 
 @njit(cache=True)
@@ -98,6 +33,8 @@ def search_pairs(
     start: int,
     is_end: np.ndarray,
     exit_cost: np.ndarray,
+    gx: float,
+    gy: float,
     start_yaw: float,
     goal_yaw: float,
     sweeps: bool,
@@ -115,15 +52,34 @@ def search_pairs(
     """
     none = np.empty(0, np.int64)
     turns = tables.turns
-    h = cost_to_go(sampler, w, arcs, tables, start, is_end, exit_cost)
-    if np.isinf(h[start]):
+    ways = 1 if np.isinf(backward) else 2
+    total, come = cost_to_come(sampler, w, arcs, tables, start, is_end, exit_cost, gx, gy)
+    if np.isinf(total):
+        return np.inf, none, 0, turns
+    limit, h = cost_to_go(
+        sampler,
+        w,
+        arcs,
+        tables,
+        start,
+        is_end,
+        exit_cost,
+        come,
+        start_yaw,
+        goal_yaw,
+        sweeps,
+        ways,
+        once,
+        backward,
+        turning,
+    )
+    if np.isinf(limit):
         return np.inf, none, 0, turns
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     states = 2 * target.size
-    ways = 1 if np.isinf(backward) else 2
     best = np.full(states, np.inf)  # least evaluated cost of each state
     parent = np.full(states, -1, np.int64)
     closed = np.zeros(states, np.bool_)
@@ -132,6 +88,7 @@ def search_pairs(
     # Queue entries: where the state was reached from, at what cost, and how far it is evaluated: not at all (0),
     # its edge (1), its edge and its turns (2).
     came, base, stage = np.empty(size, np.int64), np.empty(size), np.empty(size, np.int8)
+    extra = np.empty(size)  # what the turns of the entry cost beyond the risk of their pose sets
     n = 0
     entries = 0
     expanded = 0
@@ -144,22 +101,41 @@ def search_pairs(
         g = 0.0 if state < 0 else best[state]
         expanded += 1
         for out in range(indptr[at], indptr[at + 1]):
+            k = target[out]
             known = not np.isnan(edge[out, 0])
             b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
             step = transition_cost(w, length[out], risk[out], b, u)
             for way in range(ways):
                 to = 2 * out + way
+                if closed[to] or h[to] == np.inf:
+                    continue
                 cost = g + step
                 if way:
-                    cost = g + back_factor(backward, forward_only[at], forward_only[target[out]]) * step
-                if closed[to] or cost >= best[to]:
+                    cost = g + back_factor(backward, forward_only[at], forward_only[k]) * step
+                if cost >= best[to]:
+                    continue
+                turned = 0.0
+                if sweeps:
+                    # What turning costs is known without a look at the ground: it is part of the bound from the beginning.
+                    yaw = heading[out] + (np.pi if way else 0.0)
+                    if state >= 0:
+                        change = way != state % 2
+                        turned = turn_between(
+                            room[at], turn_rate[at], heading, state // 2, out, change, turning
+                        )
+                    else:
+                        turned = first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                    if is_end[k]:
+                        turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
+                    cost += turned
+                if cost >= best[to] or cost + h[to] > limit:
                     continue
                 if entries == came.size:
-                    came, base, stage = grown(came), grown(base), grown(stage)
+                    came, base, stage, extra = grown(came), grown(base), grown(stage), grown(extra)
                 if n == f.size:
                     f, s, e = grown(f), grown(s), grown(e)
-                came[entries], base[entries], stage[entries] = state, g, known
-                n = push(f, s, e, n, cost + h[target[out]], to, entries)
+                came[entries], base[entries], stage[entries], extra[entries] = state, g, known, turned
+                n = push(f, s, e, n, cost + h[to], to, entries)
                 entries += 1
         # Take the most promising state and evaluate what its cost still lacks, until one is certain.
         state = -1
@@ -182,12 +158,10 @@ def search_pairs(
             if np.isnan(edge[out, 0]):
                 evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
             b, u = edge[out, 0], edge[out, 1]
-            cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u)
+            cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
             stage[entry] += 1
-            if sweeps and (stage[entry] == 2 or cost + h[k] <= bound):
+            if sweeps and (stage[entry] == 2 or cost + h[to] <= bound):
                 stage[entry] = 2
-                b2, u2 = 0.0, 0.0
-                edges = 0.0
                 yaw = heading[out] + (np.pi if way else 0.0)
                 if origin >= 0:
                     came_by = origin // 2
@@ -200,29 +174,17 @@ def search_pairs(
                         tables.used[0] = used
                     change = way != origin % 2
                     row = turn_at[came_by] + 2 * (out - indptr[at]) + change
-                    d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
                     if np.isnan(turns[row, 0]):
-                        if turn_is_free(room[at], heading[came_by], d):
-                            turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[came_by], d)
-                        else:
-                            turns[row] = np.inf
-                    b2, u2 = turns[row]
-                    edges = turn_cost(turn_rate[at], d, turning)
+                        d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
+                        turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[came_by], d)
+                    b, u = max(b, turns[row, 0]), max(u, turns[row, 1])
                 elif not np.isnan(start_yaw):
-                    d = turn_angle(start_yaw, yaw)
-                    b2, u2 = np.inf, 0.0
-                    if turn_is_free(room[at], start_yaw, d):
-                        b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, d)
-                    edges = turn_cost(turn_rate[at], d, turning)
-                b, u = max(b, b2), max(u, u2)
-                if is_end[k] and not np.isnan(goal_yaw):
-                    d = turn_angle(yaw, goal_yaw)
-                    b2, u2 = np.inf, 0.0
-                    if may_turn_to(room[k], yaw, d):
-                        b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, d)
+                    b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, turn_angle(start_yaw, yaw))
                     b, u = max(b, b2), max(u, u2)
-                    edges += turn_cost(turn_rate[k], d, turning)
-                cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + edges
+                if is_end[k] and not np.isnan(goal_yaw):
+                    b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, turn_angle(yaw, goal_yaw))
+                    b, u = max(b, b2), max(u, u2)
+                cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
             elif not sweeps:
                 stage[entry] = 2
             if not cost < best[to]:
@@ -230,7 +192,7 @@ def search_pairs(
             if stage[entry] == 2:
                 best[to] = cost
                 parent[to] = origin
-            n = push(f, s, e, n, cost + h[k], to, entry)
+            n = push(f, s, e, n, cost + h[to], to, entry)
         if state < 0:
             return np.inf, none, expanded, turns
         closed[state] = True

@@ -216,6 +216,7 @@ def _search(
             start,
             ends,
             exit_cost,
+            *xy,
             start_yaw,
             goal_yaw,
             sweeps,

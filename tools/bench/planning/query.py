@@ -23,7 +23,8 @@ from planning.risk import reference
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import poses_features
 from planning.risk.table import RiskTable
-from planning.search.plan import PlanRequest, plan
+from planning.search.plan import DriveRules, PlanRequest, plan
+from rbtrg_robot.stage_config import PlannerConfig
 from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
 
@@ -130,7 +131,7 @@ def rows(report: Report, large: RiskTable) -> None:
 
 
 def stack_rows(report: Report, large: RiskTable) -> None:
-    """What the planner stage does for one answer on the large map, from poses: table, query and path; cold, then after updates."""
+    """What the planner stage does for one answer on the large map, from poses, by its rules: table, query and path; cold, then after updates."""
     grid, graph = large.grid, large.graph
     x0, y0, x1, y1 = grid.extent
     ends = [
@@ -138,7 +139,9 @@ def stack_rows(report: Report, large: RiskTable) -> None:
         for corner in ((x0, y0), (x1, y1))
     ]
     start, goal = ((float(x) + 0.06, float(y)) for x, y in ends)
-    request = PlanRequest(start, goal, 0.0, allow_frontier=True)
+    stage = PlannerConfig()
+    rules = DriveRules(stage.backward, stage.turning, straight=True)
+    request = PlanRequest(start, goal, 0.0, allow_frontier=True, rules=rules)
     table: RiskTable | None = None
 
     def answer() -> None:

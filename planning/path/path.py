@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -173,34 +173,51 @@ _SLACK_PEAK = 0.005
 """Share of a feature's scale by which the path's maximum may exceed the route's: what sampling alone makes of it."""
 
 
-def _excess(poses: Array, raw: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> float:
-    """How much riskier `poses` are than `raw`, in scaled risk: the worst of mean-and-tail risk and each core maximum."""
-    if not len(poses) or not len(raw):
-        return 0.0
-    step = steps_under(terrain, poses, body.length, body.width).max()
-    if step > limits.max_step and step > steps_under(terrain, raw, body.length, body.width).max() + 1e-6:
-        return float("inf")
-    got, want = terrain_features(terrain, poses, body), terrain_features(terrain, raw, body)
-    (mean, tail), (raw_mean, raw_tail) = moments_of(got, body), moments_of(want, body)
-    rise = body.weight_mean * (mean - raw_mean) + body.weight_tail * (tail - raw_tail)
-    peak = (got.max(axis=0) - want.max(axis=0)) / body.scales
-    return float(max(rise[:3].sum(), rise[3], peak.max()))
+@dataclass(frozen=True, slots=True)
+class _Worst:
+    """What a pose set means for the body: scaled mean and tail mean, and largest value of each feature, (4,) each."""
+
+    mean: Array
+    tail: Array
+    peak: Array
+
+    @classmethod
+    def of(cls, features: Array, body: BodyModel) -> _Worst:
+        return cls(*moments_of(features, body), features.max(axis=0))
+
+    def above(self, other: _Worst, body: BodyModel) -> float:
+        """How much riskier this is than `other`, in scaled risk: the worst of mean-and-tail risk and each core maximum."""
+        rise = body.weight_mean * (self.mean - other.mean) + body.weight_tail * (self.tail - other.tail)
+        peak = (self.peak - other.peak) / body.scales
+        return float(max(rise[:3].sum(), rise[3], peak.max()))
 
 
 def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, int]:
     """Samples (n, 2) of the rounded route and the number of corners left sharp."""
     raw = _corner_poses(vertices, _dense(body, limits))
-    peak = _peak(np.concatenate(raw), terrain, body)
+    along = terrain_features(terrain, np.concatenate(raw), body)
+    peak = along[:, :3].max(axis=0)
+    parts = np.split(along, np.cumsum([len(poses) for poses in raw])[:-1])
+    sharp = [_Worst.of(part, body) if len(part) else None for part in parts]
+
+    def steps(poses: Array) -> float:
+        return float(steps_under(terrain, poses, body.length, body.width).max())
 
     def riskier(xy: Array, corners: list[tuple[int, slice]]) -> list[int]:
         """Corners whose rounding is riskier than the route."""
         poses = np.column_stack([xy, _headings(xy)])
+        features = terrain_features(terrain, poses, body)
         out = []
         for i, part in corners:
-            mine = poses[part]
-            over = _peak(mine, terrain, body) - peak > _SLACK_PEAK * body.scales[:3]
-            if over.any() or _excess(mine, raw[i], terrain, body, limits) > _SLACK:
+            mine, was = _Worst.of(features[part], body), sharp[i]
+            higher = (mine.peak[:3] - peak > _SLACK_PEAK * body.scales[:3]).any()
+            if higher or (was is not None and mine.above(was, body) > _SLACK):
                 out.append(i)
+            elif was is not None:
+                step = steps(poses[part])
+                # The rounding may meet a face that the sharp corner does not.
+                if step > limits.max_step and step > steps(raw[i]) + 1e-6:
+                    out.append(i)
         return out
 
     return rounded(vertices, limits.corridor, limits.spacing, riskier)
@@ -219,11 +236,6 @@ def _corner_poses(vertices: Array, body: BodyModel) -> list[Array]:
             turn = sweep_poses(v[0], v[1], before[0, 2], after[0, 2], body)
         out.append(np.concatenate([before, turn, after]))
     return out
-
-
-def _peak(poses: Array, terrain: Terrain, body: BodyModel) -> Array:
-    """(3,) largest core features of the poses."""
-    return terrain_features(terrain, poses, body)[:, :3].max(axis=0)
 
 
 def _headings(xy: Array) -> Array:

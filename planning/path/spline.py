@@ -55,18 +55,7 @@ def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np
     Returns points (n, 2) and the vertex each sample belongs to (n,).
     """
     control, owner = controls(vertices, reach)
-    dense, of, sharp = [control[:1]], [owner[:1]], [np.zeros(1, bool)]
-    for k in range(len(control) - 3):
-        span = control[k : k + 4]
-        chord = np.hypot(*np.diff(span, axis=0).T).sum()
-        if chord < 1e-12:
-            continue
-        t = np.linspace(0.0, 1.0, max(4, int(np.ceil(chord / (0.25 * step)))) + 1)[1:]
-        dense.append(np.vander(t, 4, increasing=True) @ (BLEND @ span))
-        of.append(np.where(t < 0.5, owner[k + 1], owner[k + 2]))
-        sharp.append(np.zeros(t.size, bool))
-        sharp[-1][-1] = bool((control[k + 1] == control[k + 3]).all())
-    xy, own, corner = np.concatenate(dense), np.concatenate(of), np.concatenate(sharp)
+    xy, own, corner = _sampled(control, owner, step)
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     corner[-1] = True
     stops = np.flatnonzero(corner)
@@ -81,6 +70,31 @@ def curve(vertices: Array, reach: Array, step: float) -> tuple[Array, NDArray[np
     out = np.column_stack([np.interp(at, arc, xy[:, 0]), np.interp(at, arc, xy[:, 1])])
     out[0], out[-1] = vertices[0], vertices[-1]
     return out, own[np.minimum(np.searchsorted(arc, at - 1e-12), len(own) - 1)]
+
+
+def _sampled(
+    control: Array, owner: NDArray[np.int64], step: float
+) -> tuple[Array, NDArray[np.int64], NDArray[np.bool_]]:
+    """Points (n, 2) of the spline, at least four on each span and closer than a quarter of `step` [m], the vertex (n,) each belongs to, and (n,)
+    which stand on a sharp corner. All spans with as many points are worked out at once."""
+    leg = np.hypot(*np.diff(control, axis=0).T)
+    chord = leg[:-2] + leg[1:-1] + leg[2:]
+    spans = np.flatnonzero(chord >= 1e-12)
+    count = np.maximum(4, np.ceil(chord[spans] / (0.25 * step)).astype(np.int64))
+    first = np.concatenate([[1], 1 + np.cumsum(count)])
+    xy, own = np.empty((first[-1], 2)), np.empty(first[-1], np.int64)
+    corner = np.zeros(first[-1], np.bool_)
+    xy[0], own[0] = control[0], owner[0]
+    for n in np.unique(count).tolist():
+        mine = np.flatnonzero(count == n)
+        at = spans[mine]
+        t = np.linspace(0.0, 1.0, n + 1)[1:]
+        powers = np.broadcast_to(np.vander(t, 4, increasing=True), (len(at), n, 4))
+        where = first[mine][:, None] + np.arange(n)
+        xy[where] = powers @ (BLEND @ control[at[:, None] + np.arange(4)])
+        own[where] = np.where(t < 0.5, owner[at + 1][:, None], owner[at + 2][:, None])
+    corner[first[1:] - 1] = (control[spans + 1] == control[spans + 3]).all(axis=1)
+    return xy, own, corner
 
 
 def smooth_route(vertices: Array, corridor: float = 0.08, spacing: float = 0.02) -> Array:

@@ -309,21 +309,26 @@ def poses_features(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
     """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
-    height, trusted, stride = sampler.height, sampler.trusted, sampler.stride
+    # As in `features_of` nothing is taken out of the tuple in the loop.
+    height, trusted, stride, u, v = sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v
+    ox, oy, inv = sampler.ox, sampler.oy, sampler.inv
     rows = height.size // stride
     out = np.zeros(poses.shape[0])
     for i in range(poses.shape[0]):
         c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
-        col0, row0 = (poses[i, 0] - sampler.ox) * sampler.inv, (poses[i, 1] - sampler.oy) * sampler.inv
-        for k in range(sampler.u.size):
-            col = int(np.floor(col0 + sampler.u[k] * c - sampler.v[k] * s + 0.5))
-            row = int(np.floor(row0 + sampler.u[k] * s + sampler.v[k] * c + 0.5))
+        col0, row0 = (poses[i, 0] - ox) * inv, (poses[i, 1] - oy) * inv
+        best = np.float32(0.0)
+        for k in range(u.size):
+            col = int(np.floor(col0 + u[k] * c - v[k] * s + 0.5))
+            row = int(np.floor(row0 + u[k] * s + v[k] * c + 0.5))
             at = row * stride + col
             if col < 1 or row < 1 or col > stride - 2 or row > rows - 2 or not trusted[at]:
                 continue
+            here = height[at]
             for other in (at - 1, at + 1, at - stride, at + stride):
                 if trusted[other]:
-                    out[i] = max(out[i], abs(height[other] - height[at]))
+                    best = max(best, abs(height[other] - here))
+        out[i] = best
     return out
 
 

@@ -25,6 +25,7 @@ STOPS = (
 Colour = tuple[int, int, int]
 WHITE: Colour = (255, 255, 255)
 RED: Colour = (235, 60, 60)
+ORANGE: Colour = (224, 140, 64)
 GREEN: Colour = (80, 220, 120)
 
 
@@ -38,15 +39,19 @@ class TopView:
         origin: tuple[float, float],
         resolution: float,
         size: int = 900,
+        assumed: NDArray[np.bool_] | None = None,
     ) -> None:
-        """`height` (rows, cols) [m], finite; `trusted` (rows, cols), False is drawn dark; `origin`: x, y [m] of the centre of cell
+        """`height` (rows, cols) [m], finite; `trusted` (rows, cols), False is drawn dark; `assumed` (rows, cols) is drawn orange; `origin`: x, y [m] of the centre of cell
         [0, 0]; `resolution` [m]; `size`: pixels of the longer side."""
         self._rows, cols = height.shape
         self._zoom = size / max(self._rows, cols)
         self._origin = origin
         self._resolution = resolution
         pixels = max(1, round(cols * self._zoom)), max(1, round(self._rows * self._zoom))
-        relief = Image.fromarray(_relief(np.asarray(height, np.float64), trusted, resolution)[::-1])
+        colours = _relief(np.asarray(height, np.float64), trusted, resolution)
+        if assumed is not None:
+            colours[assumed] = ORANGE
+        relief = Image.fromarray(colours[::-1])
         self._image = relief.resize(pixels, Image.Resampling.BILINEAR)
         self._draw = ImageDraw.Draw(self._image)
         self._letter = max(11, size // 60)

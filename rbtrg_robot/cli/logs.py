@@ -237,7 +237,7 @@ def log_keep(
 
 @log_app.command("picture")
 def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
-    """Draw a run from above: the map at its end, the last path, the way that was driven."""
+    """Draw a run from above: the map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the way that was driven."""
     from rbtrg_robot.log.picture import picture
 
     print(f"{picture(file, out):.1f} m driven -> {out}")

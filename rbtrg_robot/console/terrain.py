@@ -1,7 +1,8 @@
 """The elevation map for pages: tiles of 64 x 64 cells, each sent again when it changed. Four bytes a cell.
 
 A tile on the wire, little-endian: int32 row, int32 column of its first cell on the world lattice, int16[64, 64] height [mm]
-(-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust (0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR, 4 wheels).
+(-32768 unknown), uint8[64, 64] ground risk, uint8[64, 64] trust (0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR,
+4 wheels, 5 assumed: nobody saw it).
 Ground risk: slope or face as a share of what the robot drives over; 200 is its limit, 255 unknown.
 Ages go by themselves, to pages that show them: row, column, uint8[64, 64] seconds since the cell was seen (254 and more, 255 never).
 """
@@ -32,6 +33,8 @@ LIMIT = 200
 MOST = 40
 """Tiles of one message: 0.7 MB."""
 UNKNOWN = -32768
+KINDS = np.array([0, 4, 3, 2, 5], np.uint8)
+"""Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed."""
 MEASURED = (1, 2)
 """Sources of a height that was seen: wheels, LiDAR."""
 AGREES = 0.1
@@ -217,6 +220,6 @@ def ground_risk(
 
 
 def trust_of(trusted: NDArray[np.float32], source: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR, 4 wheels. `source` as in `MapPatch`."""
-    kind = np.array([0, 4, 3, 2], np.uint8)[np.clip(np.nan_to_num(source), 0, 3).astype(int)]
-    return np.where(kind == 0, 0, np.where(trusted > 0.5, kind, 1)).astype(np.uint8)
+    """0 unknown, 1 seen but not trusted, 2 bridged, 3 LiDAR, 4 wheels, 5 assumed. `source` as in `MapPatch`."""
+    kind = KINDS[np.clip(np.nan_to_num(source), 0, len(KINDS) - 1).astype(int)]
+    return np.where(np.isin(kind, (0, 5)) | (trusted > 0.5), kind, 1).astype(np.uint8)

@@ -1,4 +1,6 @@
-"""A run seen from above, drawn from its log: the map as it was at the end, the last path, and where the robot drove."""
+"""A run seen from above, drawn from its log: the map as it was at the end (what is not trusted dark, what is assumed orange), the last path,
+and where the robot drove.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +10,7 @@ import numpy as np
 
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from mapping.elevation.mirror import MapMirror
+from mapping.elevation.tiles import ASSUMED
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError
 from rbtrg_robot.log.file import read_run
@@ -54,14 +57,15 @@ def picture(log: Path, out: Path) -> float:
             goals.append((message.x, message.y))
     if not mirror.resolution:
         raise ConfigError(f"{log} holds no elevation map: there is nothing to draw")
-    grid = mirror.patch().grid(filled=True)
+    patch = mirror.patch()
+    grid, assumed = patch.grid(filled=True), patch.layers["source"] == ASSUMED
     if not grid.trusted.any():
         raise ConfigError(f"the elevation map in {log} holds no ground yet: there is nothing to draw")
     r, c = (np.flatnonzero(grid.trusted.any(axis=axis)) for axis in (1, 0))
     seen = slice(r[0], r[-1] + 1), slice(c[0], c[-1] + 1)
     x0, y0 = grid.origin
     corner = x0 + c[0] * grid.resolution, y0 + r[0] * grid.resolution
-    view = TopView(grid.height[seen], grid.trusted[seen], corner, grid.resolution)
+    view = TopView(grid.height[seen], grid.trusted[seen], corner, grid.resolution, assumed=assumed[seen])
     if path:
         view.line(path, PATH_COLOUR, 3)
     view.line(track, TRACK_COLOUR, 2)

@@ -206,12 +206,17 @@ export function readPlan(found) {
   return { ...found, worst: body.length ? body.indexOf(Math.max(...body)) : -1 };
 }
 
+// At most so much of the way [m] leads over ground that nobody saw or that is assumed.
+export const unseen = (plan) =>
+  plan.transition_length.reduce((sum, length, k) => sum + length * plan.transition_unknown[k], 0);
+
 export function facts_of(plan) {
   const worst = plan.worst;
   const rows = [
     ["Length", `${figure(plan.length, 1)} m`],
     ["Time", `about ${figure(plan.duration, 0)} s`],
     ["Cost", `${figure(plan.cost, 1)} m`],
+    ["Nobody saw", `up to ${figure(unseen(plan), 1)} m of it`],
   ];
   if (worst >= 0)
     rows.push(

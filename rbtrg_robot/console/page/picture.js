@@ -1,7 +1,12 @@
 // The tools over the picture, what the colours mean, and what comes for it.
 import { $, figure, put } from "./tell.js";
 
-const AGE = 3;
+const TRUST = 2,
+  AGE = 3;
+const NOTES = {
+  [TRUST]: "· yellow: bridged between rays; orange: assumed, nobody saw it; empty: not seen; hatched: not trusted",
+  [AGE]: "· grey: not known when",
+};
 
 export function makePicture(link, view) {
   const small = matchMedia("(max-width: 860px)").matches;
@@ -50,7 +55,7 @@ export function makePicture(link, view) {
   const LAYERS = [
     ["low", "high", ["#66878c", "#a8ad8f", "#dbbf94"]],
     ["flat", "limit", ["#4c998c", "#e5cc66", "#9e1a38"]],
-    ["unseen", "wheels", ["#8c8c8c", "#599ebf", "#40b373"]],
+    ["not trusted", "wheels", ["#8c8c8c", "#599ebf", "#40b373"]],
     ["now", "1 min", ["#4db8db", "#ccb880", "#7a4238"]],
   ];
   function legend() {
@@ -67,7 +72,7 @@ export function makePicture(link, view) {
       view.world.layer ? from : `${figure(view.ground.low, 1)} m`,
       bar,
       view.world.layer ? to : `${figure(view.ground.high, 1)} m`,
-      small ? "" : view.world.layer === AGE ? "· grey: not known when" : "· hatched: not trusted",
+      small ? "" : NOTES[view.world.layer] ?? "· hatched: not trusted or assumed",
     );
   }
   $("layer").onchange = () => {

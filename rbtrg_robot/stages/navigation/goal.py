@@ -54,6 +54,10 @@ _ACTIVE = (
 )
 
 
+UNSEEN = 0.2
+"""Less of a way over unseen ground [m] is not told."""
+
+
 @dataclass(frozen=True, slots=True)
 class GoalArea:
     """What goals must lie in."""
@@ -68,6 +72,15 @@ class GoalArea:
         polygon = config.allowed_area()
         room = math.hypot(config.gate.fence_margin, BODY_WIDTH / 2)
         return cls(Geofence.of(polygon) if polygon else None, room)
+
+
+def over_unseen(plan: msg.Plan) -> str:
+    """How much of a way leads over ground that nobody saw or that is assumed, in plain words; empty for less than `UNSEEN`. At most: each
+    transition counts with the unseen share of its worst pose."""
+    if len(plan.transition_length) != len(plan.transition_unknown):
+        return ""
+    metres = float(plan.transition_length @ plan.transition_unknown)
+    return f"up to {metres:.1f} m of the way lead over ground that nobody saw" if metres >= UNSEEN else ""
 
 
 @dataclass(slots=True)

@@ -11,7 +11,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
-from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, status_of
+from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, over_unseen, status_of
 from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
@@ -174,7 +174,7 @@ class NavigatorStage:
             goal.frontier = not message.reaches_goal
             goal.risk = float(message.transition_body.max(initial=0.0))
             goal.state = GoalState.MOVING
-            goal.detail = ""
+            goal.detail = over_unseen(message)
             self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
             return self._status()
         reason = Reason.of(message.reason) or Reason.NO_ROUTE

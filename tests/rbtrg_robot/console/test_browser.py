@@ -188,6 +188,7 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
     assert "Front to back\n12 cm" in words
     assert "Left to right\n6°" in words
     assert "The native cost alone would have gone 3.1 m" in page.inner_text("#why-sum")
+    assert "up to 0.0 m over ground that nobody saw" in page.inner_text("#why-sum")
     assert page.evaluate("consoleView.world.chosen") == 2
 
 
@@ -647,6 +648,8 @@ def test_the_ground_tells_its_age_where_it_is_asked_for(visit: Callable[..., Pag
     page.select_option("#layer", label="Age")
     until(page, "consoleView.ground.cell(1, 0).age < 100")
     assert "grey: not known when" in page.inner_text("#legend")
+    page.select_option("#layer", label="Trust")
+    assert "orange: assumed, nobody saw it" in page.inner_text("#legend")
     until(page, SEEN)
 
 

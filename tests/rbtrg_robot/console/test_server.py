@@ -24,7 +24,7 @@ from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.console.lease import VALID, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
-from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk
+from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk, trust_of
 from rbtrg_robot.process.runfiles import RunLock, console_file
 from rbtrg_robot.stages.planner import build
 from rbtrg_robot.wire.bus import Bus
@@ -233,6 +233,12 @@ def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray,
         layers = np.frombuffer(body, np.uint8)[2 * SIDE * SIDE :].reshape(2, SIDE, SIDE)
         found[row, col] = (np.frombuffer(body, "<i2", SIDE * SIDE).reshape(SIDE, SIDE), layers[0], layers[1])
     return found
+
+
+def test_ground_that_is_assumed_is_told_apart_from_what_was_seen() -> None:
+    source = np.array([[0, 1, 2, 3, 4, np.nan]], np.float32)
+    assert trust_of(np.ones_like(source), source).tolist() == [[0, 4, 3, 2, 5, 0]]
+    assert trust_of(np.zeros_like(source), source).tolist() == [[0, 1, 1, 1, 5, 0]]
 
 
 def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:

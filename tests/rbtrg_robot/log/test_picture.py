@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from hal.scenes.picture import ORANGE
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -29,6 +30,8 @@ def test_the_way_that_was_driven_is_drawn_on_the_map(tmp_path: Path) -> None:
     pixels = np.asarray(Image.open(tmp_path / "run.png").convert("RGB"), int)
     assert max(pixels.shape[:2]) == 900
     assert (np.abs(pixels - TRACK_COLOUR).sum(axis=2) < 30).sum() > 50
+    # The robot stands: between the rings of its main LiDAR lies ground that is assumed.
+    assert (np.abs(pixels - ORANGE).sum(axis=2) < 10).sum() > 500
 
 
 def test_a_log_without_a_map_is_refused(tmp_path: Path) -> None:

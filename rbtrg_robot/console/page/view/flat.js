@@ -1,5 +1,5 @@
 // The same world from above on a 2D canvas, for browsers without WebGL2 and after a context that does not come back.
-import { NEVER, UNKNOWN } from "./ground.js";
+import { doubtful, NEVER, UNKNOWN } from "./ground.js";
 import { bodies, COLOUR, places, rim, risky } from "./shapes.js";
 
 const css = ([r, g, b, a = 255]) => `rgb(${r} ${g} ${b} / ${a / 255})`;
@@ -34,6 +34,7 @@ export function makeFlat(canvas, world, ground, camera) {
             [184, 184, 115],
             [89, 158, 191],
             [64, 178, 115],
+            [224, 140, 64],
           ][tile.trust[k]];
         if (world.layer === 3) {
           const old = Math.min(1, tile.age[k] / 60 + (performance.now() - tile.aged) / 60000);
@@ -44,7 +45,7 @@ export function makeFlat(canvas, world, ground, camera) {
                 ? [77 + 254 * old, 184, 219 - 184 * old]
                 : [286 - 164 * old, 302 - 236 * old, 199 - 143 * old];
         }
-        if (tile.trust[k] <= 1 && world.layer !== 3 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
+        if (doubtful(tile.trust[k]) && world.layer !== 3 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
         for (let i = 0; i < 3; i++) image.data[at + i] = paint[i] * light;
         image.data[at + 3] = 255;
       }

@@ -18,9 +18,9 @@ void main() {
   float t = clamp((at.z - span.x) / (span.y - span.x), 0.0, 1.0);
   vec3 paint = ramp(t, vec3(0.40, 0.53, 0.55), vec3(0.66, 0.68, 0.56), vec3(0.86, 0.75, 0.58));
   if (layer == 1) { float r = float(mark.x) / 200.0; paint = mark.x == 255u ? vec3(0.5) : r < 1.0 ? ramp(r, vec3(0.30, 0.60, 0.55), vec3(0.90, 0.80, 0.40), vec3(0.90, 0.45, 0.20)) : vec3(0.62, 0.10, 0.22); }
-  if (layer == 2) paint = mark.y <= 1u ? vec3(0.55) : mark.y == 2u ? vec3(0.72, 0.72, 0.45) : mark.y == 3u ? vec3(0.35, 0.62, 0.75) : vec3(0.25, 0.70, 0.45);
+  if (layer == 2) paint = mark.y <= 1u ? vec3(0.55) : mark.y == 5u ? vec3(0.88, 0.55, 0.25) : mark.y == 2u ? vec3(0.72, 0.72, 0.45) : mark.y == 3u ? vec3(0.35, 0.62, 0.75) : vec3(0.25, 0.70, 0.45);
   if (layer == 3) paint = mark.z == 255u ? vec3(0.5) : ramp(clamp((float(mark.z) + since) / 60.0, 0.0, 1.0), vec3(0.30, 0.72, 0.86), vec3(0.80, 0.72, 0.50), vec3(0.48, 0.26, 0.22));
-  if (mark.y <= 1u && layer != 3) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, vec3(0.45), h < 0.35 ? 0.45 : 0.15); }
+  if ((mark.y <= 1u || mark.y == 5u) && layer != 3) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, vec3(0.45), h < 0.35 ? 0.45 : 0.15); }
   if (layer == 1 && mark.x >= 200u && mark.x < 255u) { float h = fract((at.x - at.y) * 8.0); paint *= h < 0.4 ? 0.65 : 1.0; }
   float light = 0.55 + 0.5 * max(0.0, dot(n, normalize(vec3(0.35, -0.45, 0.85))));
   vec2 g = abs(fract(at.xy - 0.5) - 0.5) / fwidth(at.xy);

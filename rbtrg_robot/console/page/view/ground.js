@@ -6,6 +6,8 @@ const SIDE = 64,
   TILE = 8 + 4 * CELLS;
 export const UNKNOWN = -32768,
   NEVER = 255; // age of a cell that nothing agreed with
+// Not trusted, or assumed (5).
+export const doubtful = (trust) => trust <= 1 || trust === 5;
 
 export function makeGround() {
   const tiles = new Map();

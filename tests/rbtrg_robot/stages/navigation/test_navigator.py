@@ -120,8 +120,9 @@ class World:
         reaches: bool = True,
         reason: str = "",
         kerb: float = math.inf,
+        unseen: float = 0.0,
     ) -> None:
-        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]."""
+        """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the second half of the way."""
         request = self.last(t.PLAN_REQUEST)
         line = np.linspace(0.0, 1.0, 11 if kerb > 1.0 else 51)
         self.send(
@@ -137,6 +138,8 @@ class World:
             yaw=0 * line,
             speed=0 * line + 0.5,
             transition_body=np.array([0.1, 0.4]),
+            transition_length=np.array([0.5, 0.5]),
+            transition_unknown=np.array([0.0, unseen]),
         )
 
     def last(self, topic: Topic) -> Any:
@@ -172,6 +175,15 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     world.run(0.2)
     assert world.status.state == "reached"
     assert world.last(t.PATH_COMMAND).id == ""
+
+
+def test_a_way_over_ground_that_nobody_saw_is_told(world: World) -> None:
+    world.goal(1.0, 0.0)
+    world.answer(unseen=0.2)
+    assert (world.status.state, world.status.detail) == ("moving", "")
+    world.goal(1.0, 0.5, "h")
+    world.answer(unseen=0.8)
+    assert world.status.detail == "up to 0.4 m of the way lead over ground that nobody saw"
 
 
 @pytest.mark.parametrize("asked", [True, False])

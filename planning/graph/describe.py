@@ -111,6 +111,8 @@ def turn_is_free(headings, yaw_in, turn):
 
     Both ends are left out: they are headings of edges, whose corridors were tested to the full width.
     """
+    if headings & ALL_HEADINGS == ALL_HEADINGS:
+        return True
     step = math.pi / HEADINGS
     low = min(yaw_in, yaw_in + turn)
     high = max(yaw_in, yaw_in + turn)

@@ -1,6 +1,7 @@
 """Faces: how high and which way the ground rises within a hand's breadth, per cell. They are better crossed head-on.
 
-A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides. Its direction
+A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides, or that goes on evenly
+to one side: a ridge is no face. Its direction
 is the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height in
 both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
 """
@@ -14,6 +15,9 @@ from numba import njit
 
 BASE = 0.12
 """Distance over which the rise is taken [m], as for the flags."""
+EVEN, STEEPEST = 0.7, 0.7
+"""A slope goes on where the next rise is this share of the one here or more, the other way round too, unless it is steeper than this [m/m]: stairs
+rise evenly as well."""
 LEAST = 0.4
 """Faces below this share of the step limit are crossed at any angle alike."""
 OBLIQUE_RISK = 1.0
@@ -44,6 +48,10 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                     after = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
                     if before * rise > 0.0 and after * rise > 0.0:
                         common = min(abs(before), abs(after), abs(rise))
+                    if abs(rise) < STEEPEST * 2 * n * res:
+                        for next_rise in (before, after):
+                            if next_rise * rise > 0.0 and EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN:
+                                common = max(common, min(abs(next_rise), abs(rise)))
                 most = np.float32(30.0)
                 value = min(abs(rise) - common, most)
                 faces[r, c, axis] = round(1000.0 * value) * (1 if rise > 0.0 else -1)

@@ -49,6 +49,20 @@ def test_ramps_and_what_was_not_seen_have_no_faces() -> None:
     assert np.abs(faces_of(kerb, np.abs(x - 1.2) > 0.2)[inner]).max() == 0
 
 
+@pytest.mark.parametrize("degrees", [10, 15, 20])
+def test_ridges_and_valleys_are_no_faces_and_a_kerb_on_a_slope_is_one(degrees: int) -> None:
+    _, x = np.mgrid[0:60, 0:60] * RES
+    noise = 0.003 * np.random.default_rng(degrees).standard_normal(x.shape)
+    steep = np.tan(np.radians(degrees))
+    inner = np.s_[8:-8, 8:-8]
+    ridge = np.abs(x - 1.2) * steep
+    for z in (ridge, -ridge):
+        high = np.abs(faces_of(z + noise)[inner]).max(axis=2) > 30  # mm, LEAST of `planning.graph.fields`
+        assert high.mean() < 0.02
+    kerb = np.abs(faces_of(steep * x + np.where(x > 1.2, 0.1, 0.0) + noise)[inner])[..., 0]
+    assert np.median(kerb[:, 20:24]) == pytest.approx(100, abs=10)  # 0.08 m on both sides of it
+
+
 def test_the_angle_allowed_falls_with_the_height() -> None:
     deg = np.degrees([max_angle(h, 0.10, np.radians(30)) for h in (0.0, 0.04, 0.07, 0.10, 0.20)])
     np.testing.assert_allclose(deg, [90, 90, 60, 30, 30])

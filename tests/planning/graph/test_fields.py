@@ -56,6 +56,14 @@ def test_bars_kerbs_walls_and_rough_ground_are_no_fields() -> None:
     assert [marked(z + noise) for z in (bar, crossed, kerb, wall, rough)] == [0] * 5
 
 
+def test_crossing_ramps_have_no_price_of_a_field() -> None:
+    """Half ramps of 15 deg and 0.6 m in two columns, out of step."""
+    along = np.where(Y < 1.2, X, X + 0.6)
+    z = 0.6 * np.tan(np.radians(15.0)) * (1.0 - np.abs(along % 1.2 - 0.6) / 0.6)
+    z = z + 0.004 * np.random.default_rng(5).standard_normal(z.shape)
+    assert not flagged(z, np.ones(z.shape, bool), 0.12).any()
+
+
 def test_sums_over_squares_are_those_of_a_loop() -> None:
     values = np.random.default_rng(0).integers(-50, 50, (9, 7)).astype(np.int32)
     want = [[values[max(0, r - 2) : r + 3, max(0, c - 2) : c + 3].sum() for c in range(7)] for r in range(9)]

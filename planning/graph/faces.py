@@ -50,7 +50,10 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
                         common = min(abs(before), abs(after), abs(rise))
                     if abs(rise) < STEEPEST * 2 * n * res:
                         for next_rise in (before, after):
-                            if next_rise * rise > 0.0 and EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN:
+                            if (
+                                next_rise * rise > 0.0
+                                and EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN
+                            ):
                                 common = max(common, min(abs(next_rise), abs(rise)))
                 most = np.float32(30.0)
                 value = min(abs(rise) - common, most)

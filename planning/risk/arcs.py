@@ -35,23 +35,38 @@ class Arcs(NamedTuple):
     """(nodes,) a face under the wheels is too high to be climbed backward."""
 
 
-def arcs_of(graph: TraversalGraph) -> Arcs:
-    """The graph's arrays with length, heading and opposite of every directed edge."""
+def arcs_of(graph: TraversalGraph, old: Arcs | None = None, kept: NDArray[np.int64] | None = None) -> Arcs:
+    """The graph's arrays with length, heading and opposite of every directed edge.
+
+    `kept` (slots of `old`,) tells which slots here are the edges of `old`, all of them with both directions and ends at
+    the same place: these are not worked out again.
+    """
     x = np.ascontiguousarray(graph.nodes[:, 0], dtype=np.float64)
     y = np.ascontiguousarray(graph.nodes[:, 1], dtype=np.float64)
     indptr = np.ascontiguousarray(graph.indptr, dtype=np.int64)
     target = np.ascontiguousarray(graph.indices, dtype=np.int32)
     source = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(indptr))
-    dx, dy = x[target] - x[source], y[target] - y[source]
+    length, heading = np.empty(len(target)), np.empty(len(target))
+    reverse = np.full(len(target), -1, np.int64)
+    if old is None or kept is None:
+        new = np.arange(len(target))
+    else:
+        known = np.zeros(len(target), np.bool_)
+        known[kept] = True
+        length[kept], heading[kept], reverse[kept] = old.length, old.heading, kept[old.reverse]
+        new = np.flatnonzero(~known)
+    dx, dy = x[target[new]] - x[source[new]], y[target[new]] - y[source[new]]
+    length[new], heading[new] = np.hypot(dx, dy), np.arctan2(dy, dx)
+    _find_reverse(indptr, source, target, new, reverse)
     return Arcs(
         x,
         y,
         indptr,
         source,
         target,
-        _reverse_slots(indptr, source, target),
-        np.hypot(dx, dy),
-        np.arctan2(dy, dx),
+        reverse,
+        length,
+        heading,
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
         turn_rates(graph.turn_edge, graph.params.max_turn_step),
@@ -60,13 +75,13 @@ def arcs_of(graph: TraversalGraph) -> Arcs:
 
 
 @njit(cache=True)
-def _reverse_slots(indptr: np.ndarray, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Slot of the opposite direction of every slot, -1 where it is missing."""
-    out = np.full(target.size, -1, np.int64)
-    for s in range(target.size):
+def _find_reverse(
+    indptr: np.ndarray, source: np.ndarray, target: np.ndarray, slots: np.ndarray, out: np.ndarray
+) -> None:
+    """Write the slot of the opposite direction of each of `slots` into `out`; it is left alone where that is missing."""
+    for s in slots:
         j = target[s]
         for o in range(indptr[j], indptr[j + 1]):
             if target[o] == source[s]:
                 out[s] = o
                 break
-    return out

@@ -47,7 +47,12 @@ class RiskTable:
         Edge evaluations go both ways: `take_back` brings home what the query added.
         """
         out = copy.copy(self)
-        out.graph, out.arcs, out._tables, out._ids = graph, arcs_of(graph), {}, graph.node_ids
+        out.graph, out.arcs, out._tables, out._ids = (
+            graph,
+            arcs_of(graph, self.arcs, kept),
+            {},
+            graph.node_ids,
+        )
         for key, tables in self._tables.items():
             body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
             out.tables(body).edge[kept] = tables.edge

@@ -7,8 +7,10 @@ import pytest
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
+from planning.search.endpoints import endpoints
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import lattice, rough
 
@@ -100,3 +102,14 @@ def test_edges_evaluated_ahead_change_no_route() -> None:
             request = PlanRequest(a, b, 0.4, None, variant)  # type: ignore[arg-type]
             one, two = plan(graph, grid, request, BODY, ahead), plan(graph, grid, request, BODY)
             assert (one.nodes, one.cost) == (two.nodes, two.cost)
+
+
+def test_the_arcs_of_a_query_equal_those_made_from_its_graph() -> None:
+    grid = ElevationGrid(ground(2), np.ones((110, 120), bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), 2)
+    table = RiskTable(graph, grid, BODY)
+    for start, goal in (((1.0, 1.02), (4.0, 4.5)), ((2.0, 2.2), (2.1, 2.6))):
+        query = endpoints(table, PlanRequest(start, goal, 0.3)).table
+        assert len(query.arcs.target) > len(table.arcs.target)
+        for got, want in zip(query.arcs, arcs_of(query.graph), strict=True):
+            np.testing.assert_array_equal(got, want)

@@ -263,8 +263,11 @@ def nearest_obstacle(
                         other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
                         if abs(other) > abs(worst):
                             worst = other
-            if worst > limit and i <= over and abs(ground[i] - rim) <= limit:
-                # The far rim, with cells half over the gap before it.
+            plane = stand[0] + stand[1] * tracks[k, i, 0] + stand[2] * tracks[k, i, 1]
+            at_rim = i <= over and abs(ground[i] - rim) <= limit
+            if worst > limit and (at_rim or (i <= BEFORE and abs(ground[i] - plane) <= limit)):
+                # The far rim, with cells half over the gap before it; under the body, where the near one may lie behind the track's begin, the
+                # height that the robot stands at tells it.
                 last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
                 continue
             if worst < -limit and not felt[i] and not math.isnan(level):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -236,6 +237,19 @@ def test_a_gap_whose_rim_the_map_shows_half_as_deep_is_crossed(
     assert found.kind == CLEAR, (found.kind, found.height, found.free)
 
 
+@pytest.mark.parametrize("front", np.arange(0.0, 0.5, 0.02))
+@pytest.mark.parametrize("floor", [(-0.22, -0.4, -0.4), (-0.4, -0.4, -0.22), (-0.2, -0.4, -0.2)])
+def test_a_robot_that_climbs_half_the_depth_of_a_gap_crosses_it_too(
+    front: float, floor: tuple[float, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells half over the gap are a step for it: it must not be taken to stand on the floor when the near rim is out of sight under its body."""
+    monkeypatch.setitem(globals(), "ROBOT", replace(ROBOT, max_step=0.20))
+    height, col = np.zeros_like(X), round(0.6 / RES) + N // 2
+    height[:, col : col + 3] = floor
+    found = look(ground(height), (front, 0.0, 0.0))["ahead"]
+    assert found.kind == CLEAR, (found.kind, found.height, found.free)
+
+
 @pytest.mark.parametrize("front", np.arange(0.0, 0.4, 0.04))
 def test_a_face_behind_a_gap_or_a_wide_pit_still_ends_the_way(front: float) -> None:
     col = round(0.8 / RES) + N // 2
@@ -282,9 +296,9 @@ def oracle(
         bound = np.where(on, around.bound[row, col], np.nan).astype(float)
         source = np.where(on, around.source[row, col], 0)
         busy = on & (around.occupied[row, col] > 0)
-        level = stand[0] + stand[1] * u[0] + stand[2] * v[0]
+        plane = stand[0] + stand[1] * u + stand[2] * v
         outer = min(k, len(tracks) - 1 - k) < sides
-        found, beside = _walk(known, bound, source, busy, level, limit, rise, outer, *edges)
+        found, beside = _walk(known, bound, source, busy, plane, limit, rise, outer, *edges)
         best, touched = min(best, *found, key=lambda end: end[0]), touched or beside
     return *best, touched
 
@@ -294,7 +308,7 @@ def _walk(
     bound: NDArray[Any],
     source: NDArray[Any],
     busy: NDArray[Any],
-    level: float,
+    plane: NDArray[Any],
     limit: float,
     rise: float,
     outer: bool,
@@ -305,7 +319,7 @@ def _walk(
     stood: list[tuple[int, float]] = []  # samples the robot would stand on, with their heights
     sure = [BEFORE]  # samples that the map knows
     ends = [(len(known), CLEAR)]
-    last, i = 0, 0
+    last, i, level = 0, 0, float(plane[0])
     rim, over = math.nan, -1
     while i < len(known):
         if busy[i] and i > BEFORE:
@@ -326,7 +340,9 @@ def _walk(
                 shrunk(height - h, rise * WITHIN / 2) for j, h in stood if i - WITHIN <= j and j < last
             ]
         worst = max(changes, key=abs)
-        if worst > limit and i <= over and abs(height - rim) <= limit:
+        far_rim = i <= over and abs(height - rim) <= limit
+        far_rim |= i <= BEFORE and abs(height - plane[i]) <= limit
+        if worst > limit and far_rim:
             last, level = i, height
             stood = [(last, level)]
             sure.append(i)

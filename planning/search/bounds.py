@@ -7,14 +7,17 @@ never above the true cost, and consistent.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from planning.graph.describe import turn_is_free
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
 from planning.risk.footprint import scratch
-from planning.risk.pose_sets import turn_angle, turn_risk
+from planning.risk.pose_sets import turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
@@ -89,36 +92,35 @@ def cost_to_come(
     return total, g
 
 
+class ToGo(NamedTuple):
+    """A search backward from the ends that can be gone on with."""
+
+    h: NDArray[np.float64]
+    """(states,) cost from where each state ends over an end [m], exact but for the risk of turns where it is settled."""
+    settled: NDArray[np.bool_]
+    f: NDArray[np.float64]
+    s: NDArray[np.int64]
+    e: NDArray[np.int64]
+    """The heap of `planning.search.heap`."""
+    n: int
+    """Its size."""
+
+
 @njit(cache=True)
-def cost_to_go(
-    sampler: Sampler,
+def begin_to_go(
     w: Weights,
     arcs: Arcs,
     tables: Tables,
-    start: int,
     is_end: np.ndarray,
     exit_cost: np.ndarray,
     come: np.ndarray,
-    start_yaw: float,
-    goal_yaw: float,
-    sweeps: bool,
     ways: int,
-    once: bool,
     backward: float,
-    turning: float,
-) -> tuple[float, np.ndarray]:
-    """A cost that the best route does not exceed, and (states,) from where each state ends over an end, exact but for the risk of turns: A* backwards.
-
-    A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`, the rest as in
-    `planning.search.pairs.search_pairs`. The route that is found so, with the risk of its turns, is an upper bound. A state that
-    cannot be on a route as cheap as that gets inf, and so do all where there is no route: the bound is inf then.
-    """
-    work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
+) -> ToGo:
+    """The states that end at an end, none settled yet. Arguments as in `cost_to_go`."""
+    x, _, indptr, source, target, reverse, length, _, risk, _, _, forward_only = arcs
     edge = tables.edge
     h = np.full(2 * target.size, np.inf)
-    after = np.full(h.size, -1, np.int32)
-    closed = np.zeros(h.size, np.bool_)
     f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
     n = 0
     for i in range(x.size):
@@ -136,32 +138,45 @@ def cost_to_go(
                     + _drive(w, length, risk, source, target, forward_only, edge, into, way, backward)
                 )
                 n = push(f, s, e, n, bound, 2 * into + way, 0)
-    least, first = np.inf, -1
-    limit = np.inf
+    return ToGo(h, np.zeros(h.size, np.bool_), f, s, e, n)
+
+
+@njit(cache=True)
+def cost_to_go(
+    sampler: Sampler,
+    w: Weights,
+    arcs: Arcs,
+    tables: Tables,
+    start: int,
+    is_end: np.ndarray,
+    come: np.ndarray,
+    start_yaw: float,
+    goal_yaw: float,
+    sweeps: bool,
+    ways: int,
+    once: bool,
+    backward: float,
+    turning: float,
+    go: ToGo,
+    limit: float,
+) -> tuple[float, ToGo]:
+    """Go on settling states until each that may be on a route as cheap as `limit` [m] is settled: A* backward, without the risk of turns.
+
+    With `limit` inf it stops at the first route. Returns the least cost of a route that was seen now, without the risk of turns
+    (inf: none), and the search as it stands. A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of
+    `cost_to_come`, the rest as in `planning.search.pairs.search_pairs`.
+    """
+    work = scratch(sampler)
+    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
+    edge = tables.edge
+    h, settled, f, s, e, n = go
+    least = np.inf
     while n > 0 and f[0] <= limit:
         bound, state = f[0], s[0]
         n = pop(f, s, e, n)
         if state < 0:
-            if limit == np.inf:
-                most = route_cost(
-                    sampler,
-                    work,
-                    w,
-                    arcs,
-                    edge,
-                    after,
-                    first,
-                    start_yaw,
-                    goal_yaw,
-                    is_end,
-                    exit_cost,
-                    sweeps,
-                    backward,
-                    turning,
-                )
-                limit = most + 1e-9 * max(1.0, most)  # sums in another order
-            continue
-        if closed[state]:
+            break
+        if settled[state]:
             continue
         out, way = state // 2, state % 2
         at, k = source[out], target[out]
@@ -175,7 +190,7 @@ def cost_to_go(
             if dearer > bound:
                 n = push(f, s, e, n, dearer, state, 0)
                 continue
-        closed[state] = True
+        settled[state] = True
         cost = h[state] + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
         yaw = heading[out] + (np.pi if way else 0.0)
         if sweeps and is_end[k]:
@@ -185,24 +200,25 @@ def cost_to_go(
             if sweeps:
                 whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
             if whole < least:
-                least, first = whole, state
-                if n == f.size:
-                    f, s, e = grown(f), grown(s), grown(e)
-                n = push(f, s, e, n, whole, -1, 0)
+                least = whole
+                if limit == np.inf:
+                    if n == f.size:
+                        f, s, e = grown(f), grown(s), grown(e)
+                    n = push(f, s, e, n, whole, -1, 0)
             if once:
                 continue
         for back in range(indptr[at], indptr[at + 1]):
             into = reverse[back]
             for before in range(ways):
                 to = 2 * into + before
-                if closed[to] or cost >= h[to]:
+                if settled[to] or cost >= h[to]:
                     continue
                 new = cost
                 if sweeps:
                     new += turn_between(room[at], turn_rate[at], heading, into, out, way != before, turning)
                 if new >= h[to]:
                     continue
-                h[to], after[to] = new, state
+                h[to] = new
                 if n == f.size:
                     f, s, e = grown(f), grown(s), grown(e)
                 bound = (
@@ -211,57 +227,7 @@ def cost_to_go(
                     + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
                 )
                 n = push(f, s, e, n, bound, to, 0)
-    for state in range(h.size):
-        if not closed[state]:
-            h[state] = np.inf
-    return limit, h
-
-
-@njit(cache=True)
-def route_cost(
-    sampler,
-    work,
-    w,
-    arcs,
-    edge,
-    after,
-    first,
-    start_yaw,
-    goal_yaw,
-    is_end,
-    exit_cost,
-    sweeps,
-    backward,
-    turning,
-) -> float:
-    """Cost [m] of the route that begins with state `first`, goes on with the state `after` each, the risk of turns included."""
-    x, y, _, source, target, _, length, heading, risk, room, turn_rate, forward_only = arcs
-    g = 0.0
-    came, state = -1, first
-    while state >= 0:
-        out, way = state // 2, state % 2
-        at, k = source[out], target[out]
-        b, u = edge[out, 0], edge[out, 1]
-        turned = 0.0
-        yaw = heading[out] + (np.pi if way else 0.0)
-        if sweeps and came >= 0:
-            change = way != came % 2
-            turned = turn_between(room[at], turn_rate[at], heading, came // 2, out, change, turning)
-            d = turn_angle(heading[came // 2], heading[out] + (np.pi if change else 0.0))
-            b2, u2 = turn_risk(sampler, work, w, x[at], y[at], heading[came // 2], d)
-            b, u = max(b, b2), max(u, u2)
-        elif sweeps and not np.isnan(start_yaw):
-            turned = first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
-            b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, turn_angle(start_yaw, yaw))
-            b, u = max(b, b2), max(u, u2)
-        if sweeps and is_end[k] and not np.isnan(goal_yaw):
-            turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
-            b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, turn_angle(yaw, goal_yaw))
-            b, u = max(b, b2), max(u, u2)
-        factor = back_factor(backward, forward_only[at], forward_only[k]) if way else 1.0
-        g += factor * transition_cost(w, length[out], risk[out], b, u) + turned
-        came, state = state, after[state]
-    return g + exit_cost[target[came // 2]]
+    return least, ToGo(h, settled, f, s, e, n)
 
 
 @njit(cache=True)

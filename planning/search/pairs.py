@@ -20,7 +20,15 @@ from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor
-from planning.search.bounds import cost_to_come, cost_to_go, first_turn, last_turn, turn_between
+from planning.search.bounds import (
+    ToGo,
+    begin_to_go,
+    cost_to_come,
+    cost_to_go,
+    first_turn,
+    last_turn,
+    turn_between,
+)
 from planning.search.heap import grown, pop, push
 
 
@@ -56,14 +64,14 @@ def search_pairs(
     total, come = cost_to_come(sampler, w, arcs, tables, start, is_end, exit_cost, gx, gy)
     if np.isinf(total):
         return np.inf, none, 0, turns
-    limit, h = cost_to_go(
+    go = begin_to_go(w, arcs, tables, is_end, exit_cost, come, ways, backward)
+    least, go = cost_to_go(
         sampler,
         w,
         arcs,
         tables,
         start,
         is_end,
-        exit_cost,
         come,
         start_yaw,
         goal_yaw,
@@ -72,9 +80,97 @@ def search_pairs(
         once,
         backward,
         turning,
+        go,
+        np.inf,
     )
-    if np.isinf(limit):
+    if np.isinf(least):
         return np.inf, none, 0, turns
+    # The best route over what this settled is one of all routes: no state matters that cannot be on a cheaper one.
+    cost, route, expanded, turns = _forward(
+        sampler,
+        w,
+        arcs,
+        tables,
+        turns,
+        start,
+        is_end,
+        exit_cost,
+        start_yaw,
+        goal_yaw,
+        sweeps,
+        ways,
+        once,
+        backward,
+        turning,
+        go,
+        np.inf,
+    )
+    limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
+    if go.n == 0 or go.f[0] > limit:
+        return cost, route, expanded, turns
+    _, go = cost_to_go(
+        sampler,
+        w,
+        arcs,
+        tables,
+        start,
+        is_end,
+        come,
+        start_yaw,
+        goal_yaw,
+        sweeps,
+        ways,
+        once,
+        backward,
+        turning,
+        go,
+        limit,
+    )
+    cost, route, more, turns = _forward(
+        sampler,
+        w,
+        arcs,
+        tables,
+        turns,
+        start,
+        is_end,
+        exit_cost,
+        start_yaw,
+        goal_yaw,
+        sweeps,
+        ways,
+        once,
+        backward,
+        turning,
+        go,
+        limit,
+    )
+    return cost, route, more, turns
+
+
+@njit(cache=True)
+def _forward(
+    sampler: Sampler,
+    w: Weights,
+    arcs: Arcs,
+    tables: Tables,
+    turns: np.ndarray,
+    start: int,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+    start_yaw: float,
+    goal_yaw: float,
+    sweeps: bool,
+    ways: int,
+    once: bool,
+    backward: float,
+    turning: float,
+    go: ToGo,
+    limit: float,
+) -> tuple[float, np.ndarray, int, np.ndarray]:
+    """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Arguments and result as in `search_pairs`."""
+    none = np.empty(0, np.int64)
+    h, settled = go.h, go.settled
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge, turn_at, _, _ = tables
@@ -107,7 +203,7 @@ def search_pairs(
             step = transition_cost(w, length[out], risk[out], b, u)
             for way in range(ways):
                 to = 2 * out + way
-                if closed[to] or h[to] == np.inf:
+                if closed[to] or not settled[to]:
                     continue
                 cost = g + step
                 if way:

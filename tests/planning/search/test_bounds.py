@@ -10,7 +10,7 @@ from planning.risk.body import BodyModel, weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
-from planning.search.bounds import cost_to_come, cost_to_go
+from planning.search.bounds import begin_to_go, cost_to_come, cost_to_go
 from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.planning.worlds import lattice, rough
 
@@ -102,16 +102,18 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world):
     while not np.array_equal(before, want):
         before = want.copy()
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
-    limit, got = cost_to_go(
-        table.sampler, W, a, table.tables(BODY), start, is_end, beyond, np.zeros(len(a.x)),
-        *YAWS, True, 2, False, RULES.backward, RULES.turning,
-    )  # fmt: skip
-    known = np.isfinite(got)
-    np.testing.assert_allclose(got[known], want[known], atol=1e-9)
-    assert known[want + own < limit - 1e-9].all()
+    tables, come = table.tables(BODY), np.zeros(len(a.x))
+    common = (start, is_end, come, *YAWS, True, 2, False, RULES.backward, RULES.turning)
+    go = begin_to_go(W, a, tables, is_end, beyond, come, 2, RULES.backward)
+    least, go = cost_to_go(table.sampler, W, a, tables, *common, go, np.inf)
+    for limit in (least, 1.1 * least):
+        if limit > least:
+            _, go = cost_to_go(table.sampler, W, a, tables, *common, go, limit)
+        np.testing.assert_allclose(go.h[go.settled], want[go.settled], atol=1e-9)
+        assert go.settled[want + own < limit - 1e-9].all()
+        assert not go.settled[want + own > limit + 1e-9].any()
     first = [s for s in range(states) if a.source[s // 2] == start]
-    least = min(turned(start, YAWS[0], heading[s]) + own[s] + want[s] for s in first)
-    assert least <= limit
+    assert least == pytest.approx(min(turned(start, YAWS[0], heading[s]) + own[s] + want[s] for s in first))
 
 
 def test_the_search_expands_little_where_turns_cost_much(world):

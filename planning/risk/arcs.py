@@ -35,11 +35,11 @@ class Arcs(NamedTuple):
     """(nodes,) a face under the wheels is too high to be climbed backward."""
 
 
-def arcs_of(graph: TraversalGraph, old: Arcs | None = None, kept: NDArray[np.int64] | None = None) -> Arcs:
+def arcs_of(graph: TraversalGraph, old: Arcs | None = None, was: NDArray[np.int64] | None = None) -> Arcs:
     """The graph's arrays with length, heading and opposite of every directed edge.
 
-    `kept` (slots of `old`,) tells which slots here are the edges of `old`, all of them with both directions and ends at
-    the same place: these are not worked out again.
+    `was` (slots,) tells which slot of `old` is the same edge with both ends at the same place, -1 = none: what is known of these is
+    not worked out again.
     """
     x = np.ascontiguousarray(graph.nodes[:, 0], dtype=np.float64)
     y = np.ascontiguousarray(graph.nodes[:, 1], dtype=np.float64)
@@ -48,13 +48,11 @@ def arcs_of(graph: TraversalGraph, old: Arcs | None = None, kept: NDArray[np.int
     source = np.repeat(np.arange(len(x), dtype=np.int32), np.diff(indptr))
     length, heading = np.empty(len(target)), np.empty(len(target))
     reverse = np.full(len(target), -1, np.int64)
-    if old is None or kept is None:
-        new = np.arange(len(target))
+    if old is not None and was is not None:
+        _take_over(was, old.length, old.heading, old.reverse, length, heading, reverse)
+        new = np.flatnonzero(was < 0)
     else:
-        known = np.zeros(len(target), np.bool_)
-        known[kept] = True
-        length[kept], heading[kept], reverse[kept] = old.length, old.heading, kept[old.reverse]
-        new = np.flatnonzero(~known)
+        new = np.arange(len(target))
     dx, dy = x[target[new]] - x[source[new]], y[target[new]] - y[source[new]]
     length[new], heading[new] = np.hypot(dx, dy), np.arctan2(dy, dx)
     _find_reverse(indptr, source, target, new, reverse)
@@ -72,6 +70,27 @@ def arcs_of(graph: TraversalGraph, old: Arcs | None = None, kept: NDArray[np.int
         turn_rates(graph.turn_edge, graph.params.max_turn_step),
         forward_only(graph.turn_edge, graph.params),
     )
+
+
+@njit(cache=True)
+def _take_over(
+    was: np.ndarray,
+    old_length: np.ndarray,
+    old_heading: np.ndarray,
+    old_reverse: np.ndarray,
+    length: np.ndarray,
+    heading: np.ndarray,
+    reverse: np.ndarray,
+) -> None:
+    """Copy what is known of edges that are the same; both directions of an edge are."""
+    now = np.full(old_length.size, -1, np.int64)
+    for slot in range(was.size):
+        if was[slot] >= 0:
+            now[was[slot]] = slot
+    for slot in range(was.size):
+        k = was[slot]
+        if k >= 0:
+            length[slot], heading[slot], reverse[slot] = old_length[k], old_heading[k], now[old_reverse[k]]
 
 
 @njit(cache=True)

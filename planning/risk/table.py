@@ -35,11 +35,15 @@ class RiskTable:
         self.grid = grid
         self.body = body
         self.sampler: Sampler = terrain_of(grid, body).sampler(body.length, body.width)
-        self.arcs: Arcs = arcs_of(graph)
         self._ids = graph.node_ids
         self._tables: dict[tuple[float, float], Tables] = {}
-        if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
-            self._carry(previous)
+        if previous is None:
+            self.arcs: Arcs = arcs_of(graph)
+            return
+        was = _slots_before(graph, previous)
+        self.arcs = arcs_of(graph, previous.arcs, was)
+        if previous.body == body and previous.grid.resolution == grid.resolution:
+            self._carry(previous, was)
 
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
@@ -47,9 +51,11 @@ class RiskTable:
         Edge evaluations go both ways: `take_back` brings home what the query added.
         """
         out = copy.copy(self)
+        was = np.full(len(graph.indices), -1, np.int64)
+        was[kept] = np.arange(len(kept))
         out.graph, out.arcs, out._tables, out._ids = (
             graph,
-            arcs_of(graph, self.arcs, kept),
+            arcs_of(graph, self.arcs, was),
             {},
             graph.node_ids,
         )
@@ -96,40 +102,51 @@ class RiskTable:
         edges = sum(int((~np.isnan(t.edge[:, 0])).sum()) for t in self._tables.values())
         return edges, sum(int((~np.isnan(t.turns[:, 0])).sum()) for t in self._tables.values())
 
-    def _carry(self, old: RiskTable) -> None:
-        """Take over what `old` knows of edges that are the same here and have the same ground under them."""
+    def _carry(self, old: RiskTable, was: NDArray[np.int64]) -> None:
+        """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground under them."""
         offset = (
             np.array([self.sampler.ox, self.sampler.oy]) - (old.sampler.ox, old.sampler.oy)
         ) * self.sampler.inv
         dc, dr = (int(v) for v in np.round(offset))
-        if not len(old._ids) or np.abs(offset - (dc, dr)).max() > 1e-6:  # no node, or other cells
+        if np.abs(offset - (dc, dr)).max() > 1e-6:  # other cells
             return
-        known = np.argsort(old._ids, kind="stable")
-        at = known[np.searchsorted(old._ids, self._ids, sorter=known).clip(max=max(len(known) - 1, 0))]
-        here = (old._ids[at] == self._ids) & (old.arcs.x[at] == self.arcs.x) & (old.arcs.y[at] == self.arcs.y)
-        slots = _same_slots(self.arcs, old.arcs, np.where(here, at, -1))
         changed = _changed(
             self.sampler.height, self.sampler.trusted, self.sampler.stride,
             old.sampler.height, old.sampler.trusted, old.sampler.stride, dr, dc,
         )  # fmt: skip
-        same = (slots >= 0) & _untouched(self.arcs, self.sampler, changed)
+        same = (was >= 0) & _untouched(self.arcs, self.sampler, changed)
         for key, tables in old._tables.items():
             body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
-            self.tables(body).edge[same] = tables.edge[slots[same]]
+            self.tables(body).edge[same] = tables.edge[was[same]]
+
+
+def _slots_before(graph: TraversalGraph, old: RiskTable) -> NDArray[np.int64]:
+    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none."""
+    if not len(old._ids):
+        return np.full(len(graph.indices), -1, np.int64)
+    known = np.argsort(old._ids, kind="stable")
+    at = known[np.searchsorted(old._ids, graph.node_ids, sorter=known).clip(max=len(known) - 1)]
+    x, y = graph.nodes[:, 0], graph.nodes[:, 1]
+    here = (old._ids[at] == graph.node_ids) & (old.arcs.x[at] == x) & (old.arcs.y[at] == y)
+    return _same_slots(graph.indptr, graph.indices, old.arcs, np.where(here, at, -1))
 
 
 @njit(cache=True)
-def _same_slots(arcs: Arcs, old: Arcs, node: np.ndarray) -> np.ndarray:
+def _same_slots(indptr: np.ndarray, target: np.ndarray, old: Arcs, node: np.ndarray) -> np.ndarray:
     """(slots,) slot of the same edge in `old`, -1 = none; `node` is each node's index there."""
-    out = np.full(arcs.target.size, -1, np.int64)
-    for slot in range(arcs.target.size):
-        i, j = node[arcs.source[slot]], node[arcs.target[slot]]
-        if i < 0 or j < 0:
+    out = np.full(target.size, -1, np.int64)
+    for at in range(indptr.size - 1):
+        i = node[at]
+        if i < 0:
             continue
-        for k in range(old.indptr[i], old.indptr[i + 1]):
-            if old.target[k] == j:
-                out[slot] = k
-                break
+        for slot in range(indptr[at], indptr[at + 1]):
+            j = node[target[slot]]
+            if j < 0:
+                continue
+            for k in range(old.indptr[i], old.indptr[i + 1]):
+                if old.target[k] == j:
+                    out[slot] = k
+                    break
     return out
 
 

@@ -113,3 +113,15 @@ def test_the_arcs_of_a_query_equal_those_made_from_its_graph() -> None:
         assert len(query.arcs.target) > len(table.arcs.target)
         for got, want in zip(query.arcs, arcs_of(query.graph), strict=True):
             np.testing.assert_array_equal(got, want)
+
+
+def test_the_arcs_after_an_update_equal_those_made_from_the_graph() -> None:
+    grid = ElevationGrid(ground(3), np.ones((110, 120), bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), 2)
+    before = RiskTable(graph, grid, BODY)
+    height = grid.height.copy()
+    height[50:58, 50:58] += np.float32(0.4)
+    after = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+    assert graph.update(after, [(50, 50, 58, 58)])
+    for got, want in zip(RiskTable(graph, after, BODY, before).arcs, arcs_of(graph), strict=True):
+        np.testing.assert_array_equal(got, want)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import logging
+import math
 import os
 import signal
 import threading
@@ -47,6 +48,10 @@ SETTLED = 30.0
 """A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
+LEASE = 2.0
+"""A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), and sessions with its router may have ended."""
+REJOIN = 6.0
+"""[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended for silence."""
 PROCESS_LOG = 5_000_000
 """Bytes after which a process log is rotated: twice that stays on the disk."""
 LAST_WISH = 0.9
@@ -80,6 +85,8 @@ class Supervisor:
         self._ready = False
         self._usage_due = 0.0
         self._refused = 0
+        self._looked = math.inf
+        self._deaf_until = 0.0
         self._narrator = Narrator(say)
         self._mission: MissionFile | None = None
         self._notifier = Notifier()
@@ -231,6 +238,10 @@ class Supervisor:
 
     def _mend(self) -> None:
         now = time.monotonic()
+        if now - self._looked > LEASE:
+            self._deaf_until = now + REJOIN
+            self._say(f"the supervisor was held up for {now - self._looked:.1f} s")
+        self._looked = now
         for child in self._children.values():
             name = child.row.name
             if child.fatal:
@@ -273,7 +284,7 @@ class Supervisor:
         if age is None or beat is None or beat[1].state != "ready":
             silent = now - child.started > START_LIMIT
         else:
-            silent = age > child.row.hang
+            silent = age > child.row.hang and now > self._deaf_until
             if child.words:
                 self._say(f"{name} runs again")
                 child.words = ""

@@ -22,6 +22,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -105,6 +106,7 @@ class Zygote:
     def _start(self) -> None:
         self._socket, theirs = socket.socketpair()
         self._socket.settimeout(START_LIMIT)
+        self._asked = 0.0
         with theirs:
             self._popen = subprocess.Popen(
                 [sys.executable, "-m", "rbtrg_robot.process.zygote", str(theirs.fileno()), str(os.getpid())],
@@ -140,13 +142,33 @@ class Zygote:
         try:
             self._socket.sendall(request)
             with self._socket.makefile("rb") as answers:
+                if self._asked:
+                    answers.readline()
+                    self._asked = 0.0
                 return answers.readline()
         except OSError:  # closed at the other end, or TimeoutError
             return b""
 
+    def _answers(self) -> bool:
+        """Whether it lives and says so within ANSWER_LIMIT; START_LIMIT as long as it imports. Waits for nothing."""
+        if self._popen.poll() is not None:
+            return False
+        limit = self._socket.gettimeout() or ANSWER_LIMIT
+        try:
+            if not self._asked:
+                self._socket.sendall(b"\n")
+                self._asked = time.monotonic()
+            elif select.select([self._socket], [], [], 0.0)[0]:
+                self._asked = 0.0
+                self._socket.settimeout(ANSWER_LIMIT)
+                return bool(self._socket.recv(1))
+            return not self._asked or time.monotonic() - self._asked < limit
+        except OSError:  # closed at the other end
+            return False
+
     def mend(self) -> bool:
-        """Replace it if it has ended, before somebody must wait for the imports of a new one. Returns whether it was; call it again."""
-        if self._popen.poll() is None:
+        """Replace it if it has ended or hangs, before somebody must wait for the imports of a new one. Returns whether it was; call it again."""
+        if self._answers():
             return False
         self.__exit__()
         try:
@@ -182,6 +204,9 @@ def serve(link: socket.socket, supervisor: int) -> dict[str, Any] | None:
     """Fork on request. Returns a specification in each forked process, None in the zygote itself at its end."""
     requests = link.makefile("rb")
     while line := requests.readline():
+        if not line.strip():  # whether somebody is here
+            link.sendall(line)
+            continue
         request = json.loads(line)
         pid_read, pid_write = os.pipe()
         go_read, go_write = os.pipe()

@@ -42,6 +42,8 @@ AHEAD = 4.0
 """Distance [m] of the goals."""
 ENDED = ("reached", "rejected", "aborted")
 ZYGOTE, SUPERVISOR = "zygote", "supervisor"
+HELD = (5.0, 15.0)
+"""[s] for which the supervisor hangs: shorter and longer than the lease of a Zenoh session (10 s)."""
 GONE = 10.0
 """Longest wait [s] for the end of what must not outlive the supervisor."""
 
@@ -94,9 +96,13 @@ def _live(
                         _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
                 if ZYGOTE in options.only:
                     _kill_zygote(watch, f"{ZYGOTE}.{turn}", options.hang, report)
-    for turn in range(options.rounds if SUPERVISOR in options.only and not options.hang else 0):
-        with running(report, scratch, logs, *settings, ended=True) as bus:
-            _kill_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}", report)
+    for turn in range(options.rounds if SUPERVISOR in options.only else 0):
+        with running(report, scratch, logs, *settings, ended=not options.hang) as bus:
+            if options.hang:
+                for held in HELD:
+                    _hang_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}.{held:.0f}s", held, report)
+            else:
+                _kill_supervisor(Watch(bus), f"{SUPERVISOR}.{turn}", report)
 
 
 def _in_lockstep(rows: list[Process], rounds: int, scene: str, seed: int, report: Report) -> None:
@@ -240,6 +246,36 @@ def _kill_supervisor(watch: Watch, label: str, report: Report) -> None:
     report.add(f"robot_ended_s.{label}", gone.get("robot", math.nan), "s", BY_NAME["robot"].farewell)
     report.add(f"all_ended_s.{label}", max(gone.values(), default=math.nan), "s", BY_NAME["robot"].farewell)
     report.add(f"outlived.{label}", len(left) - len(gone), "-", 0.0)
+
+
+def _hang_supervisor(watch: Watch, label: str, held: float, report: Report) -> None:
+    """Its router carries nothing meanwhile: the robot must stand. Nothing may be ended for the silence once it goes on."""
+    goal = watch.drive(f"hang-{label}")
+    supervisor, known, _ = _pids(watch)
+    os.kill(supervisor, signal.SIGSTOP)
+    place, stamp = watch.place, watch.stamp
+    time.sleep(held)
+    os.kill(supervisor, signal.SIGCONT)
+    began = time.monotonic()
+    driven, standing = 0.0, math.nan
+    while math.isnan(standing) and time.monotonic() - began < GONE:
+        watch.turn()
+        driven = max(driven, math.dist(watch.place, place))
+        if (watch.stamp - stamp) / 1e9 > 0.8 * held:  # what was still on its way has come
+            standing = watch.speed
+    report.add(f"driven_m.{label}", driven, "m", 0.3)
+    report.add(f"speed_after.{label}", standing, "m/s")
+    while watch.goal.state not in ENDED and time.monotonic() - began < 60.0:
+        watch.turn()
+    _, after, _ = _pids(watch)
+    restarted = [name for name, pid in known.items() if after[name] != pid]
+    print(
+        f"{label}: driven {driven:.2f} m, {watch.goal.state} after {time.monotonic() - began:.1f} s, restarted: {restarted}",
+        flush=True,
+    )
+    report.add(f"restarted.{label}", len(restarted), "-", 0.0)
+    report.add(f"reached.{label}", float(watch.goal.state == "reached"), "bool", 1.0, at_least=True)
+    report.add(f"error_m.{label}", math.dist(watch.place, goal), "m", 0.25)
 
 
 def _lives(process: psutil.Process) -> bool:

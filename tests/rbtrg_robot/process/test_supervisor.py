@@ -87,6 +87,34 @@ def test_a_robot_process_that_starts_while_the_cable_is_out_comes_back_with_the_
     ]
 
 
+def test_a_supervisor_that_was_stopped_itself_ends_nobody_for_the_silence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [None, None])
+    supervisor._ready = True
+    now = 1000.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    killed: list[float] = []
+    monkeypatch.setattr(zygote, "kill", lambda: killed.append(now), raising=False)
+    monkeypatch.setattr(zygote, "wait", lambda: None, raising=False)
+    mend(supervisor)
+    for _ in range(40):
+        now += 0.1
+        supervisor._health.take(t.HEARTBEAT, t.HEARTBEAT.kind(process="robot", state="ready"))
+        mend(supervisor)
+    now += 15.0
+    for _ in range(58):
+        mend(supervisor)
+        now += 0.1
+    assert killed == []
+    assert said == ["the supervisor was held up for 15.0 s"]
+    for _ in range(10):  # it is silent all the same
+        mend(supervisor)
+        now += 0.1
+    assert killed
+    assert "robot hangs; killing it" in said
+
+
 def test_what_a_restart_cannot_mend_is_given_up(tmp_path: Path) -> None:
     supervisor, zygote, said = supervised(tmp_path, [(FATAL, "there is no scene 'yrad'")])
     supervisor._ready = True

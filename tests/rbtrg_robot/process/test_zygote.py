@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -99,6 +100,24 @@ def test_a_zygote_that_ended_is_replaced_before_it_is_needed() -> None:
         assert zygote.mend()
         assert zygote.pid != killed
         assert not zygote.mend()
+
+
+def test_a_zygote_that_hangs_is_replaced_before_it_is_needed(tmp_path: Path) -> None:
+    with Zygote() as zygote:
+        assert zygote.fork(tracker(bogus=1), tmp_path / "first.log").wait(60.0) == FATAL
+        assert not zygote.mend()  # asks
+        assert zygote.fork(tracker(bogus=1), tmp_path / "second.log").wait(60.0) == FATAL
+        assert not zygote.mend()  # asks again
+        select.select([zygote._socket], [], [], 60.0)
+        assert not zygote.mend()  # hears the answer
+        stuck = zygote.pid
+        os.kill(stuck, signal.SIGSTOP)
+        assert not zygote.mend()
+        zygote._socket.settimeout(1e-6)
+        assert zygote.mend()
+        assert zygote.pid != stuck
+        assert not psutil.pid_exists(stuck)
+        assert zygote.fork(tracker(bogus=1), tmp_path / "third.log").wait(60.0) == FATAL
 
 
 def test_a_process_imports_nothing_of_numba_when_it_loads_its_kernels() -> None:

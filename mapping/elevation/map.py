@@ -30,7 +30,7 @@ from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import CONTACT, PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
-from mapping.elevation.wheels_ground import SupportPatch, carried, enter, take_back
+from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
 from mapping.thin_cloud import ThinCloud
 
@@ -58,7 +58,8 @@ class ElevationMap:
         self.scans = 0
         self._lived = 0
         self._fresh = True
-        self._around_start: SupportPatch | None = None
+        self._granted: list[SupportPatch] = []
+        """Ground that nobody saw: around the start, and under wheels in what came back from a reader."""
         self._rays = self._half = 0
         self._sensor = np.zeros(3)
         self._prior: PriorCheck | None = None
@@ -115,7 +116,7 @@ class ElevationMap:
         self._rays = 0
         self._prior = None
         self._fresh = True
-        self._around_start = None
+        self._granted = []
 
     def fuse(
         self,
@@ -235,7 +236,7 @@ class ElevationMap:
         written = enter(self.store, *around)
         if start:
             self._fresh = self._fresh and len(contacts) < 3
-            self._around_start = written
+            self._granted = [written]
         return int(written.i.size)
 
     def grant(self, granted: bool) -> None:
@@ -244,9 +245,10 @@ class ElevationMap:
         if granted is self._reader.granted:
             return
         self._reader.granted = granted
-        if not granted and self._around_start is not None:
-            take_back(self.store, self._around_start)
-            self._around_start = None
+        if not granted:
+            for written in self._granted:
+                take_back(self.store, written)
+            self._granted = []
         self.store.touch(CONTACT)
 
     def clean(self) -> int:
@@ -316,11 +318,14 @@ class ElevationMap:
         """Take over what a reader still has of this map after the map itself was lost; returns the known cells.
 
         Height, variance, trust and upper bounds come back; counts and the memory of what stood there do not. What was
-        bridged is bridged again. Raises MapError for another resolution.
+        bridged is bridged again. A reader does not know which ground of the wheels was driven on and which was granted
+        at the start: `grant` takes all of it back but what the wheels enter again. Raises MapError for another resolution.
         """
         now = self._clock(patch.stamp)
         self._fresh = False
-        return restore_store(self.store, patch, self.params, now)
+        known = restore_store(self.store, patch, self.params, now)
+        self._granted.append(entered(patch))
+        return known
 
     # ------------------------------------------------------------------ reading
 

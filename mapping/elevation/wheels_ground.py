@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.elevation.exchange import MapPatch
 from mapping.elevation.tiles import CONTACT, LIDAR, UNKNOWN, TileStore
 
 ROUGH = 0.04
@@ -148,6 +149,18 @@ def enter(
     written = patch.those(take)
     _write(store, cell[take], written.height, written.variance, CONTACT)
     return written
+
+
+def entered(patch: MapPatch) -> SupportPatch:
+    """What `enter` once wrote, as far as a read-out of the map shows it; none of it counts as under the body."""
+    row, col = np.nonzero(patch.layers["source"] == CONTACT)
+    return SupportPatch(
+        (row + patch.cell[0]).astype(np.int64),
+        (col + patch.cell[1]).astype(np.int64),
+        patch.layers["elevation"][row, col],
+        patch.layers["variance"][row, col],
+        np.zeros(len(row), np.bool_),
+    )
 
 
 def take_back(store: TileStore, written: SupportPatch) -> None:

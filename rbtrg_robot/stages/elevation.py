@@ -49,6 +49,8 @@ SILENT_SCANS = 5
 NOTHING = np.empty((0, 3), np.float32)
 RESTORE_PATIENCE = 3_000_000_000
 """Longest wait of a restarted process for the planner's copy of the map [ns]."""
+MOST_EPOCHS = 2**31
+"""No restarted map goes on from a higher one: readers drop what is older, and the wire has 32 bits for it."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
 
@@ -151,6 +153,8 @@ class ElevationStage:
             elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
+                if message.epoch > MOST_EPOCHS:
+                    raise LayoutError(f"no map began anew {message.epoch} times")
                 self._restoring = message.known_cells > 0 or message.restoring
                 if (
                     message.prior != self._prior

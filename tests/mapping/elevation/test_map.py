@@ -162,6 +162,26 @@ def test_what_is_taken_for_granted_around_the_wheels_can_be_taken_back() -> None
     assert trusted(gap) == [True]
 
 
+def test_a_map_that_came_back_from_a_reader_takes_back_what_was_granted_before() -> None:
+    first, mirror, rng = ElevationMap(), MapMirror(), np.random.default_rng(6)
+    for k in range(3):
+        first.fuse(flat_scan(rng), (0.0, 0.0, HEIGHT), LEVEL, k + 1)
+        first.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, k + 1)
+    for patch in first.take_patches():
+        mirror.apply(patch)
+    again = ElevationMap(first.params)
+    again.restore(mirror.patch())
+
+    def trusted(*places: float) -> list[bool]:
+        return [bool(again.window(x, 0.0, 0.0).layers["trusted"][0, 0]) for x in places]
+
+    between, disc, ring = 0.1, 0.6, 2.09
+    assert trusted(between, disc, ring) == [True] * 3, "a robot that stands can move"
+    again.grant(False)
+    again.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 9, start=False)
+    assert trusted(between, disc, ring) == [True, False, True]
+
+
 def test_wheels_tell_nothing_of_the_ground_under_the_nose() -> None:
     elevation = ElevationMap()
     elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 1, start=False)

@@ -147,6 +147,26 @@ def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_
         assert not made.newest[t.ROBOT_STATE].estop
 
 
+def test_a_robot_whose_head_lidar_falls_silent_while_it_drives_stops_before_a_pit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    near = 1.5  # nearer than what the main LiDAR sees of level ground, further than the head's saw from the start
+    scene = lane(lambda x: pit(x - near + 0.95))
+    monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
+    with stack(DEFAULT_LIDARS) as made:
+        made.wait_ready()
+        made.send_goal(4.0, 0.0)
+        made.run_until(lambda: moved(made) > 0.05, 20.0, "a start")
+        mute(made, "head")
+        furthest = 0.0
+        for _ in range(35):
+            run(made, 0.1)
+            furthest = max(furthest, moved(made))
+        assert 0.5 < furthest < near - 0.3  # its front wheels stand before the pit
+        assert "the ground at the feet is not seen" in made.newest[t.MAP_STATUS].warning
+        assert not made.newest[t.ROBOT_STATE].estop
+
+
 @pytest.mark.usefixtures("in_lane")
 def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> None:
     with stack(DEFAULT_LIDARS) as made:

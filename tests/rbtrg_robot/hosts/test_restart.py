@@ -11,8 +11,8 @@ import pytest
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep, build_stages
-from rbtrg_robot.wire.convert import yaw_of
-from rbtrg_robot.wire.messages import stamp_of
+from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg, yaw_of
+from rbtrg_robot.wire.messages import decode, encode, stamp_of
 
 
 def config(**flags: Any) -> StackConfig:
@@ -106,6 +106,16 @@ def test_without_the_planner_a_restarted_map_begins_anew_and_says_so() -> None:
     assert not statuses[-1].restoring
     assert "planner did not answer" in statuses[-1].detail
     assert statuses[-1].epoch == 2
+
+
+def test_a_broken_status_of_before_leaves_a_map_that_can_begin_anew() -> None:
+    stage = build_stages(config(), ["elevation"])["elevation"][0]
+    assert stage.on(t.MAP_STATUS, t.MAP_STATUS.kind(epoch=2**32 - 1)) == []
+    for x in (0.0, 1.0):
+        place = transform_msg(0, MAP, ODOM, np.array([x, 0.0, 0.0]), (0.0, 0.0, 0.0, 1.0))
+        found = stage.on(t.TF_STATIC, t.TF_STATIC.kind(transforms=[place]))
+    told = [decode(encode(m), topic.kind) for topic, m in found if topic is t.MAP_STATUS]
+    assert [(status.epoch, status.refused) for status in told] == [(1, 1)]
 
 
 def test_a_fresh_start_waits_for_nobody() -> None:

@@ -139,10 +139,15 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
             cloud = file["cloud"] if "cloud" in file.files else np.empty((0, 3), np.float32)
     except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise MapError(f"{path.name}: broken or truncated .npz file ({error})") from error
+    return checked_cloud(cloud, path.name)
+
+
+def checked_cloud(cloud: NDArray[Any], name: str) -> NDArray[np.float32]:
+    """The cloud of a prior map, (n, 3) [m]. `name`: where it comes from. Raises MapError where it is none."""
     if cloud.ndim != 2 or cloud.shape[1] != 3 or cloud.dtype.kind != "f" or not np.isfinite(cloud).all():
-        raise MapError(f"{path.name}: damaged cloud: take another copy")
+        raise MapError(f"{name}: damaged cloud: take another copy")
     if len(cloud) and not np.abs(cloud).max() <= MAX_EXTENT:
-        raise MapError(f"{path.name}: damaged cloud: it reaches beyond {MAX_EXTENT / 1000:.0f} km")
+        raise MapError(f"{name}: damaged cloud: it reaches beyond {MAX_EXTENT / 1000:.0f} km")
     return cloud.astype(np.float32)
 
 

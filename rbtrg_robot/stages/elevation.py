@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
+from mapping.elevation.files import checked_cloud
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.mirror import WHOLE
 from mapping.elevation.poses import Course
@@ -256,6 +257,7 @@ class ElevationStage:
             self._detail, self._status_due = "the map was not loaded: the robot moves", 0
             return []
         cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
+        cloud = checked_cloud(cloud, "the loaded map")
         self._prior, self._prior_map, self._prior_stamp = message.id, patches, patches[0].stamp
         self._prior_cloud = cloud
         frame = self._frame

@@ -15,7 +15,16 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import BASE, MAP, ODOM, cloud_msg, joint_msg, odometry_msg, transform_msg
+from rbtrg_robot.wire.convert import (
+    BASE,
+    MAP,
+    ODOM,
+    cloud_msg,
+    joint_msg,
+    odometry_msg,
+    patch_msg,
+    transform_msg,
+)
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 SWEEP = 100_000_000
@@ -81,3 +90,17 @@ def test_where_the_pose_was_set_the_map_begins_anew(place: float) -> None:
     fed.set_pose(-place)
     assert fed.sweep(2 * place, 0.0) != []
     assert "jumped" not in fed.status.warning
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 3e38])
+def test_a_prior_map_with_a_damaged_cloud_is_refused(bad: float) -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    cloud = np.array([[0.0, 0.0, 0.5], [1.0, 0.0, bad], [-bad, bad, 0.5]], np.float32)
+    block = patch_msg(fed.stage.map.full())
+    still = fed.stage.map.epoch
+    prior = t.MAP_PRIOR.kind(id="x", map=[block], cloud=cloud_msg(1, MAP, cloud))
+    fed.stage._stands = True
+    assert fed.stage.on(t.MAP_PRIOR, prior) == []
+    status = fed.status
+    assert (status.refused, status.prior, status.epoch) == (1, "", still)

@@ -114,6 +114,8 @@ def _spaced(low: float, high: float) -> Array:
 
 Stand = tuple[float, float, float]
 """The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward and left [m/m]."""
+FLAT: Stand = (math.nan, 0.0, 0.0)
+"""Nothing is known of it."""
 
 
 def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) -> Stand:
@@ -163,6 +165,26 @@ def reach_of(
         sides,
     )
     return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height, beside)
+
+
+def known_behind(
+    height: NDArray[np.float32],
+    origin: tuple[float, float],
+    resolution: float,
+    pose: tuple[float, float, float],
+    max_gap: float,
+    reach: float,
+) -> float:
+    """How far [m], at most `reach`, a body at `pose` x, y [m], yaw [rad] may back up on ground that the map knows: the guard's own rule, for
+    the planner. `height` (rows, cols) [m], NaN where it is not certain.
+    """
+    nothing = np.zeros(height.shape, np.uint8)
+    around = Surroundings(height, np.full_like(height, np.nan), nothing, nothing, origin, resolution)
+    # Nothing is too high, too low or too steep: what was seen counts, not what it is.
+    robot = Capabilities("", max_step=math.inf, max_slope=0.0, max_gap=max_gap)
+    tracks = straight_tracks(reach + max_gap + 2.0 * resolution, -1.0)  # a gap shows at its other end
+    found = reach_of(tracks, SPACING, around, pose, FLAT, robot, seen=True)
+    return min(found.free, reach)
 
 
 @njit(cache=True)

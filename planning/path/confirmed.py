@@ -1,10 +1,13 @@
-"""How far a path may be driven by now: as long as the wheels roll on ground that was seen."""
+"""How far a path may be driven by now: forward as long as the wheels roll on ground that was seen, backward as long as the guard lets it."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.go2w import BODY_LENGTH
+from hal.safety.swept import known_behind
+from mapping.grid import ElevationGrid
 from planning.graph.flags import ASSUMED, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.path.types import Path
@@ -16,20 +19,23 @@ LEAST, TURN = 0.06, 1.0
 """A part of a path that is shorter [m] leads nowhere, unless the robot turns that much [rad] first: its head sees to both sides."""
 AHEAD, ROUND = 0.45, 0.25
 """[m] from the robot to what it cannot see, and around that."""
+BACK, BACK_SPACING = 0.12, 0.04
+"""[m] A path backward ends where less than the first is left to what nobody saw: the guard creeps before it and holds. Asked so often."""
 STAND = (0.25, 0.05)
 """[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
 not."""
 
 
-def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
+def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path:
     """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
     `width` [m] wide was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
+    Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.swept`).
     """
     cells = graph.cells
     if cells is None or len(path.points) < 2:
         return path
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
-    if not virtual.any():
+    if grid.trusted.all():
         return path
     chord = np.diff(path.points[:, :2], axis=0)
     chord = np.vstack([chord, chord[-1:]])
@@ -46,12 +52,31 @@ def confirmed(path: Path, graph: TraversalGraph, width: float) -> Path:
     under = (np.abs(c0 * dx + s0 * dy) <= STAND[0]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND[1])
     share = (hidden & ~under).mean(axis=1)
     blocked = share > 1.0 - graph.params.min_coverage
+    first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
+    every = max(1, round(BACK_SPACING / path.limits.spacing))
+    for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
+        if _behind(grid, path, int(k), graph.params.max_gap) < BACK:
+            blocked[k] = True
+            break
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
 
 
-def drivable(path: Path, graph: TraversalGraph, width: float) -> Path | None:
+def _behind(grid: ElevationGrid, path: Path, k: int, max_gap: float) -> float:
+    """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK`."""
+    near = grid.around(path.points[k : k + 1, :2], BODY_LENGTH + max_gap)
+    height = np.where(near.trusted, near.height, np.float32(np.nan))
+    pose = float(path.points[k, 0]), float(path.points[k, 1]), float(path.yaw[k])
+    return known_behind(height, near.origin, near.resolution, pose, max_gap, BACK)
+
+
+def backs_up(path: Path) -> bool:
+    """Whether a path begins backward."""
+    return len(path.back) > 0 and bool(path.back[0])
+
+
+def drivable(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path | None:
     """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin."""
-    part = confirmed(path, graph, width)
+    part = confirmed(path, graph, grid, width)
     if part is path or part.length >= LEAST:
         return part
     return None if abs(path.initial_turn or 0.0) < TURN else path.until(1)

@@ -12,7 +12,7 @@ from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.path.speed import speeds
 from planning.path.spline import rounded
-from planning.path.types import Path, PathLimits
+from planning.path.types import FOLD, Path, PathLimits
 from planning.path.watch import terrain_around
 from planning.risk.body import (
     BodyModel,
@@ -92,6 +92,9 @@ def rest_of(path: Path, pose: tuple[float, float, float], grid: ElevationGrid, b
     k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (path.points, path.watched))
     ahead = path.ahead(x, y)
     assert ahead is not None, "the robot is on the path"
+    near = path.s <= path.s[k] + 2.0 * path.limits.corridor
+    folds = np.flatnonzero(near[1:] & (np.abs(wrap(np.diff(path.yaw))) > FOLD))
+    k = max(k, int(folds[0]) + 1) if len(folds) else k
     poses = np.column_stack([path.points[k:, :2], path.yaw[k:]])
     terrain = terrain_around(grid, poses[:, :2], body)
     speed, least = _profile(poses, terrain, body, path.limits)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,6 +14,8 @@ from planning.braking import brake
 Array = NDArray[np.float64]
 
 
+FOLD = math.radians(100.0)
+"""From here on a corner turns round: the way back lies beside the way to it."""
 REACH = 20
 """Poses that are watched, 1 m, among which the robot is looked for: a path may come back to where it was."""
 
@@ -113,7 +116,8 @@ class Path:
         )
 
     def ahead(self, x: float, y: float) -> tuple[Array, NDArray[np.bool_]] | None:
-        """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off the route."""
+        """What is left of `route` and `back` for a robot at x, y [m]; None where it is farther than the corridor off the route. A corner where it
+        turns round is passed from near on: it turned back to drive the last centimetres to it, with each new plan."""
         if len(self.route) < 2:
             return None
         a, leg = self.route[:-1], np.diff(self.route, axis=0)
@@ -121,7 +125,15 @@ class Path:
         t = np.clip((rel * leg).sum(1) / (leg * leg).sum(1), 0.0, 1.0)
         off = np.hypot(*(rel - t[:, None] * leg).T)
         k = int(np.argmin(off))
-        return (self.route[k + 1 :], self.back[k:]) if off[k] <= 2.0 * self.limits.corridor else None
+        near = 2.0 * self.limits.corridor
+        if k + 2 < len(self.route) and np.hypot(*(rel[k] - leg[k])) <= near and _folded(leg[k], leg[k + 1]):
+            k += int(self.back[k] == self.back[k + 1])
+        return (self.route[k + 1 :], self.back[k:]) if off.min() <= near else None
+
+
+def _folded(leg: Array, after: Array) -> bool:
+    """Whether the way turns round between two legs, (2,) [m] each."""
+    return float(leg @ after) < math.cos(FOLD) * float(np.hypot(*leg) * np.hypot(*after))
 
 
 def _passed(places: Array, points: Array, last: int) -> int:

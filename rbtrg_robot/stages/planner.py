@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.safety.swept import known_behind
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from planning.errors import NoRoute, PlanningError
@@ -92,6 +93,7 @@ class PlannerStage:
             stage._map.refresh((2.0, 2.0), grid, [changed])
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
+        known_behind(height, grid.origin, grid.resolution, (2.0, 2.0, 0.0), stage._map.params.max_gap, 0.1)
 
     def put_on(self, folder: FilePath) -> None:
         """See `KeepsMap`."""

@@ -11,7 +11,7 @@ from hal.types import NS
 from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason
-from planning.path import Path, PathLimits, ahead_of, drivable, is_hidden, make_path, rest_of
+from planning.path import Path, PathLimits, ahead_of, backs_up, drivable, is_hidden, make_path, rest_of
 from planning.risk.body import BodyModel
 from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
@@ -30,7 +30,7 @@ REDRAWS, REDRAWN_CELLS = 5, 500_000
 """Other graphs that are searched at once; fewer on large maps: so many cells of the map may be drawn anew together."""
 LOST = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may have been lost."""
-WAYS = 3
+WAYS = 4
 """Tried, where they begin with ground that cannot be seen."""
 
 
@@ -63,11 +63,14 @@ class WaySearch:
         self._hidden: list[tuple[float, float, float]] = []
         """x, y, radius [m] of ground on the way that cannot be seen from where it begins; kept off until it was seen."""
         self._newest: Plan | None = None
+        self._forward = False
+        """Of the way that is searched nothing is driven backward: the robot does not know the ground behind it."""
 
     def find(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None, now: int) -> Way:
         """The way from where the robot stands at `now` [ns]. What is left of the path `driven` is kept unless another is clearly better.
 
-        A way that begins with ground that cannot be seen from here is left for another. Raises PlanningError.
+        A way that begins with ground that cannot be seen from here is left for another: one that backs onto such ground, for one that is driven
+        forward alone. Raises PlanningError.
         """
         if message.goal_id != self._goal:
             self._begin(message.goal_id)
@@ -86,6 +89,7 @@ class WaySearch:
         if self._params.method != "rb_trg" or terrain.graph is None:
             found, whole = self._plan(terrain, message, driven)
             return Way(found, whole, whole)
+        self._forward = False
         before = terrain.graph
         self._hidden = [disc for disc in self._hidden if is_hidden(before, disc[0], disc[1])]
         for way in range(WAYS):
@@ -97,9 +101,12 @@ class WaySearch:
                     raise
                 break  # what hides the first way is the reason
             assert terrain.graph is not None
-            path = drivable(whole, terrain.graph, self._body.width)
+            path = drivable(whole, terrain.graph, terrain.ground(), self._body.width)
             if path is not None:
                 return Way(found if path is whole else replace(found, reaches_goal=False), whole, path)
+            if backs_up(whole):
+                self._forward = True
+                continue
             self._hidden.append(ahead_of(whole))
         raise NoRoute(
             NoRouteReason.NO_ROUTE,
@@ -149,8 +156,8 @@ class WaySearch:
             start_yaw=message.start_yaw,
             goal_yaw=message.goal_yaw if message.has_goal_yaw else None,
             variant=self._params.variant,
-            rules=self.rules,
-            driven=Driven(*ahead) if ahead is not None else None,
+            rules=replace(self.rules, backward=np.inf) if self._forward else self.rules,
+            driven=Driven(*ahead) if ahead is not None and not (self._forward and ahead[1].any()) else None,
             allow_frontier=True,
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),

@@ -10,7 +10,7 @@ import pytest
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
-from planning.path import PathLimits, make_path, smooth_route, still_safe
+from planning.path import PathLimits, make_path, rest_of, smooth_route, still_safe
 from planning.path.spline import curve, distance_along, reach_limits
 from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
 from planning.search.plan import PlanRequest, plan
@@ -242,3 +242,19 @@ def test_faces_are_climbed_at_the_speed_that_the_robot_needs_for_them():
     assert fast.speed[away < 0.2].min() >= 0.75
     assert fast.least[away > 0.6].max() == 0.0
     np.testing.assert_array_equal(fast.speed[away > 0.8], slow.speed[away > 0.8])
+
+
+def test_a_robot_that_turns_near_a_corner_where_its_path_turns_round_goes_on_with_the_way_back():
+    grid = flat(6, 4)
+    nodes = np.array([[1.0, 2.0, 0.0], [3.0, 2.0, 0.0], [1.0, 3.0, 0.0]])
+    graph = TraversalGraph.from_edges(nodes, np.array([[0, 1], [1, 2]]), np.zeros(2))
+    path = make_path(plan(graph, grid, PlanRequest(0, 2, 0.0)), grid, BODY)
+    for x, passed in ((2.9, True), (2.5, False)):
+        ahead = path.ahead(x, 2.03)
+        assert ahead is not None
+        assert (len(ahead[0]) == 1) is passed
+        rest = rest_of(path, (x, 2.03, 1.0), grid, BODY)
+        assert (np.abs(rest.yaw[0]) > 1.5) == passed, (
+            "the heading of the way back, or of the way to the corner"
+        )
+        assert len(rest.route) == len(ahead[0]) + 1

@@ -15,7 +15,9 @@ GOAL = (2.0, 3.0)
 
 def test_a_robot_that_fell_gets_up_and_reaches_the_goal_when_it_is_sent_again() -> None:
     config = load(None, ["sim.lidar_step=8"], scene="flat")
-    push = Push(time=3.5, force=(0.0, 250.0, 0.0), duration=0.3)  # it tips over where it stands
+    push = Push(
+        time=3.5, force=(0.0, 600.0, 0.0), duration=0.3
+    )  # it is thrown 6 m, onto ground it has not seen
     with Lockstep(
         config.model_copy(update={"sim": config.sim.model_copy(update={"pushes": (push,)})})
     ) as stack:

@@ -1,0 +1,62 @@
+"""How much of a path may be driven by now."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.path import Path, backs_up, drivable, make_path
+from planning.risk.body import BodyModel
+from planning.search.plan import DriveRules, PlanRequest, plan
+from tests.planning.worlds import flat
+
+BODY = BodyModel()
+START = (4.0, 1.5)
+
+
+def ground(unknown: tuple[float, float] | None) -> ElevationGrid:
+    """Level; of a stripe 4 cm wide that lies along the way, x from `unknown[0]` to `unknown[1]` [m] was not seen."""
+    level = flat(5.0, 3.0, 0.04)
+    trusted = level.trusted.copy()
+    if unknown is not None:
+        x = np.arange(trusted.shape[1]) * 0.04
+        trusted[round((START[1] + 0.1) / 0.04), (x > unknown[0]) & (x < unknown[1])] = False
+    return replace(level, trusted=trusted)
+
+
+def way(yaw: float, grid: ElevationGrid) -> tuple[TraversalGraph, Path]:
+    """From the start 2.5 m along -x by a robot that looks at `yaw` [rad] and is to look there at the end."""
+    graph = TraversalGraph.build(grid, START, GraphParams(), 0)
+    request = PlanRequest(START, (1.5, 1.5), yaw, yaw, rules=DriveRules(1.2, 2.0, straight=True))
+    return graph, make_path(plan(graph, grid, request), grid, BODY)
+
+
+@pytest.mark.parametrize("edge", [3.0, 2.4])
+def test_a_path_backward_ends_before_ground_where_the_guard_would_hold_the_robot(edge: float) -> None:
+    grid = ground((edge - 0.5, edge))
+    graph, path = way(0.0, grid)
+    assert backs_up(path)
+    part = drivable(path, graph, grid, BODY.width)
+    assert part is not None
+    rear = part.points[-1, 0] - 0.35
+    assert edge + 0.05 < rear < edge + 0.25
+
+
+def test_a_path_backward_onto_ground_that_the_map_does_not_know_is_none_and_forward_it_is_one() -> None:
+    grid = ground((3.0, 3.6))
+    for yaw, backward in ((0.0, True), (np.pi, False)):
+        graph, path = way(yaw, grid)
+        assert backs_up(path) is backward
+        part = drivable(path, graph, grid, BODY.width)
+        assert (part is None) is backward
+
+
+def test_over_what_is_narrower_than_a_gap_it_backs_up() -> None:
+    grid = ground((3.0, 3.07))
+    graph, path = way(0.0, grid)
+    assert backs_up(path)
+    assert drivable(path, graph, grid, BODY.width) is path

@@ -24,6 +24,8 @@ LEAST = 0.03
 EVEN, SPREAD = 0.5, 1.2
 """From outside a LiDAR sees the tops of the posts alone, which lie as if they were half as high or less. So a field whose rim was seen goes on over ground
 within this distance [m] on which posts would be above this share of the least height, as far as that ground was seen."""
+CORE = 1
+"""Even ground is a square of this many cells on each side of one: a lane between posts and a wall is not much wider on the map."""
 WALL = 0.25
 """Higher ones [m] are no posts, and nothing is compared beside them."""
 
@@ -103,13 +105,31 @@ def fields_in(faces, trusted, parts, local, wide, least):
                 both[r, c] = over > 0.0 and over * over > half * half + off * off
     area, share, beside = sums(ground, wide), sums(both, wide), sums(both, local)
     enough = (1.0 - SHARE) * (2 * wide + 1) ** 2
+    even, beside_wall = _even(ground, both, local), sums(walls, wide)
     out = np.zeros((rows, cols), np.bool_)
     for r in range(rows):
         for c in range(cols):
-            # beside a wall little ground is left of the square: an even lane there would count as the field beside it
             of_it = both[r, c] > 0 or (known[r, c] == 0 and beside[r, c] > 0)
-            out[r, c] = of_it and area[r, c] > enough and share[r, c] > SHARE * area[r, c]
+            # beside a wall little ground is left of the square: an even lane there would count as the field beside it
+            lane = beside_wall[r, c] > 0 and even[r, c] > 0
+            out[r, c] = of_it and not lane and area[r, c] > enough and share[r, c] > SHARE * area[r, c]
     return out
+
+
+@njit(cache=True)
+def _even(ground, both, local):
+    """(rows, cols) above 0 where a square of even ground begins within half a local square: so far from posts a cell has faces in two directions
+    that are theirs."""
+    rows, cols = ground.shape
+    uneven = np.empty((rows, cols), np.int32)
+    for r in range(rows):
+        for c in range(cols):
+            uneven[r, c] = both[r, c] > 0 or ground[r, c] == 0
+    near = sums(uneven, CORE)
+    for r in range(rows):
+        for c in range(cols):
+            uneven[r, c] = near[r, c] == 0
+    return sums(uneven, CORE + local)
 
 
 @njit(cache=True)

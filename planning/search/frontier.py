@@ -17,8 +17,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
+from planning.graph.closing import closed
 from planning.graph.describe import RAYS
-from planning.graph.fields import SPREAD, sums
+from planning.graph.fields import SPREAD
 from planning.graph.flags import FACE, FIELD, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.search.request import PlanRequest
@@ -104,17 +105,36 @@ def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> N
 
     The one that the robot is on its way to stays open until the robot has come to it.
     """
-    seen, previous = request.seen_frontiers, request.previous_frontier
-    out = _far(graph, start, seen, graph.frontier, previous)
+    previous = request.previous_frontier
+    out = _far(graph, start, request.seen_frontiers, graph.frontier, previous)
     if request.been is None:
         return out
-    beside = _far(graph, start, (*seen, *request.been), _beside_virtual(graph), previous)
+    beside = beside_virtual(graph, start, request)
     if not out.any():
         return beside
     if previous is None:
         return out
     near = np.hypot(*(graph.nodes[:, :2] - np.array(previous)).T) <= SAME_FRONTIER
     return out if (out & near).any() else out | (beside & near)
+
+
+def beside_virtual(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
+    """(n,) nodes beside virtual ground where the robot has not been; none once these were exhausted."""
+    if request.been is None:
+        return np.zeros(len(graph.nodes), np.bool_)
+    seen = (*request.seen_frontiers, *request.been)
+    return _far(graph, start, seen, _beside_virtual(graph), request.previous_frontier)
+
+
+def in_field(graph: TraversalGraph, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) which of points (n, >= 2) [m] lie in a stepfield with high posts."""
+    c = graph.cells
+    if c is None:
+        return np.zeros(len(points), np.bool_)
+    col, row = (np.floor((points[:, k] - c.origin[k]) / c.res + 0.5).astype(np.int64) for k in (0, 1))
+    rows, cols = c.flags.shape
+    flags: NDArray[np.uint16] = c.flags[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)]
+    return flags & FIELD > 0
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:
@@ -195,7 +215,8 @@ def way_to_go(
     """(n,) length [m] of the shortest way from points (n, >= 2) to the goal x, y that known obstacles leave open.
 
     Never less than the straight line. Ground off the map is free. `CLOSED` is added where there is no way.
-    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground beside them that was not seen: most likely they go on there.
+    A metre in `fields` (rows, cols of the grid) counts `IN_FIELD` times, and so does ground between parts of them that was not seen, where these
+    are less than `SPREAD` apart: most likely they go on there. What lies on one side of them alone may be the way around.
     """
     x0, y0, x1, y1 = grid.extent
     # one cell of free ground around the map: who leaves it may go around everything
@@ -212,8 +233,9 @@ def way_to_go(
     seeds = straight <= 1.5 * CELL if inside else rim
     dear = np.ones(shape)
     if fields is not None and fields.any():
-        beside = sums(fields.astype(np.int32), round(SPREAD / grid.resolution)) > 0
-        fields = fields | (beside & ~grid.trusted)
+        span = round(SPREAD / grid.resolution)
+        whole = closed(np.pad(fields, span).astype(np.float32), span)[span:-span, span:-span] > 0.0
+        fields = fields | (whole & ~grid.trusted)
         # the raster's cells whose middle lies in a field
         row = np.floor((y[:, 0] + oy - y0) / grid.resolution + 0.5).astype(np.int64)
         col = np.floor((x[0] + ox - x0) / grid.resolution + 0.5).astype(np.int64)

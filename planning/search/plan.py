@@ -16,7 +16,15 @@ from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
-from planning.search.frontier import SAME_FRONTIER, fields_of, open_frontiers, way_to_go, worth_keeping
+from planning.search.frontier import (
+    SAME_FRONTIER,
+    beside_virtual,
+    fields_of,
+    in_field,
+    open_frontiers,
+    way_to_go,
+    worth_keeping,
+)
 from planning.search.keep import kept
 from planning.search.nodes import search_nodes
 from planning.search.pairs import search_pairs
@@ -41,6 +49,8 @@ __all__ = [
 NEARER = 0.5
 """A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the robot stands: what blocks
 the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
+FIELD_STEP, LONG = 0.1, 0.5
+"""A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
 
 
 def plan(
@@ -60,8 +70,10 @@ def plan(
     start_yaw, goal_yaw = _check(grid, request)
     ends = endpoints(table, request)
     found = None if ends.goal is None else _to_goal(ends, request, start_yaw, goal_yaw)
-    if found is None and request.allow_frontier:
-        found = _to_frontier(ends, request, start_yaw)
+    if request.allow_frontier and (found is None or _enters_field(graph, found)):
+        other = _to_frontier(ends, request, start_yaw)
+        if found is None or (other is not None and not worth_keeping(found.worth, other.worth)):
+            found = other
         if found is None and ends.seen:
             found = _to_nearest(ends, request, start_yaw)
     if found is not None and request.driven is not None:
@@ -151,6 +163,10 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     best = _search(at, request, ends, to_go, goal, start_yaw, np.nan)
     if best is None:
         return None
+    if _enters_field(graph, best):
+        # What may lead around the field is looked at before.
+        ends |= beside_virtual(graph, at.start, request) & ~in_field(graph, nodes)
+        best = _search(at, request, ends, to_go, goal, start_yaw, np.nan) or best
     if request.previous_frontier is not None:
         near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
         kept = _search(at, request, ends & near, to_go, goal, start_yaw, np.nan)
@@ -161,6 +177,15 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     x, y, _ = best.points[-1]
     left = float(to_go[best.nodes[-1]])
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=left)
+
+
+def _enters_field(graph: TraversalGraph, plan: Plan) -> bool:
+    """Whether a plan of a robot outside of stepfields with high posts leads into one."""
+    x, y = (plan.points[:, k] for k in (0, 1))
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    along = np.linspace(0.0, s[-1], int(s[-1] / FIELD_STEP) + 2)
+    inside = in_field(graph, np.column_stack([np.interp(along, s, x), np.interp(along, s, y)]))
+    return bool(not inside[0] and inside.sum() * FIELD_STEP > LONG)
 
 
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:

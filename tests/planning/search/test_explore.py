@@ -125,12 +125,24 @@ def test_the_way_to_go_leads_around_a_stepfield_or_counts_it_eleven_times() -> N
     wide = flat(6, 24)
     across = np.array([[1.0, 12.0], [5.0, 12.0]])
     x = np.mgrid[0:481, 0:121][1] * 0.05
-    through = np.abs(x - 3.0) < 0.1
-    np.testing.assert_allclose(way_to_go(wide, across, (5.0, 12.0), through), [6.0, 0.0], atol=0.5)
-    wide.trusted[np.abs(x - 3.0) < 0.6] = False
-    unseen = way_to_go(wide, across, (5.0, 12.0), through)
+    rims = np.abs(np.abs(x - 3.0) - 0.5) < 0.1
+    np.testing.assert_allclose(way_to_go(wide, across, (5.0, 12.0), rims), [8.0, 0.0], atol=1.0)
+    wide.trusted[np.abs(x - 3.0) < 0.4] = False
+    unseen = way_to_go(wide, across, (5.0, 12.0), rims)
     np.testing.assert_allclose(
-        unseen, [16.0, 0.0], atol=2.0, err_msg="a field goes on where nothing was seen"
+        unseen, [16.0, 0.0], atol=2.0, err_msg="a field goes on between its seen parts"
+    )
+
+
+def test_a_lane_beside_a_stepfield_that_was_not_seen_yet_is_free() -> None:
+    grid = flat(6, 4)
+    y, x = np.mgrid[0:81, 0:121] * 0.05
+    grid.height[y > 3.6] = 0.6
+    fields = (np.abs(x - 3.0) < 1.5) & (y < 3.0)
+    grid.trusted[(np.abs(x - 3.0) < 1.5) & (y >= 3.0) & (y <= 3.6)] = False
+    to_go = way_to_go(grid, np.array([[1.0, 2.0]]), (5.0, 2.0), fields)[0]
+    assert to_go == pytest.approx(3.0 + 2.0 * np.hypot(0.5, 1.0), abs=0.5), (
+        "the posts hide it: look there first"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -112,6 +113,24 @@ def test_turn_of_the_mount_and_offset_are_told_apart_by_the_gyro() -> None:
     assert x[0] == pytest.approx(offset, abs=3.0 * sigma[0] + 2e-4)
     assert x[1:] == pytest.approx(rotation_vector(wrong), abs=3e-3)
     assert sigma.max() < 3e-3
+
+
+def test_one_registration_that_lies_askew_moves_no_stamp() -> None:
+    """The first nose-down looks of a robot that stood in a lane: rate [rad/s] of the gyro, pitch of registration beside it [rad]."""
+    found = Calibration({"main": XT16_MOUNT}, 0.05)
+    engine = SimpleNamespace(scans=30)
+    covariance = np.diag([9e-4, 9e-4, 9e-4, 2.5e-5, 1.7e-6, 7e-7])
+    gyro = 0.0
+    for k, (rate, off) in enumerate([(0.0, 0.0), (0.06, 0.0), (0.34, 0.018), (0.58, 0.003), (0.67, 0.004)]):
+        before, now, pose = (np.eye(4) for _ in range(3))
+        before[:3, :3] = rotation_rpy(0.0, gyro, 0.0)
+        gyro += 0.1 * rate
+        now[:3, :3] = rotation_rpy(0.0, gyro, 0.0)
+        pose[:3, :3] = rotation_rpy(0.0, gyro + off, 0.0)
+        stamp = k * NS // 10
+        found.registered(stamp, before, now, stamp - NS // 10, pose, covariance, engine)  # type: ignore[arg-type]
+    assert found.shift["main"] == 0
+    assert found.clock_fault() == ""
 
 
 def test_least_squares_agrees_with_numpy() -> None:

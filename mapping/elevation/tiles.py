@@ -255,7 +255,7 @@ class TileStore:
 
     def touch(self, source: int) -> None:
         """The tiles of the pool with a cell of this source count as changed."""
-        cells = self.cells["source"][: self._span(self.used).start].reshape(self.used, -1)
+        cells = self.cells["source"][: self._span(self.used).start].reshape(-1, self.size**2)
         self.touched[: self.used] |= (cells == source).any(axis=1)
 
     def tile(self, slot: int) -> NDArray[np.void]:

@@ -162,6 +162,13 @@ def test_what_is_taken_for_granted_around_the_wheels_can_be_taken_back() -> None
     assert trusted(gap) == [True]
 
 
+def test_nothing_is_taken_back_from_an_empty_map() -> None:
+    """A robot that starts on stairs of 41 deg has entered no ground when its head LiDAR falls silent."""
+    elevation = ElevationMap()
+    elevation.grant(False)
+    assert elevation.store.used == 0
+
+
 def test_a_map_that_came_back_from_a_reader_takes_back_what_was_granted_before() -> None:
     first, mirror, rng = ElevationMap(), MapMirror(), np.random.default_rng(6)
     for k in range(3):

@@ -4,7 +4,9 @@ ground it is about to drive on, and does it call ground what is none?
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import stamp_of
 from tools.bench.report import Report
 
 AHEAD = np.arange(0.4, 3.0, 0.04)
@@ -153,11 +156,15 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
         frame.x, frame.y, frame.yaw = x, y, yaw
         goal = next(iter(scene.goals.values()))
         begin = stack.seconds
+        truth: deque[Any] = deque([stack.newest[t.TRUTH]], maxlen=EVERY)
         stack.send_goal(goal[0], goal[1])
         while stack.seconds < begin + timeout:
             for _ in range(EVERY):
                 stack.step()
-            place = stack.newest[t.TRUTH].pose.pose
+                truth.append(stack.newest[t.TRUTH])
+            # Once stamps of a LiDAR are shifted, the newest pose at a look is that of the sweep before: the truth of its own time counts.
+            stamp = stamp_of(stack.newest[t.ODOM])
+            place = min(truth, key=lambda at: abs(stamp_of(at) - stamp)).pose.pose
             true = (place.position.x, place.position.y, yaw_of(place.orientation))
             held_at = stack.newest[t.ODOM].pose.pose
             held = frame.pose2(held_at.position.x, held_at.position.y, yaw_of(held_at.orientation))

@@ -34,7 +34,8 @@ ROOMS: dict[str, str] = {
     "planning.graph": "mapping planning",
     "planning.risk": "hal mapping planning planning.graph",
     "planning.search": "hal mapping planning planning.graph planning.risk",
-    "planning.path": "hal mapping planning planning.graph planning.risk planning.search",
+    # backward a path ends where the guard would hold: one rule
+    "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
     "planning.baselines.art": "mapping planning planning.search planning.baselines",

@@ -43,7 +43,7 @@ AHEAD = 4.0
 ENDED = ("reached", "rejected", "aborted")
 ZYGOTE, SUPERVISOR = "zygote", "supervisor"
 HELD = (5.0, 15.0)
-"""[s] for which the supervisor hangs: shorter and longer than the lease of a Zenoh session (10 s)."""
+"""[s] for which the supervisor hangs: both longer than the lease of a Zenoh session (2 s); the second is longer than most limits of the supervisor."""
 GONE = 10.0
 """Longest wait [s] for the end of what must not outlive the supervisor."""
 

@@ -11,14 +11,18 @@ from rbtrg_robot.stages.navigation.progress import TURNING
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, unlocated
 from rbtrg_robot.topics import Topic
 
+AHEAD = 0.2
+"""[m/s] that the guard must allow forward: it stops the robot within 0.1 m then."""
+
 
 class Inputs:
-    """Newest states of robot, tracker, odometry and map, and when each topic was heard. Times in ns."""
+    """Newest states of robot, tracker, odometry, map and guard, and when each topic was heard. Times in ns."""
 
     def __init__(self) -> None:
         self.robot: msg.RobotState | None = None
         self.tracker: msg.TrackerState | None = None
         self.map: msg.MapStatus | None = None
+        self.limits: msg.MotionLimits | None = None
         self._health: msg.OdometryHealth | None = None
         self._heard: dict[Topic, int] = {}
 
@@ -39,6 +43,11 @@ class Inputs:
             return 0.0
         return -1.0 if self.robot is not None and self.robot.vx < 0.0 else 1.0
 
+    @property
+    def room_ahead(self) -> bool:
+        """Whether the guard lets the robot forward, a decimetre at least."""
+        return self.limits is not None and self.limits.forward >= AHEAD
+
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""
         self._heard[topic] = now
@@ -50,6 +59,8 @@ class Inputs:
             self.tracker = message
         elif t.ROBOT_STATE.carried(message, topic):
             self.robot = message
+        elif t.MOTION_LIMITS.carried(message, topic):
+            self.limits = message
 
     def restart(self) -> None:
         """The clock was reset: stamps of before mean nothing."""

@@ -30,13 +30,15 @@ PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
 LOOKING = "looking at the ground ahead"
+MOVE_ON = 0.15
+"""[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
 
 class NavigatorStage:
     """Goals in, paths for the tracker and the goal's status out.
-    In: goals and cancellations, plans, the state of route, tracker, odometry, map and robot. Out: plan
+    In: goals and cancellations, plans, the state of route, tracker, odometry, map, guard and robot. Out: plan
     requests, paths, the status of the goal. It decides when to plan, to drive, to wait, to recover and to
     give up, and tells the reason. It never computes a route and never publishes a velocity.
     """
@@ -52,6 +54,7 @@ class NavigatorStage:
         t.MAP_STATUS,
         t.ROBOT_STATE,
         t.TF_STATIC,
+        t.MOTION_LIMITS,
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
@@ -283,25 +286,32 @@ class NavigatorStage:
         """Move out of the place, then replan around it; give up where that was done often enough."""
         self._progress.reset()
         assert self._pose is not None
-        if self._recovery.stuck(self._pose, self._inputs.way) is Measure.GIVE_UP:
+        way = self._inputs.way
+        measure = self._recovery.stuck(self._pose, way, room_ahead=self._inputs.room_ahead)
+        if measure is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
             self._end(GoalState.ABORTED, Reason.STUCK, tried)
-        elif not self._move_out(goal, barred=self._inputs.way):
+        elif measure is Measure.MOVE_ON:
+            self._straight(goal, MOVE_ON, "moving on")
+        elif not self._move_out(goal, barred=way):
             goal.recoveries += 1
             self._replan(goal)
 
     def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
         """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred`; False when there is none."""
         reach = self._trail.reach(self._pose, self._params.back_out, barred) if self._pose else 0.0
-        if self._pose is None or reach == 0.0:
-            return False
+        if reach != 0.0:
+            self._straight(goal, reach, "backing out" if reach < 0.0 else "moving out")
+        return reach != 0.0
+
+    def _straight(self, goal: Goal, reach: float, why: str) -> None:
+        assert self._pose is not None
         goal.recoveries += 1
         goal.state = GoalState.RECOVERING
-        goal.detail = "backing out" if reach < 0.0 else "moving out"
+        goal.detail = why
         self._plan = None
         self._out.append((t.PATH_COMMAND, self._order.straight(self._now, goal.id, self._pose, reach)))
         self._status()
-        return True
 
     def _replan(self, goal: Goal) -> None:
         goal.replans += 1

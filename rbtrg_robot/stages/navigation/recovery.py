@@ -21,6 +21,8 @@ class Measure(StrEnum):
     """Stand, wait for a newer map and ask again; the planner draws another graph meanwhile."""
     LOOK_DOWN = "look_down"
     """The same with the nose down, where the trunk tilts."""
+    MOVE_ON = "move_on"
+    """Move a little straight ahead, where the turn that is held may be free, then ask again."""
     MOVE_OUT = "move_out"
     """Move straight over ground the body covered, then ask again."""
     GIVE_UP = "give_up"
@@ -30,7 +32,9 @@ class Recovery:
     """Keeps what was tried for one goal, and what routes must keep off.
 
     No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then move out of the
-    place once, because it may only lack the room to turn; then give up. Stuck: keep off the place and move out, a few times at each place.
+    place once, because it may only lack the room to turn; then give up. Stuck: keep off the place and move out, a few times at each place. A turn
+    that is held goes on a little farther ahead first: behind the corner of a wall a robot that turned 0.1 m too early has its tail at it, and
+    came back to the same place each time that it had backed out.
     """
 
     def __init__(self, config: NavigatorConfig) -> None:
@@ -56,11 +60,14 @@ class Recovery:
             return Measure.LOOK
         return Measure.MOVE_OUT if pose and _visit(self._lost_at, pose) == 1 else Measure.GIVE_UP
 
-    def stuck(self, pose: Pose2, way: float) -> Measure:
+    def stuck(self, pose: Pose2, way: float, *, room_ahead: bool) -> Measure:
         """No progress at `pose` although it drove forward, `way` 1.0, backward, -1.0, or turned, 0.0. What stalls a turn lies under the
-        robot, not ahead: nothing is kept off then."""
-        if _visit(self._stuck_at, pose) > self._config.max_recoveries:
+        robot or beside it, not ahead: nothing is kept off then. `room_ahead`: the guard lets it forward."""
+        tries = _visit(self._stuck_at, pose)
+        if tries > self._config.max_recoveries:
             return Measure.GIVE_UP
+        if not way and room_ahead and tries == 1:
+            return Measure.MOVE_ON
         if way:
             (x, y, yaw), ahead = pose, way * self._config.avoid_ahead
             self.avoid += [x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self._config.avoid_radius]

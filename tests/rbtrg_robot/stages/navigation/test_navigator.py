@@ -810,6 +810,30 @@ def test_a_turn_that_stalls_across_the_way_is_not_left_blindly(world: World) -> 
     assert all(len(m.x) == 0 for m in moves), "halts only"
 
 
+def test_a_turn_that_is_held_goes_on_a_little_farther_ahead_then_backs_out(world: World) -> None:
+    world.come_along()
+    world.goal()
+    for tries, end in ((1, 0.95 + 0.15), (2, 0.35)):
+        world.answer()
+        world.tracker_phase = "aligning"
+        world.send(t.MOTION_LIMITS, forward=0.3, backward=1.0, left=1.0)
+        world.run(5.5)
+        assert (world.status.state, world.status.recoveries) == ("recovering", tries)
+        assert world.last(t.PATH_COMMAND).x[-1] == pytest.approx(end)
+        world.tracker_phase = "done"
+        world.run(0.1)
+
+
+def test_a_turn_that_is_held_backs_out_where_the_guard_lets_nothing_ahead(world: World) -> None:
+    world.come_along()
+    world.goal()
+    world.answer()
+    world.tracker_phase = "aligning"
+    world.send(t.MOTION_LIMITS, forward=0.1, backward=1.0, left=1.0)
+    world.run(5.5)
+    assert world.last(t.PATH_COMMAND).x[-1] == pytest.approx(0.35)
+
+
 def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
     world.goal()
     world.answer()

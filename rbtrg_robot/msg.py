@@ -365,6 +365,23 @@ class PointCloud2(Message):
 
 
 @dataclass(slots=True, eq=False)
+class CompressedPointCloud2(Message):
+    """point_cloud_interfaces/msg/CompressedPointCloud2: in logs only (`rbtrg_robot.log.packed`)."""
+
+    __msgtype__ = "point_cloud_interfaces/msg/CompressedPointCloud2"
+    header: Header = field(default_factory=Header)
+    height: int = 0
+    width: int = 0
+    fields: list[PointField] = field(default_factory=list)
+    is_bigendian: bool = False
+    point_step: int = 0
+    row_step: int = 0
+    compressed_data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
+    is_dense: bool = False
+    format: str = ""
+
+
+@dataclass(slots=True, eq=False)
 class MapPrior(Message):
     """rbtrg_msgs/msg/MapPrior."""
 

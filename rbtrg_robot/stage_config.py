@@ -157,7 +157,7 @@ class RecorderConfig(BaseModel):
 
     profile: Literal["full", "standard", "lean"] = Field(
         "full",
-        description="full: everything; standard: what odometry and map can be made from again; lean: no clouds, no re-run",
+        description="full: everything; standard: what odometry and map can be made from again, sweeps packed; lean: no clouds, no re-run",
     )
     flush_period: float = Field(1.0, gt=0, description="most that a killed recorder loses [s]")
     rotate_seconds: float = Field(300.0, gt=0, description="begin a new file after [s]")

@@ -125,7 +125,8 @@ class Lockstep:
     def open_log(config: StackConfig, path: Any) -> LogWriter:
         """A log for this host: no wall clock, no machine in it, so the same run gives the same bytes."""
         metadata = config.metadata() | {"host": "lockstep"}
-        return LogWriter(path, metadata, {CONFIG: config.to_yaml().encode()})
+        pack_sweeps = config.recorder.profile == "standard"
+        return LogWriter(path, metadata, {CONFIG: config.to_yaml().encode()}, pack_sweeps=pack_sweeps)
 
     def _note(self, topic: Topic, payload: bytes, _now: int) -> None:
         if topic in _KEPT:

@@ -1,7 +1,8 @@
 """MCAP log files: writing, reading, and what can be said about one.
 
 Profile `ros2`, CDR payloads as they were on the wire, `ros2msg` schemas, zstd chunks of 1 MiB. `log_time` is when
-the message was recorded, `publish_time` its source clock; both in ns. rosbag2, Foxglove and rosbags read these files.
+the message was recorded, `publish_time` its source clock; both in ns. rosbag2, Foxglove and rosbags read these files. Sweeps that are
+packed (`rbtrg_robot.log.packed`) are what they were on the wire to every reader here.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
 from hal.errors import OperatorError
-from rbtrg_robot import __version__
-from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot import __version__, msg
+from rbtrg_robot.log.packed import pack, unpack
+from rbtrg_robot.topics import SWEEPS, Qos, Topic
 from rbtrg_robot.wire.messages import definition, type_hash
 
 if TYPE_CHECKING:
@@ -107,10 +109,16 @@ class LogWriter:
     """One MCAP file. Deterministic: the same messages and metadata give the same bytes."""
 
     def __init__(
-        self, path: Path, metadata: Mapping[str, str], attachments: Mapping[str, bytes] | None = None
+        self,
+        path: Path,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes] | None = None,
+        *,
+        pack_sweeps: bool = False,
     ) -> None:
         """Create `path`. Raises LogError."""
         self.path = path
+        self._pack_sweeps = pack_sweeps
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = _LogFile(path, "wb")
@@ -137,8 +145,9 @@ class LogWriter:
 
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int, sequence: int = 0) -> None:
         """Append a message; times in ns."""
-        self._channel(topic)
-        self._add(topic.name, data, log_time, publish_time, sequence)
+        packed = self._pack_sweeps and topic in SWEEPS.values()
+        self._channel(topic, msg.CompressedPointCloud2.__msgtype__ if packed else topic.type)
+        self._add(topic.name, pack(data) if packed else data, log_time, publish_time, sequence)
 
     def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
         """Append a message of another file with its schema, whatever it is."""
@@ -159,22 +168,22 @@ class LogWriter:
         stamp = min(max(publish_time, 0), 2**64 - 1)
         self._writer.add_message(self._channels[name], log_time, data, stamp, sequence % 2**32)
 
-    def _channel(self, topic: Topic) -> None:
+    def _channel(self, topic: Topic, typename: str) -> None:
         if topic.name in self._channels:
             return
-        if topic.type not in self._schemas:
-            self._schemas[topic.type] = self._writer.register_schema(
-                topic.type, "ros2msg", definition(topic.type).encode()
+        if typename not in self._schemas:
+            self._schemas[typename] = self._writer.register_schema(
+                typename, "ros2msg", definition(typename).encode()
             )
         metadata = {
             "offered_qos_profiles": _OFFERED_QOS.format(
                 reliability="best_effort" if topic.qos is Qos.SENSOR else "reliable",
                 durability="transient_local" if topic.qos is Qos.LATCHED else "volatile",
             ),
-            "topic_type_hash": type_hash(topic.type),
+            "topic_type_hash": type_hash(typename),
         }
         self._channels[topic.name] = self._writer.register_channel(
-            topic.name, "cdr", self._schemas[topic.type], metadata
+            topic.name, "cdr", self._schemas[typename], metadata
         )
 
     @property
@@ -227,9 +236,10 @@ class LogContents:
 
 
 def read_log(
-    path: Path, contents: LogContents | None = None
+    path: Path, contents: LogContents | None = None, *, raw: bool = False
 ) -> Iterator[tuple[Entry, Schema | None, Channel]]:
-    """Messages in file order, up to the first damage. Raises LogError when it is no MCAP file at all."""
+    """Messages in file order, up to the first damage; `raw`: packed sweeps as they are, to be copied. Raises LogError when it is no MCAP
+    file at all."""
     found = contents if contents is not None else LogContents()
     try:
         stream = path.open("rb")
@@ -250,13 +260,11 @@ def read_log(
                 elif isinstance(record, Message):
                     channel = found.channels[record.channel_id]
                     schema = found.schemas.get(channel.schema_id)
+                    kind, data = schema.name if schema else "", record.data
+                    if not raw and kind == msg.CompressedPointCloud2.__msgtype__:
+                        kind, data = msg.PointCloud2.__msgtype__, unpack(data)
                     entry = Entry(
-                        channel.topic,
-                        schema.name if schema else "",
-                        record.data,
-                        record.log_time,
-                        record.publish_time,
-                        record.sequence,
+                        channel.topic, kind, data, record.log_time, record.publish_time, record.sequence
                     )
                     count += 1
                     yield entry, schema, channel
@@ -304,7 +312,7 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
     if out.exists():
         raise LogError(f"{out} exists; name another file with --out")
     contents = LogContents()
-    records = read_log(path, contents)
+    records = read_log(path, contents, raw=True)
     first = next(records, None)  # metadata and attachments stand before the first message
     with LogWriter(out, contents.metadata.get(METADATA, {}), contents.attachments) as writer:
         if first is not None:

@@ -1,4 +1,4 @@
-"""The recorder: every message on the bus into MCAP, wire bytes unchanged."""
+"""The recorder: every message on the bus into MCAP, wire bytes unchanged but for sweeps of the profile `standard`, which are packed."""
 
 from __future__ import annotations
 
@@ -74,7 +74,12 @@ class Recorder:
             self._give_up(str(error))
 
     def _open(self) -> LogWriter:
-        return LogWriter(self._folder / f"log_{self._number}.mcap", self._metadata, self._attachments)
+        return LogWriter(
+            self._folder / f"log_{self._number}.mcap",
+            self._metadata,
+            self._attachments,
+            pack_sweeps=self._params.profile == "standard",
+        )
 
     def write(self, topic: t.Topic, payload: bytes, stamp: int, sequence: int) -> None:
         """One message; `stamp` is its source clock [ns]."""

@@ -129,7 +129,7 @@ def last_seconds(folder: Path, target: Path, seconds: float) -> int:
     for path in reversed(
         log_files(folder)
     ):  # a file is minutes long, or as short as the life of a recorder that was killed
-        times = [entry.log_time for entry, _, _ in read_log(path)]
+        times = [entry.log_time for entry, _, _ in read_log(path, raw=True)]
         files.insert(0, path)
         if times and begin is None:
             begin = max(times) - round(seconds * 1e9)
@@ -141,7 +141,7 @@ def last_seconds(folder: Path, target: Path, seconds: float) -> int:
     writer: LogWriter | None = None
     try:
         for path in files:
-            for record in read_log(path, contents):
+            for record in read_log(path, contents, raw=True):
                 if writer is None:  # metadata and attachments stand before the first message
                     writer = LogWriter(target, contents.metadata.get(METADATA, {}), contents.attachments)
                 entry = record[0]

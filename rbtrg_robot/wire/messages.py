@@ -22,7 +22,7 @@ M = TypeVar("M", bound=Message)
 STORE = get_typestore(Stores.ROS2_JAZZY)
 OURS: list[str] = []
 """Types that ROS lacks."""
-for _package in ("grid_map_msgs", "rbtrg_msgs"):
+for _package in ("grid_map_msgs", "point_cloud_interfaces", "rbtrg_msgs"):
     _found: dict[str, Any] = {}
     for _file in sorted(files("rbtrg_robot.wire").joinpath("msgs", _package).iterdir(), key=lambda f: f.name):
         _name = f"{_package}/msg/{_file.name.removesuffix('.msg')}"

@@ -68,7 +68,7 @@ def restore_store(
     row, col = np.nonzero(known | np.isfinite(upper))
     at = row, col
     cell = store.locate((row + patch.cell[0]).astype(np.int64), (col + patch.cell[1]).astype(np.int64))
-    new: NDArray[Any] = np.full(len(row), FRESH, dtype=CELL)
+    new = np.repeat(FRESH, len(row))
     new["upper"] = np.where(known[at], np.inf, upper[at])
     new["height"] = np.where(known[at], height[at], np.nan)
     new["variance"] = np.where(known[at], layers["variance"][at], np.nan)

@@ -9,7 +9,7 @@ reads or writes them brings them back.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,13 @@ class Layers(NamedTuple):
     source: NDArray[np.uint8]
 
 
+def _grown(pool: NDArray[Any], rows: int) -> NDArray[Any]:
+    """A pool with more rows; the new ones are zero, and take memory and time where they are first written only."""
+    out = np.zeros((rows, *pool.shape[1:]), pool.dtype)
+    out[: len(pool)] = pool
+    return out
+
+
 class TileStore:
     """Pool of tiles with a directory. The slots in use are the first `used` ones."""
 
@@ -113,22 +120,22 @@ class TileStore:
 
     def keep_level(self) -> None:
         """Remember the heights that the LiDAR cells have now as `level`."""
-        self.level = np.where(self.cells["source"] == LIDAR, self.cells["height"], np.nan).astype(np.float32)
+        held = self.cells[: self._span(self.used).start]
+        self.level = np.zeros(self.cells.size, np.float32)
+        self.level[: held.size] = np.where(held["source"] == LIDAR, held["height"], np.nan)
 
     def reserve(self, capacity: int) -> None:
-        """Make room for that many tiles at once."""
+        """Make room for that many tiles at once. Their cells are made fresh when they are allocated: a map that is driven on must not
+        wait for that of a thousand tiles."""
         have = self.touched.size
         if capacity <= have:
             return
         capacity = max(capacity, 2 * have)
-        cells = (capacity - have) * self.size * self.size
-        self.cells = np.concatenate([self.cells, np.full(cells, FRESH, dtype=CELL)])
-        self.sent = np.concatenate([self.sent, np.full(cells, FRESH_SENT, dtype=SENT)])
-        self.mark = np.concatenate([self.mark, np.zeros(cells, dtype=np.int32)])
+        cells = capacity * self.size * self.size
+        self.cells, self.sent, self.mark = (_grown(pool, cells) for pool in (self.cells, self.sent, self.mark))
         if self.level.size:
-            self.level = np.concatenate([self.level, np.full(cells, np.nan, dtype=np.float32)])
-        self.touched = np.concatenate([self.touched, np.zeros(capacity - have, dtype=np.uint8)])
-        self.tiles = np.concatenate([self.tiles, np.zeros((capacity - have, 2), dtype=np.int32)])
+            self.level = _grown(self.level, cells)
+        self.touched, self.tiles = _grown(self.touched, capacity), _grown(self.tiles, capacity)
 
     def stay_near(self, row: int, col: int, near: int, far: int) -> None:
         """Bring back the tiles up to `near` rows and columns from a tile, put away those beyond `far` of which all changes were read."""
@@ -174,8 +181,6 @@ class TileStore:
         there = self._span(last)
         for pool in (self.cells, self.sent, self.level):
             pool[here] = pool[there]
-        self.cells[there], self.sent[there] = FRESH, FRESH_SENT
-        self.level[there] = np.nan
         self._enter(row, col, AWAY)
         if last != slot:
             self._enter(int(self.tiles[last, 0]), int(self.tiles[last, 1]), slot)
@@ -236,6 +241,8 @@ class TileStore:
         self.used += 1
         self.tiles[slot] = row, col
         self._enter(row, col, slot)
+        here = self._span(slot)
+        self.cells[here], self.sent[here], self.level[here] = FRESH, FRESH_SENT, np.nan
         if held == AWAY:
             self._take_back(row, col, slot)
         return slot

@@ -132,7 +132,9 @@ class TileStore:
             return
         capacity = max(capacity, 2 * have)
         cells = capacity * self.size * self.size
-        self.cells, self.sent, self.mark = (_grown(pool, cells) for pool in (self.cells, self.sent, self.mark))
+        self.cells, self.sent, self.mark = (
+            _grown(pool, cells) for pool in (self.cells, self.sent, self.mark)
+        )
         if self.level.size:
             self.level = _grown(self.level, cells)
         self.touched, self.tiles = _grown(self.touched, capacity), _grown(self.tiles, capacity)

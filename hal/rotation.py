@@ -68,6 +68,18 @@ def rotation(q: Array) -> Array:
 
 
 @njit(cache=True)
+def rotations(q: Array) -> Array:
+    """(n, 3, 3) `rotation` of n unit quaternions (n, 4)."""
+    out = np.empty((len(q), 3, 3))
+    for i in range(len(q)):
+        one = rotation(q[i])
+        for a in range(3):
+            for b in range(3):
+                out[i, a, b] = one[a, b]
+    return out
+
+
+@njit(cache=True)
 def turn(q: Array, rx: float, ry: float, rz: float) -> None:
     """In place q <- q * Exp(r), r a rotation vector [rad] in the body frame; renormalised."""
     angle = math.sqrt(rx * rx + ry * ry + rz * rz)

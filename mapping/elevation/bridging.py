@@ -160,26 +160,26 @@ def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, foun
     straight, oblique = _most(rule, 1.0), _most(rule, 2.0)
     for r in range(rows):
         last = far
+        row = np.uint64(r)
         for c in range(cols):
-            if source[r, c] == 0:
+            at = np.uint64(c)  # unsigned indices spare the test for negative ones
+            if source[row, at] == 0:
                 continue
-            f, g = c - r + rows, c + r
-            # What most pairs fail by is asked here: a call costs more than the answer.
-            if trusted[r, c]:
-                n = c - last
-                if 1 < n <= straight and trusted[r, last]:
-                    _span(height, source, trusted, upper, r, c, 0, 1, n, rule, out, gap, holes, kind, found)
-                n = r - falling[f]
-                if 1 < n <= oblique and trusted[r - n, c - n]:
-                    _span(height, source, trusted, upper, r, c, 1, 1, n, rule, out, gap, holes, kind, found)
-                n = r - rising[g]
-                if 1 < n <= oblique and trusted[r - n, c + n]:
-                    _span(height, source, trusted, upper, r, c, 1, -1, n, rule, out, gap, holes, kind, found)
-                n = r - column[c]
-                if 1 < n <= straight and trusted[r - n, c]:
-                    _span(height, source, trusted, upper, r, c, 1, 0, n, rule, out, gap, holes, kind, found)
+            f, g = np.uint64(c - r + rows), np.uint64(c + r)
+            across, down, right, left = c - last, r - column[at], r - falling[f], r - rising[g]
             last = c
-            column[c] = falling[f] = rising[g] = r
+            column[at] = falling[f] = rising[g] = r
+            # What most pairs fail by is asked here: a call costs more than the answer.
+            if (across == 1 and down == 1 and right == 1 and left == 1) or not trusted[row, at]:
+                continue
+            if 1 < across <= straight and trusted[r, c - across]:
+                _span(height, source, trusted, upper, r, c, 0, 1, across, rule, out, gap, holes, kind, found)
+            if 1 < right <= oblique and trusted[r - right, c - right]:
+                _span(height, source, trusted, upper, r, c, 1, 1, right, rule, out, gap, holes, kind, found)
+            if 1 < left <= oblique and trusted[r - left, c + left]:
+                _span(height, source, trusted, upper, r, c, 1, -1, left, rule, out, gap, holes, kind, found)
+            if 1 < down <= straight and trusted[r - down, c]:
+                _span(height, source, trusted, upper, r, c, 1, 0, down, rule, out, gap, holes, kind, found)
 
 
 @njit(cache=True)

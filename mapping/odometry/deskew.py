@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hal.rotation import rotation, rotation_rpy, rotation_vectors
+from hal.rotation import rotation_rpy, rotation_vectors, rotations
 from hal.types import Array, Extrinsics, LidarName
 from mapping.odometry.intake import Sweep
 
@@ -75,7 +75,7 @@ def deskew(
     knots = knots[moved]
     if len(knots) < 2:
         return np.array(xyz, np.float32)
-    rots = np.stack([rotation(q) for q in poses[:, 6:10]])
+    rots = rotations(np.ascontiguousarray(poses[:, 6:10]))
     pos = poses[:, :3] - rots @ lever
     end_rot, end_pos = rots[-1], pos[-1]
     step = rotation_vectors(np.matmul(rots[:-1].transpose(0, 2, 1), rots[1:]))

@@ -58,60 +58,81 @@ def mark_fields(
     piece = np.ascontiguousarray(faces[around]), np.ascontiguousarray(trusted[around])
     sides = round(0.5 * LOCAL / res), round(0.5 * SIDE / res)
 
+    found = compared(piece[0], *sides)
+
     def higher(posts: float, *, parts: bool) -> NDArray[np.bool_]:
-        return fields_in(*piece, parts, *sides, FACES * (1000.0 * posts) ** 2)
+        return fields_in(found, piece[1], parts, *sides, FACES * (1000.0 * posts) ** 2)
 
     rim = higher(max_posts / 3.0, parts=True)
     near = sums(rim.astype(np.int32), round(SPREAD / res)) > 0
     uneven = higher(EVEN * max_posts / 3.0, parts=True)
-    for flag, found in ((POSTS, higher(max_posts, parts=False)), (FIELD, rim | (near & uneven))):
-        out[:] = np.where(found[inner], out | np.uint16(flag), out & ~np.uint16(flag))
+    for flag, where in ((POSTS, higher(max_posts, parts=False)), (FIELD, rim | (near & uneven))):
+        out[:] = np.where(where[inner], out | np.uint16(flag), out & ~np.uint16(flag))
 
 
 @njit(cache=True)
-def fields_in(faces, trusted, parts, local, wide, least):
-    """(rows, cols) where a square of 2 `wide` + 1 cells is a field. `least`: the smaller eigenvalue of a cell [mm^2], averaged over a square of
-    2 `local` + 1 cells; `parts`: over that part of it which is `trusted`. Of what lies outside nothing is known."""
-    rows, cols = trusted.shape
-    xx = np.zeros((rows, cols), np.int32)
-    yy = np.zeros((rows, cols), np.int32)
-    xy = np.zeros((rows, cols), np.int32)
-    walls = np.zeros((rows, cols), np.int32)
-    known = np.ones((rows, cols), np.int32)
+def compared(faces, local, wide):
+    """Sums over the square of 2 `local` + 1 cells around each: x x, y y and x y of its faces [mm^2], and the number of its walls; then whether a
+    wall is in the square of 2 `wide` + 1 cells. (5, rows, cols) int32, the same for every height of posts."""
+    rows, cols, _ = faces.shape
+    out = np.zeros((5, rows, cols), np.int32)
     for r in range(rows):
         for c in range(cols):
             x = np.int64(faces[r, c, 0])
             y = np.int64(faces[r, c, 1])
             size2 = x * x + y * y
-            if parts and not trusted[r, c]:
-                known[r, c] = 0
             if size2 > (1000.0 * WALL) ** 2:
-                walls[r, c] = 1
+                out[3, r, c] = 1
             elif size2 >= (1000.0 * LEAST) ** 2:
-                xx[r, c], yy[r, c], xy[r, c] = x * x, y * y, x * y
-    xx, yy, xy, walls = sums(xx, local), sums(yy, local), sums(xy, local), sums(walls, local)
-    count = sums(known, local)
+                out[0, r, c], out[1, r, c], out[2, r, c] = x * x, y * y, x * y
+    for k in range(4):
+        summed = sums(out[k], local)
+        for r in range(rows):
+            for c in range(cols):
+                out[k, r, c] = summed[r, c]
+    beside_wall = sums(out[3], wide)
+    for r in range(rows):
+        for c in range(cols):
+            out[4, r, c] = beside_wall[r, c] > 0
+    return out
+
+
+@njit(cache=True)
+def fields_in(found, trusted, parts, local, wide, least):
+    """(rows, cols) where a square of 2 `wide` + 1 cells is a field. `found`: see `compared`. `least`: the smaller eigenvalue of a cell [mm^2],
+    averaged over a square of 2 `local` + 1 cells; `parts`: over that part of it which is `trusted`. Of what lies outside nothing is known."""
+    rows, cols = trusted.shape
+    out = np.zeros((rows, cols), np.bool_)
+    known = np.ones((rows, cols), np.int32)
+    if parts:
+        for r in range(rows):
+            for c in range(cols):
+                known[r, c] = trusted[r, c]
+    count = sums(known, local) if parts else known
     whole = (2 * local + 1) ** 2
     ground = np.zeros((rows, cols), np.int32)
     both = np.zeros((rows, cols), np.int32)
+    number = 0
     for r in range(rows):
         for c in range(cols):
-            if walls[r, c] == 0 and known[r, c] > 0:
+            if found[3, r, c] == 0 and known[r, c] > 0:
                 ground[r, c] = 1
                 # the smaller eigenvalue, mean - hypot(half, xy), is above the least; without the root
-                mean, half = 0.5 * (xx[r, c] + yy[r, c]), 0.5 * (xx[r, c] - yy[r, c])
-                off = float(xy[r, c])
+                xx, yy, xy = found[0, r, c], found[1, r, c], float(found[2, r, c])
+                mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
                 over = mean - least * (count[r, c] if parts else whole)
-                both[r, c] = over > 0.0 and over * over > half * half + off * off
+                both[r, c] = over > 0.0 and over * over > half * half + xy * xy
+                number += both[r, c]
+    if number == 0:  # most ground has no faces in two directions anywhere
+        return out
     area, share, beside = sums(ground, wide), sums(both, wide), sums(both, local)
     enough = (1.0 - SHARE) * (2 * wide + 1) ** 2
-    even, beside_wall = _even(ground, both, local), sums(walls, wide)
-    out = np.zeros((rows, cols), np.bool_)
+    even = _even(ground, both, local)
     for r in range(rows):
         for c in range(cols):
             of_it = both[r, c] > 0 or (known[r, c] == 0 and beside[r, c] > 0)
             # beside a wall little ground is left of the square: an even lane there would count as the field beside it
-            lane = beside_wall[r, c] > 0 and even[r, c] > 0
+            lane = found[4, r, c] > 0 and even[r, c] > 0
             out[r, c] = of_it and not lane and area[r, c] > enough and share[r, c] > SHARE * area[r, c]
     return out
 

@@ -184,7 +184,8 @@ class GuardStage:
         if newest < self._stamp:
             return
         points = self._clouds[newest]
-        near = points[(np.abs(points[:, :2]) < AROUND).all(axis=1)].astype(np.float64)
+        x, y = points[:, 0], points[:, 1]
+        near = points[(np.abs(x) < AROUND) & (np.abs(y) < AROUND)].astype(np.float64)
         pose = self._odoms[newest].pose.pose
         position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
         place = position + np.array([0.0, 0.0, self._correction])

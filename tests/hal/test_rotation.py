@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.rotation import rotation_rpy, rotation_vector, rotation_vectors, wrap
+from hal.rotation import rotation, rotation_rpy, rotation_vector, rotation_vectors, rotations, wrap
 
 
 def test_a_wrapped_angle_is_the_same_direction_and_half_a_turn_is_positive() -> None:
@@ -25,3 +25,9 @@ def test_many_rotation_vectors_equal_one_by_one(largest: float) -> None:
     expected = np.array([rotation_vector(matrix) for matrix in matrices])
     assert np.abs(expected).max() > 0.5 * largest
     np.testing.assert_allclose(rotation_vectors(matrices), expected, rtol=1e-12, atol=1e-22)
+
+
+def test_many_quaternions_give_the_matrices_of_one_by_one() -> None:
+    q = np.random.default_rng(3).standard_normal((50, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    np.testing.assert_array_equal(rotations(q), np.array([rotation(one) for one in q]))

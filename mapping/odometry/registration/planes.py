@@ -152,20 +152,22 @@ def _fit(
         if s < 0:
             continue
         seen += 1
-        if stats[s, 0] < PLANE:
-            continue
         if plane[s, 4] > 0.0:
+            n = stats[s, 0]
+            if n < PLANE:
+                continue
             _plane(stats[s], plane[s])
+            for k in range(3):
+                plane[s, 5 + k] = stats[s, 1 + k] / n
             plane[s, 4] = 0.0
         if plane[s, 3] == np.inf:
             continue
         planar += 1
-        n = stats[s, 0]
         nx, ny, nz = plane[s, 0], plane[s, 1], plane[s, 2]
         r = (
-            nx * (x - anchor[s, 0] - stats[s, 1] / n)
-            + ny * (y - anchor[s, 1] - stats[s, 2] / n)
-            + nz * (z - anchor[s, 2] - stats[s, 3] / n)
+            nx * (x - anchor[s, 0] - plane[s, 5])
+            + ny * (y - anchor[s, 1] - plane[s, 6])
+            + nz * (z - anchor[s, 2] - plane[s, 7])
         )
         if abs(r) > gate:
             continue
@@ -231,7 +233,8 @@ class VoxelPlanes:
         self._keys = np.full(CAPACITY, -1, np.int64)
         self._anchor = np.zeros((CAPACITY, 3))
         self._stats = np.zeros((CAPACITY, 10))
-        self._plane = np.zeros((CAPACITY, 5))
+        self._plane = np.zeros((CAPACITY, 8))
+        """Unit normal, thickness [m], whether points came since, mean of the points beside the anchor: what a fit reads lies together."""
         self._used = 0
 
     def insert(self, points: Array, pose: Array) -> None:

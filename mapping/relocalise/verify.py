@@ -13,14 +13,14 @@ from hal.rotation import rotation_rpy, wrap
 from mapping.grid import ElevationGrid
 from mapping.relocalise.search import Place
 from mapping.relocalise.submap import GROUND
-from mapping.thin_cloud import FREE, VOXEL, ThinCloud, find_voxel, voxel_key
+from mapping.thin_cloud import FREE, ThinCloud, find_voxel, voxel_key
 
 NEIGHBOURS = 10
 """Points behind the normal of one."""
 PULL = (*(0.6,) * 6, *(0.3,) * 6)
 """Farthest partner of a point [m] in each step of the registration."""
-ON = 0.06
-"""A point within this of a surface lies on it [m]."""
+ON, REACH = 0.06, 0.04
+"""A point lies on a surface of the cloud within this, and on the ground within this of its heights around [m]."""
 PATCH = 0.35
 """The surface around a point of the map reaches this far [m]."""
 FACING = 0.35
@@ -29,11 +29,15 @@ SHORT = 0.5
 """The two ends of a ray prove nothing [m]."""
 TALL = 1.2
 """Something up to this high above known ground contradicts it [m]; what hangs higher may always hang there."""
-LOW, RISES = 0.25, 6.0
-"""Points up to so high above known ground [m], where nothing higher stands, and the weight of their share: ramps and kerbs are all that tells
-the two ends of a lane apart, and boxes, which are moved, are higher."""
-FLAT = 0.1
-"""Largest range of heights [m] in a square of known ground."""
+LOW, OTHER = 0.25, 0.05
+"""Bare ground that differs by more than OTHER from what the map knows [m] is other ground: ramps and kerbs are all that tells the two ends of a
+lane apart. What differs by more than LOW was put there or taken away: boxes, which are moved, are higher."""
+WEIGHT, FEW = 2.0, 60
+"""Of the share of other ground, and so many columns of bare ground say half of what many say."""
+SQUARE, EVEN = 0.12, 0.03
+"""Side of the squares of known ground, and how far a cell may lie off the plane through its square [m]."""
+COLUMN, THIN = 0.1, 0.08
+"""Side of the columns of a submap, and what is higher is no bare ground [m]."""
 
 
 class Surfaces:
@@ -49,7 +53,7 @@ class Surfaces:
         self.tree = small_gicp.KdTree(self.target)
         small_gicp.estimate_normals_covariances(self.target, self.tree, NEIGHBOURS)
         self.normals = np.ascontiguousarray(np.asarray(self.target.normals())[:, :3])
-        self.ground = FlatGround(ground)
+        self.ground = Ground(ground)
 
     def register(self, cloud: NDArray[np.float64], place: Place) -> Place:
         """The place of a submap (n, 3), exactly: point to plane in x, y, z and yaw, as gravity is known."""
@@ -76,27 +80,30 @@ class Surfaces:
         return np.asarray(index, np.int64).reshape(-1), np.asarray(square, np.float64).reshape(-1)
 
     def evidence(
-        self, cloud: NDArray[np.float64], eyes: NDArray[np.float64], place: Place
+        self,
+        cloud: NDArray[np.float64],
+        eyes: NDArray[np.float64],
+        bare: NDArray[np.bool_],
+        place: Place,
     ) -> tuple[float, float]:
         """Shares [0..1] of the submap's structure that lies on surfaces of the map, and that contradicts it.
 
-        cloud, eyes (n, 3) [m] from the ground under the robot, see `Submap.cloud`.
+        cloud, eyes (n, 3) [m] from the ground under the robot, see `Submap.cloud`; bare (n,): which are ground, see `bare_ground`.
         """
         pose = pose_of(place)
         there, eye = (x @ pose[:3, :3].T + pose[:3, 3] for x in (cloud, eyes))
         near, square = self._nearest(there)
         off = np.abs(np.einsum("ij,ij->i", there - self.points[near], self.normals[near]))
-        on = (square < PATCH**2) & (off < ON)
+        over = there[:, 2] - self.ground.below(there)
+        on = ((square < PATCH**2) & (off < ON)) | self.ground.met(there)
         structure = cloud[:, 2] > GROUND
         met = np.unique(near[on & structure]).size
         gone = int(pierced(eye, there, self.points, self.normals, *self.index, self.voxel).sum())
-        low, high, where = self.ground.below(there)
-        stands = structure & ~on & (there[:, 2] > low + GROUND) & (there[:, 2] < low + TALL)
+        stands = structure & ~on & (over > GROUND) & (over < TALL)
         agree = share(on, structure) * share(on, ~structure)
-        over = there[:, 2] - high
-        beside_tall = np.isin(where, _with_neighbours(np.unique(where[over > LOW])))
-        rises = float(((over > ON) & (over < LOW) & ~beside_tall).mean())
-        return agree, share(stands, structure) + gone / max(1, gone + met) + RISES * rises
+        compared = bare & (np.abs(over) < LOW)
+        other = int((np.abs(over[compared]) > OTHER).sum()) / (int(compared.sum()) + FEW)
+        return agree, share(stands, structure) + gone / max(1, gone + met) + WEIGHT * other
 
 
 def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
@@ -104,50 +111,94 @@ def share(what: NDArray[np.bool_], of: NDArray[np.bool_]) -> float:
     return float(what[of].mean()) if of.any() else 1.0
 
 
-class FlatGround:
-    """Height of the squares of a map whose ground is known and flat. Blocks in, one sorted list of squares out: memory goes with the ground."""
+class Ground:
+    """Known ground of a map in small squares: its heights, and its plane where it is even. Blocks in, one sorted list of squares out: memory goes
+    with the ground.
+    """
 
     def __init__(self, ground: Sequence[ElevationGrid]) -> None:
-        """ground: blocks of one lattice; a square that lies in several is not known."""
+        """ground: blocks of one lattice; of a square that lies in several one part is known."""
         res = ground[0].resolution
-        k = max(1, round(VOXEL / res))
+        k = max(2, round(SQUARE / res))
         self._side = k * res
         first = [tuple(round(v / res) for v in block.origin) for block in ground]
         col, row = min(c for c, _ in first), min(r for _, r in first)
-        self._corner = ((col - 0.5) * res, (row - 0.5) * res)
-        keys, heights = [np.empty(0, np.int64)], [np.empty((0, 2), np.float32)]
+        self._corner = np.array([(col - 0.5) * res, (row - 0.5) * res])
+        keys, squares = [np.empty(0, np.int64)], [np.empty((0, 5), np.float32)]
         for block, (c0, r0) in zip(ground, first, strict=True):
             skip_r, skip_c = (row - r0) % k, (col - c0) % k
-            cut = np.where(block.trusted, block.height, np.nan)[skip_r:, skip_c:]
-            rows, cols = (n // k for n in cut.shape)
-            blocks = cut[: rows * k, : cols * k].reshape(rows, k, cols, k)
-            low, high = blocks.min(axis=(1, 3)), blocks.max(axis=(1, 3))  # NaN where any cell is unknown
-            r, c = np.nonzero(high - low < FLAT)
+            z = np.where(block.trusted, block.height, np.nan)[skip_r:, skip_c:]
+            of = _squares(z, k, res)
+            r, c = np.nonzero(of[..., 0] <= of[..., 1])
             keys.append(_key(r + (r0 + skip_r - row) // k, c + (c0 + skip_c - col) // k))
-            heights.append(np.column_stack([low[r, c], high[r, c]]))
-        key, height = np.concatenate(keys), np.concatenate(heights)
+            squares.append(of[r, c])
+        key, square = np.concatenate(keys), np.concatenate(squares)
         order = np.argsort(key)
-        self._keys, self._heights = key[order], height[order]
+        self._keys, self._squares = key[order], square[order]
 
-    def below(
-        self, points: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int64]]:
-        """Of the square that each of (n, 3) lies over: lowest and highest height (n,) [m], NaN where it is not known, and its number (n,)."""
-        out = np.full((2, len(points)), np.nan, np.float32)
-        key = np.zeros(len(points), np.int64)
+    def _under(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Square (n, 5), see `_squares`, that each of (n, 3) lies over, NaN where there is none, and x, y (n, 2) from its middle [m]."""
+        out = np.full((len(points), 5), np.nan)
+        at = (points[:, :2] - self._corner) / self._side
+        cell = np.floor(at).astype(np.int64)
         if len(self._keys):
-            c, r = (np.floor((points[:, k] - self._corner[k]) / self._side).astype(np.int64) for k in (0, 1))
-            key = _key(r, c)
-            at = np.searchsorted(self._keys, key).clip(max=len(self._keys) - 1)
-            here = self._keys[at] == key
-            out[:, here] = self._heights[at[here]].T
-        return out[0], out[1], key
+            key = _key(cell[:, 1], cell[:, 0])
+            index = np.searchsorted(self._keys, key).clip(max=len(self._keys) - 1)
+            here = self._keys[index] == key
+            out[here] = self._squares[index[here]]
+        return out, (at - cell - 0.5) * self._side
+
+    def below(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Height (n,) [m] of the ground below each of (n, 3); NaN where it is not known or not even."""
+        square, off = self._under(points)
+        return np.asarray(square[:, 2] + square[:, 3] * off[:, 0] + square[:, 4] * off[:, 1])
+
+    def met(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which of (n, 3) lie on the ground or on a face between its heights, as those of a wall."""
+        square, _ = self._under(points)
+        return np.asarray((points[:, 2] > square[:, 0] - REACH) & (points[:, 2] < square[:, 1] + REACH))
 
 
-def _with_neighbours(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Squares by their numbers (n,) and the eight around each."""
-    row, col = np.mgrid[-1:2, -1:2].reshape(2, -1)
-    return (keys[:, None] + _key(row, col)).ravel()
+def _squares(z: NDArray[np.floating], k: int, res: float) -> NDArray[np.float32]:
+    """(rows, cols, 5) of the squares of k x k cells z (rows k, cols k) [m]: lowest and highest height in and beside it, infinite where none is
+    known, height in its middle, slopes along x and y; NaN where the square is not known wholly or not even.
+    """
+    rows, cols = (n // k for n in z.shape)
+    low, high = np.where(np.isnan(z), np.inf, z), np.where(np.isnan(z), -np.inf, z)
+    out = np.empty((rows, cols, 5), np.float32)
+    for n, (side, best) in enumerate(((low, np.minimum), (high, np.maximum))):
+        wide = np.pad(side, 1, constant_values=np.inf if n == 0 else -np.inf)
+        for axis in (0, 1):
+            there = np.moveaxis(wide, axis, 0)
+            there = best(best(there[:-2], there[1:-1]), there[2:])
+            wide = np.moveaxis(there, 0, axis)
+        whole = wide[: rows * k, : cols * k].reshape(rows, k, cols, k)
+        out[..., n] = best.reduce(best.reduce(whole, axis=3), axis=1)
+    across = res * (np.arange(k) - 0.5 * (k - 1))  # of each cell from the middle of its square
+    inside = z[: rows * k, : cols * k].reshape(rows, k, cols, k).swapaxes(1, 2)
+    mean = inside.mean(axis=(2, 3))
+    x, y = (np.einsum(f"rcij,{a}->rc", inside, across) / (k * float(across @ across)) for a in "ji")
+    plane = mean[..., None, None] + x[..., None, None] * across + y[..., None, None] * across[:, None]
+    even = np.abs(inside - plane).max(axis=(2, 3)) < EVEN
+    out[..., 2:] = np.where(even[..., None], np.stack([mean, x, y], axis=-1), np.nan)
+    return out
+
+
+def bare_ground(cloud: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points (n,) of a submap (n, 3) [m] are ground: alone in their column, nothing higher in those around it."""
+    row, col = np.floor(cloud[:, 1::-1] / COLUMN).astype(np.int64).T
+    keys, column = np.unique(_key(row, col), return_inverse=True)
+    column = column.reshape(-1)
+    low, high = np.full(len(keys), np.inf), np.full(len(keys), -np.inf)
+    np.minimum.at(low, column, cloud[:, 2])
+    np.maximum.at(high, column, cloud[:, 2])
+    top = high.copy()
+    for beside in _key(*np.mgrid[-1:2, -1:2].reshape(2, -1)):
+        key = keys + beside
+        at = np.searchsorted(keys, key).clip(max=len(keys) - 1)
+        top = np.maximum(top, np.where(keys[at] == key, high[at], -np.inf))
+    alone: NDArray[np.bool_] = (high - low < THIN) & (top - low < LOW)
+    return alone[column]
 
 
 def _key(row: NDArray[np.int64], col: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from mapping.grid import ElevationGrid
 from mapping.relocalise import Place, PriorMap, Submap, locate
-from mapping.relocalise.verify import pierced
+from mapping.relocalise.verify import Ground, bare_ground, pierced
 from mapping.thin_cloud import ThinCloud
 from tests.mapping.relocalise.rooms import (
     corner_room,
@@ -148,17 +149,59 @@ def test_after_one_look_a_place_that_is_nearly_as_good_is_not_ruled_out() -> Non
     assert locate(prior, submap).candidates[0].place.x == pytest.approx(0.0, abs=0.05)
 
 
-def test_a_kerb_where_the_map_knows_level_ground_speaks_against_a_place() -> None:
+def kerb_at_one_end() -> tuple[np.ndarray, ElevationGrid]:
+    """The cloud and the ground of a room that looks the same from two sides, but for a kerb of 12 cm on the left."""
     a, b = (v.ravel() for v in np.meshgrid(np.arange(-3.0, -1.0, 0.1), np.arange(-2.5, 2.5, 0.1)))
-    cloud = np.concatenate([room(4.0, 3.0), np.column_stack([a, b, np.full_like(a, 0.12)])])
+    flat = room(4.0, 3.0)
+    flat = flat[(flat[:, 2] > 0.0) | (flat[:, 0] < -3.0) | (flat[:, 0] > -1.0)]
     ground = ground_of(4.0, 3.0)
     columns = -4.0 + 0.04 * np.arange(ground.height.shape[1])
     ground.height[:, (columns > -3.0) & (columns < -1.0)] = 0.12
-    prior = PriorMap(cloud.astype(np.float32), [ground])
-    submap = submap_of(cloud, (1.0, -0.5, 0.5))
-    points, eyes = submap.cloud()
-    right, wrong = (
-        Place(x, y, 0.0, yaw, 1.0) for x, y, yaw in ((1.0, -0.5, 0.5), (-1.0, 0.5, 0.5 - math.pi))
+    return np.concatenate([flat, np.column_stack([a, b, np.full_like(a, 0.12)])]), ground
+
+
+@pytest.mark.parametrize("kerb_in_the_map", [True, False])
+def test_ground_that_is_lower_or_higher_than_the_map_knows_speaks_against_a_place(
+    kerb_in_the_map: bool,
+) -> None:
+    cloud, ground = kerb_at_one_end()
+    level, even = room(4.0, 3.0), ground_of(4.0, 3.0)
+    prior = PriorMap(
+        (cloud if kerb_in_the_map else level).astype(np.float32), [ground if kerb_in_the_map else even]
     )
-    assert prior.surfaces.evidence(points, eyes, right)[1] < 0.01
-    assert prior.surfaces.evidence(points, eyes, wrong)[1] > 0.2
+    place = Place(1.0, -0.5, 0.0, 0.5, 1.0)
+    for seen, right in ((cloud, kerb_in_the_map), (level, not kerb_in_the_map)):
+        points, eyes = submap_of(seen, (1.0, -0.5, 0.5)).cloud()
+        against = prior.surfaces.evidence(points, eyes, bare_ground(points), place)[1]
+        assert against < 0.01 if right else against > 0.2
+
+
+def test_bare_ground_is_what_nothing_stands_on_or_beside() -> None:
+    points = np.concatenate([floor(2.0, 2.0) + np.array([0.05, 0.05, 0.0]), walls((1.0, -1.0, 1.0, 1.0))])
+    bare = bare_ground(points)
+    on_floor = points[:, 2] == 0.0
+    beside = np.abs(points[:, 0] - 1.0) < 0.25
+    assert bare[on_floor & ~beside].all()
+    assert not bare[~on_floor].any()
+    assert not bare[on_floor & (np.abs(points[:, 0] - 1.0) < 0.1) & (np.abs(points[:, 1]) < 0.9)].any()
+
+
+def test_the_known_ground_is_a_plane_a_square_and_holds_the_faces_in_between() -> None:
+    # a ramp up to x = 1, then a wall of 0.5 m, unknown ground behind it, in two blocks
+    x, y = np.meshgrid(np.arange(-50, 50) * 0.04, np.arange(-30, 30) * 0.04)
+    height = np.where(x < 1.02, 0.27 * x, 0.5).astype(np.float32)
+    trusted = x < 1.1
+    blocks = [
+        ElevationGrid(height[:, :48], trusted[:, :48], (x[0, 0], y[0, 0]), 0.04),
+        ElevationGrid(height[:, 48:], trusted[:, 48:], (x[0, 48], y[0, 0]), 0.04),
+    ]
+    ground = Ground(blocks)
+    at = np.random.default_rng(0).uniform((-1.8, -1.0, 0.0), (0.8, 1.0, 0.0), (200, 3))
+    known = ground.below(at)
+    assert np.isfinite(known).mean() > 0.9
+    assert np.nanmax(np.abs(known - 0.27 * at[:, 0])) < 0.01
+    assert np.isnan(ground.below(np.array([[1.0, 0.0, 0.0], [1.5, 0.0, 0.0]]))).all()
+    met = ground.met(
+        np.array([[1.0, 0.1, 0.4], [1.0, 0.1, 0.8], [0.0, 0.1, 0.02], [0.0, 0.1, 0.2], [1.5, 0.0, 0.5]])
+    )
+    assert met.tolist() == [True, False, True, False, False]

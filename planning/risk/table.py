@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -14,6 +15,9 @@ from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
 from planning.risk.tables import Tables, evaluate_edges
 from planning.risk.terrain import Sampler
+
+if TYPE_CHECKING:
+    from planning.search.again import Search
 
 
 class RiskTable:
@@ -37,13 +41,16 @@ class RiskTable:
         self.sampler: Sampler = terrain_of(grid, body).sampler(body.length, body.width)
         self._ids = graph.node_ids
         self._tables: dict[tuple[float, float], Tables] = {}
+        self.searched: Search | None = None
+        """The last search backward from a goal, for the next one."""
         if previous is None:
             self.arcs: Arcs = arcs_of(graph)
             return
-        was = _slots_before(graph, previous)
+        was = slots_before(graph, previous._ids, previous.arcs)
         self.arcs = arcs_of(graph, previous.arcs, was)
         if previous.body == body and previous.grid.resolution == grid.resolution:
             self._carry(previous, was)
+            self.searched = previous.searched
 
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
@@ -65,7 +72,8 @@ class RiskTable:
         return out
 
     def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
-        """Edge evaluations of a table that `for_query` made."""
+        """Edge evaluations of a table that `for_query` made, and its search."""
+        self.searched = query.searched
         for key, tables in query._tables.items():
             body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
             self.tables(body).edge[:] = tables.edge[kept]
@@ -120,15 +128,15 @@ class RiskTable:
             self.tables(body).edge[same] = tables.edge[was[same]]
 
 
-def _slots_before(graph: TraversalGraph, old: RiskTable) -> NDArray[np.int64]:
-    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none."""
-    if not len(old._ids):
+def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
+    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none; `ids` are the old nodes'."""
+    if not len(ids):
         return np.full(len(graph.indices), -1, np.int64)
-    known = np.argsort(old._ids, kind="stable")
-    at = known[np.searchsorted(old._ids, graph.node_ids, sorter=known).clip(max=len(known) - 1)]
+    known = np.argsort(ids, kind="stable")
+    at = known[np.searchsorted(ids, graph.node_ids, sorter=known).clip(max=len(known) - 1)]
     x, y = graph.nodes[:, 0], graph.nodes[:, 1]
-    here = (old._ids[at] == graph.node_ids) & (old.arcs.x[at] == x) & (old.arcs.y[at] == y)
-    return _same_slots(graph.indptr, graph.indices, old.arcs, np.where(here, at, -1))
+    here = (ids[at] == graph.node_ids) & (old.x[at] == x) & (old.y[at] == y)
+    return _same_slots(graph.indptr, graph.indices, old, np.where(here, at, -1))
 
 
 @njit(cache=True)

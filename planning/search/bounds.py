@@ -93,52 +93,62 @@ def cost_to_come(
 
 
 class ToGo(NamedTuple):
-    """A search backward from the ends that can be gone on with."""
+    """A search backward from the ends: what it knows of each state, which it can go on with."""
 
     h: NDArray[np.float64]
-    """(states,) cost from where each state ends over an end [m], exact but for the risk of turns where it is settled."""
+    """(states,) cost from where each state ends over an end [m], inf: not reached. Exact but for the risk of turns where it is settled."""
     settled: NDArray[np.bool_]
+    after: NDArray[np.int32]
+    """(states,) the state that follows on that way, -1 = none: it ends there."""
+
+
+class Heap(NamedTuple):
+    """States by what a route over them costs at least [m]: the arrays of `planning.search.heap`."""
+
     f: NDArray[np.float64]
     s: NDArray[np.int64]
     e: NDArray[np.int64]
-    """The heap of `planning.search.heap`."""
     n: int
-    """Its size."""
 
 
 @njit(cache=True)
-def begin_to_go(
-    w: Weights,
-    arcs: Arcs,
-    tables: Tables,
-    is_end: np.ndarray,
-    exit_cost: np.ndarray,
-    come: np.ndarray,
-    ways: int,
-    backward: float,
-) -> ToGo:
+def begin_to_go(arcs: Arcs, is_end: np.ndarray, exit_cost: np.ndarray, ways: int) -> ToGo:
     """The states that end at an end, none settled yet. Arguments as in `cost_to_go`."""
-    x, _, indptr, source, target, reverse, length, _, risk, _, _, forward_only = arcs
+    states = 2 * arcs.target.size
+    h = np.full(states, np.inf)
+    for slot in range(arcs.target.size):
+        k = arcs.target[slot]
+        if is_end[k]:
+            for way in range(ways):
+                h[2 * slot + way] = exit_cost[k]
+    return ToGo(h, np.zeros(states, np.bool_), np.full(states, -1, np.int32))
+
+
+@njit(cache=True)
+def reached(
+    w: Weights, arcs: Arcs, tables: Tables, start: int, come: np.ndarray, backward: float, go: ToGo
+) -> Heap:
+    """All states that are reached and not settled. Arguments as in `cost_to_go`.
+
+    Those out of the start become unsettled: when they are settled they tell what a route costs.
+    """
+    _, _, _, source, target, _, length, _, risk, _, _, forward_only = arcs
     edge = tables.edge
-    h = np.full(2 * target.size, np.inf)
     f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
     n = 0
-    for i in range(x.size):
-        if not is_end[i]:
+    for state in range(go.h.size):
+        if go.h[state] == np.inf:
             continue
-        for out in range(indptr[i], indptr[i + 1]):
-            into = reverse[out]
-            for way in range(ways):
-                h[2 * into + way] = exit_cost[i]
-                if n == f.size:
-                    f, s, e = grown(f), grown(s), grown(e)
-                bound = (
-                    exit_cost[i]
-                    + come[source[into]]
-                    + _drive(w, length, risk, source, target, forward_only, edge, into, way, backward)
-                )
-                n = push(f, s, e, n, bound, 2 * into + way, 0)
-    return ToGo(h, np.zeros(h.size, np.bool_), f, s, e, n)
+        out, way = state // 2, state % 2
+        if go.settled[state]:
+            if source[out] != start:
+                continue
+            go.settled[state] = False
+        drive = _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
+        if n == f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        n = push(f, s, e, n, go.h[state] + come[source[out]] + drive, state, 0)
+    return Heap(f, s, e, n)
 
 
 @njit(cache=True)
@@ -158,24 +168,24 @@ def cost_to_go(
     backward: float,
     turning: float,
     go: ToGo,
+    heap: Heap,
     limit: float,
-) -> tuple[float, ToGo]:
+) -> tuple[float, Heap]:
     """Go on settling states until each that may be on a route as cheap as `limit` [m] is settled: A* backward, without the risk of turns.
 
-    With `limit` inf it stops at the first route. Returns the least cost of a route that was seen now, without the risk of turns
-    (inf: none), and the search as it stands. A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of
-    `cost_to_come`, the rest as in `planning.search.pairs.search_pairs`.
+    With `limit` inf it stops at the cheapest route. Returns what that costs as far as it was seen (inf: none was), and what is left to settle.
+    A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`, the rest as in
+    `planning.search.pairs.search_pairs`. A settled state to which a cheaper way comes up, on a graph that has changed, is settled anew.
     """
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge = tables.edge
-    h, settled, f, s, e, n = go
+    h, settled, after = go
+    f, s, e, n = heap
     least = np.inf
-    while n > 0 and f[0] <= limit:
+    while n > 0 and (f[0] <= limit if limit < np.inf else f[0] < least):
         bound, state = f[0], s[0]
         n = pop(f, s, e, n)
-        if state < 0:
-            break
         if settled[state]:
             continue
         out, way = state // 2, state % 2
@@ -199,26 +209,21 @@ def cost_to_go(
             whole = cost
             if sweeps:
                 whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
-            if whole < least:
-                least = whole
-                if limit == np.inf:
-                    if n == f.size:
-                        f, s, e = grown(f), grown(s), grown(e)
-                    n = push(f, s, e, n, whole, -1, 0)
+            least = min(least, whole)
             if once:
                 continue
         for back in range(indptr[at], indptr[at + 1]):
             into = reverse[back]
             for before in range(ways):
                 to = 2 * into + before
-                if settled[to] or cost >= h[to]:
+                if cost >= h[to]:
                     continue
                 new = cost
                 if sweeps:
                     new += turn_between(room[at], turn_rate[at], heading, into, out, way != before, turning)
                 if new >= h[to]:
                     continue
-                h[to] = new
+                h[to], after[to], settled[to] = new, state, False
                 if n == f.size:
                     f, s, e = grown(f), grown(s), grown(e)
                 bound = (
@@ -227,7 +232,7 @@ def cost_to_go(
                     + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
                 )
                 n = push(f, s, e, n, bound, to, 0)
-    return least, ToGo(h, settled, f, s, e, n)
+    return least, Heap(f, s, e, n)
 
 
 @njit(cache=True)

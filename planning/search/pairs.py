@@ -22,11 +22,11 @@ from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor
 from planning.search.bounds import (
     ToGo,
-    begin_to_go,
     cost_to_come,
     cost_to_go,
     first_turn,
     last_turn,
+    reached,
     turn_between,
 )
 from planning.search.heap import grown, pop, push
@@ -49,6 +49,7 @@ def search_pairs(
     once: bool,
     backward: float,
     turning: float,
+    go: ToGo,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
 
@@ -56,6 +57,7 @@ def search_pairs(
     requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost `turning` [m/rad] and more over edges, and are only made where there is room. An edge driven
     backward costs `backward` times as much (inf: none is), more over faces that are climbed forward only; yaws are the body's. The footprint is the same turned by half a turn,
     so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or with the other.
+    `go` is what is known of the way to the ends (`begin_to_go` at least); it comes to know more.
     Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
     """
     none = np.empty(0, np.int64)
@@ -64,88 +66,54 @@ def search_pairs(
     total, come = cost_to_come(sampler, w, arcs, tables, start, is_end, exit_cost, gx, gy)
     if np.isinf(total):
         return np.inf, none, 0, turns
-    go = begin_to_go(w, arcs, tables, is_end, exit_cost, come, ways, backward)
-    least, go = cost_to_go(
-        sampler,
-        w,
-        arcs,
-        tables,
-        start,
-        is_end,
-        come,
-        start_yaw,
-        goal_yaw,
-        sweeps,
-        ways,
-        once,
-        backward,
-        turning,
-        go,
-        np.inf,
-    )
-    if np.isinf(least):
-        return np.inf, none, 0, turns
-    # The best route over what this settled is one of all routes: no state matters that cannot be on a cheaper one.
-    cost, route, expanded, turns = _forward(
-        sampler,
-        w,
-        arcs,
-        tables,
-        turns,
-        start,
-        is_end,
-        exit_cost,
-        start_yaw,
-        goal_yaw,
-        sweeps,
-        ways,
-        once,
-        backward,
-        turning,
-        go,
-        np.inf,
-    )
-    limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
-    if go.n == 0 or go.f[0] > limit:
-        return cost, route, expanded, turns
-    _, go = cost_to_go(
-        sampler,
-        w,
-        arcs,
-        tables,
-        start,
-        is_end,
-        come,
-        start_yaw,
-        goal_yaw,
-        sweeps,
-        ways,
-        once,
-        backward,
-        turning,
-        go,
-        limit,
-    )
-    cost, route, more, turns = _forward(
-        sampler,
-        w,
-        arcs,
-        tables,
-        turns,
-        start,
-        is_end,
-        exit_cost,
-        start_yaw,
-        goal_yaw,
-        sweeps,
-        ways,
-        once,
-        backward,
-        turning,
-        go,
-        limit,
-    )
-    return cost, route, more, turns
+    heap = reached(w, arcs, tables, start, come, backward, go)
+    # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on a cheaper one.
+    limit, cost, route, expanded = np.inf, np.inf, none, 0
+    for _ in range(2):
+        least, heap = cost_to_go(
+            sampler,
+            w,
+            arcs,
+            tables,
+            start,
+            is_end,
+            come,
+            start_yaw,
+            goal_yaw,
+            sweeps,
+            ways,
+            once,
+            backward,
+            turning,
+            go,
+            heap,
+            limit,
+        )
+        if np.isinf(limit) and np.isinf(least):
+            break
+        cost, route, expanded, turns = _forward(
+            sampler,
+            w,
+            arcs,
+            tables,
+            turns,
+            start,
+            is_end,
+            exit_cost,
+            start_yaw,
+            goal_yaw,
+            sweeps,
+            ways,
+            once,
+            backward,
+            turning,
+            go,
+            limit,
+        )
+        limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
+        if heap.n == 0 or heap.f[0] > limit:
+            break
+    return cost, route, expanded, turns
 
 
 @njit(cache=True)

@@ -13,6 +13,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
+from planning.search.again import go_on
 from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
@@ -233,6 +234,16 @@ def _search(
     else:
         sweeps = request.variant != "edge-only"
         tables = table.tables(body)
+        backward = request.rules.backward if sweeps else np.inf
+        asked = (
+            body.weight_mean,
+            body.weight_tail,
+            goal_yaw,
+            sweeps,
+            at.exact,
+            backward,
+            request.rules.turning,
+        )
         cost, route, expanded, turns = search_pairs(
             table.sampler,
             w,
@@ -246,8 +257,9 @@ def _search(
             goal_yaw,
             sweeps,
             at.exact,
-            request.rules.backward if sweeps else np.inf,
+            backward,
             request.rules.turning,
+            go_on(table, tables, w, ends, exit_cost, *asked),
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):

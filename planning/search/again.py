@@ -1,0 +1,167 @@
+"""The search backward from a goal, kept for the next query to it: until then the map has changed a little and the robot has moved on.
+
+What it costs from a state to the goal does not depend on where the robot is. A state keeps its cost where nothing has changed on its way; the
+others are found again by going on with the search, from the states around them. Costs and routes are the same as those of a new search.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from planning.risk.arcs import Arcs
+from planning.risk.cost import Weights
+from planning.risk.footprint import scratch
+from planning.risk.table import RiskTable, slots_before
+from planning.risk.tables import Tables, evaluate_edge
+from planning.risk.terrain import Sampler
+from planning.search.bounds import ToGo, begin_to_go
+
+KEPT, LOST = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """One search backward, with the graph it was made on."""
+
+    asked: bytes
+    """What its costs depend on besides the graph."""
+    ids: NDArray[np.int64]
+    """(nodes,) `TraversalGraph.node_ids`."""
+    arcs: Arcs
+    edge: NDArray[np.float64]
+    """`Tables.edge`"""
+    go: ToGo
+
+
+def go_on(
+    table: RiskTable,
+    tables: Tables,
+    w: Weights,
+    is_end: NDArray[np.bool_],
+    exit_cost: NDArray[np.float64],
+    *asked: float,
+) -> ToGo:
+    """What is known of the way to these ends, as far as `table` has kept a search to them; `asked`: all else that costs depend on, the weights `w` too.
+
+    The table keeps it for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
+    """
+    arcs, old = table.arcs, table.searched
+    ends = np.flatnonzero(is_end)
+    if len(ends) != 1:
+        return begin_to_go(arcs, is_end, exit_cost, 2)
+    key = np.array([*asked, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
+    if old is not None and old.asked == key:
+        was = slots_before(table.graph, old.ids, old.arcs)
+        go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
+    else:
+        go = begin_to_go(arcs, is_end, exit_cost, 2)
+    table.searched = Search(key, table.graph.node_ids, arcs, tables.edge, go)
+    return go
+
+
+@njit(cache=True)
+def carried(
+    sampler: Sampler,
+    w: Weights,
+    arcs: Arcs,
+    edge: np.ndarray,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+    old_arcs: Arcs,
+    old_edge: np.ndarray,
+    was: np.ndarray,
+    old: ToGo,
+) -> ToGo:
+    """The states of `old` whose whole way to an end is as it was; `was` (slots,) tells which slot of then is the same edge, -1 = none.
+
+    States from which a way may lead to one that was lost, or is new, are reached but not settled: the search finds it from them.
+    """
+    now = _unchanged(sampler, w, arcs, edge, old_arcs, old_edge, was)
+    source, target = arcs.source, arcs.target
+    kept = _kept(now, is_end, target, old)
+    h, settled, after = begin_to_go(arcs, is_end, exit_cost, 2)
+    again = np.zeros(arcs.x.size, np.bool_)
+    for slot in range(was.size):
+        k = was[slot]
+        if k < 0 or now[k] != slot:
+            again[target[slot]] = True
+            continue
+        for way in range(2):
+            to, state = 2 * slot + way, 2 * k + way
+            if kept[state] == KEPT:
+                h[to], settled[to] = old.h[state], old.settled[state]
+                follows = old.after[state]
+                if follows >= 0:
+                    after[to] = 2 * now[follows >> 1] + (follows & 1)
+            elif kept[state] == LOST:
+                again[target[slot]] = True
+    for slot in range(was.size):
+        if again[source[slot]]:
+            settled[2 * slot] = settled[2 * slot + 1] = False
+    return ToGo(h, settled, after)
+
+
+@njit(cache=True)
+def _unchanged(
+    sampler: Sampler,
+    w: Weights,
+    arcs: Arcs,
+    edge: np.ndarray,
+    old_arcs: Arcs,
+    old_edge: np.ndarray,
+    was: np.ndarray,
+) -> np.ndarray:
+    """(old slots,) the slot of now where driving it and turning at its ends costs what it did, else -1.
+
+    An edge that was not evaluated then was in no cost.
+    """
+    work = scratch(sampler)
+    x, y, _, source, target, reverse, _, _, risk, room, turn_rate, forward_only = arcs
+    old_source, old_risk, old_room = old_arcs.source, old_arcs.risk, old_arcs.room
+    old_rate, old_only = old_arcs.turn_rate, old_arcs.forward_only
+    out = np.full(old_source.size, -1, np.int32)
+    alike = np.zeros(x.size, np.bool_)
+    for slot in range(was.size):
+        if was[slot] >= 0:
+            i, j = source[slot], old_source[was[slot]]
+            alike[i] = (
+                room[i] == old_room[j] and turn_rate[i] == old_rate[j] and forward_only[i] == old_only[j]
+            )
+    for slot in range(was.size):
+        k = was[slot]
+        if k < 0 or risk[slot] != old_risk[k] or not (alike[source[slot]] and alike[target[slot]]):
+            continue
+        if not np.isnan(old_edge[k, 0]):
+            if np.isnan(edge[slot, 0]):
+                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, slot)
+            if edge[slot, 0] != old_edge[k, 0] or edge[slot, 1] != old_edge[k, 1]:
+                continue
+        out[k] = slot
+    return out
+
+
+@njit(cache=True)
+def _kept(now: np.ndarray, is_end: np.ndarray, target: np.ndarray, old: ToGo) -> np.ndarray:
+    """(old states,) KEPT where the whole way from a state that was reached is as it was, LOST where it is not, 0 for the others."""
+    out = np.zeros(old.h.size, np.int8)
+    for state in range(old.h.size):
+        if old.h[state] == np.inf or out[state] > 0:
+            continue
+        last = state
+        while out[last] == 0 and now[last >> 1] >= 0 and old.after[last] >= 0:
+            last = old.after[last]
+        verdict = out[last]
+        if verdict == 0:
+            there = now[last >> 1]
+            verdict = KEPT if there >= 0 and is_end[target[there]] else LOST
+        at = state
+        while out[at] == 0:
+            out[at] = verdict
+            if at == last:
+                break
+            at = old.after[at]
+    return out

@@ -1,0 +1,111 @@
+"""The search backward that is kept between queries: the same plans and costs as a new search, after map updates and from other places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mapping.grid import ElevationGrid
+from planning.errors import NoRoute
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel, weights_of
+from planning.risk.table import RiskTable
+from planning.search.again import go_on
+from planning.search.bounds import ToGo, cost_to_go, reached
+from planning.search.plan import DriveRules, Plan, PlanRequest, plan
+
+BODY = BodyModel()
+RULES = DriveRules(backward=1.3, turning=0.3, straight=True)
+CELLS, RESOLUTION = 120, 0.05
+
+
+def found(graph: TraversalGraph, grid: ElevationGrid, request: PlanRequest, table: RiskTable) -> Plan | None:
+    try:
+        return plan(graph, grid, request, BODY, table)
+    except NoRoute:
+        return None
+
+
+def updated(
+    rng: np.random.Generator, grid: ElevationGrid
+) -> tuple[ElevationGrid, list[tuple[int, int, int, int]]]:
+    """The grid with one or two patches raised, lowered or not seen any more, and where."""
+    height, trusted, windows = grid.height.copy(), grid.trusted.copy(), []
+    for _ in range(int(rng.integers(1, 3))):
+        r, c = (int(v) for v in rng.integers(0, CELLS - 12, 2))
+        h, w = (int(v) for v in rng.integers(2, 12, 2))
+        height[r : r + h, c : c + w] += np.float32(rng.choice([0.02, 0.06, 0.5, -0.5]))
+        trusted[r : r + h, c : c + w] = rng.uniform() < 0.8
+        windows.append((r, c, r + h, c + w))
+    return ElevationGrid(height, trusted, grid.origin, grid.resolution), windows
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_plans_are_those_of_a_new_search(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
+    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y) + rng.normal(0.0, 0.004, x.shape)
+    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    table: RiskTable | None = None
+    routes = 0
+    goals = rng.uniform(4.0, 5.5, (2, 2))
+    for k in range(12):
+        start, goal = tuple(rng.uniform(0.5, 3.0, 2).tolist()), tuple(goals[k // 6].tolist())
+        yaw = None if seed % 2 else 0.7
+        request = PlanRequest(start, goal, float(rng.uniform(-3, 3)), yaw, allow_frontier=True, rules=RULES)
+        if k % 3:
+            grid, windows = updated(rng, grid)
+            graph.update(grid, windows, start)
+        table = RiskTable(graph, grid, BODY, table)
+        got, want = (
+            found(graph, grid, request, table),
+            found(graph, grid, request, RiskTable(graph, grid, BODY)),
+        )
+        assert (got is None) is (want is None)
+        if got is not None and want is not None:
+            routes += got.reaches_goal
+            assert (got.nodes, got.cost) == (want.nodes, want.cost)
+            np.testing.assert_array_equal(got.points, want.points)
+    assert routes >= 6
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int) -> None:
+    """All states settled, without a bound that depends on the start."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
+    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
+    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    goal_id = int(graph.node_ids[-1])
+    asked = (np.nan, 1.0)
+    kept = 0.0
+    table = RiskTable(graph, grid, BODY)
+    for k in range(5):
+        if k:
+            grid, windows = updated(rng, grid)
+            graph.update(grid, windows)
+            table = RiskTable(graph, grid, BODY, table)
+        is_end = graph.node_ids == goal_id
+        if not is_end.any():
+            break
+        got, known = settled(table, is_end, asked)
+        want, none = settled(RiskTable(graph, grid, BODY), is_end, asked)
+        assert not none
+        np.testing.assert_array_equal(got.h, want.h)
+        np.testing.assert_array_equal(got.settled, want.settled)
+        kept = max(kept, known / max(1, int(want.settled.sum())))
+    assert kept > 0.5
+
+
+def settled(table: RiskTable, is_end: np.ndarray, asked: tuple[float, ...]) -> tuple[ToGo, int]:
+    """The search backward over everything, and how many states it had settled before it began."""
+    w, arcs, tables, come = weights_of(BODY), table.arcs, table.tables(BODY), np.zeros(len(is_end))
+    go = go_on(table, tables, w, is_end, np.zeros(len(is_end)), *asked)
+    before = int(go.settled.sum())
+    heap = reached(w, arcs, tables, 0, come, 1.3, go)
+    cost_to_go(
+        table.sampler, w, arcs, tables, 0, is_end, come, np.nan, np.nan, True, 2, False, 1.3, 0.3, go, heap, 1e9
+    )  # fmt: skip
+    return go, before

@@ -29,16 +29,24 @@ from planning.search.plan import Plan
 Array = NDArray[np.float64]
 
 
-def make_path(plan: Plan, grid: ElevationGrid, body: BodyModel, limits: PathLimits | None = None) -> Path:
+def make_path(
+    plan: Plan,
+    grid: ElevationGrid,
+    body: BodyModel,
+    limits: PathLimits | None = None,
+    terrain: Terrain | None = None,
+) -> Path:
     """Smooth `plan` into a path from the requested start to the requested goal.
 
+    `terrain` is that of the whole grid where it has been made already (`RiskTable.terrain`); without it, that around the route is made.
     Each corner is rounded as far as the corridor allows, less where the body's risk
     on the curve would be above the route's, not at all where even that fails.
     """
     limits = limits or PathLimits()
     wanted = (plan.request.start, plan.request.goal) if plan.reaches_goal else (plan.request.start,)
     ends = [end for end in wanted if not isinstance(end, (int, np.integer))]
-    terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
+    if terrain is None:
+        terrain = terrain_around(grid, np.array([*plan.points[:, :2].tolist(), *ends]), body)
     vertices, back = _vertices(plan)
     start_yaw, goal_yaw = plan.request.start_yaw, plan.request.goal_yaw if plan.reaches_goal else None
     if len(vertices) == 1:
@@ -86,8 +94,15 @@ def _pieces(
     return out, sharp
 
 
-def rest_of(path: Path, pose: tuple[float, float, float], grid: ElevationGrid, body: BodyModel) -> Path:
-    """What is left of `path` for a robot at `pose` x, y [m], yaw [rad] on it: the same way, with the speeds of the map of now."""
+def rest_of(
+    path: Path,
+    pose: tuple[float, float, float],
+    grid: ElevationGrid,
+    body: BodyModel,
+    terrain: Terrain | None = None,
+) -> Path:
+    """What is left of `path` for a robot at `pose` x, y [m], yaw [rad] on it: the same way, with the speeds of the map of now. `terrain` as in
+    `make_path`."""
     x, y, yaw = pose
     k, w = (int(np.argmin(np.hypot(*(p[:, :2] - (x, y)).T))) for p in (path.points, path.watched))
     ahead = path.ahead(x, y)
@@ -96,7 +111,8 @@ def rest_of(path: Path, pose: tuple[float, float, float], grid: ElevationGrid, b
     folds = np.flatnonzero(near[1:] & (np.abs(wrap(np.diff(path.yaw))) > FOLD))
     k = max(k, int(folds[0]) + 1) if len(folds) else k
     poses = np.column_stack([path.points[k:, :2], path.yaw[k:]])
-    terrain = terrain_around(grid, poses[:, :2], body)
+    if terrain is None:
+        terrain = terrain_around(grid, poses[:, :2], body)
     speed, least = _profile(poses, terrain, body, path.limits)
     return replace(
         path,

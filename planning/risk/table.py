@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -15,9 +14,6 @@ from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
 from planning.risk.tables import Tables, evaluate_edges
 from planning.risk.terrain import Sampler
-
-if TYPE_CHECKING:
-    from planning.search.again import Search
 
 
 class RiskTable:
@@ -38,11 +34,12 @@ class RiskTable:
         self.version = graph.version
         self.grid = grid
         self.body = body
-        self.sampler: Sampler = terrain_of(grid, body).sampler(body.length, body.width)
+        self.terrain = terrain_of(grid, body)
+        self.sampler: Sampler = self.terrain.sampler(body.length, body.width)
         self._ids = graph.node_ids
         self._tables: dict[tuple[float, float], Tables] = {}
-        self.searched: Search | None = None
-        """The last search backward from a goal, for the next one."""
+        self.searched: object = None
+        """What `planning.search.again` keeps of the last search, for the next one."""
         if previous is None:
             self.arcs: Arcs = arcs_of(graph)
             return

@@ -54,7 +54,7 @@ def go_on(
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost, 2)
     key = np.array([*asked, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
-    if old is not None and old.asked == key:
+    if isinstance(old, Search) and old.asked == key:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:

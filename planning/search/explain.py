@@ -88,63 +88,66 @@ class Route:
             self.moments,
         )
 
-    @property
-    def length(self) -> NDArray[np.float64]:
-        """(n - 1,) [m]"""
-        return np.hypot(*np.diff(self.xy, axis=0).T)
+    def yaws(self, first: int, last: int) -> NDArray[np.float64]:
+        """(last - first + 2,) heading of the body [rad] before transition `first`, along each from there on, and after `last` - 1; NaN = any."""
+        a, b = max(first - 1, 0), min(last + 1, len(self.risk))
+        along = np.arctan2(*np.diff(self.xy[a : b + 1], axis=0).T[::-1]) + np.pi * self.back[a:b]
+        before = [self.start_yaw] if first == 0 else []
+        after = [self.goal_yaw] if last == len(self.risk) else []
+        return np.concatenate([before, along, after])
 
-    @property
-    def heading(self) -> NDArray[np.float64]:
-        """(n - 1,) of the body along each edge [rad]."""
-        return np.arctan2(*np.diff(self.xy, axis=0).T[::-1]) + np.pi * self.back
+    def length(self, first: int, last: int) -> NDArray[np.float64]:
+        """(last - first,) [m] of transitions first..last - 1."""
+        return np.hypot(*np.diff(self.xy[first : last + 1], axis=0).T)
 
-    def turn_cost(self) -> NDArray[np.float64]:
-        """(n - 1,) [m] for each transition's turns, more with edges under the wheels and on steep ground."""
-        if len(self.xy) < 2:
-            return np.zeros(0)
-        yaw = np.concatenate([[self.start_yaw], self.heading, [self.goal_yaw]])
-        turn = np.abs(wrap(np.diff(yaw)))  # NaN where no heading was asked for
-        counts = (turn > FREE_TURN) | (self.turn_rate == STEEP_COST)
-        rate = self.rules.turning + np.where(counts, self.turn_rate, 0.0)
+    def turn_cost(self, first: int, last: int) -> NDArray[np.float64]:
+        """(last - first,) [m] for each transition's turns, more with edges under the wheels and on steep ground."""
+        turn = np.abs(wrap(np.diff(self.yaws(first, last))))  # NaN where no heading was asked for
+        under = self.turn_rate[first : last + 1]
+        rate = self.rules.turning + np.where((turn > FREE_TURN) | (under == STEEP_COST), under, 0.0)
         cost = rate * np.nan_to_num(turn)
-        cost[-2] += cost[-1]
+        if 0 < last == len(self.risk):
+            cost[-2] += cost[-1]
         return cost[:-1]
 
-    def terms(self, w: Weights, sweeps: bool = True) -> NDArray[np.float64]:
-        """(n - 1, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
-        a = w.mean * self.moments[:, :, 0] + w.tail * self.moments[:, :, 1]
+    def terms(self, w: Weights, first: int, last: int, sweeps: bool = True) -> NDArray[np.float64]:
+        """(last - first, 3, 2) B and U of each transition's pose sets, -1 where a set does not exist or does not count."""
+        moments = self.moments[first:last]
+        a = w.mean * moments[:, :, 0] + w.tail * moments[:, :, 1]
         out = np.stack([a[..., :3].sum(axis=-1), a[..., 3]], axis=-1)
         if not sweeps:
             out[:, 1:] = -1.0
         return np.nan_to_num(out, nan=-1.0)
 
-    def cost(self, w: Weights) -> NDArray[np.float64]:
-        """(n - 1,) [m] of each transition (eq. 5), and of its turns."""
-        worst = self.terms(w).max(axis=1)
-        return (
-            self.factor * transition_cost(w, self.length, self.risk, worst[:, 0], worst[:, 1])
-            + self.turn_cost()
-        )
+    def cost(self, w: Weights, first: int = 0, last: int | None = None) -> NDArray[np.float64]:
+        """(last - first,) [m] of each transition (eq. 5), and of its turns; all transitions if not told."""
+        last = len(self.risk) if last is None else last
+        b, u = self.terms(w, first, last).max(axis=1).T
+        edges = transition_cost(w, self.length(first, last), self.risk[first:last], b, u)
+        return self.factor(first, last) * edges + self.turn_cost(first, last)
 
-    @property
-    def factor(self) -> NDArray[np.float64]:
-        """(n - 1,) by which the direction makes each edge dearer."""
-        over = self.forward_only[:-1] | self.forward_only[1:]
-        return np.where(self.back, self.rules.backward * np.where(over, FORWARD_ONLY, 1.0), 1.0)
+    def factor(self, first: int, last: int) -> NDArray[np.float64]:
+        """(last - first,) by which the direction makes each edge dearer."""
+        only = self.forward_only[first : last + 1]
+        dearer = self.rules.backward * np.where(only[:-1] | only[1:], FORWARD_ONLY, 1.0)
+        return np.where(self.back[first:last], dearer, 1.0)
 
 
 def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
     """The plan of a route under the weights of `body`."""
     w = weights_of(body)
-    length = route.length
-    terms = route.terms(w, sweeps=request.variant != "edge-only")
+    count = len(route.risk)
+    length = route.length(0, count)
+    terms = route.terms(w, 0, count, sweeps=request.variant != "edge-only")
     decided = terms.argmax(axis=1)
     each = np.arange(len(length))
     body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
     native = transition_cost(w, length, route.risk, 0.0, 0.0)
-    full = route.factor * transition_cost(w, length, route.risk, body_term, unknown_term)
+    full = route.factor(0, count) * transition_cost(w, length, route.risk, body_term, unknown_term)
     cost = native if request.variant == "native" else full
-    turns = route.turn_cost() if request.variant not in ("native", "edge-only") else np.zeros(len(length))
+    turns = (
+        route.turn_cost(0, count) if request.variant not in ("native", "edge-only") else np.zeros(len(length))
+    )
     transitions = []
     for t in range(len(length)):
         sets = [k for k in range(3) if not np.isnan(route.moments[t, k, 0, 0])]

@@ -35,7 +35,7 @@ def refine(table: RiskTable, route: Route) -> Route:
     if inner < 1:
         return route
     searched = route.xy.copy()
-    budget = LONGER * route.length.sum()
+    budget = LONGER * route.length(0, inner + 1).sum()
     core = _peaks(route)[:3]
     cost = route.cost(w)
     unknown = np.nanmax(route.moments[:, :, 2, 3], axis=1)
@@ -52,24 +52,27 @@ def refine(table: RiskTable, route: Route) -> Route:
                 best, best_xy = cost[first:last].sum() - GAIN, here
                 for offset in step * circle:
                     route.xy[i] = here + offset
-                    if np.hypot(*(route.xy[i] - searched[i])) > CORRIDOR or route.length.sum() > budget:
+                    if (
+                        np.hypot(*(route.xy[i] - searched[i])) > CORRIDOR
+                        or route.length(0, inner + 1).sum() > budget
+                    ):
                         continue
                     route.evaluate(sampler, w, first, last)
                     if (
-                        route.cost(w)[first:last].sum() < best
+                        route.cost(w, first, last).sum() < best
                         and (_peaks(route)[:3] <= core).all()
                         and (
                             np.nanmax(route.moments[first:last, :, 2, 3], axis=1) <= unknown[first:last]
                         ).all()
                         and (_faces(table, route, first, last) <= limit[first:last]).all()
                     ):
-                        best, best_xy = route.cost(w)[first:last].sum(), route.xy[i].copy()
+                        best, best_xy = route.cost(w, first, last).sum(), route.xy[i].copy()
                 route.xy[i] = best_xy
                 if best_xy is here:
                     route.moments[first:last] = saved
                 else:
                     route.evaluate(sampler, w, first, last)
-                    cost[first:last] = route.cost(w)[first:last]
+                    cost[first:last] = route.cost(w, first, last)
                     moved = True
             if not moved:
                 break
@@ -88,7 +91,7 @@ def _faces(table: RiskTable, route: Route, first: int, last: int) -> np.ndarray:
         poses = edge_poses(route.xy[t], route.xy[t + 1], table.body)
         if t > 0:
             x, y = route.xy[t]
-            before, after = route.heading[t - 1 : t + 1].tolist()
+            before, after = route.yaws(t, t).tolist()
             turn = sweep_poses(x, y, before, after, table.body)
             poses = np.concatenate([turn, poses])
         out[t - first] = steps_beneath(table.sampler, poses).max()

@@ -73,7 +73,7 @@ def _chord(
         _look_under(ground, route, inner)
     if has_room(ground, route, i) and has_room(ground, route, j):
         route.evaluate(table.sampler, w, i, last)
-        new = route.cost(w)[i:last]
+        new = route.cost(w, i, last)
         if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
             cost[i:last] = new
             if not route.back[i]:  # nothing turns there now, but a later chord may
@@ -93,7 +93,7 @@ def _look_under(ground: Ground, route: Route, points: slice) -> None:
 
 def has_room(ground: Ground, route: Route, k: int) -> bool:
     """Whether there is room for the turn at point k of the route."""
-    yaw = np.concatenate([[route.start_yaw], route.heading, [route.goal_yaw]])[k : k + 2]
+    yaw = route.yaws(k, k)
     if np.isnan(yaw).any():
         return True
     turn = turn_angle(*yaw)

@@ -11,6 +11,7 @@ from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
+from planning.risk.terrain import Terrain
 from planning.search.plan import Plan, PlanRequest, plan
 
 Box = tuple[int, int, int, int]
@@ -111,6 +112,10 @@ class MapGraph:
                 "no ground around the robot is known yet: wait for the LiDAR, or drive it by hand, slowly, onto ground that it sees",
             )
         return self.grid
+
+    def terrain(self) -> Terrain | None:
+        """That of the grid, where a search has made it."""
+        return self.table.terrain if self.table is not None and self.table.grid is self.grid else None
 
     def search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
         """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]. Raises PlanningError."""

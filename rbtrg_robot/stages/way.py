@@ -83,7 +83,7 @@ class WaySearch:
 
     def path_of(self, terrain: MapGraph, found: Plan) -> Path:
         """The smooth path of a plan."""
-        return make_path(found, terrain.ground(), self._body, self._limits)
+        return make_path(found, terrain.ground(), self._body, self._limits, terrain.terrain())
 
     def _seen(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> Way:
         if self._params.method != "rb_trg" or terrain.graph is None:
@@ -172,7 +172,7 @@ class WaySearch:
             raise NoRoute(NoRouteReason.NO_ROUTE, why)
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)
-            return found, rest_of(driven, pose, terrain.ground(), self._body)
+            return found, rest_of(driven, pose, terrain.ground(), self._body, terrain.terrain())
         return found, self.path_of(terrain, found)
 
 

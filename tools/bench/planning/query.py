@@ -147,7 +147,7 @@ def stack_rows(report: Report, large: RiskTable) -> None:
     def answer() -> None:
         nonlocal table
         table = RiskTable(graph, grid, BODY, table)
-        make_path(plan(graph, grid, request, BODY, table), grid, BODY)
+        make_path(plan(graph, grid, request, BODY, table), grid, BODY, terrain=table.terrain)
 
     report.add("large.stack_cold_s", _timed(answer), "s", limit=0.5)
     rng, warm = np.random.default_rng(3), []

@@ -19,6 +19,7 @@ from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, SimConfig
 from hal.safety.gate import GateConfig
+from hal.safety.geofence import Geofence, GeofenceError
 from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
@@ -28,7 +29,7 @@ from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
 from planning.tracking.tracker import TrackerConfig
-from rbtrg_robot import __version__
+from rbtrg_robot import __version__, yaml_file
 from rbtrg_robot.provenance import commit, package_version
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stage_config import (
@@ -41,6 +42,7 @@ from rbtrg_robot.stage_config import (
     PlannerConfig,
     RecorderConfig,
 )
+from rbtrg_robot.yaml_file import YamlError
 
 
 class ConfigError(OperatorError):
@@ -152,6 +154,18 @@ class StackConfig(BaseModel):
             )
         return origin
 
+    @field_validator("area")
+    @classmethod
+    def _spans_an_area(cls, area: list[tuple[float, float]] | None) -> list[tuple[float, float]] | None:
+        if area is not None:
+            try:
+                Geofence.of(area)
+            except GeofenceError as error:
+                raise ValueError(str(error)) from error
+            if not max(abs(v) for corner in area for v in corner) < FARTHEST:
+                raise ValueError(f"`map` reaches {FARTHEST / 1000:.0f} km")
+        return area
+
     @property
     def simulated(self) -> bool:
         """Source clock is the simulator's."""
@@ -254,12 +268,11 @@ def load(
     _merge(values, base or {})
     if file is not None:
         try:
-            loaded = yaml.safe_load(file.read_text())
+            loaded = yaml_file.read(file)
         except OSError as error:
             raise ConfigError(f"cannot read {file}: {error.strerror}") from error
-        except (yaml.YAMLError, UnicodeDecodeError) as error:
-            line = str(error).replace("\n", " ")
-            raise ConfigError(f"{file} is not YAML: {line}") from error
+        except YamlError as error:
+            raise ConfigError(f"{file} is not YAML: {error}") from error
         if not isinstance(loaded, dict | None):
             raise ConfigError(f"{file} must hold `key: value` lines")
         _merge(values, loaded or {})
@@ -268,8 +281,8 @@ def load(
         if not sign or not key:
             raise ConfigError(f"--set wants a.b=c, got {item!r}")
         try:
-            _assign(values, key.split("."), yaml.safe_load(text))
-        except yaml.YAMLError as error:
+            _assign(values, key.split("."), yaml_file.parse(text))
+        except YamlError as error:
             raise ConfigError(f"--set {key}: {text!r} is no value") from error
     values |= {key: value for key, value in flags.items() if value is not None}
     try:
@@ -279,8 +292,13 @@ def load(
 
 
 def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
-    """The configuration a log was made with, and its keys that this version does not have, left out of it."""
-    values: dict[str, Any] = yaml.safe_load(attached) or {}
+    """The configuration a log was made with, and its keys that this version does not have, left out of it. Raises ConfigError."""
+    try:
+        values: dict[str, Any] = yaml_file.parse(attached) or {}
+    except YamlError as error:
+        raise ConfigError(f"the configuration in the log is not YAML: {error}") from error
+    if not isinstance(values, dict):
+        raise ConfigError("the configuration in the log holds no `key: value` lines")
     if "lidar" in values:  # before a robot carried several
         main = {"model": values.pop("lidar"), "mount": values.pop("mount", None)}
         values["lidars"] = [main]
@@ -291,10 +309,10 @@ def of_log(attached: bytes) -> tuple[dict[str, Any], list[str]]:
         for wrong in error.errors():
             if wrong["type"] == "extra_forbidden":
                 *path, key = wrong["loc"]
-                group = values
+                group: Any = values
                 for part in path:
-                    group = group[str(part)]
-                del group[str(key)]
+                    group = group[part]
+                del group[key]
                 unknown.append(".".join(str(part) for part in wrong["loc"]))
     return values, unknown
 

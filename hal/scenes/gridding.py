@@ -13,6 +13,8 @@ from hal.scenes.scene import Geometry, Goal, Pose, SceneError
 from hal.scenes.survey import relief
 
 MAX_CELLS = 16_000_000
+MAX_FACED = 20 * MAX_CELLS
+"""Cells within the bounding boxes of all faces."""
 MAX_COORDINATE = 10_000.0
 """[m]; beyond, single precision no longer holds a millimetre."""
 HEADROOM = 0.8
@@ -54,6 +56,11 @@ def grid(
     z = geometry.vertices[:, 2]
     origin = (float(low[0]), float(low[1]))
     if len(geometry.triangles):
+        corners = scaled[geometry.triangles]
+        if (np.ptp(corners, axis=1) + 1.0).prod(axis=1).sum() > MAX_FACED:
+            raise SceneError(
+                f"{name}: its faces cover each cell many times: leave out what lies below others"
+            )
         first = np.zeros(rows * cols + 1, np.int64)
         _rasterise(scaled, z, geometry.triangles, rows, cols, first, np.empty(0), np.empty(0, np.int8))
         first = np.concatenate([[0], np.cumsum(first[:-1])])

@@ -29,7 +29,7 @@ def read_geometry(path: Path) -> Geometry:
         geometry = reader(path.read_bytes())
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror}") from error
-    except (ValueError, IndexError, KeyError, TypeError) as error:
+    except (ValueError, IndexError, KeyError, TypeError, OverflowError, MemoryError) as error:
         raise SceneError(
             f"{path.name}: broken or truncated {path.suffix[1:].upper()} file ({error})"
         ) from error
@@ -44,6 +44,13 @@ def read_geometry(path: Path) -> Geometry:
 
 
 _NO_FACES = np.empty((0, 3), np.int64)
+
+
+def _count(word: str) -> int:
+    """To numpy -1 means all that is there."""
+    if not word.isdecimal():
+        raise ValueError(f"{word[:20]!r} is no number of things")
+    return int(word)
 
 
 # --- PLY ----------------------------------------------------------------------------------------------------------
@@ -67,7 +74,7 @@ def _ply(data: bytes) -> Geometry:
         if words[:1] == ["format"]:
             layout = words[1]
         elif words[:1] == ["element"]:
-            elements.append(_Element(words[1], int(words[2])))
+            elements.append(_Element(words[1], _count(words[2])))
         elif words[:2] == ["property", "list"]:
             elements[-1].lists.append((_PLY_TYPES[words[2]], _PLY_TYPES[words[3]]))
         elif words[:1] == ["property"]:
@@ -112,6 +119,8 @@ def _ply_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[NDA
     faces = []
     for _ in range(element.count):
         n = int(np.frombuffer(body, count_type, 1, at)[0])
+        if n < 3:
+            raise ValueError(f"a face of {n} corners")
         at += count_type.itemsize
         faces.append(np.frombuffer(body, item_type, n, at).tolist())
         at += item_type.itemsize * n
@@ -136,7 +145,7 @@ def _pcd(data: bytes) -> Geometry:
             header[words[0]] = words[1:]
     fields = header["FIELDS"]
     repeat = [int(n) for n in header.get("COUNT", ["1"] * len(fields))]
-    points = int(header["POINTS"][0])
+    points = _count(header["POINTS"][0])
     layout = header["DATA"][0]
     if layout == "ascii":
         rows = data[at:].split(b"\n")[:points]

@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 class ElevationConfig(BaseModel):
     """Sources: noise model and gates after ANYbotics/elevation_mapping; own two-mode cells and bridging."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     resolution: float = Field(default=0.04, ge=0.01, le=0.2, description="cell size [m]")
     tile_cells: int = Field(default=64, description="cells per tile side, a power of two")

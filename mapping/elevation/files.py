@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.errors import one_line
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.tiles import CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
@@ -23,6 +23,10 @@ MAX_EXTENT = 20_000.0
 
 MAX_TILES = 4000
 """Largest prior map: about 0.7 GB."""
+MAX_CELLS = 25_000_000
+"""Most cells that a map of another making is entered as."""
+MAX_BYTES = 1_000_000_000
+"""Of the arrays in a file: a small file may claim any size."""
 
 
 def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[np.float32]) -> None:
@@ -95,17 +99,13 @@ def load_into(store: TileStore, path: Path, resolution: float, trust_count: int)
         raise MapError(f"{path}: no such map file")
     if path.suffix.lower() != ".npz":
         return _import_geometry(store, path, resolution, trust_count)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {name: file[name] for name in file.files}
-    except (ValueError, OSError, EOFError, KeyError, zipfile.BadZipFile) as error:
-        raise MapError(f"{path.name}: broken or truncated .npz file ({error})") from error
+    data = _arrays(path)
     if "format" in data:
         return _load_own(store, data, path.name, resolution, trust_count)
     try:
         height = np.asarray(data["height"], dtype=np.float32)
         own, origin = float(data["resolution"]), np.asarray(data["origin"], dtype=np.float64)
-        if height.ndim != 2 or origin.shape != (2,) or not own > 0.0:
+        if height.ndim != 2 or origin.shape != (2,) or not 0.0 < own < np.inf:
             raise ValueError(f"height {height.shape}, origin {origin.shape}, resolution {own}")
         trusted = np.asarray(data.get("trusted", np.isfinite(height)), dtype=bool)
         if trusted.shape != height.shape:
@@ -134,12 +134,21 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
             return np.ascontiguousarray(geometry.vertices, np.float32)
     if path.suffix.lower() != ".npz":
         return np.empty((0, 3), np.float32)
+    return checked_cloud(_arrays(path).get("cloud", np.empty((0, 3), np.float32)), path.name)
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file. Raises MapError."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            cloud = file["cloud"] if "cloud" in file.files else np.empty((0, 3), np.float32)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise MapError(f"{path.name}: broken or truncated .npz file ({error})") from error
-    return checked_cloud(cloud, path.name)
+            size = sum(member.file_size for member in file.zip.infolist())
+            if size <= MAX_BYTES:
+                return {name: file[name] for name in file.files}
+    except Exception as error:  # zip, zlib, the parser of headers and numpy raise what they trip over
+        raise MapError(f"{path.name}: broken or truncated .npz file ({one_line(error)})") from error
+    raise MapError(
+        f"{path.name}: {size / 1e9:.1f} GB of arrays, more than {MAX_BYTES / 1e9:.0f}: cut it or use a coarser resolution"
+    )
 
 
 def checked_cloud(cloud: NDArray[Any], name: str) -> NDArray[np.float32]:
@@ -156,14 +165,25 @@ def _load_own(
 ) -> int:
     if str(data["format"]) != FORMAT:
         raise MapError(f"{name}: not an elevation map but {data['format']}")
-    if int(data.get("version", 0)) != VERSION:
+    if str(data.get("version")) != str(VERSION):
         raise MapError(f"{name}: map version {data.get('version')}; this program reads version {VERSION}")
     try:
         own, size, tiles = float(data["resolution"]), int(data["tile_cells"]), data["tiles"]
         shape = (len(tiles), size, size)
         if tiles.shape != (len(tiles), 2) or any(data[field].shape != shape for field in SAVED):
             raise ValueError("arrays do not fit together")
-    except (KeyError, ValueError, TypeError) as error:
+        if tiles.dtype.kind != "i" or any(data[field].dtype != CELL[field] for field in SAVED):
+            raise ValueError("arrays of another type")
+        known = data["source"] != UNKNOWN
+        height, variance = data["height"][known], data["variance"][known]
+        if not 0.0 < own < np.inf or len(np.unique(tiles, axis=0)) < len(tiles):
+            raise ValueError("no resolution, or a tile twice")
+        if not np.isin(data["source"], (UNKNOWN, CONTACT, LIDAR)).all() or not (variance >= 0.0).all():
+            raise ValueError("cells that nothing measured")
+        far = np.abs(tiles.astype(np.float64)).max(initial=0.0) * size * own
+        if not (far <= MAX_EXTENT and (np.abs(height) <= MAX_EXTENT).all()):
+            raise ValueError(f"it reaches beyond {MAX_EXTENT / 1000:.0f} km")
+    except (KeyError, ValueError, TypeError, OverflowError) as error:
         raise MapError(f"{name}: damaged map ({error}): take another copy") from error
     if abs(own - resolution) < 1e-9 and size == store.size:
         n = size * size
@@ -174,7 +194,7 @@ def _load_own(
                 cells[field] = data[field][k].reshape(-1)
             cells["seen"] = PRIOR
             store.touched[slot] = 1
-        return int(np.count_nonzero(data["source"] != UNKNOWN))
+        return int(np.count_nonzero(known))
     known = data["source"] == LIDAR
     tile, r, c = np.nonzero(known)
     x, y = (tiles[tile, 1] * size + c) * own, (tiles[tile, 0] * size + r) * own
@@ -219,13 +239,16 @@ def _enter_points(
     patches finer than a cell their median, the higher of two: a cell is wall only if half of it is."""
     if len(x) == 0:
         raise MapError("the prior map holds no known cell")
-    far = float(max(np.abs(x).max(), np.abs(y).max()))
+    far = float(max(np.abs(v).max() for v in (x, y, z)))
     if not far <= MAX_EXTENT:
         raise MapError(
             f"the prior map reaches {far:.0f} m from the origin: is it in metres and in the map frame?"
         )
     # coarser cells cover several of ours
-    n = max(1, int(np.ceil(own / resolution - 1e-6)))
+    n = max(1.0, np.ceil(own / resolution - 1e-6))
+    if n * n * len(x) > MAX_CELLS:
+        raise MapError(f"the prior map has {n * n * len(x):.3g} cells, more than {MAX_CELLS:.3g}: cut it")
+    n = int(n)
     offset = (np.arange(n) - (n - 1) / 2) * (own / n)
     rows, cols = ([_lattice(v + d, resolution) for d in offset] for v in (y, x))
     tiles = np.unique(np.concatenate([_tiles_of(i, j, store.shift) for i in rows for j in cols]), axis=0)

@@ -49,7 +49,7 @@ class Health(StrEnum):
 class HealthConfig(BaseModel):
     """Limits of the verdict."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_on_planes: int = Field(
         default=30, ge=0, description="points on known surfaces below which registration is not used"

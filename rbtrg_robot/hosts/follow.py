@@ -107,7 +107,11 @@ class Follower:
         if payload is None:
             return False
         kind = BY_NAME[topic]
-        self._publish(stage.on(kind, messages.decode(payload, kind.kind)), self.now)
+        try:
+            message = messages.decode(payload, kind.kind)
+        except messages.MessageError:  # the process refused it, too
+            return True
+        self._publish(stage.on(kind, message), self.now)
         return True
 
     def _publish(self, outputs: list[tuple[Topic, Any]], now: int) -> None:

@@ -10,6 +10,7 @@ import time
 from collections import deque
 from collections.abc import Iterable
 
+from hal.types import NS
 from rbtrg_robot import msg, topics
 from rbtrg_robot.log.file import Entry
 from rbtrg_robot.topics import Topic
@@ -20,6 +21,8 @@ TICK = 255
 """Instead of a topic: the clock ticked."""
 PERIOD = 0.5
 """[s] between two journals of a process; what it took since the last one is lost with it."""
+LAST = 2**31 * NS
+"""[ns] The first stamp that no message holds."""
 SEQUENCES = 2**32
 """MCAP keeps that much of a sequence number."""
 
@@ -88,6 +91,6 @@ def read_journals(entries: Iterable[Entry]) -> tuple[dict[str, deque[Step]], set
         for index, sequence, stamp in zip(
             journal.taken.tolist(), journal.sequence.tolist(), journal.stamp.tolist(), strict=True
         ):
-            if index == TICK or index < len(journal.topic):
+            if 0 <= stamp < LAST and (index == TICK or index < len(journal.topic)):
                 own.append(("" if index == TICK else journal.topic[index], sequence, stamp, entry.log_time))
     return steps, restarted

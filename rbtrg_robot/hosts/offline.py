@@ -9,14 +9,14 @@ from pathlib import Path
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
 from rbtrg_robot.hosts.follow import Follower
-from rbtrg_robot.hosts.journal import Step, read_journals
+from rbtrg_robot.hosts.journal import LAST, Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
 from rbtrg_robot.log.file import CONFIG, METADATA, Entry, LogWriter, first_of, read_run
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.messages import stamp_in
+from rbtrg_robot.wire.messages import MessageError, stamp_in
 
 Stages = dict[str, tuple[Stage, float]]
 Progress = Callable[[float], None]
@@ -108,13 +108,18 @@ def _feed(
     host = SyncHost(stages, sink)
     first: int | None = None
     for topic, entry in inputs:
-        if topic is t.CLOCK:
-            now = stamp_in(entry.data, topic.type)
-        else:
-            now = host.now if simulated else entry.log_time
-        if first is None and now:
-            first = now
-        host.inject_bytes(topic, entry.data)
+        try:
+            if topic is t.CLOCK:
+                now = stamp_in(entry.data, topic.type)
+            else:
+                now = host.now if simulated else entry.log_time
+            if not 0 <= now < LAST:
+                continue
+            if first is None and now:
+                first = now
+            host.inject_bytes(topic, entry.data)
+        except MessageError:  # a process refuses it, too
+            continue
         if now != host.now:
             host.tick(now)
             progress((now - (first or now)) / 1e9)

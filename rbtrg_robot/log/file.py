@@ -13,18 +13,19 @@ import io
 import os
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace, TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import mcap.writer
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from hal.errors import OperatorError
@@ -70,10 +71,14 @@ class LogError(OperatorError):
 PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
 """Reasons of a failed write that may be gone at the next attempt: what fills a disk is often deleted again."""
 
+LARGEST_CHUNK = 256 * 1024 * 1024
+"""Bytes of a chunk that is read. Writers make them of 1 to 4 MiB; a few bytes may claim to be any number of them."""
+MOST_TOPICS = 65_535
+"""Of one file: MCAP numbers them with 16 bits."""
 BROKEN = (
-    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, struct.error,
+    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, RuntimeError, struct.error,
 )  # fmt: skip
-"""What reading a damaged file can raise; OverflowError: a length beyond 2^63."""
+"""What reading a damaged file can raise; OverflowError: a length beyond 2^63; RuntimeError: of lz4."""
 
 
 def _cannot_write(path: Path, error: OSError) -> LogError:
@@ -152,6 +157,8 @@ class LogWriter:
     def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
         """Append a message of another file with its schema, whatever it is."""
         if entry.topic not in self._channels:
+            if len(self._channels) == MOST_TOPICS:
+                raise LogError(f"more than {MOST_TOPICS} topics: {self.path} cannot hold them")
             if entry.type not in self._schemas:
                 self._schemas[entry.type] = (
                     self._writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
@@ -248,7 +255,7 @@ def read_log(
     with stream:
         count = 0
         try:
-            for record in StreamReader(stream, record_size_limit=512 * 1024 * 1024).records:
+            for record in _records(stream):
                 if isinstance(record, Schema):
                     found.schemas[record.id] = record
                 elif isinstance(record, Channel):
@@ -273,6 +280,34 @@ def read_log(
             if not found.channels and not found.metadata:
                 raise LogError(f"{path} is not an MCAP file") from error
             found.damage = f"after {count} messages: {type(error).__name__}"
+
+
+def _records(stream: BinaryIO) -> Iterator[McapRecord]:
+    """All records, those in chunks too, whose checksums are compared. Raises what BROKEN lists."""
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=2 * LARGEST_CHUNK).records:
+        if isinstance(record, Chunk):
+            data = _unpacked(record)
+            yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
+        else:
+            yield record
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Never more bytes than a chunk says it has, whatever its compressed data says. Raises ValueError for another number."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes")
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"compression {chunk.compression!r}")
+    if len(data) != size:
+        raise ValueError(f"a chunk of {size} bytes has {len(data)}")
+    return data
 
 
 def log_files(path: Path) -> list[Path]:

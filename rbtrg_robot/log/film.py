@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,8 +13,8 @@ from hal.types import GroundTruth
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
 from rbtrg_robot.log.file import CONFIG, first_of, read_run
-from rbtrg_robot.wire.convert import joint_sample, xyz, xyzw
-from rbtrg_robot.wire.messages import decode, stamp_of
+from rbtrg_robot.wire.convert import LayoutError, joint_sample, xyz, xyzw
+from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 
 
 def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = None) -> int:
@@ -26,15 +27,16 @@ def film(log: Path, out: Path, progress: Callable[[int, int], None] | None = Non
         raise ConfigError(f"{log} is not the log of a simulated robot: there is no scene to draw")
     made = Film(config.load_scene())
     for entry in read_run(log):
-        if entry.topic == t.JOINTS.name:
-            made.take([joint_sample(decode(entry.data, entry.type))])
-        elif entry.topic == t.TRUTH.name:
-            message = decode(entry.data, entry.type)
-            pose = message.pose.pose
-            truth = GroundTruth(
-                stamp_of(message), xyz(pose.position), xyzw(pose.orientation), np.zeros(3), np.zeros(3)
-            )
-            made.take([truth])
+        with contextlib.suppress(MessageError, LayoutError):  # what was recorded broken is not drawn
+            if entry.topic == t.JOINTS.name:
+                made.take([joint_sample(decode(entry.data, t.JOINTS.kind))])
+            elif entry.topic == t.TRUTH.name:
+                message = decode(entry.data, t.TRUTH.kind)
+                pose = message.pose.pose
+                truth = GroundTruth(
+                    stamp_of(message), xyz(pose.position), xyzw(pose.orientation), np.zeros(3), np.zeros(3)
+                )
+                made.take([truth])
     if not len(made):
         raise ConfigError(f"{log} holds no true poses")
     if out.suffix == ".png":

@@ -14,9 +14,9 @@ from mapping.elevation.tiles import ASSUMED
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError
 from rbtrg_robot.log.file import read_run
-from rbtrg_robot.wire.convert import map_patch, yaw_of
+from rbtrg_robot.wire.convert import LayoutError, map_patch, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
-from rbtrg_robot.wire.messages import decode
+from rbtrg_robot.wire.messages import MessageError, decode
 
 PATH_COLOUR = (255, 170, 40)
 TRACK_COLOUR = (90, 200, 255)
@@ -35,11 +35,15 @@ def picture(log: Path, out: Path) -> float:
         topic = t.BY_NAME.get(entry.topic)
         if topic not in (t.TF, t.TF_STATIC, t.MAP_UPDATE, t.ODOM, t.ROUTE, t.GOAL_REQUEST):
             continue
-        message = decode(entry.data, topic.kind)
+        try:
+            message = decode(entry.data, topic.kind)
+            patch = map_patch(message, mirror.epoch) if topic is t.MAP_UPDATE else None
+        except (MessageError, LayoutError):
+            continue  # what was recorded broken is not drawn
         if topic in (t.TF, t.TF_STATIC):
             frame.take(message)
-        elif topic is t.MAP_UPDATE:
-            mirror.apply(map_patch(message, mirror.epoch))
+        elif patch is not None:
+            mirror.apply(patch)
         elif topic is t.ODOM and frame.known:
             place = message.pose.pose
             x, y, yaw = frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))

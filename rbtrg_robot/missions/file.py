@@ -11,8 +11,9 @@ import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError
 
 from hal.errors import OperatorError
-from rbtrg_robot import msg
+from rbtrg_robot import msg, yaml_file
 from rbtrg_robot.stages.mission.order import Blocking, Kind
+from rbtrg_robot.yaml_file import YamlError
 
 
 class MissionError(OperatorError):
@@ -121,7 +122,9 @@ class Posture(_Step):
 class Rounds(_Model):
     """Steps that are done several times."""
 
-    times: Annotated[int, Field(ge=1)] | Literal["forever"] = Field(description="how often, or `forever`")
+    times: Annotated[int, Field(ge=1, le=1_000_000)] | Literal["forever"] = Field(
+        description="how often, or `forever`"
+    )
     steps: tuple[Step, ...] = Field(min_length=1)
 
 
@@ -134,7 +137,7 @@ class Loop(_Model):
 def _kind(value: Any) -> str:
     if isinstance(value, str):
         return "word"
-    keys = set(value) if isinstance(value, dict) else set(type(value).model_fields)
+    keys = set(value) if isinstance(value, dict) else set(getattr(type(value), "model_fields", ()))
     found = sorted(keys & set(TAGS[1:]))
     return found[0] if len(found) == 1 else ""
 
@@ -274,12 +277,11 @@ def parse(values: Any, what: str) -> MissionFile:
 def load(path: Path) -> MissionFile:
     """Read a file. Raises MissionError."""
     try:
-        return parse(yaml.safe_load(path.read_text()), str(path))
+        return parse(yaml_file.read(path), str(path))
     except OSError as error:
         raise MissionError(f"cannot read {path}: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        line = " ".join(str(error).split())
-        raise MissionError(f"{path} is not YAML: {line}") from error
+    except YamlError as error:
+        raise MissionError(f"{path} is not YAML: {error}") from error
 
 
 def dump(mission: MissionFile) -> str:

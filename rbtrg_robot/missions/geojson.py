@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtrg_robot.missions.file import MissionError, MissionFile, parse
+from rbtrg_robot.yaml_file import LARGEST
 
 EQUATOR = 6378137.0
 """Semi-major axis of WGS 84 [m]."""
@@ -107,10 +108,21 @@ def from_geojson(content: Any, what: str, origin: Origin | None = None) -> Missi
         for feature in content["features"]:
             flat += _steps(feature, origin)
         spans = [(loop["first"], loop["last"], loop["times"]) for loop in content.get("loops", ())]
-        steps, _ = _nest(flat, spans, 1, len(flat), 0)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
+        steps, used = _nest(flat, spans, 1, len(flat), 0)
+        if used < len(spans):
+            raise ValueError(f"loop {used + 1} lies in no steps")
+        mission = {**content.get("mission", {}), "steps": steps}
+    except (
+        KeyError,
+        TypeError,
+        ValueError,
+        IndexError,
+        AttributeError,
+        ArithmeticError,
+        RecursionError,
+    ) as error:
         raise MissionError(f"{what} is no mission: {type(error).__name__} at {error}") from error
-    return parse({**content.get("mission", {}), "steps": steps}, what)
+    return parse(mission, what)
 
 
 def _steps(feature: dict[str, Any], origin: Origin | None) -> list[dict[str, Any]]:
@@ -139,7 +151,7 @@ def _nest(
     steps: list[Any] = []
     at = first
     while at <= last:
-        if k < len(spans) and spans[k][0] == at and spans[k][1] <= last:
+        if k < len(spans) and spans[k][0] == at <= spans[k][1] <= last:
             _, end, times = spans[k]
             inner, k = _nest(flat, spans, at, end, k + 1)
             steps.append({"loop": {"times": times, "steps": inner}})
@@ -153,8 +165,12 @@ def _nest(
 def load(path: Path, origin: Origin | None = None) -> MissionFile:
     """Read a GeoJSON file. Raises MissionError."""
     try:
-        return from_geojson(json.loads(path.read_text()), str(path), origin)
+        with path.open("rb") as file:
+            text = file.read(LARGEST + 1)
+        if len(text) > LARGEST:
+            raise MissionError(f"{path} has more than {LARGEST:,} bytes")
+        return from_geojson(json.loads(text), str(path), origin)
     except OSError as error:
         raise MissionError(f"cannot read {path}: {error.strerror}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise MissionError(f"{path} is not JSON: {error}") from error

@@ -127,9 +127,11 @@ def _starts_with_stamp(typename: str) -> bool:
 
 
 def stamp_in(data: bytes, typename: str) -> int:
-    """Source stamp [ns] of wire bytes, without decoding them where it stands in front."""
+    """Source stamp [ns] of wire bytes, without decoding them where it stands in front. Raises MessageError."""
     if not _starts_with_stamp(typename):
         return stamp_of(decode(data, typename))
+    if len(data) < 12:
+        raise MessageError(f"not a {typename}: no stamp in {len(data)} bytes")
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return int(seconds) * NS + int(nanoseconds)
 

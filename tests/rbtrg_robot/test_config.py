@@ -166,3 +166,38 @@ def test_the_lidars_of_a_real_robot_are_set_in_one_place() -> None:
     config = load(None, ["lidars=[{name: main, model: l1}]"], backend="unitree", interface="lo")
     assert [lidar.model for lidar in config.unitree_options().lidars] == ["l1"]
     assert "lidars" not in yaml.safe_load(config.to_yaml())["unitree"]
+
+
+@pytest.mark.parametrize(
+    "area",
+    [
+        "[]",
+        "[[0, 0], [1, 1]]",
+        "[[.nan, 0], [1, 1], [2, 0]]",
+        "[[0, 0], [1, 1], [0, 1], [1, 0]]",
+        "[[1.0e+308, 0], [0, 1.0e+308], [-1.0e+308, 0]]",
+    ],
+)
+def test_an_area_that_fences_nothing_is_refused(area: str) -> None:
+    """An empty one meant no fence at all."""
+    with pytest.raises(ConfigError, match="'area'"):
+        load(sets=[f"area={area}"])
+
+
+@pytest.mark.parametrize("value", [".nan", ".inf", "-.inf"])
+@pytest.mark.parametrize("key", ["odometry.health.overlap_lost", "elevation.gate"])
+def test_a_limit_that_is_no_number_is_refused(key: str, value: str) -> None:
+    with pytest.raises(ConfigError, match=key):
+        load(sets=[f"{key}={value}"])
+
+
+@pytest.mark.parametrize("attached", [b"[1]", b"text", b"[", b"a: " + b"[" * 20_000, bytes(range(256))])
+def test_a_log_with_a_broken_configuration_is_refused_in_words(attached: bytes) -> None:
+    with pytest.raises(ConfigError, match="in the log"):
+        of_log(attached)
+
+
+def test_a_key_in_a_list_that_this_version_does_not_have_is_left_out() -> None:
+    values, unknown = of_log(b"lidars: [{name: main, model: xt16, shape: round}]")
+    assert unknown == ["lidars.0.shape"]
+    assert load(base=values).lidars[0].model == "xt16"

@@ -10,6 +10,7 @@ from hal.scenes import Scene, SceneError, load_scene
 from hal.scenes.files import save_scene
 from hal.scenes.gridding import fill, grid
 from hal.scenes.readers import read_geometry
+from hal.scenes.scene import Geometry
 from tests.places import TERRAIN, needs_shared
 
 CORNERS = np.array(
@@ -255,3 +256,34 @@ def test_the_public_maze_imports_as_a_scene() -> None:
     assert 0.1 < (blocks > 0.3).mean() < 0.4
     assert blocks.max() < 1.2
     assert abs(np.median(blocks)) < 0.05
+
+
+PLY = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("a.ply", PLY.format("binary_little_endian", -1).encode() + b"end_header\n" + bytes(24)),
+        (
+            "a.ply",
+            PLY.format("binary_little_endian", 1).encode()
+            + b"element face 1000000000\nproperty list char char v\nend_header\n"
+            + bytes(12)
+            + bytes([255] * 1000),
+        ),
+        ("a.pcd", b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nPOINTS -1\nDATA binary\n" + bytes(24)),
+        ("a.obj", b"v 1 2 3\nf 1 1 " + b"9" * 30),
+    ],
+    ids=["vertices", "corners", "points", "index"],
+)
+def test_counts_that_cannot_be_are_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneError, match="broken"):
+        read_geometry(tmp_path / name)
+
+
+def test_faces_piled_up_without_end_are_refused() -> None:
+    corners = np.array([[0, 0, 0], [100, 0, 0], [0, 100, 0]], float)
+    with pytest.raises(SceneError, match="many times"):
+        grid(Geometry(corners, np.tile([[0, 1, 2]], (2000, 1))), 0.04, "pile")

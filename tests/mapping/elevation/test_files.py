@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mapping.elevation import files
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError
+from mapping.elevation.files import load_into
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.mirror import MapMirror
 from mapping.elevation.sensor import XT16
-from mapping.elevation.tiles import LIDAR
+from mapping.elevation.tiles import LIDAR, TileStore
 from tests.places import TERRAIN, needs_shared
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
@@ -204,3 +206,78 @@ def test_the_maze_sample_covers_its_floor_at_five_centimetres() -> None:
     assert np.isfinite(floor).mean() > 0.98
     assert np.median(floor) == pytest.approx(0.01, abs=0.02)
     assert 0.4 < np.nanmax(layers["elevation"]) < 1.3
+
+
+def own_arrays(tmp_path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a saved map."""
+    seen_map().save(tmp_path / "map.npz")
+    with np.load(tmp_path / "map.npz") as saved:
+        return dict(saved)
+
+
+CRAFTED = {
+    "version": np.array("x"),
+    "resolution": np.array(-0.04),
+    "tile_cells": np.array(np.inf),
+    "tiles": np.array([[np.nan, 0.0]]),
+    "source": 9,
+    "variance": -1.0,
+    "height": np.nan,
+}
+
+
+@pytest.mark.parametrize("name", CRAFTED)
+def test_a_crafted_map_of_ours_is_refused_in_words(tmp_path: Path, name: str) -> None:
+    arrays, wrong = own_arrays(tmp_path), CRAFTED[name]
+    if isinstance(wrong, np.ndarray):
+        arrays[name] = wrong
+    else:
+        arrays[name][:] = wrong
+    np.savez(tmp_path / "crafted.npz", **arrays)
+    with pytest.raises(MapError, match="crafted"):
+        ElevationMap().load_prior(tmp_path / "crafted.npz")
+
+
+@pytest.mark.parametrize("change", ["far", "twice", "strings"])
+def test_tiles_beyond_all_distances_or_of_another_type_are_refused(tmp_path: Path, change: str) -> None:
+    arrays = own_arrays(tmp_path)
+    if change == "far":
+        arrays["tiles"][0] = 2**31 - 1
+    elif change == "twice":
+        arrays["tiles"][1] = arrays["tiles"][0]
+    else:
+        arrays["height"] = np.full(arrays["height"].shape, "x")
+    np.savez(tmp_path / "crafted.npz", **arrays)
+    with pytest.raises(MapError, match="damaged map"):
+        ElevationMap().load_prior(tmp_path / "crafted.npz")
+
+
+def test_a_bit_that_flipped_anywhere_in_a_map_is_no_crash(tmp_path: Path) -> None:
+    own_arrays(tmp_path)
+    whole = (tmp_path / "map.npz").read_bytes()
+    rng = np.random.default_rng(7)
+    refused = 0
+    for place in rng.integers(len(whole), size=60):
+        broken = bytearray(whole)
+        broken[place] ^= 1 << rng.integers(8)
+        (tmp_path / "broken.npz").write_bytes(broken)
+        try:
+            load_into(TileStore(64), tmp_path / "broken.npz", 0.04, 3)
+        except MapError:
+            refused += 1
+    assert refused > 30
+
+
+def test_an_archive_that_claims_more_than_a_map_has_is_not_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "MAX_BYTES", 1_000_000)
+    np.savez_compressed(tmp_path / "bomb.npz", height=np.zeros((1000, 1000)), resolution=0.04, origin=[0, 0])
+    with pytest.raises(MapError, match="GB of arrays"):
+        load_into(TileStore(64), tmp_path / "bomb.npz", 0.04, 3)
+
+
+def test_one_cell_as_wide_as_a_town_is_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "wide.npz", height=np.zeros((1, 1)), resolution=1e4, origin=[0, 0])
+    with pytest.raises(MapError, match="cut it"):
+        load_into(TileStore(64), tmp_path / "wide.npz", 0.04, 3)

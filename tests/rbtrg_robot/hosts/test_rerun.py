@@ -14,6 +14,8 @@ from rbtrg_robot.hosts.live import Node
 from rbtrg_robot.hosts.lockstep import Lockstep, build_stages
 from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.log.file import CONFIG, Entry, LogWriter, first_of, read_run
+from rbtrg_robot.log.film import film
+from rbtrg_robot.log.picture import picture
 from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received
@@ -142,3 +144,23 @@ def test_what_the_log_lacks_is_told_and_the_rest_goes_on(live: tuple[Path, int],
     counts = rerun(holed, ["planner"], tmp_path / "again.mcap", say=said.append)
     assert said == ["2 messages that planner took are not in the log: from there on its re-run may differ"]
     assert counts[t.ROUTE_STATUS.name] == len(of(log, t.ROUTE_STATUS))
+
+
+def test_broken_messages_in_a_log_end_no_rerun_and_no_picture(tmp_path: Path) -> None:
+    """Each process refuses them, too."""
+    config = load(None, [], scene="flat")
+    log = tmp_path / "log.mcap"
+    with Lockstep(config, Lockstep.open_log(config, log)) as stack:
+        stack.wait_ready()
+    hostile = tmp_path / "hostile.mcap"
+    broken = (b"", b"\0", b"\0\1\0\0" + b"\xff" * 3)
+    with LogWriter(hostile, {}, {CONFIG: config.to_yaml().encode()}) as writer:
+        for entry in read_run(log):
+            topic = t.BY_NAME[entry.topic]
+            writer.write(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+            for data in broken:
+                writer.write(topic, data, entry.log_time, entry.publish_time, 0)
+    counts = rerun(hostile, ["odometry", "elevation", "guard"], tmp_path / "again.mcap")
+    assert counts[t.ODOM.name] > 2
+    assert film(hostile, tmp_path / "end.png") > 2
+    assert picture(hostile, tmp_path / "run.png") < 0.1

@@ -7,9 +7,12 @@ import signal
 import struct
 import subprocess
 import sys
+import tracemalloc
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Chunk
@@ -17,6 +20,7 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.log import file as log_file
 from rbtrg_robot.log.file import (
     CONFIG,
     LogContents,
@@ -200,3 +204,57 @@ def test_a_recorder_that_was_killed_before_it_wrote_does_not_spoil_the_run(tmp_p
     with LogWriter(tmp_path / "log_1.mcap", {}) as writer:
         writer.write(t.ODOM, encode(t.ODOM.kind()), 1, 1)
     assert [entry.topic for entry in read_run(tmp_path)] == [t.ODOM.name]
+
+
+def with_chunk(path: Path, chunk: Chunk) -> LogContents:
+    """What is found in a log whose first chunk is this one."""
+    with LogWriter(path, {}) as writer:
+        writer.write(t.HEARTBEAT, encode(msg.Heartbeat()), 1, 1)
+    content = RecordBuilder()
+    chunk.write(content)
+    whole = path.read_bytes()
+    at = 8
+    for _record in ("header", "metadata"):
+        at += 9 + struct.unpack_from("<Q", whole, at + 1)[0]
+    path.write_bytes(whole[:at] + content.end() + whole[at:])
+    contents = LogContents()
+    assert list(read_log(path, contents)) == []
+    return contents
+
+
+ZEROS = zstandard.compress(bytes(1_000_000))
+
+
+@pytest.mark.parametrize(
+    "chunk",
+    [
+        Chunk("zstd", ZEROS, 0, 0, 0, 1 << 32),  # as much memory as it says
+        Chunk("zstd", ZEROS, 0, 0, 0, 10),  # more bytes than it says
+        Chunk("zstd", ZEROS[:-4], 0, 0, 0, 1_000_000),
+        Chunk("lz4", b"\x04\x22M\x18" + bytes([255] * 50), 0, 0, 0, 10),
+        Chunk("lz4", lz4.frame.compress(bytes(1_000_000)), 0, 0, 0, 10),
+        Chunk("brotli", b"abc", 0, 0, 0, 3),
+        Chunk("zstd", ZEROS, 0, 0, 12345, 1_000_000),  # another checksum
+    ],
+    ids=["huge", "bomb", "cut", "no lz4", "lz4 bomb", "brotli", "checksum"],
+)
+def test_a_chunk_that_lies_is_damage(tmp_path: Path, chunk: Chunk) -> None:
+    assert with_chunk(tmp_path / "a.mcap", chunk).damage
+
+
+def test_a_chunk_never_takes_more_memory_than_it_says(tmp_path: Path) -> None:
+    bomb = zstandard.compress(bytes(100_000_000))
+    tracemalloc.start()
+    with_chunk(tmp_path / "a.mcap", Chunk("zstd", bomb, 0, 0, 0, 10))
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 20_000_000
+
+
+def test_a_log_of_more_topics_than_a_file_can_number_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_file, "MOST_TOPICS", 1)
+    write(tmp_path / "a.mcap")
+    with pytest.raises(LogError, match="more than 1 topics"):
+        recover(tmp_path / "a.mcap", tmp_path / "b.mcap")

@@ -221,3 +221,40 @@ def test_a_drive_becomes_a_mission() -> None:
     assert [s.x for s in order.steps[:4]] == [0.0, 2.0, 4.0, 5.0]
     assert (mission.name, mission.map) == ("round", "sha256:0123456789abcdef")
     assert parse(yaml.safe_load(dump(mission)), "m") == mission
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "steps: [[1]]",
+        "steps: [~, 3]",
+        "steps: !!pairs [a: 1]",
+        "steps: [{loop: {times: 4294967296, steps: [stand]}}]",
+    ],
+)
+def test_a_step_that_is_no_step_is_refused_in_words(tmp_path: Path, text: str) -> None:
+    (tmp_path / "m.yaml").write_text(text)
+    with pytest.raises(MissionError, match="step 1"):
+        file.load(tmp_path / "m.yaml")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"features": [3]},
+        {"features": [{"geometry": {"type": "Point", "coordinates": [10**400, 0]}}]},
+        {"loops": [{"first": 1, "last": -5, "times": 2}]},
+        {"mission": 3},
+    ],
+)
+def test_geojson_that_is_no_mission_is_refused_in_words(change: dict[str, Any]) -> None:
+    drawn = to_geojson(parse(yaml.safe_load("steps: [stand, sit]"), "m"))
+    with pytest.raises(MissionError, match="is no mission"):
+        from_geojson(drawn | change, "m.json")
+
+
+@pytest.mark.parametrize("text", ["[" * 20_000, "9" * 5000, " " * 1_000_001])
+def test_geojson_that_is_no_json_is_refused_in_words(tmp_path: Path, text: str) -> None:
+    (tmp_path / "m.json").write_text(text)
+    with pytest.raises(MissionError, match=r"m\.json"):
+        geojson.load(tmp_path / "m.json")

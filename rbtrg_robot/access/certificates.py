@@ -27,7 +27,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from hal.errors import OperatorError
+from hal.errors import OperatorError, one_line
 from rbtrg_robot.access.identity import CA, CERTIFICATE, KEY, ROBOT, problem
 from rbtrg_robot.topics import Role
 
@@ -77,9 +77,10 @@ def add(base: Path, name: str, role: Role, days: int, *, force: bool = False) ->
         raise KeysError(
             f"{base / name} exists; --force makes a new certificate, and the old one does not count"
         )
+    others = [x for x in listed(base / ROBOT) if _owner(x) != name]
     number = secrets.token_hex(4)
     _issue(base, name, f"{role.value}:{name}:{number}", ExtendedKeyUsageOID.CLIENT_AUTH, days)
-    _rewrite(base, [x for x in listed(base / ROBOT) if _owner(x) != name] + [f"{role.value}:{name}:{number}"])
+    _rewrite(base, [*others, f"{role.value}:{name}:{number}"])
     return base / name
 
 
@@ -95,8 +96,8 @@ def listed(folder: Path) -> list[str]:
     """Common names on the list in the robot's folder. Raises KeysError."""
     try:
         lines = (folder / ACCESS).read_text().split("\n")
-    except OSError as error:
-        raise KeysError(f"cannot read {folder / ACCESS}: {error.strerror}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise KeysError(f"cannot read {folder / ACCESS}: {one_line(error)}") from error
     names = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
     for name in names:
         if not _COMMON_NAME.fullmatch(name):
@@ -140,7 +141,10 @@ def check(folder: Path) -> None:
 
 def _issue(base: Path, folder: str, common: str, purpose: x509.ObjectIdentifier, days: int) -> None:
     authority = certificate_of(base / AUTHORITY)
-    signer = load_pem_private_key((base / AUTHORITY / KEY).read_bytes(), None)
+    try:
+        signer = load_pem_private_key((base / AUTHORITY / KEY).read_bytes(), None)
+    except (OSError, ValueError, TypeError) as error:
+        raise KeysError(f"{base / AUTHORITY / KEY} is no key: take it from a copy") from error
     assert isinstance(signer, ec.EllipticCurvePrivateKey)
     key = ec.generate_private_key(ec.SECP256R1())
     usage = x509.KeyUsage(True, False, False, False, False, False, False, False, False)
@@ -190,8 +194,18 @@ def _rewrite(base: Path, names: list[str]) -> None:
 
 
 def _private_folder(path: Path) -> None:
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    path.chmod(0o700)
+    """Made for its owner alone; one that is there stays as it is, if nobody else can put files there. Raises KeysError."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = path.stat()
+    except OSError as error:
+        raise KeysError(
+            f"cannot keep keys in {path}: {error.strerror}; name another folder with --dir"
+        ) from error
+    if found.st_uid != os.getuid() or found.st_mode & 0o022:
+        raise KeysError(
+            f"{path} belongs to somebody else or is writable by others: name another folder with --dir"
+        )
 
 
 def _write(folder: Path, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
@@ -202,7 +216,10 @@ def _write(folder: Path, certificate: x509.Certificate, key: ec.EllipticCurvePri
 def _replace(path: Path, content: bytes) -> None:
     """Whole or not at all, and never readable by others."""
     fresh = path.with_suffix(".new")
-    fresh.unlink(missing_ok=True)
-    with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-        file.write(content)
-    fresh.replace(path)
+    try:
+        fresh.unlink(missing_ok=True)
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(content)
+        fresh.replace(path)
+    except OSError as error:
+        raise KeysError(f"cannot write {path}: {error.strerror}") from error

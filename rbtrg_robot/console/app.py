@@ -35,6 +35,8 @@ from rbtrg_robot.process.runfiles import CONSOLE_ENTER
 log = logging.getLogger(__name__)
 
 PAGE = Path(__file__).parent / "page"
+DIGITS = 18
+"""Of a whole number."""
 BEAT = 0.25
 """[s] between two heartbeats of the server to its pages."""
 
@@ -47,6 +49,21 @@ async def texts(socket: WebSocket) -> AsyncIterator[str]:
         if event["type"] != "websocket.receive" or text is None:
             return
         yield text
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > DIGITS:
+        raise ValueError("no field of a message holds it")
+    return int(digits)
+
+
+def wish_in(text: str) -> dict[str, Any]:
+    """What a page says. Raises ValueError, RecursionError for what is none: no object, a number that no message holds, half a character."""
+    wish = json.loads(text, parse_int=_whole)
+    if not isinstance(wish, dict):
+        raise ValueError("not an object")
+    json.dumps(wish, ensure_ascii=False).encode()
+    return wish
 
 
 def facts_of(config: StackConfig) -> dict[str, Any]:
@@ -179,9 +196,7 @@ class Site:
             slots.put(f"answer {number}", frames.pack("answer", content))
 
         try:
-            wish = json.loads(text)
-            if not isinstance(wish, dict):
-                raise ValueError("not an object")
+            wish = wish_in(text)
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":

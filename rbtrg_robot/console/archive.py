@@ -20,6 +20,8 @@ from rbtrg_robot.log.keep import Run, mark, runs
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.topics import Role
 
+LARGEST_BODY = 10_000
+"""Bytes."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,80}")
 
 
@@ -77,13 +79,13 @@ class Archive:
 
     async def _keep(self, request: Request) -> Response:
         try:
-            folder = self._folder(request)
-            wish = json.loads(await request.body())
             operator(request)
+            folder = self._folder(request)
+            wish = json.loads(await body_of(request))
             mark(folder, keep=bool(wish["keep"]))
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 403)
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             return JSONResponse({"words": "say keep: true or false"}, 400)
         return JSONResponse({"words": "stays" if wish["keep"] else "may go when the quota is full"})
 
@@ -107,6 +109,16 @@ def run_folder(base: Path, name: str) -> Path:
     if not NAME.fullmatch(name) or not (folder / "config.yaml").is_file():
         raise Refused("there is no such run")
     return folder
+
+
+async def body_of(request: Request) -> bytes:
+    """What was posted. Raises Refused for more than a page posts."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > LARGEST_BODY:
+            raise Refused("that is too long")
+    return body
 
 
 def operator(request: Request) -> None:

@@ -297,8 +297,8 @@ class Desk:
     def _begin(self, order: Order, done: Callable[[Outcome], None]) -> None:
         """Send at once; the thread of the bus goes on with it."""
         with self._lock:
-            self._orders[order] = done
             send(self._bus, order)
+            self._orders[order] = done  # only now: what cannot be sent is not tried again
         self._bus.wake()
 
     # --- the bus' thread --------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from rbtrg_robot.orders.mission import TellMission
 
 FOLDER = "missions"
 """Beside the runs."""
+LAST_STEP = 1_000_000
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_ .-]{0,80}\.ya?ml")
 
 
@@ -47,8 +48,10 @@ class MissionFiles:
         what, owner = str(wish.get("what")), self._desk.owner(page)
         try:
             step = int(wish.get("step") or 0)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise Refused("a step is a number") from error
+        if not 0 <= step <= LAST_STEP:
+            raise Refused(f"there is no step {step}")
         if what == "run":
             mission = await run_in_threadpool(self.load, str(wish.get("file")))
             order = mission.order(uuid.uuid4().hex[:12], start=max(step, 1), owner=owner)

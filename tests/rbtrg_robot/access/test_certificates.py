@@ -166,3 +166,38 @@ def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert [name for name, line in lines.items() if "NOT ON THE LIST" in line] == ["bob"]
     with pytest.raises(KeysError, match="--force"):
         run("init")
+
+
+def test_a_folder_of_others_is_neither_used_nor_changed(tmp_path: Path) -> None:
+    """`--dir /tmp` once closed that folder to everybody else."""
+    shared = tmp_path / "shared"
+    shared.mkdir()
+    shared.chmod(0o1777)
+    with pytest.raises(KeysError, match="writable by others"):
+        make_authority(shared, 30)
+    assert shared.stat().st_mode & 0o7777 == 0o1777
+    assert not list(shared.iterdir())
+    readable = tmp_path / "readable"
+    readable.mkdir(mode=0o755)
+    make_authority(readable, 30)
+    assert readable.stat().st_mode & 0o777 == 0o755
+    assert (readable / "ca").stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.parametrize("name", ["file", "file/below", "/proc/keys", "dangling"])
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(KeysError, match="name another folder"):
+        make_authority(tmp_path / name, 30)
+
+
+def test_a_damaged_list_or_key_makes_no_certificate(base: Path) -> None:
+    (base / "robot" / certificates.ACCESS).write_bytes(b"\xff\xfe")
+    with pytest.raises(KeysError, match="cannot read"):
+        add(base, "zoe", Role.OBSERVER, 30)
+    (base / "robot" / certificates.ACCESS).write_bytes(b"")
+    (base / "ca" / KEY).write_text("no key")
+    with pytest.raises(KeysError, match="is no key"):
+        add(base, "zoe", Role.OBSERVER, 30)
+    assert not (base / "zoe").exists()

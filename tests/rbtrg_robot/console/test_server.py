@@ -114,8 +114,46 @@ def test_another_page_or_another_name_gets_nothing(console: Console) -> None:
         for text in ("not json", "[]", "[" * 9000):
             socket.send(text)
             assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
+        for text in (
+            '{"do": "goal", "x": 1, "y": 1, "name": "\\ud800"}',  # half a character: nothing can send it
+            '{"do": "drive", "v": 1' + "0" * 400 + ', "w": 0, "t": 0}',
+            '{"do": "mission", "what": "skip", "step": 1' + "0" * 30 + "}",
+        ):
+            socket.send(text)
+            assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
         socket.send('{"do": ["goal"], "n": {}}')
         assert "unknown wish" in json.loads(socket.recv()[4:])["words"]
+
+
+def test_what_cannot_be_sent_ends_no_console(console: Console) -> None:
+    """Each of these was tried again in the thread that serves STOP, and ended it."""
+    who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}
+    host = console.address().split("/")[2]
+    with connect(
+        f"ws://{host}/live", origin=who["Origin"], additional_headers={"Cookie": who["Cookie"]}
+    ) as socket:  # type: ignore[arg-type]
+        socket.recv()
+        socket.send('{"do": "take over", "n": 0}')
+        socket.recv()
+        for step, words in (("1e999", "a number"), ("5000000000", "no step"), ("-1", "no step")):
+            socket.send(f'{{"do": "mission", "what": "skip", "n": 1, "step": {step}}}')
+            answer = json.loads(socket.recv()[4:])
+            while answer.get("n") != 1:
+                answer = json.loads(socket.recv()[4:])
+            assert words in answer["words"]
+    assert get(console, "/about", **who)[0] == 200
+
+
+def test_a_long_or_deep_body_is_refused(console: Console) -> None:
+    who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}
+    folder = Path(console.config.log_dir).parent / "20260101"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").touch()
+    for body, status in ((b"[" * 9000, 400), (b" " * 20_000, 403), (b'{"keep": true}', 200)):
+        client = http.client.HTTPConnection(who["Origin"].partition("//")[2], timeout=20)
+        client.request("POST", "/runs/20260101/keep", body, headers=who)
+        assert client.getresponse().status == status
+        client.close()
 
 
 def test_an_observer_changes_nothing_on_the_disk(console: Console) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hal.errors import one_line
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
-from mapping.elevation.tiles import CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
+from mapping.elevation.tiles import ASSUMED, CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
 VERSION = 1
@@ -62,11 +62,14 @@ def restore_store(
 ) -> int:
     """Write the cells of a read-out back into a store, as seen at `now` [ms] by enough points; returns how many are known.
 
-    `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution.
+    `sent`: they count as sent, as the reader they came from has them. Raises MapError for another resolution, and for cells of no known source.
     """
     if abs(patch.resolution - params.resolution) > 1e-9:
         raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
     layers = patch.layers
+    for name, most in (("source", ASSUMED), ("trusted", 1)):
+        if not ((layers[name] >= 0) & (layers[name] <= most)).all():
+            raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
     known = (source == CONTACT) | (source == LIDAR)
     row, col = np.nonzero(known | np.isfinite(upper))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -348,6 +350,11 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
     assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
     with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
         ElevationMap(ElevationConfig(resolution=0.05)).restore(lost)
+    for name, wrong in (("source", np.nan), ("source", 7.0), ("trusted", -1.0)):
+        layer = lost.layers[name].copy()
+        layer[3, 4] = wrong
+        with pytest.raises(MapError, match=name):
+            ElevationMap().restore(replace(lost, layers=lost.layers | {name: layer}))
 
 
 def test_the_noise_is_that_of_the_lidar() -> None:

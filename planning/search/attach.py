@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
@@ -96,15 +97,15 @@ class Ground:
 
     def risk(self, a: XY, b: XY) -> np.float32:
         """Native risk of that move, as of an edge; negative where it cannot be driven."""
-        added = self.added_risk(a, b)
-        if added < 0.0:
-            return np.float32(-1.0)
-        c, grid = self._cells, self._grid
-        ends = (F32(a[0]), F32(a[1]), F32(b[0]), F32(b[1]))
-        radius = F32(self._graph.params.robot_size)
-        (x0, y0), xs, ys = c.origin, self._xs, self._ys
-        found = edge_risk(grid.height, xs, ys, x0, y0, c.res, *ends, radius, False)
-        return np.float32(-1.0) if found < 0.0 else np.float32(found + F32(added))
+        return np.float32(self.risks(np.array([a, b]))[0])
+
+    def risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n - 1,) `risk` of the moves between places (n, 2), each at most `reach` from the next; all after the first that cannot be driven
+        are negative as well."""
+        p, c = self._graph.params, self._cells
+        ground = (self._grid.height, self._xs, self._ys, self._flags, self._faces, *c.origin, c.res)
+        limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
+        return _risks(*ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums)
 
     def headings(self, xy: XY) -> np.uint64:
         """`TraversalGraph.free_headings` at x, y."""
@@ -137,10 +138,10 @@ class Ground:
         c, grid = self._cells, self._grid
         return float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy))
 
-    def under_wheels(self, xy: XY) -> tuple[float, bool]:
-        """`turn_rate` [m/rad] and `forward_only` of `Arcs` at x, y [m]."""
-        edge, params = self._turn_edge(xy), self._graph.params
-        return float(turn_rates(edge, params.max_turn_step)), bool(forward_only(edge, params))
+    def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """`turn_rate` [m/rad] and `forward_only` of `Arcs` at places (n, 2), each (n,)."""
+        edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self._graph.params
+        return turn_rates(edge, params.max_turn_step), forward_only(edge, params)
 
     def allows(self, a: XY, b: XY) -> bool:
         """Whether a straight move a -> b touches nothing that is to be avoided."""
@@ -175,6 +176,42 @@ class Ground:
     def _at(self, node: int) -> XY:
         x, y = self._graph.nodes[node, :2].tolist()
         return x, y
+
+
+@njit(cache=True)
+def _risks(
+    height,
+    xs,
+    ys,
+    flags,
+    faces,
+    x0,
+    y0,
+    res,
+    places,
+    length,
+    width,
+    max_tan,
+    max_gap,
+    min_coverage,
+    max_step,
+    max_oblique,
+    radius,
+    sums,
+):
+    out = np.full(len(places) - 1, np.float32(-1.0))
+    for k in range(len(out)):
+        xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
+        added = corridor(
+            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums,
+        )  # fmt: skip
+        if added < 0.0:
+            break
+        found = edge_risk(height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False)
+        if found < 0.0:
+            break
+        out[k] = np.float32(found + F32(added))
+    return out
 
 
 def _along(a: XY, b: XY, t: float) -> XY:

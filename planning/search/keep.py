@@ -48,26 +48,29 @@ def _rest(
     if math.dist(places[-1], found.points[-1, :2]) > SAME:
         return None
     moves = list(pairwise(places))
-    if not all(ground.joined(a, b) for a, b in moves):
+    if not all(SAME < math.dist(a, b) <= ground.reach and ground.allows(a, b) for a, b in moves):
         return None
     xy = np.array(places)
+    risk = ground.risks(xy)
+    if risk[-1] < 0.0:
+        return None
     near = [int(np.argmin(np.hypot(*(nodes[:, :2] - p).T))) for p in xy[1:-1]]
     count = len(moves)
-    under = [ground.under_wheels(place) for place in places]
+    turn_rate, only = ground.under_wheels(xy)
     route = Route(
         (found.nodes[0], *near, found.nodes[-1]),
         xy,
-        np.array([ground.risk(a, b) for a, b in moves], np.float64),
+        risk.astype(np.float64),
         np.zeros(count, np.bool_),
         np.array([b for _, b in legs]),
         request.rules,
         start_yaw,
         goal_yaw,
-        np.array([rate for rate, _ in under]),
-        np.array([only for _, only in under]),
+        turn_rate,
+        only,
         np.empty((count, 3, 3, 4)),
     )
-    if (route.risk < 0.0).any() or not all(has_room(ground, route, k) for k in range(len(xy))):
+    if not all(has_room(ground, route, k) for k in range(len(xy))):
         return None
     route.evaluate(at.table.sampler, weights_of(at.table.body), 0, count)
     return route

@@ -54,16 +54,13 @@ def _chord(
     points = np.linspace(route.xy[i], route.xy[j], j - i + 1)
     if np.abs(points - route.xy[i : j + 1]).max() < 1e-6:
         return False
-    places = [(float(x), float(y)) for x, y in points]
-    if not SAME < math.dist(places[0], places[1]) <= ground.reach:
+    if not SAME < math.dist(points[0], points[1]) <= ground.reach:
         return False
-    risk = np.full(j - i, -1.0)
-    for k, (a, b) in enumerate(pairwise(places)):
-        if not ground.allows(a, b):
-            return False
-        risk[k] = ground.risk(a, b)
-        if risk[k] < 0.0:
-            return False
+    if not all(ground.allows(a, b) for a, b in pairwise(points)):
+        return False
+    risk = ground.risks(points)
+    if risk[-1] < 0.0:
+        return False
     inner = slice(i + 1, j)
     before = route.xy[i : j + 1].copy(), route.risk[i:j].copy(), route.moments[i:last].copy()
     faces = route.turn_rate[inner].copy(), route.forward_only[inner].copy()
@@ -86,9 +83,7 @@ def _chord(
 
 def _look_under(ground: Ground, route: Route, points: slice) -> None:
     """Bring what the ground under some points of the route says up to date."""
-    under = [ground.under_wheels((float(x), float(y))) for x, y in route.xy[points]]
-    route.turn_rate[points] = [rate for rate, _ in under]
-    route.forward_only[points] = [only for _, only in under]
+    route.turn_rate[points], route.forward_only[points] = ground.under_wheels(route.xy[points])
 
 
 def has_room(ground: Ground, route: Route, k: int) -> bool:

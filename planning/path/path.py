@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -192,50 +192,39 @@ _SLACK_PEAK = 0.005
 """Share of a feature's scale by which the path's maximum may exceed the route's: what sampling alone makes of it."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Worst:
-    """What a pose set means for the body: scaled mean and tail mean, and largest value of each feature, (4,) each."""
-
-    mean: Array
-    tail: Array
-    peak: Array
-
-    @classmethod
-    def of(cls, features: Array, body: BodyModel) -> _Worst:
-        return cls(*moments_of(features, body), features.max(axis=0))
-
-    def above(self, other: _Worst, body: BodyModel) -> float:
-        """How much riskier this is than `other`, in scaled risk: the worst of mean-and-tail risk and each core maximum."""
-        rise = body.weight_mean * (self.mean - other.mean) + body.weight_tail * (self.tail - other.tail)
-        peak = (self.peak - other.peak) / body.scales
-        return float(max(rise[:3].sum(), rise[3], peak.max()))
+def _rise(mine: Array, other: Array, body: BodyModel) -> float:
+    """How much riskier one pose set is than another, in scaled risk, by their moments (3, 4): the worst of mean-and-tail risk and each core
+    maximum."""
+    more = mine - other
+    rise = body.weight_mean * more[0] + body.weight_tail * more[1]
+    return float(max(rise[:3].sum(), rise[3], (more[2] / body.scales).max()))
 
 
 def _smooth(vertices: Array, terrain: Terrain, body: BodyModel, limits: PathLimits) -> tuple[Array, int]:
     """Samples (n, 2) of the rounded route and the number of corners left sharp."""
     raw = _corner_poses(vertices, _dense(body, limits))
+    ends = np.cumsum([len(poses) for poses in raw])
     along = terrain_features(terrain, np.concatenate(raw), body)
     peak = along[:, :3].max(axis=0)
-    parts = np.split(along, np.cumsum([len(poses) for poses in raw])[:-1])
-    sharp = [_Worst.of(part, body) if len(part) else None for part in parts]
+    sharp = moments_of(along, np.column_stack([np.append(0, ends[:-1]), ends]), body)
 
-    def steps(poses: Array) -> float:
-        return float(steps_under(terrain, poses, body.length, body.width).max())
+    def steps(poses: Array) -> Array:
+        return steps_under(terrain, poses, body.length, body.width)
 
     def riskier(xy: Array, corners: list[tuple[int, slice]]) -> list[int]:
         """Corners whose rounding is riskier than the route."""
         poses = np.column_stack([xy, _headings(xy)])
-        features = terrain_features(terrain, poses, body)
+        parts = np.array([(part.start, part.stop) for _, part in corners], np.int64).reshape(-1, 2)
+        mine, face = moments_of(terrain_features(terrain, poses, body), parts, body), steps(poses)
         out = []
-        for i, part in corners:
-            mine, was = _Worst.of(features[part], body), sharp[i]
-            higher = (mine.peak[:3] - peak > _SLACK_PEAK * body.scales[:3]).any()
-            if higher or (was is not None and mine.above(was, body) > _SLACK):
+        for k, (i, part) in enumerate(corners):
+            higher = (mine[k, 2, :3] - peak > _SLACK_PEAK * body.scales[:3]).any()
+            if higher or (len(raw[i]) and _rise(mine[k], sharp[i], body) > _SLACK):
                 out.append(i)
-            elif was is not None:
-                step = steps(poses[part])
+            elif len(raw[i]):
+                step = face[part].max()
                 # The rounding may meet a face that the sharp corner does not.
-                if step > limits.max_step and step > steps(raw[i]) + 1e-6:
+                if step > limits.max_step and step > steps(raw[i]).max() + 1e-6:
                     out.append(i)
         return out
 

@@ -10,7 +10,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import PlanningError
 from planning.risk.cost import Weights
 from planning.risk.footprint import poses_features
-from planning.risk.pose_sets import aggregate, turn_angle
+from planning.risk.pose_sets import moments_of_parts, turn_angle
 from planning.risk.terrain import Terrain
 
 FEATURES = ("d_fb", "a_lr", "p_int", "u")
@@ -115,9 +115,10 @@ def sweep_poses(x: float, y: float, yaw_in: float, yaw_out: float, body: BodyMod
 
 
 def moments_of(
-    features: NDArray[np.float64], body: BodyModel
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and tail mean (4,) of the scaled, clipped features of one pose set (n, 4) (paper eq. 3)."""
-    out = np.empty((3, 4))
-    aggregate(weights_of(body), np.array(features, dtype=np.float64), out)
-    return out[0], out[1]
+    features: NDArray[np.float64], parts: NDArray[np.int64], body: BodyModel
+) -> NDArray[np.float64]:
+    """(k, 3, 4) moments (`aggregate`) of pose sets with features (n, 4): set k has the rows from `parts[k, 0]` to before `parts[k, 1]`.
+
+    NaN for a set without rows (paper eq. 3).
+    """
+    return moments_of_parts(weights_of(body), np.ascontiguousarray(features), parts)

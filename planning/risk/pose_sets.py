@@ -50,6 +50,16 @@ def aggregate(w: Weights, values: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True)
+def moments_of_parts(w: Weights, values: np.ndarray, parts: np.ndarray) -> np.ndarray:
+    """(k, 3, 4) `aggregate` of rows `parts[k, 0]` to before `parts[k, 1]` of `values`, NaN where there are none."""
+    out = np.full((len(parts), 3, 4), np.nan)
+    for k in range(len(parts)):
+        if parts[k, 1] > parts[k, 0]:
+            aggregate(w, values[parts[k, 0] : parts[k, 1]].copy(), out[k])
+    return out
+
+
+@njit(cache=True)
 def set_moments(
     sampler: Sampler,
     work: Scratch,

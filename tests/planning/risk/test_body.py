@@ -110,9 +110,11 @@ def test_pose_sets_have_the_stated_spacing_and_ends():
 def test_the_tail_is_the_largest_tenth_of_each_feature():
     features = np.zeros((11, 4))
     features[0, 0], features[3, 0], features[5, 1] = 0.3, 0.15, 900.0
-    mean, tail = moments_of(features, BODY)
+    (mean, tail, peak), none = moments_of(features, np.array([[0, 11], [4, 4]]), BODY)
     np.testing.assert_allclose(mean, [1.5 / 11, 3.0 / 11, 0, 0])
     np.testing.assert_allclose(tail, [0.75, 1.5, 0, 0])
+    np.testing.assert_allclose(peak, [0.3, 900.0, 0, 0])
+    assert np.isnan(none).all(), "no pose"
 
 
 @pytest.mark.parametrize(

@@ -268,9 +268,9 @@ class TraversalGraph:
         )
         return out
 
-    def allows(self, a: tuple[float, float], b: tuple[float, float]) -> bool:
-        """Whether the straight move a -> b touches no disc that is to be avoided."""
-        return all(_clear(np.array([a]), np.array([b]), disc)[0] for disc in self._discs)
+    def allows(self, places: NDArray[np.float64]) -> bool:
+        """Whether the straight moves between places (n, 2) touch no disc that is to be avoided."""
+        return all(_clear(places[:-1], places[1:], disc).all() for disc in self._discs)
 
     # -- keeping it up to date ----------------------------------------------------------------------------------
 

@@ -313,6 +313,7 @@ def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
     height, trusted, stride, u, v = sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v
     ox, oy, inv = sampler.ox, sampler.oy, sampler.inv
     rows = height.size // stride
+    one, up = np.uint64(1), np.uint64(stride)
     out = np.zeros(poses.shape[0])
     for i in range(poses.shape[0]):
         c, s = np.cos(poses[i, 2]), np.sin(poses[i, 2])
@@ -321,13 +322,16 @@ def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
         for k in range(u.size):
             col = int(np.floor(col0 + u[k] * c - v[k] * s + 0.5))
             row = int(np.floor(row0 + u[k] * s + v[k] * c + 0.5))
-            at = row * stride + col
-            if col < 1 or row < 1 or col > stride - 2 or row > rows - 2 or not trusted[at]:
+            if col < 1 or row < 1 or col > stride - 2 or row > rows - 2:
+                continue
+            at = np.uint64(row * stride + col)  # unsigned: no wrap-around test for negative indices
+            if not trusted[at]:
                 continue
             here = height[at]
-            for other in (at - 1, at + 1, at - stride, at + stride):
+            for other in (at - one, at + one, at - up, at + up):
                 if trusted[other]:
-                    best = max(best, abs(height[other] - here))
+                    step = abs(height[other] - here)
+                    best = step if step > best else best
         out[i] = best
     return out
 

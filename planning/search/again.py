@@ -52,13 +52,13 @@ def go_on(
     arcs, old = table.arcs, table.searched
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
-        return begin_to_go(arcs, is_end, exit_cost, 2)
+        return begin_to_go(arcs, is_end, exit_cost)
     key = np.array([*asked, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
     if isinstance(old, Search) and old.asked == key:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:
-        go = begin_to_go(arcs, is_end, exit_cost, 2)
+        go = begin_to_go(arcs, is_end, exit_cost)
     table.searched = Search(key, table.graph.node_ids, arcs, tables.edge, go)
     return go
 
@@ -83,7 +83,7 @@ def carried(
     now = _unchanged(sampler, w, arcs, edge, old_arcs, old_edge, was)
     source, target = arcs.source, arcs.target
     kept = _kept(now, is_end, target, old)
-    h, settled, after = begin_to_go(arcs, is_end, exit_cost, 2)
+    h, settled, after = begin_to_go(arcs, is_end, exit_cost)
     again = np.zeros(arcs.x.size, np.bool_)
     for slot in range(was.size):
         k = was[slot]

@@ -143,13 +143,14 @@ class Ground:
         edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self._graph.params
         return turn_rates(edge, params.max_turn_step), forward_only(edge, params)
 
-    def allows(self, a: XY, b: XY) -> bool:
-        """Whether a straight move a -> b touches nothing that is to be avoided."""
-        return self._graph.allows(a, b)
+    def may_join(self, places: NDArray[np.float64]) -> bool:
+        """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to be avoided."""
+        length = np.hypot(*np.diff(places, axis=0).T)
+        return bool(((length > SAME) & (length <= self.reach)).all()) and self._graph.allows(places)
 
     def joined(self, a: XY, b: XY) -> bool:
         """Whether one straight move leads from a to b."""
-        return SAME < math.dist(a, b) <= self.reach and self.allows(a, b) and self.added_risk(a, b) >= 0.0
+        return self.may_join(np.array([a, b])) and self.added_risk(a, b) >= 0.0
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.

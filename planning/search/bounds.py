@@ -112,15 +112,14 @@ class Heap(NamedTuple):
 
 
 @njit(cache=True)
-def begin_to_go(arcs: Arcs, is_end: np.ndarray, exit_cost: np.ndarray, ways: int) -> ToGo:
+def begin_to_go(arcs: Arcs, is_end: np.ndarray, exit_cost: np.ndarray) -> ToGo:
     """The states that end at an end, none settled yet. Arguments as in `cost_to_go`."""
     states = 2 * arcs.target.size
     h = np.full(states, np.inf)
     for slot in range(arcs.target.size):
         k = arcs.target[slot]
         if is_end[k]:
-            for way in range(ways):
-                h[2 * slot + way] = exit_cost[k]
+            h[2 * slot] = h[2 * slot + 1] = exit_cost[k]
     return ToGo(h, np.zeros(states, np.bool_), np.full(states, -1, np.int32))
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -47,15 +46,14 @@ def _rest(
     places = [here, *(place for place, _ in legs)]
     if math.dist(places[-1], found.points[-1, :2]) > SAME:
         return None
-    moves = list(pairwise(places))
-    if not all(SAME < math.dist(a, b) <= ground.reach and ground.allows(a, b) for a, b in moves):
-        return None
     xy = np.array(places)
+    if not ground.may_join(xy):
+        return None
     risk = ground.risks(xy)
     if risk[-1] < 0.0:
         return None
     near = [int(np.argmin(np.hypot(*(nodes[:, :2] - p).T))) for p in xy[1:-1]]
-    count = len(moves)
+    count = len(legs)
     turn_rate, only = ground.under_wheels(xy)
     route = Route(
         (found.nodes[0], *near, found.nodes[-1]),

@@ -7,16 +7,13 @@ not higher, and no feature of the body is worse than the route has it anywhere, 
 
 from __future__ import annotations
 
-import math
-from itertools import pairwise
-
 import numpy as np
 
 from planning.graph.describe import turn_is_free
 from planning.risk.body import weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
-from planning.search.attach import SAME, Ground
+from planning.search.attach import Ground
 from planning.search.explain import Route
 
 LONGEST = 16
@@ -54,9 +51,7 @@ def _chord(
     points = np.linspace(route.xy[i], route.xy[j], j - i + 1)
     if np.abs(points - route.xy[i : j + 1]).max() < 1e-6:
         return False
-    if not SAME < math.dist(points[0], points[1]) <= ground.reach:
-        return False
-    if not all(ground.allows(a, b) for a, b in pairwise(points)):
+    if not ground.may_join(points):
         return False
     risk = ground.risks(points)
     if risk[-1] < 0.0:

@@ -88,8 +88,8 @@ class PlannerStage:
         height = x[:, None] * x[None, :]
         layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
         grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
-        # A goal on the map, then one off it: the second carries evaluations over and looks for a frontier.
-        for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
+        # A goal on the map, again, then one off it: the second carries evaluations and search over, the last looks for a frontier.
+        for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
             stage._map.refresh((2.0, 2.0), grid, [changed])
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))

@@ -69,8 +69,9 @@ def test_cost_to_come_is_plain_dijkstra_where_it_settled_and_a_bound_elsewhere(w
     np.testing.assert_allclose(got[settled], want[settled], atol=1e-9)
 
 
-def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world):
-    table, start, is_end, beyond = table_of(world)
+@pytest.mark.parametrize("start", [0, 3, 6, 9])
+def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, start):
+    table, _, is_end, beyond = table_of(world)
     a, step = table.arcs, steps_of(table)
     states = 2 * len(a.target)
     heading = np.column_stack([a.heading, a.heading + np.pi]).ravel()
@@ -104,7 +105,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world):
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
     tables, come = table.tables(BODY), np.zeros(len(a.x))
     common = (start, is_end, come, *YAWS, True, 2, False, RULES.backward, RULES.turning)
-    go = begin_to_go(a, is_end, beyond, 2)
+    go = begin_to_go(a, is_end, beyond)
     heap = reached(W, a, tables, start, come, RULES.backward, go)
     least, heap = cost_to_go(table.sampler, W, a, tables, *common, go, heap, np.inf)
     for limit in (least, 1.1 * least):

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 DETACH_LIMIT = 240.0
 DOWN_LIMIT = 8.0
+LEFT_LIMIT = 5.0
+"""[s] for the others once the supervisor was killed, and once they were."""
 
 
 def register(app: typer.Typer) -> None:
@@ -254,11 +256,16 @@ def _detach() -> None:
 
 
 def down(robot: Robot = ROBOT) -> None:
-    """Stop the stack of a robot."""
+    """Stop the stack of a robot. A supervisor that hangs is killed after 8 s, and every process with it."""
+    import psutil
+
     from rbtrg_robot.process.runfiles import NotRunning, read_state
 
     pid = int(read_state(robot)["pid"])
-    os.kill(pid, signal.SIGTERM)
+    supervisor = psutil.Process(pid)
+    others = supervisor.children(recursive=True)
+    supervisor.terminate()
+    supervisor.resume()  # one that is stopped (SIGSTOP) hears nothing else
     deadline = time.monotonic() + DOWN_LIMIT
     while time.monotonic() < deadline:
         try:
@@ -267,8 +274,19 @@ def down(robot: Robot = ROBOT) -> None:
             print("down")
             return
         time.sleep(0.05)
-    print(f"rbtrg-robot: pid {pid} does not end; kill it with `kill -9 {pid}`", file=sys.stderr)
-    raise typer.Exit(1)
+    supervisor.kill()  # each process ends with it; that of the robot stops the robot first
+    _, left = psutil.wait_procs(others, timeout=LEFT_LIMIT)
+    for process in left:
+        process.kill()
+    _, left = psutil.wait_procs([supervisor, *left], timeout=LEFT_LIMIT)
+    print(
+        f"rbtrg-robot: the supervisor (pid {pid}) hung and was killed; is the robot standing still?",
+        file=sys.stderr,
+    )
+    if left:
+        print(f"rbtrg-robot: pid {', '.join(str(p.pid) for p in left)} cannot be killed", file=sys.stderr)
+        raise typer.Exit(1)
+    print("down")
 
 
 def status(

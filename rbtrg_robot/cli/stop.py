@@ -57,7 +57,10 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
             far = remote()
             wrong = problem(far.folder) if far is not None else ""
             why = wrong or f"nothing answers on {', '.join(endpoint for endpoint, _ in places(robot))}"
-            print(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}", file=sys.stderr)
+            hung = (
+                "" if far is not None or not _is_up(robot) else "; `rbtrg-robot down` ends a stack that hangs"
+            )
+            print(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}{hung}", file=sys.stderr)
 
     worry = threading.Timer(WORRY, tell)  # a computer that takes the connection and is silent costs 10 s
     worry.daemon = True
@@ -75,6 +78,16 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
     finally:
         worry.cancel()
     return 1
+
+
+def _is_up(robot: str) -> bool:
+    """A stack of this name holds its lock, whether it answers or not."""
+    try:
+        from rbtrg_robot.process.runfiles import read_state
+
+        return bool(read_state(robot))
+    except Exception:  # noqa: BLE001  whatever is wrong with that folder: this is a hint
+        return False
 
 
 def places(robot: str) -> list[tuple[str, str]]:

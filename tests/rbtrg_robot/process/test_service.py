@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -16,12 +17,16 @@ from typer.testing import CliRunner
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.main import app
+from rbtrg_robot.cli.stack import _supervise
 from rbtrg_robot.config import load
 from rbtrg_robot.process import service
 from rbtrg_robot.process.child import FATAL
 from rbtrg_robot.process.notify import Notifier
+from rbtrg_robot.process.supervisor import StartFailed, Supervisor
+from rbtrg_robot.processes import PROCESSES
 from tests.rbtrg_robot.process.test_broken_messages import Inbox, supervisor
-from tests.rbtrg_robot.process.test_supervisor import mend, supervised
+from tests.rbtrg_robot.process.test_supervisor import Scripted, mend, supervised
+from tools.bench.ports import free_port
 
 __all__ = ["supervisor"]
 
@@ -110,6 +115,62 @@ def test_a_process_that_was_given_up_is_told_at_the_end(tmp_path: Path) -> None:
         mend(stack)
     assert stack.given_up == ["robot"]
     assert stack._summary() == "ready; gave up: robot"
+
+
+def test_a_start_that_fails_is_never_called_ready_and_its_end_is_told(
+    manager: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    zygote = Scripted([(FATAL, "there is no scene 'yrad'")])
+    others = tuple(p.name for p in PROCESSES if p.name != "robot")
+    config = load(without=others, record=False, log_dir=str(tmp_path), port=free_port())
+    stack = Supervisor(config, zygote, lambda _text: None)  # type: ignore[arg-type]
+    with pytest.raises(StartFailed):
+        stack.run(lambda: False, lambda _status: None)
+    told = heard(manager)
+    assert "READY=1" not in told
+    assert told[-1] == "STOPPING=1"
+
+
+def test_a_supervisor_that_is_stopped_gives_no_sign_of_life(manager: socket.socket) -> None:
+    """Its signs come from the loop that is watched, from no thread or timer."""
+    loop = (
+        "import sys\nfrom rbtrg_robot.process.notify import Notifier\nn = Notifier()\nwhile True: n.alive()"
+    )
+    environment = {**os.environ, "WATCHDOG_USEC": "40000"}
+    del environment["WATCHDOG_PID"]
+    manager.settimeout(10.0)
+    with subprocess.Popen([sys.executable, "-c", loop], env=environment) as process:
+        try:
+            assert manager.recv(64) == b"WATCHDOG=1"
+            process.send_signal(signal.SIGSTOP)
+            os.waitpid(process.pid, os.WUNTRACED)
+            manager.setblocking(False)
+            heard(manager)
+            manager.settimeout(0.2)
+            with pytest.raises(TimeoutError):
+                manager.recv(64)
+            process.send_signal(signal.SIGCONT)
+            manager.settimeout(10.0)
+            assert manager.recv(64) == b"WATCHDOG=1"
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize(("given_up", "status"), [([], 0), (["planner"], FATAL)])
+def test_the_exit_status_tells_that_a_process_was_given_up(
+    monkeypatch: pytest.MonkeyPatch, given_up: list[str], status: int
+) -> None:
+    class Ended:
+        def __init__(self, *_arguments: object) -> None:
+            self.given_up = given_up
+
+        def run(self, *_arguments: object) -> None:
+            pass
+
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr("rbtrg_robot.process.supervisor.Supervisor", Ended)
+    assert _supervise(load(), None) == status  # type: ignore[arg-type]
 
 
 def test_the_latch_outlives_the_service_and_its_end_leaves_time_to_stop_the_robot() -> None:

@@ -57,7 +57,7 @@ def pack(out: Path, run: Path | None, status: bytes | None, port: int) -> list[s
             add("versions.txt", _versions)
             add("doctor.txt", lambda: _doctor(port))
             add("status.json", lambda: _status(status))
-            add(CONFIG, lambda: (_folder(run) / CONFIG).read_bytes())
+            add(CONFIG, lambda: _own(_folder(run) / CONFIG).read_bytes())
             try:
                 logs = sorted(_folder(run).glob("*.log*"))
                 missing.extend([] if logs else ["logs: there are none in the run's folder"])
@@ -106,8 +106,15 @@ def _status(status: bytes | None) -> bytes:
     return json.dumps(json.loads(status), indent=1).encode()
 
 
+def _own(path: Path) -> Path:
+    """A file of the run itself. Raises LogError for a link: a folder that came from elsewhere would take a file of this computer, a key, into the archive."""
+    if path.is_symlink() or not path.is_file():
+        raise LogError(f"{path} is no file of the run")
+    return path
+
+
 def _tail(path: Path) -> bytes:
-    with path.open("rb") as file:
+    with _own(path).open("rb") as file:
         file.seek(max(0, path.stat().st_size - TAIL))
         return b"".join(file.read().splitlines(keepends=True)[-LINES:])
 

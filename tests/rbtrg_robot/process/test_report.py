@@ -132,3 +132,16 @@ def test_damaged_parts_are_parts_that_are_missing(run: Path, tmp_path: Path) -> 
 def test_an_archive_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="name another file with --out"):
         report.pack(tmp_path / "nowhere" / "out.tar.gz", None, None, 7447)
+
+
+def test_no_file_from_outside_the_run_gets_into_the_archive(tmp_path: Path) -> None:
+    """A run's folder that somebody sent may hold links to keys of this computer."""
+    (tmp_path / "key.pem").write_text("secret")
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("config.yaml", "robot.log"):
+        (run / name).symlink_to(tmp_path / "key.pem")
+    missing = report.pack(tmp_path / "report.tar.gz", run, None, 7447)
+    assert sum("is no file of the run" in line for line in missing) == 2
+    with tarfile.open(tmp_path / "report.tar.gz") as archive:
+        assert not {"report/config.yaml", "report/logs/robot.log"} & set(archive.getnames())

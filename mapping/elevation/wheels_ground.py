@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.exchange import MapPatch
@@ -62,27 +63,44 @@ def support_patch(
     reach = max(half) * 1.5 if radius is None else radius
     lo = np.floor((centre - reach) / resolution).astype(int)
     hi = np.ceil((centre + reach) / resolution).astype(int)
-    j, i = np.meshgrid(np.arange(lo[0], hi[0] + 1), np.arange(lo[1], hi[1] + 1))
-    x, y = j * resolution - centre[0], i * resolution - centre[1]
-    c, s = np.cos(yaw), np.sin(yaw)
-    under = (np.abs(c * x + s * y) <= half[0]) & (np.abs(-s * x + c * y) <= half[1])
-    inside = under.copy() if radius is None else x * x + y * y <= radius * radius
-    px, py = j * resolution, i * resolution
-    away = np.hypot(px[..., None] - contacts[:, 0], py[..., None] - contacts[:, 1])
-    nearest = away.min(axis=-1)
-    if rough:
-        inside &= nearest <= WHEEL_SPOT
-        z = contacts[:, 2][away.argmin(axis=-1)]
-    else:
-        z = mean[2] + (px - mean[0]) * slope[0] + (py - mean[1]) * slope[1]
-    spread = sigma + 0.05 * nearest
-    return SupportPatch(
-        i[inside].astype(np.int64),
-        j[inside].astype(np.int64),
-        z[inside].astype(np.float32),
-        (spread[inside] ** 2).astype(np.float32),
-        under[inside],
-    )
+    most = int((hi[0] - lo[0] + 1) * (hi[1] - lo[1] + 1))
+    i, j, under = np.empty(most, np.int64), np.empty(most, np.int64), np.empty(most, np.bool_)
+    height, variance = np.empty(most, np.float32), np.empty(most, np.float32)
+    n = _cells(
+        lo, hi, centre, np.cos(yaw), np.sin(yaw), *half, -1.0 if radius is None else radius,
+        contacts, mean, slope, rough, sigma, resolution, i, j, height, variance, under,
+    )  # fmt: skip
+    return SupportPatch(i[:n], j[:n], height[:n], variance[:n], under[:n])
+
+
+@njit(cache=True)
+def _cells(
+    lo, hi, centre, c, s, half_length, half_width, radius, contacts, mean, slope, rough, sigma, resolution,
+    i, j, height, variance, under,
+):  # fmt: skip  # pragma: no cover
+    """Write the cells of `support_patch` from lattice column and row `lo` to `hi` (2,); returns their number. radius < 0: the body's rectangle."""
+    n = 0
+    for row in range(lo[1], hi[1] + 1):
+        for col in range(lo[0], hi[0] + 1):
+            x, y = col * resolution - centre[0], row * resolution - centre[1]
+            below = abs(c * x + s * y) <= half_length and abs(-s * x + c * y) <= half_width
+            if not (below if radius < 0.0 else x * x + y * y <= radius * radius):
+                continue
+            px, py = col * resolution, row * resolution
+            nearest, wheel = np.inf, 0
+            for k in range(len(contacts)):
+                away = np.hypot(px - contacts[k, 0], py - contacts[k, 1])
+                if away < nearest:
+                    nearest, wheel = away, k
+            if rough and nearest > WHEEL_SPOT:
+                continue
+            plane = mean[2] + (px - mean[0]) * slope[0] + (py - mean[1]) * slope[1]
+            spread = sigma + 0.05 * nearest
+            i[n], j[n], under[n] = row, col, below
+            height[n] = contacts[wheel, 2] if rough else plane
+            variance[n] = spread * spread
+            n += 1
+    return n
 
 
 def behind(

@@ -309,9 +309,23 @@ def poses_features(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
 @njit(cache=True)
 def steps_beneath(sampler: Sampler, poses: np.ndarray) -> np.ndarray:
     """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
-    # As in `features_of` nothing is taken out of the tuple in the loop.
-    height, trusted, stride, u, v = sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v
-    ox, oy, inv = sampler.ox, sampler.oy, sampler.inv
+    return _steps(
+        sampler.height, sampler.trusted, sampler.stride, sampler.u, sampler.v, sampler.ox, sampler.oy, sampler.inv, poses
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _steps(
+    height: np.ndarray,
+    trusted: np.ndarray,
+    stride: int,
+    u: np.ndarray,
+    v: np.ndarray,
+    ox: float,
+    oy: float,
+    inv: float,
+    poses: np.ndarray,
+) -> np.ndarray:
     rows = height.size // stride
     one, up = np.uint64(1), np.uint64(stride)
     out = np.zeros(poses.shape[0])
@@ -340,4 +354,9 @@ def steps_under(
     terrain: Terrain, poses: NDArray[np.float64], length: float, width: float
 ) -> NDArray[np.float64]:
     """(n,) largest height difference [m] between trusted neighbour cells, one or both under the body, per pose (n, 3)."""
-    return steps_beneath(terrain.sampler(length, width), np.ascontiguousarray(poses, dtype=np.float64))
+    height, trusted = terrain.height.reshape(-1), terrain.trusted.reshape(-1)
+    at = *terrain.places(length, width), *terrain.origin, 1.0 / terrain.resolution
+    out: NDArray[np.float64] = _steps(
+        height, trusted, terrain.height.shape[1], *at, np.ascontiguousarray(poses, np.float64)
+    )
+    return out

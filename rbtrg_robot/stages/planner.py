@@ -147,7 +147,7 @@ class PlannerStage:
         if self._path is None or not watching:
             return []
         self._path = self._path.beyond(*window.middle)
-        face = face_in_the_way(self._path, window.grid(filled=True), self._body)
+        face = face_in_the_way(self._path, window.grid(), self._body)  # faces are between known cells
         if not face:
             return []
         self._map.window = window

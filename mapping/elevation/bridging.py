@@ -107,11 +107,19 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole, b
     """
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
+    none = np.empty(
+        source.size, dtype=np.int32
+    )  # flat indices of cells that are erased: the first pass still looks at them
+    n_none = 0
+    for r in range(rows):
+        for c in range(cols):
+            bound[r, c] = upper[r, c]
     for r in range(rows):
         for c in range(cols):
             if source[r, c] == 1:
                 if upper[r, c] < height[r, c] - hole:
-                    source[r, c] = 3
+                    none[n_none] = r * cols + c
+                    n_none += 1
                 else:
                     out[r, c] = True
             elif source[r, c] == 2:
@@ -123,17 +131,16 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole, b
                             if count[a, b] >= settled and abs(height[a, b] - height[r, c]) <= agree:
                                 n += 1
                 if n < 2:
-                    source[r, c] = 3
+                    none[n_none] = r * cols + c
+                    n_none += 1
                 else:
                     out[r, c] = variance[r, c] < v_max
-    for r in range(rows):
-        for c in range(cols):
-            bound[r, c] = upper[r, c]
-            if source[r, c] == 3:
-                bound[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
-                source[r, c] = 0
-                height[r, c] = np.nan
-                variance[r, c] = np.nan
+    for at in none[:n_none]:
+        r, c = at // cols, at % cols
+        bound[r, c] = min(upper[r, c], height[r, c] + SPREAD * np.sqrt(variance[r, c]))
+        source[r, c] = 0
+        height[r, c] = np.nan
+        variance[r, c] = np.nan
     return out
 
 

@@ -16,6 +16,8 @@ BAND, FAN = 0.08, 0.12
 """within this height of the plane under the wheels [m], and this much more per metre."""
 CELL, POINTS, CELLS = 0.25, 3, 25
 """Heights are averaged in cells of this size [m] with so many points at least; so many cells make a plane."""
+HALF = math.ceil(REACH / CELL)
+"""Cells from the middle to the rim."""
 EVEN = 0.01
 """Scatter of the cells' heights about the plane up to which ground is even [m]."""
 MOST = 0.6
@@ -94,10 +96,12 @@ def fit_plane(points: Array) -> tuple[float, float, float] | None:
     """z = a x + b y + c [m] through the points (n, 3) near z = 0; None where they show no even ground around."""
     reach = np.hypot(points[:, 0], points[:, 1])
     points = points[(reach < REACH) & (np.abs(points[:, 2]) < BAND + FAN * reach)]
-    cell = np.floor(points[:, :2] / CELL).astype(np.int64)
-    _, which, count = np.unique(cell[:, 0] * 1000 + cell[:, 1], return_inverse=True, return_counts=True)
-    mean = np.stack([np.bincount(which, points[:, k], len(count)) / count for k in range(3)], axis=1)
-    mean = mean[count >= POINTS]
+    column, row = (np.floor(points[:, :2] / CELL).astype(np.int64) + HALF).T
+    which = column * 2 * HALF + row
+    count = np.bincount(which, minlength=4 * HALF * HALF)
+    enough = count >= POINTS
+    sums = [np.bincount(which, points[:, k], len(count))[enough] for k in range(3)]
+    mean = np.stack(sums, axis=1) / count[enough, None]
     if len(mean) < CELLS:
         return None
     design = np.column_stack([mean[:, :2], np.ones(len(mean))])

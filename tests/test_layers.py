@@ -33,8 +33,8 @@ ROOMS: dict[str, str] = {
     "planning": "hal",
     "planning.graph": "mapping planning",
     "planning.risk": "hal mapping planning planning.graph",
-    "planning.search": "hal mapping planning planning.graph planning.risk",
-    # backward a path ends where the guard would hold: one rule
+    # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
+    "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
     "planning.baselines": "mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",

@@ -84,9 +84,9 @@ def straight_tracks(reach: float, sign: float) -> Array:
     return np.stack([x, y], axis=2)
 
 
-def turn_tracks(reach: float, sign: float) -> Array:
-    """(tracks, samples, 2) of the parts of the rim that lead a turn; `sign` 1.0 left, -1.0 right."""
-    length, width = BODY_LENGTH / 2, BODY_WIDTH / 2
+def turn_tracks(reach: float, sign: float, spare: float = 0.0) -> Array:
+    """(tracks, samples, 2) of the parts of the rim that lead a turn, of a body larger by `spare` [m] on each side; `sign` 1.0 left, -1.0 right."""
+    length, width = BODY_LENGTH / 2 + spare, BODY_WIDTH / 2 + spare
     front, side = _spaced(-width, 0.0), _spaced(0.0, length)
     rim = np.concatenate(
         [
@@ -165,26 +165,6 @@ def reach_of(
         sides,
     )
     return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height, beside)
-
-
-def known_behind(
-    height: NDArray[np.float32],
-    origin: tuple[float, float],
-    resolution: float,
-    pose: tuple[float, float, float],
-    max_gap: float,
-    reach: float,
-) -> float:
-    """How far [m], at most `reach`, a body at `pose` x, y [m], yaw [rad] may back up on ground that the map knows: the guard's own rule, for
-    the planner. `height` (rows, cols) [m], NaN where it is not certain.
-    """
-    nothing = np.zeros(height.shape, np.uint8)
-    around = Surroundings(height, np.full_like(height, np.nan), nothing, nothing, origin, resolution)
-    # Nothing is too high, too low or too steep: what was seen counts, not what it is.
-    robot = Capabilities("", max_step=math.inf, max_slope=0.0, max_gap=max_gap)
-    tracks = straight_tracks(reach + max_gap + 2.0 * resolution, -1.0)  # a gap shows at its other end
-    found = reach_of(tracks, SPACING, around, pose, FLAT, robot, seen=True)
-    return min(found.free, reach)
 
 
 @njit(cache=True)

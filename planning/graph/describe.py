@@ -19,8 +19,9 @@ SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
-NOISE = 3.5
-"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five."""
+NOISE, MOST_NOISE = 3.5, 0.015
+"""Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is no noise of the map, but
+rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
 EDGE_BASE = 0.12
 """Distance over which an edge under the wheels is measured [m]."""
 TURN_SLOPE = math.radians(20.0)
@@ -128,8 +129,7 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
     part of the ground is steeper than `TURN_SLOPE`.
 
     Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
-    nor part of a plate counts; what the map's noise makes of even ground is taken off,
-    and with it ground that is rough all over.
+    nor part of a plate counts; what the map's noise makes of even ground is taken off.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))
@@ -176,7 +176,7 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
             slope = select(rises, count, count // 2)
             for i in range(count):
                 rises[i] = abs(rises[i] - slope)
-            noise = NOISE * select(rises, count, count // 2)
+            noise = min(NOISE * select(rises, count, count // 2), MOST_NOISE)
             most = max(most, max(high - slope, slope - low) - noise)
     return np.inf if _steep(mean, base, n, inner, outer, base * stride * res) else most
 

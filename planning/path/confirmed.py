@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH
-from hal.safety.swept import known_behind
+from hal.safety.planned import known_behind
 from mapping.grid import ElevationGrid
 from planning.graph.flags import ASSUMED, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.path.types import Path
+from planning.search.guarded import known_around
 
 LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
@@ -29,7 +30,7 @@ not."""
 def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path:
     """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
     `width` [m] wide was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
-    Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.swept`).
+    Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.planned`).
     """
     cells = graph.cells
     if cells is None or len(path.points) < 2:
@@ -63,10 +64,9 @@ def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: flo
 
 def _behind(grid: ElevationGrid, path: Path, k: int, max_gap: float) -> float:
     """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK`."""
-    near = grid.around(path.points[k : k + 1, :2], BODY_LENGTH + max_gap)
-    height = np.where(near.trusted, near.height, np.float32(np.nan))
-    pose = float(path.points[k, 0]), float(path.points[k, 1]), float(path.yaw[k])
-    return known_behind(height, near.origin, near.resolution, pose, max_gap, BACK)
+    x, y, _ = path.points[k].tolist()
+    around = known_around(grid, (x, y), BODY_LENGTH + max_gap)
+    return known_behind(around, (x, y, float(path.yaw[k])), max_gap, BACK)
 
 
 def backs_up(path: Path) -> bool:

@@ -24,6 +24,7 @@ from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
 from planning.risk.turns import forward_only, turn_rates
+from planning.search.guarded import guarded_turn
 
 XY = tuple[float, float]
 STAND = 0.05
@@ -111,6 +112,10 @@ class Ground:
         """`TraversalGraph.free_headings` at x, y."""
         p, c = self._graph.params, self._cells
         return np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
+
+    def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
+        """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
+        return guarded_turn(self._grid, self._graph.params, xy, yaw, turn, spare)
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""

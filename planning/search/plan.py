@@ -26,12 +26,13 @@ from planning.search.frontier import (
     way_to_go,
     worth_keeping,
 )
+from planning.search.guarded import without
 from planning.search.keep import kept
 from planning.search.nodes import search_nodes
 from planning.search.pairs import search_pairs
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
-from planning.search.straight import straighten
+from planning.search.straight import free_at, straighten, turn_at
 
 __all__ = [
     "SETS",
@@ -50,6 +51,8 @@ __all__ = [
 NEARER = 0.5
 """A place towards a goal that nothing leads to must be this much nearer to it [m], on the way there, than where the robot stands: what blocks
 the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
+HELD_TURNS = 12
+"""Searches for a way of whose turns the guard holds none."""
 FIELD_STEP, LONG = 0.1, 0.5
 """A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
 
@@ -70,13 +73,13 @@ def plan(
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
     ends = endpoints(table, request)
-    found = None if ends.goal is None else _to_goal(ends, request, start_yaw, goal_yaw)
-    if request.allow_frontier and (found is None or _enters_field(graph, found)):
-        other = _to_frontier(ends, request, start_yaw)
-        if found is None or (other is not None and not worth_keeping(found.worth, other.worth)):
-            found = other
-        if found is None and ends.seen:
-            found = _to_nearest(ends, request, start_yaw)
+    room = ends.table.arcs.room.copy()
+    found = _best(ends, request, start_yaw, goal_yaw)
+    if found is None and request.rules.guarded:
+        # The guard sees a little more or less from where the robot will stand: better a turn that it may hold than no way.
+        ends.table.arcs.room[:] = room
+        request = replace(request, rules=replace(request.rules, guarded=False))
+        found = _best(ends, request, start_yaw, goal_yaw)
     if found is not None and request.driven is not None:
         found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan)
     ends.close()
@@ -87,6 +90,19 @@ def plan(
             + (", and no frontier is left to look from" if request.allow_frontier else "")
             + ": choose another goal, or clear the way",
         )
+    return found
+
+
+def _best(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan | None:
+    """The plan to the goal, or where that is the better or the only one to a frontier or towards the goal."""
+    graph = at.table.graph
+    found = None if at.goal is None else _to_goal(at, request, start_yaw, goal_yaw)
+    if request.allow_frontier and (found is None or _enters_field(graph, found)):
+        other = _to_frontier(at, request, start_yaw)
+        if found is None or (other is not None and not worth_keeping(found.worth, other.worth)):
+            found = other
+        if found is None and at.seen:
+            found = _to_nearest(at, request, start_yaw)
     return found
 
 
@@ -220,7 +236,45 @@ def _search(
     start_yaw: float,
     goal_yaw: float,
 ) -> Plan | None:
-    """Run the variant's search from a node to the best of the end nodes."""
+    """Run the variant's search from a node to the best of the end nodes. A turn that the guard holds is taken out, and the search run again."""
+    for _ in range(HELD_TURNS):
+        found, expanded = _cheapest(at, request, ends, exit_cost, xy, start_yaw, goal_yaw)
+        if found is None:
+            return None
+        if not _take_out_held(at, found):
+            break
+    else:
+        return None
+    if request.rules.straight and at.ground is not None:
+        straighten(at.ground, at.table, found)
+    if request.variant == "refined":
+        found = refine(at.table, found)
+    return replace(describe(at.table, request, at.table.body, found, expanded), exact=at.exact)
+
+
+def _take_out_held(at: Endpoints, route: Route) -> bool:
+    """Whether the guard holds turns of a route; the graph has no room for these any more."""
+    room, held = at.table.arcs.room, False
+    if at.ground is None or not route.rules.guarded:
+        return False
+    for k, node in enumerate(route.nodes):
+        yaw, turn = turn_at(route, k)
+        free = free_at(at.ground, route, k)
+        if free < abs(turn):
+            room[node], held = without(room[node], yaw, turn, free), True
+    return held
+
+
+def _cheapest(
+    at: Endpoints,
+    request: PlanRequest,
+    ends: NDArray[np.bool_],
+    exit_cost: NDArray[np.float64],
+    xy: tuple[float, float],
+    start_yaw: float,
+    goal_yaw: float,
+) -> tuple[Route | None, int]:
+    """The route of `_search` and the number of states that were looked at."""
     table, start = at.table, at.start
     body = table.body
     if request.variant == "mean-only":
@@ -263,10 +317,5 @@ def _search(
         )
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
-        return None
-    found = Route.along(table, start, route, start_yaw, goal_yaw, request.rules)
-    if request.rules.straight and at.ground is not None:
-        straighten(at.ground, table, found)
-    if request.variant == "refined":
-        found = refine(table, found)
-    return replace(describe(table, request, body, found, expanded), exact=at.exact)
+        return None, expanded
+    return Route.along(table, start, route, start_yaw, goal_yaw, request.rules), expanded

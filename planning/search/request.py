@@ -29,6 +29,8 @@ class DriveRules:
     """What a turn costs [m/rad], as it takes time. Not for `native` and `edge-only`."""
     straight: bool = False
     """Straighten the route where that costs no more (`planning.search.straight`), on a graph that knows its map."""
+    guarded: bool = False
+    """Turn on the spot only where the guard lets the body turn (`planning.search.guarded`), if there is such a way, on a graph that knows its map."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,10 @@ from planning.graph.describe import turn_is_free
 from planning.risk.body import weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
+from planning.risk.turns import FREE_TURN
 from planning.search.attach import Ground
 from planning.search.explain import Route
+from planning.search.guarded import SPARE
 
 LONGEST = 16
 """Edges of a route that one chord may replace: about 7 m."""
@@ -83,12 +85,28 @@ def _look_under(ground: Ground, route: Route, points: slice) -> None:
 
 def has_room(ground: Ground, route: Route, k: int) -> bool:
     """Whether there is room for the turn at point k of the route."""
-    yaw = route.yaws(k, k)
-    if np.isnan(yaw).any():
-        return True
-    turn = turn_angle(*yaw)
+    yaw, turn = turn_at(route, k)
     x, y = route.xy[k].tolist()
-    return bool(turn_is_free(ground.headings((x, y)), yaw[0], turn))
+    if turn == 0.0:
+        return True
+    if not turn_is_free(ground.headings((x, y)), yaw, turn):
+        return False
+    return not route.rules.guarded or free_at(ground, route, k) >= abs(turn)
+
+
+def free_at(ground: Ground, route: Route, k: int) -> float:
+    """How far [rad] the guard lets the body turn at point k of the route. Where the robot stands already it needs nothing to spare: else it
+    turned back in the middle of a turn. What is driven as a bend is no turn on the spot.
+    """
+    yaw, turn = turn_at(route, k)
+    x, y = route.xy[k].tolist()
+    return ground.guarded_turn((x, y), yaw, turn, SPARE if k and abs(turn) > FREE_TURN else 0.0)
+
+
+def turn_at(route: Route, k: int) -> tuple[float, float]:
+    """Heading [rad] at which the body comes to point k of the route, and how far [rad] it turns there; 0 where any heading will do."""
+    before, after = route.yaws(k, k).tolist()
+    return before, 0.0 if math.isnan(before + after) else float(turn_angle(before, after))
 
 
 def _peaks(moments: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hal.safety.swept import known_behind
-from hal.types import NS
+from hal.safety.planned import free_turn, known_behind, mapped
+from hal.types import NS, Capabilities
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from planning.errors import NoRoute, PlanningError
 from planning.graph.graph import GraphParams
@@ -93,7 +93,9 @@ class PlannerStage:
             stage._map.refresh((2.0, 2.0), grid, [changed])
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
-        known_behind(height, grid.origin, grid.resolution, (2.0, 2.0, 0.0), stage._map.params.max_gap, 0.1)
+        around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
+        known_behind(around, here, stage._map.params.max_gap, 0.1)
+        free_turn(around, here, 1.0, Capabilities("", max_step=stage._map.params.max_step))
 
     def put_on(self, folder: FilePath) -> None:
         """See `KeepsMap`."""

@@ -49,7 +49,7 @@ class WaySearch:
     """Finds ways on a `MapGraph` for one goal after the other, and remembers for each goal what was tried."""
 
     def __init__(self, params: PlannerConfig, body: BodyModel, limits: PathLimits) -> None:
-        self.rules = DriveRules(params.backward, params.turning, straight=True)
+        self.rules = DriveRules(params.backward, params.turning, straight=True, guarded=True)
         self._params = params
         self._body = body
         self._limits = limits

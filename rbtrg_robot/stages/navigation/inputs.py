@@ -13,6 +13,8 @@ from rbtrg_robot.topics import Topic
 
 AHEAD = 0.2
 """[m/s] that the guard must allow forward: it stops the robot within 0.1 m then."""
+HELD = 0.1
+"""[rad/s] A turn that the guard lets go on no faster than this is held."""
 
 
 class Inputs:
@@ -47,6 +49,14 @@ class Inputs:
     def room_ahead(self) -> bool:
         """Whether the guard lets the robot forward, a decimetre at least."""
         return self.limits is not None and self.limits.forward >= AHEAD
+
+    @property
+    def turn_held(self) -> bool:
+        """Whether the guard holds the robot in the turn on the spot that the tracker makes."""
+        if self.limits is None or self.tracker is None or self.phase != "aligning":
+            return False
+        error = self.tracker.heading_error
+        return error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

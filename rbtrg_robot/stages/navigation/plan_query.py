@@ -68,8 +68,10 @@ class PlanQuery:
 
     def due(self, now: int, tracker: msg.TrackerState | None, *, on_edge: bool) -> bool:
         """Whether to ask again on the way into unseen ground, with so much of the path to go. A robot `on_edge` could not turn into another
-        route; but where its own ends, it would stop there.
+        route; but where its own ends, it would stop there. One that turns on the spot ends that first: it would turn back as often as not.
         """
+        if tracker is not None and tracker.phase == "aligning":
+            return False
         near = tracker is not None and tracker.distance_left < NEAR_END
         return self.age(now) > (min(self._period, NEAR_PERIOD) if near else self._period) and (
             near or not on_edge

@@ -27,7 +27,6 @@ from hal.safety.swept import (
     Stand,
     Surroundings,
     height_under,
-    known_behind,
     nearest_obstacle,
     occupy,
     reach_of,
@@ -432,14 +431,3 @@ def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:
             want[r, c] += 1
     np.testing.assert_array_equal(out, want >= 3)
     assert 0 < out.sum() < out.size
-
-
-def test_the_planner_is_told_of_ground_behind_what_the_guard_does() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(60):
-        height = np.where(rng.random((N, N)) < rng.uniform(0.0, 0.8), np.nan, 0.0).astype(np.float32)
-        pose = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
-        guard = look(ground(height), pose)["behind"]
-        told = known_behind(height, (float(X[0, 0]), float(Y[0, 0])), RES, pose, ROBOT.max_gap, 0.4)
-        assert guard.kind in (UNSEEN, CLEAR)
-        assert told == pytest.approx(min(guard.free, 0.4))

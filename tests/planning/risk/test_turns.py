@@ -7,15 +7,18 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hal.safety.swept import FLAT, Surroundings, reach_of, turn_step, turn_tracks
+from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
-from planning.graph.describe import ALL_HEADINGS
+from planning.graph.describe import ALL_HEADINGS, turn_edge
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
 from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
 from planning.risk.turns import FREE_TURN, STEEP_COST, TURN_COST, may_turn_to, turn_cost
+from planning.search.guarded import SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
 
@@ -107,6 +110,17 @@ def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
             assert graph.turn_edge[away > 0.75].max() < 0.02
 
 
+def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -> None:
+    _, x = np.mgrid[0:120, 0:200] * 0.025
+    crest = np.tan(np.radians(24)) * -np.abs(x - 2.5)
+    rough = 0.04 * np.random.default_rng(1).standard_normal((30, 50)).repeat(4, 0).repeat(4, 1)
+    for height, reach in ((crest, 0.2), (rough, 2.0)):
+        grid, _ = ground(height)
+        for along in np.linspace(-reach, reach, 9):
+            edge = turn_edge(grid.height, grid.trusted, 0.0, 0.0, 0.025, 2.5 + along, 1.5)
+            assert edge > GraphParams().max_turn_step
+
+
 @pytest.mark.parametrize("towards", [(1.0, 0.0), (0.7, -0.7)])
 def test_turns_cost_more_on_ground_that_is_too_steep_for_them(towards: tuple[float, float]) -> None:
     y, x = np.mgrid[0:120, 0:200] * 0.025
@@ -169,6 +183,61 @@ def test_in_a_narrow_passage_the_robot_drives_on_but_does_not_turn_round() -> No
     wide_grid, wide = corridor(1.4)
     a, b = wide.nearest_node((3.0, 1.5)), wide.nearest_node((1.0, 1.5))
     assert plan(wide, wide_grid, PlanRequest(a, b, 0.0, 0.0), BODY).length < 2.6  # type: ignore[arg-type]
+
+
+def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
+    """Turns on the spot of a route that the guard's kernel holds on the map, for a body a little larger."""
+    around = Surroundings(
+        np.where(grid.trusted, grid.height, np.float32(np.nan)),
+        np.full_like(grid.height, np.nan),
+        np.zeros(grid.shape, np.uint8),
+        np.zeros(grid.shape, np.uint8),
+        grid.origin,
+        grid.resolution,
+    )
+    robot = Capabilities("", max_step=graph.params.max_step, max_slope=graph.params.max_slope)
+    count = 0
+    for poses in turns_of(found):
+        turn = float(poses[-1, 2] - poses[0, 2])
+        if abs(turn) > FREE_TURN:
+            tracks = turn_tracks(abs(turn), np.sign(turn), SPARE)
+            place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
+            count += reach_of(tracks, turn_step(), around, place, FLAT, robot, seen=False).kind > 0
+    return count
+
+
+def test_what_the_planner_calls_room_to_turn_the_guard_does_not_hold() -> None:
+    rng = np.random.default_rng(3)
+    counts = np.zeros(2, int)
+    for seed in range(4):
+        scene = random_scene(seed)
+        graph = TraversalGraph.build(scene.grid, scene.start, GraphParams(), seed)
+        places = graph.nodes[np.flatnonzero(graph.free_headings != ALL_HEADINGS), :2]
+        table = RiskTable(graph, scene.grid, BODY)
+        for a, b in rng.choice(len(places), (12, 2)).tolist():
+            pair = tuple(places[a].tolist()), tuple(places[b].tolist())
+            for k, guarded in enumerate((False, True)):
+                rules = DriveRules(straight=True, guarded=guarded)
+                try:
+                    found = plan(graph, scene.grid, PlanRequest(*pair, rules=rules), BODY, table)
+                except NoRoute:
+                    continue
+                counts[k] += held(scene.grid, graph, found)
+    assert counts[0] > 5, "the two rules differ"
+    assert counts[1] < 0.2 * counts[0], "some have no other way"
+
+
+@pytest.mark.parametrize("room", [3.0, 0.90])
+def test_it_turns_where_the_guard_lets_it_and_if_there_is_no_such_place_where_it_can(room: float) -> None:
+    y, x = np.mgrid[0:120, 0:240] * 0.025
+    half = np.where(x < 3.2, 0.45, 0.5 * room)
+    height = np.where((np.abs(y - 1.5) > half) | (x < 0.3) | (x > 5.5), 1.0, 0.0).astype(np.float32)
+    grid = ElevationGrid(height, np.ones_like(height, bool), (0.0, 0.0), 0.025)
+    graph = TraversalGraph.build(grid, (2.0, 1.5), GraphParams(blind_radius=0.0), 0)
+    for guarded in (False, True):
+        rules = DriveRules(backward=1.2 if room > 1.0 else np.inf, guarded=guarded)
+        found = plan(graph, grid, PlanRequest((4.5, 1.5), (1.2, 1.5), np.pi, 0.0, rules=rules), BODY)
+        assert found.transitions[-1].backward is (guarded and room > 1.0), "it turned before the passage"
 
 
 def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:

@@ -824,6 +824,33 @@ def test_a_turn_that_is_held_goes_on_a_little_farther_ahead_then_backs_out(world
         world.run(0.1)
 
 
+def test_while_it_turns_on_the_spot_no_other_way_to_the_frontier_is_looked_for(world: World) -> None:
+    world.goal()
+    world.answer(reaches=False)
+    world.left = 0.5
+    world.tracker_phase = "aligning"
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(3.0)
+    assert world.count(t.PLAN_REQUEST) == requests
+    world.tracker_phase = "following"
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+
+
+@pytest.mark.parametrize("error", [0.5, -0.5])
+def test_a_turn_that_the_guard_holds_is_asked_for_anew(world: World, error: float) -> None:
+    world.goal()
+    world.answer()
+    world.tracker_phase, world.heading_error = "aligning", error
+    requests = world.count(t.PLAN_REQUEST)
+    world.send(t.MOTION_LIMITS, forward=1.0, left=float(error > 0), right=float(error < 0))
+    world.run(4.0)
+    assert world.count(t.PLAN_REQUEST) == requests, "the other way round nothing is held"
+    world.send(t.MOTION_LIMITS, forward=1.0, left=float(error < 0), right=float(error > 0))
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+
+
 def test_a_turn_that_is_held_backs_out_where_the_guard_lets_nothing_ahead(world: World) -> None:
     world.come_along()
     world.goal()

@@ -1,0 +1,74 @@
+"""What the planner is told is what the guard does on the same ground."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.safety.planned import free_turn, known_behind, mapped
+from hal.safety.swept import (
+    CLEAR,
+    FLAT,
+    LIDAR,
+    SPACING,
+    UNSEEN,
+    Surroundings,
+    reach_of,
+    straight_tracks,
+    turn_step,
+    turn_tracks,
+)
+from hal.types import Capabilities
+
+ROBOT = Capabilities("test", max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10)
+RES = 0.04
+N = 101
+X, Y = np.meshgrid(*(2 * [(np.arange(N) - N // 2) * RES]))
+CORNER = (float(X[0, 0]), float(Y[0, 0]))
+
+
+def guard(height: np.ndarray) -> Surroundings:
+    """As the guard makes them of a map window."""
+    source = np.where(np.isnan(height), 0, LIDAR).astype(np.uint8)
+    return Surroundings(height, np.full_like(height, np.nan), source, np.zeros_like(source), CORNER, RES)
+
+
+def test_of_ground_behind() -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(60):
+        height = np.where(rng.random((N, N)) < rng.uniform(0.0, 0.8), np.nan, 0.0).astype(np.float32)
+        pose = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
+        tracks = straight_tracks(1.0, -1.0)
+        found = reach_of(tracks, SPACING, guard(height), pose, FLAT, ROBOT, seen=True)
+        told = known_behind(mapped(height, CORNER, RES), pose, ROBOT.max_gap, 0.4)
+        assert found.kind in (UNSEEN, CLEAR)
+        assert told == pytest.approx(min(found.free, 0.4))
+
+
+def test_of_turns() -> None:
+    rng = np.random.default_rng(5)
+    held = 0
+    for _ in range(60):
+        height = np.zeros((N, N), np.float32)
+        for _ in range(3):
+            x, y = rng.uniform(-0.7, 0.7, 2)
+            height[(np.abs(X - x) < 0.06) & (np.abs(Y - y) < 0.06)] = rng.choice([-0.5, 0.1, 0.5])
+        pose = (*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi))
+        turn = rng.uniform(-np.pi, np.pi)
+        tracks = turn_tracks(3.2, math.copysign(1.0, turn))
+        found = reach_of(tracks, turn_step(), guard(height), pose, FLAT, ROBOT, seen=False)
+        told = free_turn(mapped(height, CORNER, RES), pose, turn, ROBOT)
+        assert told == pytest.approx(min(found.free, abs(turn)))
+        held += told < abs(turn)
+    assert 10 < held < 50
+
+
+def test_with_something_to_spare_a_turn_keeps_farther_from_a_wall() -> None:
+    height = np.where(np.abs(Y) > 0.44, 1.0, 0.0).astype(np.float32)  # a passage as wide as the body turns in
+    assert 0.5 * math.hypot(BODY_LENGTH, BODY_WIDTH) < 0.44
+    around = mapped(height, CORNER, RES)
+    assert free_turn(around, (0.0, 0.0, 0.0), math.pi, ROBOT) == math.pi
+    assert free_turn(around, (0.0, 0.0, 0.0), math.pi, ROBOT, 0.06) < 1.0

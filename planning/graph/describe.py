@@ -19,7 +19,7 @@ SIN = np.array([math.sin(h * math.pi / HEADINGS) for h in range(HEADINGS)])
 ALL_HEADINGS = np.uint64((1 << HEADINGS) - 1)
 WHEEL_RING = (0.15, 0.36)
 """Between these distances from its middle the wheels of a robot that turns on the spot meet the ground [m]."""
-NOISE, MOST_NOISE = 3.5, 0.015
+NOISE, MOST_NOISE = 3.5, 0.02
 """Median deviations of the rises that are noise: the largest of some hundred on even ground is about five. More [m] is no noise of the map, but
 rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
 EDGE_BASE = 0.12

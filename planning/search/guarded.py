@@ -37,8 +37,6 @@ def guarded_turn(
     It keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when 0.14 rad of a turn are left
     (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
-    if abs(turn) < _STEP:
-        return abs(turn)
     robot = Capabilities("", max_step=params.max_step, max_slope=params.max_slope, max_gap=params.max_gap)
     return free_turn(known_around(grid, xy, REACH), (*xy, yaw), turn, robot, spare)
 

@@ -237,8 +237,11 @@ def _search(
     goal_yaw: float,
 ) -> Plan | None:
     """Run the variant's search from a node to the best of the end nodes. A turn that the guard holds is taken out, and the search run again."""
+    body = at.table.body
+    if request.variant == "mean-only":
+        body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
     for _ in range(HELD_TURNS):
-        found, expanded = _cheapest(at, request, ends, exit_cost, xy, start_yaw, goal_yaw)
+        found, expanded = _cheapest(at, request, body, ends, exit_cost, xy, start_yaw, goal_yaw)
         if found is None:
             return None
         if not _take_out_held(at, found):
@@ -249,7 +252,7 @@ def _search(
         straighten(at.ground, at.table, found)
     if request.variant == "refined":
         found = refine(at.table, found)
-    return replace(describe(at.table, request, at.table.body, found, expanded), exact=at.exact)
+    return replace(describe(at.table, request, body, found, expanded), exact=at.exact)
 
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:
@@ -268,17 +271,15 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
 def _cheapest(
     at: Endpoints,
     request: PlanRequest,
+    body: BodyModel,
     ends: NDArray[np.bool_],
     exit_cost: NDArray[np.float64],
     xy: tuple[float, float],
     start_yaw: float,
     goal_yaw: float,
 ) -> tuple[Route | None, int]:
-    """The route of `_search` and the number of states that were looked at."""
+    """The route of `_search`, weighed as `body` does, and the number of states that were looked at."""
     table, start = at.table, at.start
-    body = table.body
-    if request.variant == "mean-only":
-        body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
     w = weights_of(body)
     if ends[start]:
         route, cost, expanded = np.empty(0, np.int64), 0.0, 0

@@ -99,8 +99,10 @@ def free_at(ground: Ground, route: Route, k: int) -> float:
     turned back in the middle of a turn. What is driven as a bend is no turn on the spot.
     """
     yaw, turn = turn_at(route, k)
+    if abs(turn) <= FREE_TURN:
+        return abs(turn)
     x, y = route.xy[k].tolist()
-    return ground.guarded_turn((x, y), yaw, turn, SPARE if k and abs(turn) > FREE_TURN else 0.0)
+    return ground.guarded_turn((x, y), yaw, turn, SPARE if k else 0.0)
 
 
 def turn_at(route: Route, k: int) -> tuple[float, float]:

@@ -73,11 +73,11 @@ def plan(
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
     ends = endpoints(table, request)
-    room = ends.table.arcs.room.copy()
+    arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:
         # The guard sees a little more or less from where the robot will stand: better a turn that it may hold than no way.
-        ends.table.arcs.room[:] = room
+        ends.table.arcs = arcs
         request = replace(request, rules=replace(request.rules, guarded=False))
         found = _best(ends, request, start_yaw, goal_yaw)
     if found is not None and request.driven is not None:
@@ -257,14 +257,19 @@ def _search(
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:
     """Whether the guard holds turns of a route; the graph has no room for these any more."""
-    room, held = at.table.arcs.room, False
     if at.ground is None or not route.rules.guarded:
         return False
+    room, held = (
+        at.table.arcs.room.copy(),
+        False,
+    )  # the search that is kept for the next query knows the old one
     for k, node in enumerate(route.nodes):
         yaw, turn = turn_at(route, k)
         free = free_at(at.ground, route, k)
         if free < abs(turn):
             room[node], held = without(room[node], yaw, turn, free), True
+    if held:
+        at.table.arcs = at.table.arcs._replace(room=room)
     return held
 
 

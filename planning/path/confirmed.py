@@ -22,6 +22,8 @@ AHEAD, ROUND = 0.45, 0.25
 """[m] from the robot to what it cannot see, and around that."""
 BACK, BACK_SPACING = 0.12, 0.04
 """[m] A path backward ends where less than the first is left to what nobody saw: the guard creeps before it and holds. Asked so often."""
+UNSEEN = 0.2
+"""[m/s] where a part of the ground under the leading wheels was not seen."""
 STAND = (0.25, 0.05)
 """[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
 not."""
@@ -29,7 +31,8 @@ not."""
 
 def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path:
     """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
-    `width` [m] wide was seen; `path` itself where all of it may be driven. Virtual ground is planned over, not driven on.
+    `width` [m] wide was seen; all of it where it may be driven. Virtual ground is planned over, not driven on, and the part that is left of it under
+    the wheels is driven slowly.
     Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.planned`).
     """
     cells = graph.cells
@@ -59,6 +62,7 @@ def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: flo
         if _behind(grid, path, int(k), graph.params.max_gap) < BACK:
             blocked[k] = True
             break
+    path = path.slowed(share > 0.0, UNSEEN)
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
 
 
@@ -77,7 +81,7 @@ def backs_up(path: Path) -> bool:
 def drivable(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path | None:
     """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin."""
     part = confirmed(path, graph, grid, width)
-    if part is path or part.length >= LEAST:
+    if part.length >= min(LEAST, path.length):
         return part
     return None if abs(path.initial_turn or 0.0) < TURN else path.until(1)
 

@@ -100,6 +100,16 @@ class Path:
             faces=self.faces[:watched],
         )
 
+    def slowed(self, where: NDArray[np.bool_], limit: float) -> Path:
+        """The path, driven at `limit` [m/s] at most at the points `where` (n,), unless the ground there is passed at more alone."""
+        if not where.any():
+            return self
+        speed = np.where(where, np.minimum(self.speed, np.maximum(limit, self.least)), self.speed)
+        ds = np.diff(self.s)
+        brake(speed, ds, self.limits.max_accel)
+        brake(speed[::-1], ds[::-1], self.limits.max_accel)
+        return replace(self, speed=speed, least=np.minimum(self.least, speed))
+
     def beyond(self, x: float, y: float) -> Path:
         """The path as one who watches it needs it from now on: without what a robot at x, y [m] has passed."""
         near = self.watched[:REACH, :2]

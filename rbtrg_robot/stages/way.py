@@ -103,7 +103,8 @@ class WaySearch:
             assert terrain.graph is not None
             path = drivable(whole, terrain.graph, terrain.ground(), self._body.width)
             if path is not None:
-                return Way(found if path is whole else replace(found, reaches_goal=False), whole, path)
+                cut = len(path.points) < len(whole.points)
+                return Way(replace(found, reaches_goal=False) if cut else found, whole, path)
             if backs_up(whole):
                 self._forward = True
                 continue

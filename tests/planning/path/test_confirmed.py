@@ -60,3 +60,23 @@ def test_over_what_is_narrower_than_a_gap_it_backs_up() -> None:
     graph, path = way(0.0, grid)
     assert backs_up(path)
     assert drivable(path, graph, grid, BODY.width) is path
+
+
+def test_where_a_part_of_the_ground_under_the_leading_wheels_was_not_seen_it_is_driven_slowly() -> None:
+    # 9 cm of the 43 under the wheels, along one side, x from 2.2 to 2.8 m, on a way that was planned before; driven along -x
+    level = flat(5.0, 3.0, 0.04)
+    _, path = way(np.pi, level)
+    unseen = np.zeros(level.height.shape, np.bool_)
+    unseen[42:47, 55:70] = True
+    grid = replace(level, trusted=~unseen, virtual=unseen)
+    graph = TraversalGraph.build(grid, START, GraphParams(blind_radius=0.0), 0)
+    part = drivable(path, graph, grid, BODY.width)
+    assert part is not None
+    assert len(part.points) == len(path.points)
+    ahead = part.points[:, 0] - 0.225  # where the leading wheels touch the ground
+    over = (ahead > 2.2) & (ahead < 2.76)
+    assert path.speed[over].min() > 0.4
+    assert part.speed[over].max() == pytest.approx(0.2)
+    assert (np.abs(np.diff(part.speed**2)) <= 2.0 * part.limits.max_accel * np.diff(part.s) + 1e-9).all()
+    beyond = (ahead > 3.3) | ((ahead < 1.6) & (np.arange(len(ahead)) < np.argmin(ahead)))
+    assert part.speed[beyond] == pytest.approx(path.speed[beyond])

@@ -7,6 +7,8 @@ not higher, and no feature of the body is worse than the route has it anywhere, 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from planning.graph.describe import turn_is_free

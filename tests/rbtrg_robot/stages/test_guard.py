@@ -131,6 +131,19 @@ def test_without_new_inputs_nothing_is_allowed(topic: Topic, limit: float) -> No
     assert limits.reason.startswith(f"{topic.name} is 0.8 s old")
 
 
+def test_a_pose_from_the_future_allows_nothing() -> None:
+    around = Around()
+    around.tick(flat)
+    around.silent = {t.POSE}
+    later = around.now + 60 * NS
+    around.stage.on(
+        t.POSE, odometry_msg(later, around.position, around.orientation, np.zeros(3), np.zeros(3))
+    )
+    assert four(around.tick(flat)) == (0.0,) * 4
+    around.silent = set()
+    assert four(around.tick(flat)) == (1.0,) * 4
+
+
 @pytest.mark.parametrize("topic", [t.TF_STATIC, t.MAP_WINDOW, t.POSE])
 def test_nothing_is_allowed_before_everything_was_seen(topic: Topic) -> None:
     around = Around()

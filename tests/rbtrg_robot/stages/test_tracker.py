@@ -78,6 +78,31 @@ def test_no_path_is_driven_on_old_inputs_whatever_its_id(path_id: str, topic: To
     assert topic.name in world.state.hold
 
 
+def test_no_path_is_driven_on_a_pose_from_the_future() -> None:
+    world = Inputs()
+    world.path("goal/1")
+    assert max(world.run(1.0)) > 0.3
+    world.silent = {t.POSE}
+    later = world.now + 60 * NS
+    for _ in range(10):  # they come in time, but for their stamps
+        world.stage.on(t.POSE, odometry_msg(later, np.zeros(3), STILL, np.zeros(3), np.zeros(3)))
+        assert set(world.run(0.02)) == {0.0}
+    assert "ahead of the clock" in world.state.hold
+    world.silent = set()
+    assert max(world.run(1.0)) > 0.3
+
+
+def test_no_path_is_driven_while_localization_is_lost() -> None:
+    world = Inputs()
+    world.path("goal/1")
+    assert max(world.run(1.0)) > 0.3
+    world.stage.on(t.ODOM_HEALTH, t.ODOM_HEALTH.kind(health="lost", reason="no scan fits"))
+    assert set(world.run(1.0)) == {0.0}
+    assert world.state.hold == "localization lost: no scan fits"
+    world.stage.on(t.ODOM_HEALTH, t.ODOM_HEALTH.kind(health="good"))
+    assert max(world.run(1.0)) > 0.3
+
+
 def test_no_path_is_driven_before_the_start_in_the_map_is_known() -> None:
     world = Inputs(placed=False)
     world.path("goal/1")

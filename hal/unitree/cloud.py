@@ -182,13 +182,16 @@ def _column(values: NDArray, dtype: type) -> NDArray:
 
 
 def _times(cloud: RawCloud) -> tuple[int, NDArray[np.float32]]:
-    """Start of the sweep [ns, LiDAR clock] and the seconds since then, per point."""
+    """Start of the sweep [ns, LiDAR clock] and the seconds since then, per point. Raises WireError for times of no sweep."""
     raw = cloud.points
     name = next((name for name in _TIME_NAMES if name in (raw.dtype.names or ())), None)
     if name is None or len(raw) == 0:
         return cloud.stamp, np.zeros(len(raw), np.float32)
-    if raw.dtype[name] == np.float32:
-        return cloud.stamp, raw[name].astype(np.float32)
+    if raw.dtype[name] == np.float32:  # too coarse for a clock: seconds since the header's stamp
+        time = raw[name].astype(np.float32)
+        if not (np.abs(time) <= LONGEST_SWEEP).all():
+            raise WireError(f"point field {name!r} has times that are no seconds of a sweep")
+        return cloud.stamp, time
     time = raw[name].astype(np.float64)
     if raw.dtype[name].kind in "ui":
         time *= 1e-9

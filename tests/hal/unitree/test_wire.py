@@ -291,6 +291,16 @@ def test_a_time_that_is_none_is_an_error_not_a_crash(wrong: float):
         cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), OPEN)
 
 
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -1e30, 1e30, 50.0])
+def test_a_short_time_that_is_none_of_a_sweep_is_an_error_not_a_crash(wrong: float):
+    points = np.zeros(100, POINT_DTYPE)
+    points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 100)
+    assert len(cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), OPEN)[1]) == 100
+    points["time"][7] = wrong
+    with pytest.raises(api.WireError, match="no seconds of a sweep"):
+        cloud.sweep(cloud.decode_cloud(cloud.encode_cloud(0, "l", points)), OPEN)
+
+
 def test_a_doubled_field_name_is_an_error_not_a_crash():
     data = cloud.encode_cloud(0, "l", _filled(XT16_DTYPE))
     with pytest.raises(api.WireError, match="comes twice"):

@@ -247,6 +247,42 @@ class Path(Message):
 
 
 @dataclass(slots=True, eq=False)
+class PointField(Message):
+    """sensor_msgs/msg/PointField."""
+
+    __msgtype__ = "sensor_msgs/msg/PointField"
+    INT8: ClassVar[int] = 1
+    UINT8: ClassVar[int] = 2
+    INT16: ClassVar[int] = 3
+    UINT16: ClassVar[int] = 4
+    INT32: ClassVar[int] = 5
+    UINT32: ClassVar[int] = 6
+    FLOAT32: ClassVar[int] = 7
+    FLOAT64: ClassVar[int] = 8
+    name: str = ""
+    offset: int = 0
+    datatype: int = 0
+    count: int = 0
+
+
+@dataclass(slots=True, eq=False)
+class CompressedPointCloud2(Message):
+    """point_cloud_interfaces/msg/CompressedPointCloud2."""
+
+    __msgtype__ = "point_cloud_interfaces/msg/CompressedPointCloud2"
+    header: Header = field(default_factory=Header)
+    height: int = 0
+    width: int = 0
+    fields: list[PointField] = field(default_factory=list)
+    is_bigendian: bool = False
+    point_step: int = 0
+    row_step: int = 0
+    compressed_data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
+    is_dense: bool = False
+    format: str = ""
+
+
+@dataclass(slots=True, eq=False)
 class GoalRequest(Message):
     """rbtrg_msgs/msg/GoalRequest."""
 
@@ -330,25 +366,6 @@ class MapPart(Message):
 
 
 @dataclass(slots=True, eq=False)
-class PointField(Message):
-    """sensor_msgs/msg/PointField."""
-
-    __msgtype__ = "sensor_msgs/msg/PointField"
-    INT8: ClassVar[int] = 1
-    UINT8: ClassVar[int] = 2
-    INT16: ClassVar[int] = 3
-    UINT16: ClassVar[int] = 4
-    INT32: ClassVar[int] = 5
-    UINT32: ClassVar[int] = 6
-    FLOAT32: ClassVar[int] = 7
-    FLOAT64: ClassVar[int] = 8
-    name: str = ""
-    offset: int = 0
-    datatype: int = 0
-    count: int = 0
-
-
-@dataclass(slots=True, eq=False)
 class PointCloud2(Message):
     """sensor_msgs/msg/PointCloud2."""
 
@@ -362,23 +379,6 @@ class PointCloud2(Message):
     row_step: int = 0
     data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
     is_dense: bool = False
-
-
-@dataclass(slots=True, eq=False)
-class CompressedPointCloud2(Message):
-    """point_cloud_interfaces/msg/CompressedPointCloud2: in logs only (`rbtrg_robot.log.packed`)."""
-
-    __msgtype__ = "point_cloud_interfaces/msg/CompressedPointCloud2"
-    header: Header = field(default_factory=Header)
-    height: int = 0
-    width: int = 0
-    fields: list[PointField] = field(default_factory=list)
-    is_bigendian: bool = False
-    point_step: int = 0
-    row_step: int = 0
-    compressed_data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
-    is_dense: bool = False
-    format: str = ""
 
 
 @dataclass(slots=True, eq=False)

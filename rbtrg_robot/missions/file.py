@@ -287,8 +287,20 @@ def load(path: Path) -> MissionFile:
 def dump(mission: MissionFile) -> str:
     """YAML that `load` reads."""
     values = mission.model_dump(mode="json", exclude_defaults=True)
-    text: str = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    text: str = yaml.dump(values, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
     return text
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts text with line ends of other scripts (U+0085, U+2028) into double quotes: in others PyYAML makes spaces of them."""
+
+
+def _text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
+    style = None if text.isprintable() else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _text)
 
 
 def numbered(order: msg.MissionOrder) -> Iterator[str]:

@@ -70,7 +70,7 @@ def test_a_sweep_takes_a_fifth_and_comes_back_to_the_bit() -> None:
     assert unpack(small) == payload
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     st.integers(0, 2**32 - 1),
     st.lists(
@@ -96,7 +96,7 @@ def test_any_values_come_back_to_the_bit(seed: int, odd: list[tuple[str, int, fl
     assert unpack(small) == payload
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.binary(max_size=200) | st.sampled_from([encode(cloud_msg(5, "a", np.ones((3, 3), np.float32)))]))
 def test_what_is_no_sweep_comes_back_as_it_is(payload: bytes) -> None:
     small = pack(payload)
@@ -112,7 +112,7 @@ def test_a_message_that_lies_about_its_points_comes_back_as_it_is() -> None:
     assert unpack(pack(payload)) == payload
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.data())
 def test_damage_is_told_and_never_costs_memory(data: st.DataObject) -> None:
     small = bytearray(pack(wire(sweep(3, 60))))

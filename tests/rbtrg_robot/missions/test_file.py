@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from rbtrg_robot.missions import file, geojson
@@ -129,6 +129,7 @@ STEPS = st.recursive(
 
 @settings(max_examples=60, deadline=None)
 @given(STEPS, st.booleans())
+@example([{"ask": {"question": "\x85a"}}, {"ask": {"question": "\u2028"}}], False)
 def test_yaml_and_geojson_carry_the_whole_mission(steps: Any, on_earth: bool) -> None:
     mission = parse({"name": "a", "steps": steps}, "m")
     assert parse(yaml.safe_load(dump(mission)), "m") == mission

@@ -133,12 +133,13 @@ def stamp_in(data: bytes, typename: str) -> int:
     if len(data) < 12:
         raise MessageError(f"not a {typename}: no stamp in {len(data)} bytes")
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
-    return int(seconds) * NS + int(nanoseconds)
+    return int(seconds) * NS + min(int(nanoseconds), NS - 1)
 
 
 def stamp_of(message: Message) -> int:
-    """Source stamp [ns] of a message with a header or clock, else 0."""
+    """Source stamp [ns] of a message with a header or clock, else 0. One with more nanoseconds than a second has is broken: it counts as the end
+    of its second, which a message can carry again."""
     time = getattr(getattr(message, "header", None), "stamp", None) or getattr(message, "clock", None)
     if time is None and isinstance(message, msg.TFMessage) and message.transforms:
         time = message.transforms[0].header.stamp
-    return 0 if time is None else time.sec * NS + time.nanosec
+    return 0 if time is None else time.sec * NS + min(time.nanosec, NS - 1)

@@ -37,6 +37,15 @@ def test_the_stamp_is_found_in_the_bytes(topic: topics.Topic) -> None:
     assert messages.stamp_in(encode(message), topic.type) == messages.stamp_of(message)
 
 
+@pytest.mark.parametrize("second", [0, 2**31 - 1, -(2**31)])
+def test_a_stamp_with_too_many_nanoseconds_can_be_sent_again(second: int) -> None:
+    message = topics.CLOCK.kind(clock=messages.Time(second, 2**32 - 1))
+    stamp = messages.stamp_of(message)
+    assert stamp == messages.stamp_in(encode(message), topics.CLOCK.type)
+    again = topics.CLOCK.kind(clock=messages.time_msg(stamp))
+    assert messages.stamp_of(decode(encode(again), topics.CLOCK.kind)) == stamp
+
+
 def test_hashes_are_those_of_ros() -> None:
     known = "RIHS01_9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5"
     assert messages.type_hash("sensor_msgs/msg/PointCloud2") == known

@@ -259,10 +259,8 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
     """Whether the guard holds turns of a route; the graph has no room for these any more."""
     if at.ground is None or not route.rules.guarded:
         return False
-    room, held = (
-        at.table.arcs.room.copy(),
-        False,
-    )  # the search that is kept for the next query knows the old one
+    held = False
+    room = at.table.arcs.room.copy()  # the search that is kept for the next query knows the old one
     for k, node in enumerate(route.nodes):
         yaw, turn = turn_at(route, k)
         free = free_at(at.ground, route, k)

@@ -55,7 +55,7 @@ def planar(odom: Any) -> tuple[float, float, float]:
 
 
 def test_a_robot_that_started_elsewhere_is_told_its_place_while_it_stands() -> None:
-    with Lockstep(load(None, [], scene="flat")) as stack:
+    with Lockstep(load(None, ["sim.lidar_step=8"], scene="flat")) as stack:
         placed = Placed(stack)
         stack.wait_ready()
         stack.run(1.0)

@@ -48,8 +48,9 @@ def in_lane(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
 
 
-def stack(lidars: tuple[LidarConfig, ...]) -> Lockstep:
-    return Lockstep(load(None, ["record=false"], lidars=lidars))
+def stack(lidars: tuple[LidarConfig, ...], step: int = 4) -> Lockstep:
+    """Sees every `step`-th firing of the main LiDAR."""
+    return Lockstep(load(None, ["record=false", f"sim.lidar_step={step}"], lidars=lidars))
 
 
 def mute(stack: Lockstep, name: str) -> None:
@@ -86,7 +87,7 @@ def test_a_robot_in_a_narrow_lane_starts_and_moves(lidars: tuple[LidarConfig, ..
 
 @pytest.mark.usefixtures("in_lane")
 def test_ground_ahead_is_seen_to_the_first_crest_and_a_silent_head_lidar_is_told() -> None:
-    with stack(DEFAULT_LIDARS) as made:
+    with stack(DEFAULT_LIDARS, step=1) as made:
         made.wait_ready()
         run(made, 1.5)
         patch = made.host.stage("elevation").map.window(0.9, 0.0, 0.5)
@@ -130,7 +131,7 @@ def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_
 ) -> None:
     scene = lane(lambda x: pit(-x), first=-4.5)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
-    with stack(DEFAULT_LIDARS) as made:
+    with stack(DEFAULT_LIDARS, step=1) as made:
         made.wait_ready()
         run(made, 1.0)
         mute(made, "head")

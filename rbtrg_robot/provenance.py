@@ -7,10 +7,15 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from hal.regular import open_regular
+
 
 def fingerprint(map_file: str) -> str:
     """Hash that names a prior map; empty where there is none. Raises OSError."""
-    return f"sha256:{hashlib.sha256(Path(map_file).read_bytes()).hexdigest()[:16]}" if map_file else ""
+    if not map_file:
+        return ""
+    with open_regular(map_file) as file:
+        return f"sha256:{hashlib.file_digest(file, 'sha256').hexdigest()[:16]}"
 
 
 def package_version(package: str) -> str:

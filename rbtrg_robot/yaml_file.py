@@ -12,6 +12,8 @@ from typing import Any
 
 import yaml
 
+from hal.regular import open_regular
+
 LARGEST = 1_000_000
 """Bytes. PyYAML takes 4 s for so many."""
 MOST = 100_000
@@ -55,7 +57,7 @@ def parse(text: str | bytes) -> Any:
 
 def read(path: Path) -> Any:
     """The value in a file. Raises OSError, YamlError."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         return parse(file.read(LARGEST + 1))
 
 

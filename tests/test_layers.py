@@ -31,7 +31,7 @@ ROOMS: dict[str, str] = {
     "mapping.relocalise": "hal mapping",
     "mapping.elevation": "hal hal.lidar hal.scenes mapping",
     "planning": "hal",
-    "planning.graph": "mapping planning",
+    "planning.graph": "hal mapping planning",
     "planning.risk": "hal mapping planning planning.graph",
     # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
     "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",

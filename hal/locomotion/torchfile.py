@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import OperatorError
+from hal.regular import open_regular
 
 Float32 = NDArray[np.float32]
 
@@ -94,7 +95,7 @@ class _Unpickler(pickle.Unpickler):
 def read_mlp(path: Path) -> list[Layer]:
     """The layers of the perceptron in `path`, first to last. Raises PolicyError."""
     try:
-        with zipfile.ZipFile(path) as archive:
+        with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
             entry = next((n for n in archive.namelist() if n.endswith("/data.pkl")), None)
             if entry is None:
                 raise PolicyError(

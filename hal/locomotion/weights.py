@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from hal.locomotion.layout import FRAME, PolicyParams
 from hal.locomotion.torchfile import ACTIVATIONS, Layer, PolicyError
+from hal.regular import open_regular
 
 FORMAT = "rbtrg-policy-1"
 
@@ -37,7 +38,7 @@ def save_weights(path: Path, params: PolicyParams, layers: Sequence[Layer], fact
 def load_weights(path: Path) -> tuple[PolicyParams, list[Layer], dict[str, Any]]:
     """What `save_weights` wrote. Raises PolicyError."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open_regular(path) as stream, np.load(stream, allow_pickle=False) as file:
             header = json.loads(str(file["header"]))
             if header["format"] != FORMAT:
                 raise PolicyError(f"{path} is of format {header['format']}: this version reads {FORMAT}")

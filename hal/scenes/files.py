@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from hal.regular import open_regular
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
 from hal.scenes.scene import Geometry, Goal, Pose, Scene, SceneError
@@ -97,7 +98,7 @@ def _read_png(
     if not (np.isfinite([low, high]).all() and low < high):
         raise SceneError(f"{path.name}: height range must be two growing numbers of metres, got {low} {high}")
     try:
-        with Image.open(path) as image:
+        with open_regular(path) as file, Image.open(file) as image:
             deep = image.mode.startswith("I")  # 16 bit
             pixels = np.asarray(image if deep else image.convert("L"), np.float64)
     except (OSError, UnidentifiedImageError, ValueError) as error:
@@ -109,7 +110,7 @@ def _read_png(
 
 def _read_npz(path: Path, start: Pose | None) -> Scene:
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
             data = {key: archive[key] for key in archive.files}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise SceneError(f"{path.name}: not a readable .npz file ({error})") from error

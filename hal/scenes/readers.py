@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.regular import open_regular
 from hal.scenes.scene import Geometry, SceneError
 
 _PLY_TYPES = {
@@ -26,7 +27,8 @@ def read_geometry(path: Path) -> Geometry:
             f"{path.name}: cannot read {path.suffix or 'a file without ending'}: use .ply, .pcd, .stl or .obj"
         )
     try:
-        geometry = reader(path.read_bytes())
+        with open_regular(path) as file:
+            geometry = reader(file.read())
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror}") from error
     except (ValueError, IndexError, KeyError, TypeError, OverflowError, MemoryError) as error:

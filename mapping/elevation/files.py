@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import one_line
+from hal.regular import open_regular
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.tiles import ASSUMED, CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
@@ -48,9 +50,9 @@ def save_store(store: TileStore, path: Path, resolution: float, cloud: NDArray[n
         for name, layer in layers.items():
             layer[k] = cells[name]
     arrays |= layers
-    part = path.with_name(path.name + ".part")
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
-        with part.open("wb") as file:
+        with part.open("xb") as file:  # never through a link that lies there, nor together with another save
             np.savez_compressed(file, **arrays)
         os.replace(part, path)
     finally:
@@ -143,7 +145,7 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     """The arrays of a .npz file. Raises MapError."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with open_regular(path) as stream, np.load(stream, allow_pickle=False) as file:
             size = sum(member.file_size for member in file.zip.infolist())
             if size <= MAX_BYTES:
                 return {name: file[name] for name in file.files}

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from hal.regular import open_regular
 from planning.errors import PlanningError
 from planning.graph.params import GraphParams
 
@@ -43,7 +44,7 @@ def write_graph(path: str | Path, header: dict[str, Any], arrays: dict[str, NDAr
 def read_graph(path: str | Path) -> tuple[dict[str, Any], GraphParams, dict[str, NDArray[Any]]]:
     """Header, settings and arrays of a file, checked against each other. Raises PlanningError."""
     try:
-        with np.load(path, allow_pickle=False) as data:
+        with open_regular(path) as file, np.load(file, allow_pickle=False) as data:
             header = json.loads(str(data["header"]))
             found = header["format"]
             arrays = {name: data[name] for name in _ARRAYS} if found == FORMAT else {}

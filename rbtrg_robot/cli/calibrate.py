@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import say, say_text
 
 if TYPE_CHECKING:
     from rbtrg_robot.hosts.calibrate import Sample
@@ -99,9 +99,9 @@ def calibrate_lidar(
         base = {} if config is not None else of_log(_running(robot))[0]
         stack = load(config, sets or (), base=base)
         samples = _watch(robot, seconds, drive)
-    print("comparing what gyro, wheels and LiDARs saw", file=sys.stderr)
+    say("comparing what gyro, wheels and LiDARs saw", error=True)
     found = calibrate(samples, stack.mounted_lidars(), stack.odometry)
-    print(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
+    say_text(as_yaml(found, [lidar.time_offset for lidar in stack.lidars]))
 
 
 def _running(robot: str) -> bytes:
@@ -134,7 +134,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
             bus.advertise(t.TELEOP_TRUNK)
         began = time.monotonic()
         length = sum(part.lasts for part in COURSE) if drive else seconds
-        print(f"watching for {length:.0f} s", file=sys.stderr)
+        say(f"watching for {length:.0f} s", error=True)
         while (now := time.monotonic() - began) < length:
             if drive:
                 _order(bus, now)
@@ -146,7 +146,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
                     out += [] if sample is None else [sample]
         if drive:
             _order(bus, length)
-            print("`rbtrg-robot resume` gives the motion back to the stack", file=sys.stderr)
+            say("`rbtrg-robot resume` gives the motion back to the stack", error=True)
     return out
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import sys
 import uuid
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import plain, say
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 REACHED, REJECTED, ABORTED, CANCELLED, TIMED_OUT = 0, 2, 3, 4, 5
@@ -64,7 +64,7 @@ def goal(
         if yaw is not None:
             goal_yaw = math.radians(yaw)
         if not all(math.isfinite(v) for v in (x, y, goal_yaw or 0.0, timeout)):
-            print("rbtrg-robot: goal rejected: coordinates must be finite numbers", file=sys.stderr)
+            say("rbtrg-robot: goal rejected: coordinates must be finite numbers", error=True)
             raise typer.Exit(REJECTED)
         request = goal_request(
             time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=me()
@@ -72,8 +72,8 @@ def goal(
         try:
             code = _follow(bus, request, wait=wait)
         except KeyboardInterrupt:
-            print("cancelling the goal", file=sys.stderr)
-            print(follow(bus, CancelGoal(goal_id)).words)
+            say("cancelling the goal", error=True)
+            say(follow(bus, CancelGoal(goal_id)).words)
             code = CANCELLED
         raise typer.Exit(code)
 
@@ -122,7 +122,7 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
 
     console = Console(stderr=True)
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.fields[left]}"),
         TimeElapsedColumn(),
@@ -140,14 +140,14 @@ def _follow(bus: Any, request: Any, *, wait: bool) -> int:
                 farthest = max(farthest, status.distance_left)
                 done = 1.0 - status.distance_left / farthest if farthest else 0.0
                 left = f"{status.distance_left:.1f} m"
-                bar.update(task, description=status.state, completed=done, left=left)
+                bar.update(task, description=plain(status.state), completed=done, left=left)
 
         end = follow(bus, order, show)
     if not end.state:
-        print(f"rbtrg-robot: {end.words}; {see_also()}", file=sys.stderr)
+        say(f"rbtrg-robot: {end.words}; {see_also()}", error=True)
         return ABORTED
     code = TIMED_OUT if end.reason == "timeout" else EXIT.get(end.state, REACHED)
-    print(end.words, file=sys.stderr if code else sys.stdout)
+    say(end.words, error=code != REACHED)
     return code
 
 
@@ -195,7 +195,7 @@ def posture(
         nonlocal shown
         if order.said != shown:
             shown = order.said
-            print(shown)
+            say(shown)
 
     with connect(robot) as bus:
         end = follow(bus, order, show)
@@ -204,7 +204,7 @@ def posture(
             raise typer.Exit(1)
         _fail(end.words)
     if end.words:
-        print(end.words)
+        say(end.words)
 
 
 def _tell(end: Any) -> None:
@@ -213,9 +213,9 @@ def _tell(end: Any) -> None:
 
     if not end.ok:
         _fail(f"{end.words}; {see_also()}" if "answer" in end.words or "confirm" in end.words else end.words)
-    print(end.words)
+    say(end.words)
 
 
 def _fail(text: str) -> NoReturn:
-    print(f"rbtrg-robot: {text}", file=sys.stderr)
+    say(f"rbtrg-robot: {text}", error=True)
     raise typer.Exit(1)

@@ -9,6 +9,7 @@ import typer
 
 from rbtrg_robot.cli.drive import Robot
 from rbtrg_robot.scope import ROBOT
+from rbtrg_robot.terminal import say
 
 
 def register(app: typer.Typer) -> None:
@@ -40,7 +41,7 @@ def foxglove(
     with connect(robot) as bus:
         server = Foxglove(bus, host, port, commands=commands, origins=origin or ())
         taken = "goals and the stop" if commands else "only the stop"
-        print(f"ws://{host}:{server.port}, takes {taken}; Ctrl-C ends it", flush=True)
+        say(f"ws://{host}:{server.port}, takes {taken}; Ctrl-C ends it")
         try:
             server.run(lambda: False)
         except KeyboardInterrupt:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import say, say_json, say_text
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 
@@ -35,7 +35,7 @@ def scene_list() -> None:
     for name in scene_names():
         scene = load_scene(name)
         x0, y0, x1, y1 = scene.extent
-        print(f"{name:18s} {x1 - x0:4.1f} x {y1 - y0:4.1f} m  {scene.description}")
+        say(f"{name:18s} {x1 - x0:4.1f} x {y1 - y0:4.1f} m  {scene.description}")
 
 
 @scene_app.command("show")
@@ -67,18 +67,16 @@ def scene_show(
         "goals": {k: list(v) for k, v in scene.goals.items()},
     }
     if as_json:
-        print(json.dumps(record, indent=1))
+        say_json(record)
         return
     x0, y0, x1, y1 = scene.extent
-    print(f"{scene.name}: {scene.description}")
-    print(f"  x {x0:.2f} to {x1:.2f} m, y {y0:.2f} to {y1:.2f} m, cells {scene.resolution} m")
-    print(f"  start  x {scene.start[0]:.2f} y {scene.start[1]:.2f} yaw {scene.start[2] * 57.29578:.0f} deg")
+    say(f"{scene.name}: {scene.description}")
+    say(f"  x {x0:.2f} to {x1:.2f} m, y {y0:.2f} to {y1:.2f} m, cells {scene.resolution} m")
+    say(f"  start  x {scene.start[0]:.2f} y {scene.start[1]:.2f} yaw {scene.start[2] * 57.29578:.0f} deg")
     for goal, (x, y, yaw) in scene.goals.items():
-        print(
-            f"  goal {goal}: x {x:.2f} y {y:.2f}" + ("" if yaw is None else f" yaw {yaw * 57.29578:.0f} deg")
-        )
+        say(f"  goal {goal}: x {x:.2f} y {y:.2f}" + ("" if yaw is None else f" yaw {yaw * 57.29578:.0f} deg"))
     if png is not None:
-        print(f"picture in {png}")
+        say(f"picture in {png}")
 
 
 @config_app.command("show")
@@ -89,7 +87,7 @@ def config_show(
     """The whole configuration, defaults included."""
     from rbtrg_robot.config import load
 
-    print(load(config, set_ or ()).to_yaml(), end="")
+    say_text(load(config, set_ or ()).to_yaml())
 
 
 @config_app.command("schema")
@@ -97,7 +95,7 @@ def config_schema() -> None:
     """JSON schema of the configuration, with units."""
     from rbtrg_robot.config import StackConfig
 
-    print(json.dumps(StackConfig.model_json_schema(), indent=1))
+    say_json(StackConfig.model_json_schema())
 
 
 @map_app.command("save")
@@ -108,6 +106,8 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
     from rbtrg_robot.orders.map import FetchMap, save
     from rbtrg_robot.orders.order import follow
 
+    if file.suffix != ".npz":
+        raise MapError(f"{file} must end in .npz: `up --map` reads it by that")
     if not file.resolve().parent.is_dir():
         raise MapError(f"there is no folder {file.resolve().parent}")
     order = FetchMap()
@@ -115,7 +115,11 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
         end = follow(bus, order)
     if not order.patches:
         raise MapError(end.words)
-    print(f"{save(order.patches, order.cloud, file)} known cells -> {file}")
+    try:
+        known = save(order.patches, order.cloud, file)
+    except OSError as error:
+        raise MapError(f"cannot write {file}: {error.strerror}; make room or name another file") from error
+    say(f"{known} known cells -> {file}")
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
@@ -125,7 +129,7 @@ def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 
     worst = 0
     for finding in examine(port):
         mark = {Level.OK: "ok  ", Level.NOTE: "note", Level.FAULT: "BAD "}[finding.level]
-        print(f"{mark} {finding.what}: {finding.words}")
+        say(f"{mark} {finding.what}: {finding.words}")
         worst = max(worst, finding.level is Level.FAULT)
     raise typer.Exit(worst)
 
@@ -156,5 +160,5 @@ def report(
         pass  # the report says that no status is in it
     target = out or Path(f"report-{time.strftime('%Y%m%d-%H%M%S')}.tar.gz")
     for line in pack(target, run or (newest[0] if newest else None), answer, port):
-        print(f"missing: {line}")
-    print(f"{target}, {target.stat().st_size / 1e6:.1f} MB")
+        say(f"missing: {line}")
+    say(f"{target}, {target.stat().st_size / 1e6:.1f} MB")

@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from rbtrg_robot.terminal import say
+
 Folder = Annotated[
     Path | None, typer.Option("--dir", help="Where the keys lie; else rbtrg/keys in XDG_CONFIG_HOME.")
 ]
@@ -44,12 +46,12 @@ def keys_init(
 
     base = _folder(folder)
     certificates.make_authority(base, days, force=force)
-    print(f"{base / certificates.AUTHORITY}: the authority; keep it off the robot")
-    print(f"{base / ROBOT}: for the robot's computer (network.keys)")
+    say(f"{base / certificates.AUTHORITY}: the authority; keep it off the robot")
+    say(f"{base / ROBOT}: for the robot's computer (network.keys)")
     for role, names in ((Role.OPERATOR, operator), (Role.OBSERVER, observer)):
         for name in names or []:
             certificates.add(base, name, role, 365, force=force)
-            print(f"{base / name}: for the {role.value} {name}")
+            say(f"{base / name}: for the {role.value} {name}")
 
 
 @keys_app.command("add")
@@ -66,8 +68,8 @@ def keys_add(
 
     base = _folder(folder)
     made = certificates.add(base, name, Role(role), days, force=force)
-    print(f"{made}: for the {role} {name}")
-    print(_TAKES_EFFECT)
+    say(f"{made}: for the {role} {name}")
+    say(_TAKES_EFFECT)
 
 
 @keys_app.command("remove")
@@ -76,8 +78,8 @@ def keys_remove(name: Name, folder: Folder = None) -> None:
     from rbtrg_robot.access import certificates
 
     certificates.remove(_folder(folder), name)
-    print(f"{name} is off the list")
-    print(_TAKES_EFFECT)
+    say(f"{name} is off the list")
+    say(_TAKES_EFFECT)
 
 
 @keys_app.command("list")
@@ -96,7 +98,7 @@ def keys_list(folder: Folder = None) -> None:
             if file.parent.name in (certificates.AUTHORITY, ROBOT) or name in listed
             else "  NOT ON THE LIST"
         )
-        print(f"{name:40s} until {certificate.not_valid_after_utc:%Y-%m-%d}{here}")
+        say(f"{name:40s} until {certificate.not_valid_after_utc:%Y-%m-%d}{here}")
 
 
 _TAKES_EFFECT = "it counts when the robot has the new robot/access.txt and its stack was restarted"

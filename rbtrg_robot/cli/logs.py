@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import overwrite, say, say_json
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
@@ -54,7 +55,7 @@ def replay(
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"--rate must be positive, got {rate}")
     from rbtrg_robot.log.file import log_files
-    from rbtrg_robot.log.replay import Controls, Report, keyboard, play
+    from rbtrg_robot.log.replay import Controls, Report, alone, keyboard, play
 
     log_files(file)
     stopped: list[int] = []
@@ -63,11 +64,13 @@ def replay(
     controls = Controls(rate=rate, paused=paused)
     total = Report()
     with _replay_bus(robot, port) as bus, keyboard() as key:
+        check = alone(bus)
         while True:
             report = play(
                 bus,
                 file,
                 controls=controls,
+                check=check,
                 start_offset=start_offset,
                 duration=duration,
                 patterns=topics or ["*"],
@@ -82,8 +85,8 @@ def replay(
             if not loop or stopped or controls.quit:
                 break
     for name, count in sorted(report.skipped.items()):
-        print(f"not replayed: {count} x {name}")
-    print(
+        say(f"not replayed: {count} x {name}")
+    say(
         f"replayed {total.messages} messages, {total.seconds - start_offset:.1f} s of log, "
         f"{total.late} late, worst {1000 * total.worst:.0f} ms"
     )
@@ -91,7 +94,7 @@ def replay(
 
 def _progress(seconds: float, controls: Any) -> None:
     if sys.stderr.isatty():
-        print(f"\r{seconds:8.1f} s  x{controls.rate:.2f} ", end="", file=sys.stderr, flush=True)
+        overwrite(f"{seconds:8.1f} s  x{controls.rate:.2f}", error=True)
 
 
 def _replay_bus(robot: str, port: int) -> Any:
@@ -105,15 +108,13 @@ def _replay_bus(robot: str, port: int) -> Any:
         state = read_state(robot)
     except NotRunning:
         return Bus(f"tcp/127.0.0.1:{port}", "replay", Scope.of(0, robot), router=True)
-    bus = Bus(state["endpoint"], "replay", Scope.of(int(state["domain"]), robot))
-    if "robot" in bus.processes():
-        bus.close()
+    if "robot" in state["processes"]:  # it may be down this moment, and come back
         what = "real robot" if state["backend"] != "sim" else "simulated robot"
         raise ConfigError(
             f"a {what} is live on this bus (pid {state['pid']}); "
             "replay beside it is refused: `rbtrg-robot down`, or bring the stack up with --without robot"
         )
-    return bus
+    return Bus(state["endpoint"], "replay", Scope.of(int(state["domain"]), robot))
 
 
 def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, sets: list[str]) -> None:
@@ -141,12 +142,16 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
             bar.update(task, completed=seconds)
 
         counts = run_again(
-            *(file, names, out), file=config, sets=sets, progress=progress, say=bar.console.print
+            *(file, names, out),
+            file=config,
+            sets=sets,
+            progress=progress,
+            say=say,
         )
     wall = time.monotonic() - began
     for name, count in sorted(counts.items()):
-        print(f"{name:28s} {count:8d}")
-    print(f"{done:.1f} s of log in {wall:.1f} s ({done / wall:.1f} x real time) -> {out}")
+        say(f"{name:28s} {count:8d}")
+    say(f"{done:.1f} s of log in {wall:.1f} s ({done / wall:.1f} x real time) -> {out}")
 
 
 @log_app.command("info")
@@ -156,18 +161,18 @@ def log_info(file: Path, as_json: Json = False) -> None:
 
     summary = summarize(file)
     if as_json:
-        print(json.dumps(_summary(summary), indent=1))
+        say_json(_summary(summary))
         return
-    print(", ".join(summary.files))
+    say(", ".join(summary.files))
     for key, value in summary.metadata.items():
-        print(f"  {key}: {value}")
-    print(f"{'topic':28s} {'type':38s} {'count':>8s} {'Hz':>8s} {'gap s':>7s} {'MB':>8s}")
+        say(f"  {key}: {value}")
+    say(f"{'topic':28s} {'type':38s} {'count':>8s} {'Hz':>8s} {'gap s':>7s} {'MB':>8s}")
     for name, s in sorted(summary.topics.items()):
-        print(f"{name:28s} {s.type:38s} {s.count:8d} {s.rate:8.1f} {s.longest_gap:7.2f} {s.bytes / 1e6:8.2f}")
+        say(f"{name:28s} {s.type:38s} {s.count:8d} {s.rate:8.1f} {s.longest_gap:7.2f} {s.bytes / 1e6:8.2f}")
     for line in summary.damage:
-        print(f"damage: {line}")
+        say(f"damage: {line}")
     for name in summary.unfinished:
-        print(f"{name} is being written")
+        say(f"{name} is being written")
 
 
 @log_app.command("check")
@@ -178,9 +183,9 @@ def log_check(file: Path, as_json: Json = False) -> None:
     summary = summarize(file)
     problems = summary.problems()
     if as_json:
-        print(json.dumps(_summary(summary) | {"problems": problems}, indent=1))
+        say_json(_summary(summary) | {"problems": problems})
     else:
-        print("\n".join(problems) if problems else "no problems found")
+        say("\n".join(problems) if problems else "no problems found")
     if problems:
         raise typer.Exit(1)
 
@@ -197,9 +202,9 @@ def log_recover(
     target = out or file.with_name(f"{file.stem}.recovered.mcap")
     count, damage = recover(file, target)
     if as_json:
-        print(json.dumps({"messages": count, "damage": damage, "out": str(target)}))
+        say(json.dumps({"messages": count, "damage": damage, "out": str(target)}))
         return
-    print(f"{count} messages -> {target}" + (f" (the file was damaged {damage})" if damage else ""))
+    say(f"{count} messages -> {target}" + (f" (the file was damaged {damage})" if damage else ""))
 
 
 @log_app.command("film")
@@ -219,8 +224,8 @@ def log_list(base: Annotated[Path, typer.Argument(help="Folder of the runs.")] =
     found = runs(base)
     for run in found:
         words = "kept" if run.kept else "being written" if run.active else ""
-        print(f"{run.folder.name:48s} {run.size / 1e6:9.1f} MB  {words}".rstrip())
-    print(f"{len(found)} runs, {sum(run.size for run in found) / GIGABYTE:.2f} GB")
+        say(f"{run.folder.name:48s} {run.size / 1e6:9.1f} MB  {words}".rstrip())
+    say(f"{len(found)} runs, {sum(run.size for run in found) / GIGABYTE:.2f} GB")
 
 
 @log_app.command("keep")
@@ -232,7 +237,7 @@ def log_keep(
     from rbtrg_robot.log.keep import mark
 
     mark(run, keep=not off)
-    print(f"{run} {'may go when the quota is full' if off else 'stays'}")
+    say(f"{run} {'may go when the quota is full' if off else 'stays'}")
 
 
 @log_app.command("picture")
@@ -240,7 +245,7 @@ def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png."
     """Draw a run from above: the map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the way that was driven."""
     from rbtrg_robot.log.picture import picture
 
-    print(f"{picture(file, out):.1f} m driven -> {out}")
+    say(f"{picture(file, out):.1f} m driven -> {out}")
 
 
 def draw(log: Path, out: Path) -> None:
@@ -252,7 +257,7 @@ def draw(log: Path, out: Path) -> None:
     with Progress(disable=not sys.stderr.isatty()) as bar:
         task = bar.add_task("film", total=None)
         poses = film(log, out, lambda done, total: bar.update(task, completed=done, total=total))
-    print(f"{poses} poses -> {out}")
+    say(f"{poses} poses -> {out}")
 
 
 def _summary(summary: Any) -> dict[str, Any]:

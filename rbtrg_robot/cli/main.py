@@ -22,6 +22,7 @@ from rbtrg_robot.cli import (
     teleop,
     topic,
 )
+from rbtrg_robot.terminal import say
 
 app = typer.Typer(
     name="rbtrg-robot",
@@ -36,7 +37,7 @@ app = typer.Typer(
 
 def _version(show: bool) -> None:
     if show:
-        print(f"rbtrg-robot {__version__}")
+        say(f"rbtrg-robot {__version__}")
         raise typer.Exit
 
 
@@ -75,7 +76,7 @@ def main() -> None:
         text = one_line(error)
         if not isinstance(error, OperatorError):
             text = f"a fault in the program ({type(error).__name__}: {text}); {_keep(error)}"
-        print(f"rbtrg-robot: {text}", file=sys.stderr)
+        say(f"rbtrg-robot: {text}", error=True)
         sys.exit(1)
 
 

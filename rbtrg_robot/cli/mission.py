@@ -18,6 +18,7 @@ import typer
 from rbtrg_robot.cli.drive import Robot
 from rbtrg_robot.orders.who import me
 from rbtrg_robot.scope import ROBOT
+from rbtrg_robot.terminal import say, say_json
 
 if TYPE_CHECKING:
     from rbtrg_robot.missions.geojson import Origin
@@ -59,7 +60,8 @@ def run(
     mission = load(file)
     order = mission.order(uuid.uuid4().hex[:12], start=at, owner=me())
     if check:
-        print("\n".join(numbered(order)))
+        for line in numbered(order):
+            say(line)
         return
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE])
@@ -68,14 +70,14 @@ def run(
             order = mission.order(running.order_id, update=running.order_update_id + 1, start=at, owner=me())
         try:
             state = _ask(bus, "update" if update else "run", order=order)
-            print(words.lines(state)[0], flush=True)
+            say(words.lines(state)[0])
             if wait:
                 raise typer.Exit(_follow(bus, order.order_id))
         except KeyboardInterrupt:
-            print(words.lines(_ask(bus, "pause", order_id=order.order_id))[0])
+            say(words.lines(_ask(bus, "pause", order_id=order.order_id))[0])
             raise typer.Exit(STOPPED) from None
         if mission.on_comms_loss != "continue":
-            print(
+            say(
                 f"it will {mission.on_comms_loss} unless somebody watches: `rbtrg-robot mission status --follow`"
             )
 
@@ -95,9 +97,10 @@ def status(
         bus.subscribe([t.MISSION_STATE])
         state = _newest(bus)
         if as_json:
-            print(json.dumps(words.as_record(state), indent=1))
+            say_json(words.as_record(state))
             return
-        print("\n".join(words.lines(state)))
+        for line in words.lines(state):
+            say(line)
         if follow and state.phase not in ("idle", *EXIT):
             raise typer.Exit(_follow(bus, state.order_id))
 
@@ -137,7 +140,7 @@ def schema() -> None:
     """JSON schema of a mission file."""
     from rbtrg_robot.missions.file import MissionFile
 
-    print(json.dumps(MissionFile.model_json_schema(), indent=1))
+    say_json(MissionFile.model_json_schema())
 
 
 @app.command()
@@ -184,22 +187,22 @@ def record(
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE, t.TF_STATIC, t.ODOM])
         recording = Recording(name, _newest(bus, keep=(t.TF_STATIC, frame)).map, spacing)
-        print(HELP)
+        say(HELP)
         try:
             for line in _typed(bus):
                 if isinstance(line, str):
                     if line.strip() == "q":
                         break
-                    print(recording.say(line))
+                    say(recording.say(line))
                 elif t.TF_STATIC.carried(line[1], line[0]):
                     frame.take(line[1])
                 elif t.ODOM.carried(line[1], line[0]) and frame.known:
                     pose = line[1].pose.pose
                     here = frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
                     if said := recording.at(here):
-                        print(said)
+                        say(said)
         except KeyboardInterrupt:
-            print()
+            say()
     from rbtrg_robot.missions.file import dump
 
     _write(file, dump(recording.mission()))
@@ -228,7 +231,8 @@ def _tell(robot: str, action: str, **fields: Any) -> None:
 
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE])
-        print("\n".join(words.lines(_ask(bus, action, **fields))))
+        for line in words.lines(_ask(bus, action, **fields)):
+            say(line)
 
 
 def _newest(bus: Bus, keep: Any = None) -> Any:
@@ -286,7 +290,7 @@ def _follow(bus: Bus, order_id: str) -> int:
             text = words.lines(state)[0]
             if text != shown:
                 shown = text
-                print(text, flush=True)
+                say(text)
             if state.phase in EXIT:
                 return EXIT[state.phase]
 
@@ -302,7 +306,7 @@ def _write(target: Path, text: str) -> None:
         target.write_text(text if text.endswith("\n") else f"{text}\n")
     except OSError as error:
         _fail(f"cannot write {target}: {error.strerror}")
-    print(f"-> {target}")
+    say(f"-> {target}")
 
 
 def _silent() -> NoReturn:
@@ -312,5 +316,5 @@ def _silent() -> NoReturn:
 
 
 def _fail(text: str, code: int = UNANSWERED) -> NoReturn:
-    print(f"rbtrg-robot: {text}", file=sys.stderr)
+    say(f"rbtrg-robot: {text}", error=True)
     raise typer.Exit(code)

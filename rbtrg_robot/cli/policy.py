@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from rbtrg_robot.terminal import say
+
 policy_app = typer.Typer(help="Learnt locomotion policies of others.", no_args_is_help=True)
 
 
@@ -26,9 +28,9 @@ def policy_get(
     from hal.locomotion import public
 
     policy = public.published(name)
-    print(f"{name} from {source or policy.source}")
-    print(f"licence: {policy.licence}")
+    say(f"{name} from {source or policy.source}")
+    say(f"licence: {policy.licence}")
     folder, fetched = public.get(name, source)
-    print(
+    say(
         f"{folder}: {'fetched and checked' if fetched else 'already there, checked'}; the licence is in LICENSE"
     )

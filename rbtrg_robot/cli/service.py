@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import say, say_text
 
 app = typer.Typer(help="The stack as a service of systemd.", no_args_is_help=True)
 User = Annotated[bool, typer.Option("--user", help="A service of yours, not of the whole computer.")]
@@ -35,21 +36,21 @@ def install(
         options += ["--set", one]
     text = service.unit(loaded.robot, options, user=user)
     if dry_run:
-        print(text, end="")
+        say_text(text)
         return
     path = service.unit_path(loaded.robot, user=user)
     service.write(path, text)
     name = service.unit_name(loaded.robot)
     systemctl = "systemctl --user" if user else "sudo systemctl"
-    print(f"{path} is written: {loaded.backend} backend, robot {loaded.robot!r}. Next:")
-    print(f"  {systemctl} daemon-reload")
-    print(f"  {systemctl} enable --now {name}")
+    say(f"{path} is written: {loaded.backend} backend, robot {loaded.robot!r}. Next:")
+    say(f"  {systemctl} daemon-reload")
+    say(f"  {systemctl} enable --now {name}")
     if user:
-        print("  loginctl enable-linger        # it starts at boot and goes on after you log out")
-        print(f"  rbtrg-robot status --robot {loaded.robot}")
+        say("  loginctl enable-linger        # it starts at boot and goes on after you log out")
+        say(f"  rbtrg-robot status --robot {loaded.robot}")
     else:
         folder = f"XDG_RUNTIME_DIR=/run/{name}"
-        print(f"  {folder} rbtrg-robot status --robot {loaded.robot}        # as user {service.account()}")
+        say(f"  {folder} rbtrg-robot status --robot {loaded.robot}        # as user {service.account()}")
 
 
 @app.command()
@@ -67,5 +68,5 @@ def show(
         raise service.ServiceError(
             f"cannot read {path}: {error.strerror}; write it with `rbtrg-robot service install`"
         ) from error
-    print(f"# {path}")
-    print(text, end="")
+    say(f"# {path}")
+    say_text(text)

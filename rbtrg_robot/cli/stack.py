@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import say, say_json, say_text
 
 if TYPE_CHECKING:
     from rbtrg_robot.config import StackConfig
@@ -117,9 +118,7 @@ def up(
         folder = _run_folder(log_dir, loaded.scene if loaded.simulated else loaded.backend)
         loaded = loaded.model_copy(update={"log_dir": str(folder)})
         for gone in prune(folder.parent, loaded.recorder.keep_gb, spare=folder):  # makes room first
-            print(
-                f"removed {gone}: the runs took more than recorder.keep_gb = {loaded.recorder.keep_gb:g} GB"
-            )
+            say(f"removed {gone}: the runs took more than recorder.keep_gb = {loaded.recorder.keep_gb:g} GB")
         _write_config(folder, loaded)
         code = _supervise(loaded, zygote)
         if render is not None and not code:
@@ -195,7 +194,7 @@ def _write_config(folder: Path, config: StackConfig) -> None:
     try:
         path.write_text(config.to_yaml())
     except OSError as error:
-        print(f"rbtrg-robot: cannot write {path}: {error.strerror}; make room", file=sys.stderr)
+        say(f"rbtrg-robot: cannot write {path}: {error.strerror}; make room", error=True)
 
 
 def _supervise(config: StackConfig, zygote: Zygote) -> int:
@@ -233,15 +232,15 @@ def _detach() -> None:
     while time.monotonic() < deadline:
         code = child.poll()
         if code is not None:
-            print(output.read_text().strip().splitlines()[-1], file=sys.stderr)
+            say(output.read_text().strip().splitlines()[-1], error=True)
             output.unlink()
             raise typer.Exit(code or 1)
         try:
             state = state_of(child.pid)
             if state["ready"]:
-                print(output.read_text().strip())
+                say_text(output.read_text().strip())
                 name = "" if state["robot"] == ROBOT else f" --robot {state['robot']}"
-                print(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
+                say(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
                 output.unlink()
                 return
         except NotRunning:
@@ -251,7 +250,7 @@ def _detach() -> None:
         except subprocess.TimeoutExpired:
             continue
     child.terminate()
-    print(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", file=sys.stderr)
+    say(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", error=True)
     raise typer.Exit(1)
 
 
@@ -271,7 +270,7 @@ def down(robot: Robot = ROBOT) -> None:
         try:
             read_state(robot)
         except NotRunning:
-            print("down")
+            say("down")
             return
         time.sleep(0.05)
     supervisor.kill()  # each process ends with it; that of the robot stops the robot first
@@ -279,14 +278,14 @@ def down(robot: Robot = ROBOT) -> None:
     for process in left:
         process.kill()
     _, left = psutil.wait_procs([supervisor, *left], timeout=LEFT_LIMIT)
-    print(
+    say(
         f"rbtrg-robot: the supervisor (pid {pid}) hung and was killed; is the robot standing still?",
-        file=sys.stderr,
+        error=True,
     )
     if left:
-        print(f"rbtrg-robot: pid {', '.join(str(p.pid) for p in left)} cannot be killed", file=sys.stderr)
+        say(f"rbtrg-robot: pid {', '.join(str(p.pid) for p in left)} cannot be killed", error=True)
         raise typer.Exit(1)
-    print("down")
+    say("down")
 
 
 def status(
@@ -301,7 +300,7 @@ def status(
     if everybody:
         known = _everybody()
         if as_json:
-            print(json.dumps(known, indent=1))
+            say_json(known)
         else:
             plain_console().print(fleet(known))
         return
@@ -311,10 +310,10 @@ def status(
         from rbtrg_robot.access.identity import remote
 
         why = "; is this certificate still on the robot's list?" if remote() else ""
-        print(f"rbtrg-robot: the supervisor does not answer{why}", file=sys.stderr)
+        say(f"rbtrg-robot: the supervisor does not answer{why}", error=True)
         raise typer.Exit(1)
     if as_json:
-        print(json.dumps(json.loads(answer), indent=1))
+        say_json(json.loads(answer))
         return
     plain_console().print(render(json.loads(answer), topics=True))
 
@@ -342,6 +341,6 @@ def console(
     read_state(robot)
     address = console_address(robot, "observer" if observer else "operator")
     if not address:
-        print("rbtrg-robot: no console runs; was the stack started with --no-console?", file=sys.stderr)
+        say("rbtrg-robot: no console runs; was the stack started with --no-console?", error=True)
         raise typer.Exit(1)
-    print(address)
+    say(address)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import struct
-import sys
 import threading
 import time
 from typing import Any
@@ -22,6 +21,7 @@ from zenoh.handlers import Callback
 from rbtrg_robot.access.identity import client_tls, problem, remote
 from rbtrg_robot.orders.limits import PATIENCE, REPEAT, USE_HARDWARE, WORRY
 from rbtrg_robot.scope import Scope, meant
+from rbtrg_robot.terminal import say
 
 DEFAULT = "tcp/127.0.0.1:7447"
 """Endpoint of a stack that was given no other."""
@@ -39,7 +39,7 @@ def command(words: list[str]) -> int:
         elif word.startswith("--robot="):
             robot = word.partition("=")[2]
         elif words[max(number - 1, 0)] != "--robot":
-            print(f"rbtrg-robot: stop does not know {word!r}; stopping anyway", file=sys.stderr)
+            say(f"rbtrg-robot: stop does not know {word!r}; stopping anyway", error=True)
     try:
         return stop(robot)
     except KeyboardInterrupt:
@@ -60,7 +60,7 @@ def stop(robot: str, patience: float = PATIENCE) -> int:
             hung = (
                 "" if far is not None or not _is_up(robot) else "; `rbtrg-robot down` ends a stack that hangs"
             )
-            print(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}{hung}", file=sys.stderr)
+            say(f"rbtrg-robot: {why}; still trying, {USE_HARDWARE}{hung}", error=True)
 
     worry = threading.Timer(WORRY, tell)  # a computer that takes the connection and is silent costs 10 s
     worry.daemon = True
@@ -147,15 +147,15 @@ def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
         if sent == 1:
             session.declare_subscriber(f"{prefix}/{STATE_KEY}", Callback(heard, indirect=False))
         if confirmed.wait(REPEAT):
-            print(f"stopped: {causes[0]}")
+            say(f"stopped: {causes[0]}")
             return 0
         if worried and time.monotonic() > worried:
             worried = 0.0
-            print(
+            say(
                 f"rbtrg-robot: the robot has not confirmed yet; still sending, {USE_HARDWARE}",
-                file=sys.stderr,
+                error=True,
             )
-    print(f"rbtrg-robot: the robot does not confirm `stop`; {USE_HARDWARE}", file=sys.stderr)
+    say(f"rbtrg-robot: the robot does not confirm `stop`; {USE_HARDWARE}", error=True)
     return 1
 
 

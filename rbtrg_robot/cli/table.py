@@ -13,12 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from rbtrg_robot.orders.words import goal_line, mission_line, robot_line
+from rbtrg_robot.terminal import plain, plain_all, say
 
 REFRESH = 0.5
 
 
 def render(status: dict[str, Any], *, topics: bool = False) -> Group:
     """Processes, robot and what is wrong (or all topics)."""
+    status = plain_all(status)
     processes = Table(box=None, pad_edge=False)
     for title in ("process", "pid", "state", "restarts", "CPU %", "MB", "beat"):
         processes.add_column(title, justify="left" if title in ("process", "state") else "right")
@@ -26,7 +28,7 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         good = row["state"] == "ready"
         age = row["heartbeat_age"]
         processes.add_row(
-            row["process"],
+            Text(row["process"]),
             str(row["pid"] or "-"),
             Text(row["state"], style="green" if good else "yellow"),
             str(row["restarts"]),
@@ -57,7 +59,7 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         for row in shown:
             age = row["age"]
             table.add_row(
-                row["topic"],
+                Text(row["topic"]),
                 f"{row['rate']:.1f}",
                 f"{row['nominal']:g}",
                 "-" if age is None else f"{age:.2f} s",
@@ -80,13 +82,14 @@ def fleet(statuses: dict[str, dict[str, Any] | None]) -> Table:
         table.add_column(title)
     for name, status in statuses.items():
         if status is None:
-            table.add_row(name, "-", Text("the supervisor does not answer", style="red"))
+            table.add_row(Text(plain(name)), "-", Text("the supervisor does not answer", style="red"))
             continue
         rows = status["processes"]
         ready = sum(row["state"] == "ready" for row in rows)
         style = "green" if ready == len(rows) else "yellow"
         lines = [robot_line(status["robot"]), goal_line(status["robot"]), mission_line(status["robot"])]
-        table.add_row(name, Text(f"{ready}/{len(rows)} ready", style=style), "\n".join(filter(None, lines)))
+        told = "\n".join(plain(line) for line in lines if line)
+        table.add_row(Text(plain(name)), Text(f"{ready}/{len(rows)} ready", style=style), Text(told))
     return table
 
 
@@ -103,9 +106,9 @@ class Screen:
         """An event."""
         with contextlib.suppress(OSError):
             if self._rich:
-                self._console.print(f"[dim]{time.strftime('%H:%M:%S')}[/dim] {line}", highlight=False)
+                self._console.print(Text.assemble((time.strftime("%H:%M:%S "), "dim"), plain(line)))
             else:
-                print(line, flush=True)
+                say(line)
 
     def show(self, status: dict[str, Any]) -> None:
         """The table, twice a second."""

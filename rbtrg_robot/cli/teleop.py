@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import select
-import shutil
 import sys
 import time
 from typing import Annotated, Any
@@ -12,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import overwrite, say
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 PERIOD = 0.05
@@ -47,11 +47,11 @@ def teleop(
             bus.advertise(topic)
         tty.setcbreak(sys.stdin)
         try:
-            print(HELP)
+            say(HELP)
             _drive(bus, speed)
         finally:
             termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
-            print()
+            say()
 
 
 def _drive(bus: Any, speed: float) -> None:
@@ -99,9 +99,10 @@ def _drive(bus: Any, speed: float) -> None:
         words = _words(state, limits, speed, active, now)
         if words != said:
             said = words
-            print(f"\r\x1b[K{words[: shutil.get_terminal_size().columns - 1]}", end="", flush=True)
+            overwrite(words)
         if active is not None and active.outcome is not None:
-            print(f"\r\x1b[K{active.outcome.words}")
+            overwrite("")
+            say(active.outcome.words)
             active = None
         if leaving and active is None and not driving:
             return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from rbtrg_robot.scope import NAMED, ROBOT
+from rbtrg_robot.terminal import say, say_text
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 LogFile = Annotated[Path | None, typer.Option("--log", help="A log instead of the running stack.")]
@@ -45,25 +45,25 @@ def topic_list(log: LogFile = None) -> None:
         from rbtrg_robot.log.stats import summarize
 
         for name, s in sorted(summarize(log).topics.items()):
-            print(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
+            say(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
         return
     for x in t.TOPICS:
         rate = f"{x.rate:g} Hz" if x.rate else "event"
-        print(f"{x.name:28s} {x.type:38s} {rate:>7s} {x.owner or '-':10s} {x.doc}")
+        say(f"{x.name:28s} {x.type:38s} {rate:>7s} {x.owner or '-':10s} {x.doc}")
 
 
 @topic_app.command("hz")
 def topic_hz(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Rate of a topic, a line every second."""
     for count, _, span in _counts(name, log, seconds, robot):
-        print(f"{count / span:.2f} Hz", flush=True)
+        say(f"{count / span:.2f} Hz")
 
 
 @topic_app.command("bw")
 def topic_bw(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Bandwidth of a topic, a line every second."""
     for _, size, span in _counts(name, log, seconds, robot):
-        print(f"{size / span / 1000:.1f} kB/s", flush=True)
+        say(f"{size / span / 1000:.1f} kB/s")
 
 
 def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator[tuple[int, int, float]]:
@@ -74,7 +74,7 @@ def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator
 
         found = summarize(log).topics.get(wanted.name)
         if found is None:
-            print(f"{wanted.name} is not in {log}", file=sys.stderr)
+            say(f"{wanted.name} is not in {log}", error=True)
             raise typer.Exit(1)
         yield found.count, found.bytes, found.count / found.rate if found.rate else math.inf
         return
@@ -91,7 +91,7 @@ def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator
             now = time.monotonic()
             if now - last >= 1.0:
                 if not count:
-                    print(f"{wanted.name} is silent", file=sys.stderr)
+                    say(f"{wanted.name} is silent", error=True)
                 yield count, size, now - last
                 last, count, size = now, 0, 0
 
@@ -114,7 +114,7 @@ def topic_echo(
 
         for entry in read_run(log):
             if entry.topic == wanted.name:
-                print(as_text(decode(entry.data, entry.type)), "---", sep="\n")
+                say_text(f"{as_text(decode(entry.data, entry.type))}\n---")
                 shown += 1
                 if count and shown >= count:
                     return
@@ -126,7 +126,7 @@ def topic_echo(
         while not count or shown < count:
             for received in bus.take(0.2):
                 message = bus.open(received)
-                print("(no message)" if message is None else as_text(message), "---", sep="\n", flush=True)
+                say_text(f"{'(no message)' if message is None else as_text(message)}\n---")
                 shown += 1
                 if count and shown >= count:
                     return

@@ -24,8 +24,9 @@ from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.archive import Archive
+from rbtrg_robot.console.crowd import CrowdedSocket
 from rbtrg_robot.console.desk import Desk, Page
-from rbtrg_robot.console.door import OUTSIDE, VALID, WHO, Door, Guard
+from rbtrg_robot.console.door import OUTSIDE, STOP, VALID, WHO, Door, Guard
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.maps import Maps
 from rbtrg_robot.console.missions import MissionFiles
@@ -105,13 +106,13 @@ class Site:
         self.frames = self.bytes = 0
         """Sent so far."""
 
-    def app(self) -> ASGIApp:
+    def app(self, crowd: CrowdedSocket) -> ASGIApp:
         """With the guard around it."""
         routes = [
             Route(CONSOLE_ENTER, self._enter),
             Route("/", self._index),
             Route("/about", self._about),
-            Route("/stop", self._stop, methods=["POST"]),
+            Route(STOP, self._stop, methods=["POST"]),
             WebSocketRoute("/live", self._live),
             *Archive(self._config).routes(),
             *Maps(self._config, self._desk).routes(),
@@ -119,7 +120,7 @@ class Site:
             *robots.ROUTES,
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
-        return Guard(Starlette(routes=routes), self._door)
+        return Guard(Starlette(routes=routes), self._door, crowd)
 
     async def beat(self) -> None:
         """Until cancelled: tell all pages four times a second how old what they see is."""

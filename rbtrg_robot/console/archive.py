@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import re
 from pathlib import Path
@@ -13,6 +14,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from hal.errors import OperatorError
+from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Refused
 from rbtrg_robot.console.door import WHO
@@ -22,6 +24,8 @@ from rbtrg_robot.topics import Role
 
 LARGEST_BODY = 10_000
 """Bytes."""
+PATIENCE = 10.0
+"""[s] for all of it."""
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,80}")
 
 
@@ -94,11 +98,7 @@ class Archive:
             path = self._folder(request) / request.path_params["file"]
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 404)
-        if (
-            not NAME.fullmatch(path.name)
-            or path.suffix not in (".mcap", ".yaml", ".log")
-            or not path.is_file()
-        ):
+        if not NAME.fullmatch(path.name) or path.suffix not in (".mcap", ".yaml", ".log") or not is_own(path):
             return JSONResponse({"words": "there is no such file"}, 404)
         return FileResponse(path, filename=f"{path.parent.name}_{path.name}")
 
@@ -114,10 +114,14 @@ def run_folder(base: Path, name: str) -> Path:
 async def body_of(request: Request) -> bytes:
     """What was posted. Raises Refused for more than a page posts."""
     body = b""
-    async for part in request.stream():
-        body += part
-        if len(body) > LARGEST_BODY:
-            raise Refused("that is too long")
+    try:
+        async with asyncio.timeout(PATIENCE):
+            async for part in request.stream():
+                body += part
+                if len(body) > LARGEST_BODY:
+                    raise Refused("that is too long")
+    except TimeoutError as error:
+        raise Refused("that takes too long") from error
     return body
 
 

@@ -24,7 +24,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.console.replays import GO_ON, PAUSE
 from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.log.file import CONFIG, first_of, read_run
-from rbtrg_robot.log.replay import Controls, play
+from rbtrg_robot.log.replay import Controls, alone, play
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.process.zygote import PR_SET_PDEATHSIG, prctl
 from rbtrg_robot.scope import Scope
@@ -37,7 +37,8 @@ TOLD = 0.5
 
 def tell(**content: Any) -> None:
     """One line."""
-    print(json.dumps(content), flush=True)
+    sys.stdout.write(f"{json.dumps(content)}\n")
+    sys.stdout.flush()
 
 
 class Progress:
@@ -73,12 +74,14 @@ class Wishes:
 
 
 def play_run(endpoint: str, domain: str, run: str, rate: str, start: str) -> None:
-    """Raises LogError, BusError."""
+    """Raises LogError, BusError, ReplayError."""
     controls, progress = Controls(rate=float(rate)), Progress()
     with Bus(endpoint, "replay", Scope(int(domain))) as bus:
+        check = alone(bus)  # another robot on this router may have that domain
         report = play(
             *(bus, Path(run)),
             controls=controls,
+            check=check,
             start_offset=float(start),
             patterns=["*"],
             key=Wishes(controls, progress),

@@ -20,6 +20,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from rbtrg_robot.console.crowd import CrowdedSocket
 from rbtrg_robot.process.runfiles import CONSOLE_ENTER, console_file
 from rbtrg_robot.topics import Role
 
@@ -36,6 +37,8 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+STOP = "/stop"
+"""Where a page stops the robot, however many pages there are."""
 OUTSIDE = (
     "Open the address that `rbtrg-robot console` prints on the robot's computer: it lets this browser in.\n"
 )
@@ -116,9 +119,10 @@ class Door:
 class Guard:
     """ASGI: lets through whoever names this host, comes from this page and shows a cookie, over HTTP and WebSocket alike."""
 
-    def __init__(self, app: ASGIApp, door: Door) -> None:
+    def __init__(self, app: ASGIApp, door: Door, crowd: CrowdedSocket) -> None:
         self._app = app
         self._door = door
+        self._crowd = crowd
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """One request or connection."""
@@ -150,6 +154,8 @@ class Guard:
         if who is None:
             return 401, OUTSIDE
         scope[WHO] = who
+        if not self._crowd.admit(scope["client"]) and scope["path"] != STOP:
+            return 503, "Too many pages are open: close some.\n"
         return 0, ""
 
 

@@ -12,6 +12,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from hal.errors import OperatorError
+from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.archive import NAME, operator
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
@@ -41,12 +42,12 @@ class Maps:
 
     def _path(self, name: str) -> Path:
         path = self._folder / name
-        if not NAME.fullmatch(name) or path.suffix != ".npz" or not path.is_file():
+        if not NAME.fullmatch(name) or path.suffix != ".npz" or not is_own(path):
             raise Refused("there is no such map")
         return path
 
     async def _list(self, _request: Request) -> Response:
-        found = sorted(self._folder.glob("*.npz")) if self._folder.is_dir() else []
+        found = sorted(filter(is_own, self._folder.glob("*.npz")))
         return JSONResponse(
             [{"name": x.name, "megabytes": round(x.stat().st_size / 1e6, 2), "path": str(x)} for x in found]
         )

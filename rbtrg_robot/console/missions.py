@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
 from rbtrg_robot.console.frames import mission_order
@@ -39,7 +40,7 @@ class MissionFiles:
     def load(self, name: str) -> MissionFile:
         """A file by its name. Raises MissionError."""
         path = self._folder / name
-        if not NAME.fullmatch(name) or not path.is_file():
+        if not NAME.fullmatch(name) or not is_own(path):
             raise MissionError(f"there is no mission {name[:80]!r} in {self._folder}")
         return load(path)
 

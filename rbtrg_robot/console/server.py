@@ -21,6 +21,7 @@ from rbtrg_robot.access.certificates import check
 from rbtrg_robot.access.identity import CERTIFICATE, KEY, ROBOT, keys_dir
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.app import Site
+from rbtrg_robot.console.crowd import CrowdedSocket
 from rbtrg_robot.console.desk import Desk
 from rbtrg_robot.console.door import Door
 from rbtrg_robot.console.feed import HEARD, Feed
@@ -31,7 +32,9 @@ from rbtrg_robot.wire.heart import Heart
 log = logging.getLogger(__name__)
 
 LARGEST = 16_384
-"""Bytes of a message from a page."""
+"""Bytes of a message from a page, and of the head of a request."""
+BACKLOG = 64
+"""Connections that wait, and that are accepted in one turn of the loop."""
 LOOPBACK = "127.0.0.1"
 STATUS_PERIOD, TURN = 1.0, 0.05
 """[s]"""
@@ -41,14 +44,14 @@ class ConsoleError(OperatorError):
     """The console cannot serve; the message tells what to do."""
 
 
-def listening(host: str, port: int) -> socket.socket:
+def listening(host: str, port: int) -> CrowdedSocket:
     """A socket on this address; on any free port where that one is taken. Raises ConsoleError."""
     for wanted in (port, 0):
-        found = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+        found = CrowdedSocket(socket.AF_INET6 if ":" in host else socket.AF_INET)
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             found.bind((host, wanted))
-            found.listen(64)
+            found.listen(BACKLOG)
         except OSError as error:
             found.close()
             if wanted == 0 or host != LOOPBACK:  # elsewhere people wrote the address down
@@ -79,6 +82,7 @@ class Serving:
     feed: Feed
     site: Site
     door: Door
+    listener: CrowdedSocket
     worker: threading.Thread
     """Of the server."""
 
@@ -116,7 +120,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     bus.subscribe(tuple(dict.fromkeys((*HEARD, *desk.HEARS))))
     server = uvicorn.Server(
         uvicorn.Config(
-            site.app(),
+            site.app(listener),
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -124,6 +128,9 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
             server_header=False,
             ws_per_message_deflate=False,
             ws_max_size=LARGEST,
+            h11_max_incomplete_event_size=LARGEST,
+            http="h11",
+            backlog=BACKLOG,
             timeout_graceful_shutdown=1,
             **tls,
         )
@@ -160,7 +167,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     worker.start()
     log.info("serving %s", door.address)
     try:
-        yield Serving(desk, feed, site, door, worker)
+        yield Serving(desk, feed, site, door, listener, worker)
     finally:
         ended.set()
         asker.join(2 * STATUS_PERIOD)

@@ -29,6 +29,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
 from hal.errors import OperatorError
+from hal.regular import open_regular
 from rbtrg_robot import __version__, msg
 from rbtrg_robot.log.packed import pack, unpack
 from rbtrg_robot.topics import SWEEPS, Qos, Topic
@@ -249,7 +250,7 @@ def read_log(
     file at all."""
     found = contents if contents is not None else LogContents()
     try:
-        stream = path.open("rb")
+        stream = open_regular(path)
     except OSError as error:
         raise LogError(f"cannot read {path}: {error.strerror}") from error
     with stream:
@@ -359,7 +360,7 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
 
 def is_being_written(path: Path) -> bool:
     """A LogWriter has it open."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         try:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -370,7 +371,7 @@ def is_being_written(path: Path) -> bool:
 def is_intact(path: Path) -> bool:
     """True when a file has its index, without reading the messages."""
     try:
-        with open(path, "rb") as stream:
+        with open_regular(path) as stream:
             return make_reader(stream).get_summary() is not None
     except Exception:  # noqa: BLE001 - any failure to read the summary means the same thing
         return False

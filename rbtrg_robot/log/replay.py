@@ -6,6 +6,7 @@ import math
 import select
 import sys
 import termios
+import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
 
+from hal.errors import OperatorError
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import Entry, read_run
 from rbtrg_robot.topics import Qos, Topic
@@ -24,6 +26,31 @@ LATE = 0.05
 RATE_STEP = 1.1
 OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
 """Told by processes that do not run in a replay."""
+LATEST = 2**63 - 1
+"""A stamp on the wire [ns]; a log has room for later ones."""
+ROBOT = "robot"
+"""The process that moves one."""
+
+
+class ReplayError(OperatorError):
+    """A log is not played here, or no longer; the message says why."""
+
+
+def alone(bus: Bus) -> Callable[[], None]:
+    """A function that raises ReplayError once a robot is on the bus: its stack would take what is played for what is. Raises it now where one is."""
+    came = threading.Event()
+
+    def check() -> None:
+        if came.is_set():
+            raise ReplayError(
+                "a robot is live on this bus: a log is not played beside it; `rbtrg-robot down`, or bring the stack up with --without robot"
+            )
+
+    if ROBOT in bus.processes():
+        came.set()
+    check()
+    bus.watch_processes(lambda process, alive: came.set() if alive and process == ROBOT else None)
+    return check
 
 
 @dataclass(slots=True)
@@ -99,6 +126,7 @@ def play(
     log: Path,
     *,
     controls: Controls,
+    check: Callable[[], None],
     start_offset: float = 0.0,
     duration: float = math.inf,
     patterns: list[str],
@@ -106,7 +134,7 @@ def play(
     progress: Callable[[float, Controls], None] = lambda _seconds, _controls: None,
     stopping: Callable[[], bool] = lambda: False,
 ) -> Report:
-    """Publish once through. Latched values from before the offset are sent first. Raises LogError."""
+    """Publish once through. Latched values from before the offset are sent first. `check`: of `alone`. Raises LogError, ReplayError."""
     report = Report()
     zero: int | None = None
     latched: dict[Topic, Entry] = {}
@@ -122,10 +150,12 @@ def play(
             continue
         if position > start_offset + duration:
             break
+        check()
         for topic, entry in latched.items():
             publish(bus, topic, entry, report)
         latched = {}
         while True:
+            check()
             pressed = key()
             if pressed:
                 now = time.monotonic()
@@ -160,5 +190,5 @@ def play(
 
 def publish(bus: Bus, topic: Topic, entry: Entry, report: Report) -> None:
     """The wire bytes as they were."""
-    bus.advertise(topic).put(entry.data, entry.publish_time)
+    bus.advertise(topic).put(entry.data, min(entry.publish_time, LATEST))
     report.messages += 1

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hal.regular import open_regular
 from rbtrg_robot.missions.file import MissionError, MissionFile, parse
 from rbtrg_robot.yaml_file import LARGEST
 
@@ -165,7 +166,7 @@ def _nest(
 def load(path: Path, origin: Origin | None = None) -> MissionFile:
     """Read a GeoJSON file. Raises MissionError."""
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             text = file.read(LARGEST + 1)
         if len(text) > LARGEST:
             raise MissionError(f"{path} has more than {LARGEST:,} bytes")

@@ -7,14 +7,22 @@ import faulthandler
 import importlib
 import logging
 import signal
-import sys
 import threading
 from typing import Any
+
+from rbtrg_robot.terminal import plain, say
 
 FATAL = 78
 """Exit status for what a restart cannot mend (EX_CONFIG in sysexits.h)."""
 PASSING = 75
 """Exit status for what may be gone at the next start (EX_TEMPFAIL)."""
+
+
+class _Formatter(logging.Formatter):
+    """Words that came over the bus stand in these lines, and people read them in a terminal."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        return plain(super().formatMessage(record))
 
 
 def run(spec: dict[str, Any]) -> int:
@@ -27,7 +35,9 @@ def run(spec: dict[str, Any]) -> int:
     stop = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     faulthandler.enable()
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(name)s %(levelname)s %(message)s")
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Formatter("%(asctime)s %(name)s %(levelname)s %(message)s"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
     from hal.errors import OperatorError, one_line
     from rbtrg_robot.config import load
@@ -58,6 +68,6 @@ def run(spec: dict[str, Any]) -> int:
             finally:
                 stage.close()
     except OperatorError as error:
-        print(f"error: {one_line(error)}", file=sys.stderr, flush=True)
+        say(f"error: {one_line(error)}", error=True)
         return PASSING if error.retry else FATAL
     return 0

@@ -8,6 +8,8 @@ import socket
 import time
 from collections.abc import Mapping
 
+from rbtrg_robot.terminal import plain
+
 log = logging.getLogger(__name__)
 
 
@@ -46,7 +48,7 @@ class Notifier:
         """One line for `systemctl status`; sent when it changes."""
         if words != self._told:
             self._told = words
-            self._send(f"STATUS={words}")
+            self._send(f"STATUS={plain(words)}")  # a line of its own would be another message
 
     def stopping(self) -> None:
         """The end has begun."""

@@ -17,6 +17,7 @@ from typing import Any
 from mcap.records import Channel, Schema
 
 from hal.errors import one_line
+from hal.regular import is_own
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.file import (
@@ -107,8 +108,8 @@ def _status(status: bytes | None) -> bytes:
 
 
 def _own(path: Path) -> Path:
-    """A file of the run itself. Raises LogError for a link: a folder that came from elsewhere would take a file of this computer, a key, into the archive."""
-    if path.is_symlink() or not path.is_file():
+    """A file of the run itself. Raises LogError for another one, which a link would take into the archive."""
+    if not is_own(path):
         raise LogError(f"{path} is no file of the run")
     return path
 

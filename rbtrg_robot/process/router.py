@@ -27,6 +27,10 @@ def open_bus(config: StackConfig, **ours: Any) -> Bus:
                 f"a stack of robot {config.robot!r} is on the router at {config.endpoint} already (domain {config.domain}): "
                 "end that one, or give this one another --robot"
             )
+        if bus.second("replay"):
+            raise RobotTaken(
+                f"a log is played on the router at {config.endpoint} (robot {config.robot!r}, domain {config.domain}): end that first"
+            )
     except OperatorError:
         bus.close()
         raise

@@ -190,6 +190,7 @@ class Supervisor:
             scene=self._config.scene,
             log_dir=self._config.log_dir if self._config.record else "",
             ready=self._ready,
+            processes=list(self._children),
         )
 
     def _well(self) -> bool:

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from hal.errors import OperatorError
+from rbtrg_robot.terminal import say
 
 log = logging.getLogger(__name__)
 
@@ -260,7 +261,7 @@ def _settle(request: dict[str, Any], supervisor: int) -> None:
         os.dup2(output, 2)
         os.close(output)
     except OSError as error:  # to run is more than to be logged
-        print(f"{name}: cannot write {log_path}: {error.strerror}; its output comes here", file=sys.stderr)
+        say(f"{name}: cannot write {log_path}: {error.strerror}; its output comes here", error=True)
     # These two end in order (stop the robot, index the log); the others have nothing to lose.
     prctl(PR_SET_PDEATHSIG, signal.SIGTERM if name in ("robot", "recorder") else signal.SIGKILL)
     if os.getppid() != supervisor:  # it ended before the line above

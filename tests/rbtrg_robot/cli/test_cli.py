@@ -8,7 +8,6 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -24,6 +23,7 @@ from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import encode, header, time_msg
+from tests.rbtrg_robot.conftest import Here
 from tools.bench.ports import free_port
 
 
@@ -39,30 +39,6 @@ def run(*arguments: str, tmp_path: Path, limit: float = 60.0) -> subprocess.Comp
         timeout=limit,
         check=False,
     )
-
-
-Here = Callable[..., subprocess.CompletedProcess[str]]
-
-
-@pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Here:
-    """The command in this process, which has imported everything already."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setenv("COLUMNS", "200")
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-
-    def call(*arguments: str) -> subprocess.CompletedProcess[str]:
-        monkeypatch.setattr(sys, "argv", ["rbtrg-robot", *arguments])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            main()
-        said = capfd.readouterr()
-        code = ended.value.code
-        assert isinstance(code, int)
-        return subprocess.CompletedProcess(arguments, code, said.out, said.err)
-
-    return call
 
 
 BAD = [

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import threading
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ from mapping.elevation import ElevationMap, MapError
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.inspect import map_save
+from rbtrg_robot.orders.map import FetchMap
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.wire.bus import Bus
@@ -64,6 +68,50 @@ def test_the_map_is_asked_for_and_saved(endpoint: str, tmp_path: Path) -> None:
     want, got = elevation.full().layers, loaded.full().layers
     np.testing.assert_array_equal(got["trusted"], want["trusted"])
     np.testing.assert_allclose(got["elevation"], want["elevation"], atol=1e-6)
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, file: Path) -> str:
+    """What `map save` says where it cannot write."""
+    monkeypatch.setattr("rbtrg_robot.cli.link.connect", lambda _robot: contextlib.nullcontext())
+
+    def fetched(_bus: object, order: FetchMap) -> None:
+        order.patches = [seen_map().full()]
+
+    monkeypatch.setattr("rbtrg_robot.orders.order.follow", fetched)
+    with pytest.raises(MapError) as error:
+        map_save(file)
+    return str(error.value)
+
+
+def test_what_cannot_be_written_is_one_line_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "folder.npz").mkdir()
+    assert "Is a directory; make room or name another file" in refused(monkeypatch, tmp_path / "folder.npz")
+    assert "File name too long" in refused(monkeypatch, tmp_path / f"{'x' * 300}.npz")
+    for name in ("map", "map.ply", "..", "."):
+        assert "must end in .npz" in refused(monkeypatch, tmp_path / name)
+
+    def full(file: IO[bytes], **_: object) -> None:
+        file.write(b"half a map")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    (tmp_path / "map.npz").write_bytes(b"the map of before")
+    assert "No space left on device; make room" in refused(monkeypatch, tmp_path / "map.npz")
+    assert (tmp_path / "map.npz").read_bytes() == b"the map of before"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.npz", "map.npz"]
+
+
+def test_a_map_is_written_through_no_link(tmp_path: Path) -> None:
+    """The name of the unfinished file could be known, and a link of that name led to any file."""
+    (tmp_path / "secret").write_text("key")
+    for name in ("map.npz.part", "map.npz"):
+        (tmp_path / name).symlink_to("secret")
+    seen_map().save(tmp_path / "map.npz")
+    assert (tmp_path / "secret").read_text() == "key"
+    assert not (tmp_path / "map.npz").is_symlink()
+    assert ElevationMap().load_prior(tmp_path / "map.npz") > 0
 
 
 def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:

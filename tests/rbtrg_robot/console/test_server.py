@@ -169,6 +169,22 @@ def test_no_path_leads_out_of_the_folder(console: Console, name: str) -> None:
         assert get(console, path, Cookie=good)[0] in (404, 405)
 
 
+def test_no_link_leads_out_of_the_folder(console: Console, tmp_path: Path) -> None:
+    """A folder of runs or maps that was unpacked may hold links: an observer would read what they lead to."""
+    good = cookie(console, "observer")
+    (tmp_path / "key").write_text("secret")
+    base = Path(console.config.log_dir).parent
+    for name in ("20260102/log_0.mcap", "maps/gone.npz", "maps/key.npz", "missions/key.yaml"):
+        (base / name).parent.mkdir(parents=True, exist_ok=True)
+        (base / name).symlink_to(tmp_path / ("gone" if "gone" in name else "key"))
+    (base / "20260102" / "config.yaml").touch()
+    for path in ("/runs/20260102/log_0.mcap", "/maps/key.npz", "/missions/key.yaml"):
+        assert get(console, path, Cookie=good)[0] == 404, path
+    assert get(console, "/maps", Cookie=good)[::2] == (200, b"[]")
+    for name in ("gone", "key"):
+        (base / f"maps/{name}.npz").unlink()
+
+
 def test_a_map_is_saved_and_listed(console: Console) -> None:
     who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}
     status, _, words = get(console, "/maps/yard_1", "POST", **who)

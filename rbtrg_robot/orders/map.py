@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import MapPatch
+from mapping.elevation.exchange import MapError, MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.orders.order import Order, Outcome
@@ -111,10 +112,14 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
 
 
 def save(patches: list[MapPatch], cloud: NDArray[np.float32], file: Path) -> int:
-    """Write it as `up --map` reads it; returns the number of known cells."""
+    """Write it as `up --map` reads it; returns the number of known cells. Raises OSError, MapError."""
     from mapping.elevation.map import ElevationMap
 
-    elevation = ElevationMap(ElevationConfig(resolution=patches[0].resolution))
+    try:
+        config = ElevationConfig(resolution=patches[0].resolution)
+    except ValidationError as error:
+        raise MapError(f"a map with cells of {patches[0].resolution:g} m came: it is not kept") from error
+    elevation = ElevationMap(config)
     known = sum(map(elevation.restore, patches))
     elevation.cloud.enter(cloud)
     elevation.save(file)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -15,7 +16,7 @@ from mapping.elevation import ElevationMap, MapError
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.inspect import map_save
-from rbtrg_robot.orders.map import FetchMap
+from rbtrg_robot.orders.map import FetchMap, save
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.wire.bus import Bus
@@ -101,6 +102,11 @@ def test_what_cannot_be_written_is_one_line_and_leaves_nothing(
     assert "No space left on device; make room" in refused(monkeypatch, tmp_path / "map.npz")
     assert (tmp_path / "map.npz").read_bytes() == b"the map of before"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["folder.npz", "map.npz"]
+
+
+def test_a_map_that_no_map_can_be_is_not_kept(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="cells of 3 m"):
+        save([replace(seen_map().full(), resolution=3.0)], np.empty((0, 3), np.float32), tmp_path / "a.npz")
 
 
 def test_a_map_is_written_through_no_link(tmp_path: Path) -> None:

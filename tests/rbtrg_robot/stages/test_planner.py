@@ -26,12 +26,13 @@ def patch(
     trusted: np.ndarray | None = None,
     cell: tuple[int, int] = (0, 0),
     stamp: int = NS,
+    bound: float = np.nan,
 ) -> Any:
-    """Map message; `cell` is the lattice row and column of cell [0, 0]."""
+    """Map message; `cell` is the lattice row and column of cell [0, 0], `bound` [m] what rays tell of the cells that are not trusted."""
     layers = {name: np.zeros(height.shape, np.float32) for name in PATCH_LAYERS}
     layers["trusted"] = (np.ones(height.shape) if trusted is None else trusted).astype(np.float32)
     layers["elevation"] = np.where(layers["trusted"] > 0, height, np.nan).astype(np.float32)
-    layers["upper_bound"][:] = np.nan
+    layers["upper_bound"][:] = np.where(layers["trusted"] > 0, np.nan, bound)
     return patch_msg(MapPatch((cell[1] * RES, cell[0] * RES), RES, stamp, 0, layers))
 
 

@@ -1,7 +1,7 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
     python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--mounts 15] [--metres 1000]
-                                    [--only relocalise|offset|mounts|map_1km|map|soak] [--no-joints]
+                                    [--only relocalise|offset|mounts|map_1km|map|soak|odometry|basin|lanes] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
@@ -27,6 +27,7 @@ from tools.bench.perception.odometry import Errors, drive, errors
 from tools.bench.report import Report
 from tools.synthetic import arena_run
 
+PARTS = "relocalise", "offset", "mounts", "map_1km", "map", "soak", "odometry", "basin", "lanes"
 ENGINES = ("kiss_icp", "small_gicp", "stock")
 RPE_LIMIT = {
     ("xt16", "kiss_icp"): (12.0, 0.20),
@@ -52,7 +53,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--soak", type=float, default=3.0, metavar="MINUTES")
     parser.add_argument("--lanes", type=int, default=4, metavar="N")
     parser.add_argument("--poses", type=int, default=20, metavar="N")
-    parser.add_argument("--only", choices=("relocalise", "offset", "mounts", "map_1km", "map", "soak"))
+    parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--metres", type=float, default=1000.0)
     parser.add_argument("--basin", type=int, default=24, metavar="N")
     parser.add_argument("--mounts", type=float, default=15.0, metavar="SECONDS")
@@ -60,7 +61,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--no-joints", action="store_true")
     options = parser.parse_args(args)
     report = Report("perception")
-    asked = {options.only} if options.only else {"relocalise", "offset", "mounts", "map_1km", "map", "soak"}
+    asked = {options.only} if options.only else set(PARTS)
     if options.poses > 0 and "relocalise" in asked:
         _perception_relocalise.rows(report, options.poses, options.seed)
     if options.mounts > 0.0 and "mounts" in asked:
@@ -73,14 +74,13 @@ def run(args: list[str]) -> Report:
         _perception_map.rows(report, options.lidar.split(","), options.seconds, options.seed)
     if options.soak > 0.0 and "soak" in asked:
         _perception_soak.rows(report, options.soak)
-    if options.only:
-        return report
-    for lidar in options.lidar.split(","):
-        _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
-    _perception_lidar.rows(report, options.lidar.split(","))
-    if options.basin > 0:
+    if "odometry" in asked:
+        for lidar in options.lidar.split(","):
+            _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
+        _perception_lidar.rows(report, options.lidar.split(","))
+    if options.basin > 0 and "basin" in asked:
         _perception_basin.rows(report, options.basin)
-    if options.lanes > 0:
+    if options.lanes > 0 and "lanes" in asked:
         _perception_lanes.rows(report, options.lanes, LANE_SECONDS)
     return report
 

@@ -55,6 +55,12 @@ def test_coordinates_of_utm_are_refused_with_what_to_do(origin: tuple[float, flo
         ElevationGrid(flat, np.ones((3, 3), np.bool_), origin, 0.04)
     with pytest.raises(ConfigError, match="subtract"):
         load(None, [], origin=(*origin, 0.0))
+    load(None, [], origin=(49_000.0, 0.0, 0.0))
+    with pytest.raises(ConfigError, match="subtract"):
+        load(None, [], origin=(51_000.0, 0.0, 0.0))
+    ElevationGrid(flat, np.ones((3, 3), np.bool_), (99_000.0, 0.0), 0.04)
+    with pytest.raises(GridError, match="subtract"):
+        ElevationGrid(flat, np.ones((3, 3), np.bool_), (101_000.0, 0.0), 0.04)
     layers = dict.fromkeys(PATCH_LAYERS, flat)
     with pytest.raises(LayoutError):
         map_patch(patch_msg(MapPatch(origin, 0.04, 1, 0, layers)), 0)

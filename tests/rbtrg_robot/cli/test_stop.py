@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -182,6 +183,29 @@ def test_where_nobody_answers_it_goes_on_trying_and_says_so(
     assert places("go2w") == [(endpoint, "0/**")]
     assert stop("go2w", patience=0.5) == 1
     assert f"nothing answers on {endpoint}; still trying, use the hardware stop" in capsys.readouterr().err
+
+
+def test_beside_a_supervisor_that_hangs_it_says_so_before_the_connection_ends(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert module.WORRY == 1.0
+    monkeypatch.setattr(module, "WORRY", 0.05)
+    monkeypatch.setattr(module, "DEFAULT", endpoint)
+    said: list[str] = []
+
+    def hangs(_endpoint: str) -> None:
+        time.sleep(0.4)
+        said.append(capsys.readouterr().err)
+
+    monkeypatch.setattr(module, "_open", hangs)
+    lock = RunLock("go2w")
+    try:
+        lock.write_state(robot="go2w")
+        assert stop("go2w", patience=0.2) == 1
+    finally:
+        lock.release()
+    assert f"nothing answers on {endpoint}; still trying, use the hardware stop" in said[0]
+    assert "`rbtrg-robot down` ends a stack that hangs" in said[0]
 
 
 def test_a_word_it_does_not_know_keeps_nothing_from_being_stopped(

@@ -305,5 +305,7 @@ def test_a_process_that_comes_back_does_not_set_the_robot_going_again_at_once(ri
     rig.run(0.9)
     assert abs(rig.speed()) < REST
     assert "held (navigator just came back)" in rig.line()
+    rig.run(0.2)
+    assert "just came back" not in rig.line()
     rig.cruise()
     assert "held" not in rig.line()

@@ -52,6 +52,7 @@ class Pipeline:
         self.newest: dict[Topic, Any] = {}
         self.stamps: list[int] = []
         self.reasons: list[str] = []
+        self.healths: list[str] = []
         self.stages = build_stages(config, ["odometry", "elevation"])
         self.host = SyncHost(self.stages, self._hear)
 
@@ -61,6 +62,7 @@ class Pipeline:
             self.stamps.append(stamp_of(heard))
         elif topic is t.ODOM_HEALTH:
             self.reasons.append(heard.reason)
+            self.healths.append(heard.health)
 
     def feed(self, stream: Messages) -> None:
         self.host.tick(max(stamp_of(stream[0][1]), 0))
@@ -178,8 +180,9 @@ def test_equal_point_times_never_reach_the_library(samples: list[Sample], time: 
 def test_clouds_without_a_time_per_point_are_told(samples: list[Sample]) -> None:
     pipeline = Pipeline()
     pipeline.feed(spoil(samples, lambda s: [edited(s, "time", 0.0)]))
-    told = [reason for reason in pipeline.reasons if "carry no time" in reason]
-    assert len(told) == len(BAD)
+    told = zip(pipeline.healths, pipeline.reasons, strict=True)
+    healths = [health for health, reason in told if "carry no time" in reason]
+    assert healths == ["degraded"] * len(BAD)
     pipeline.well()
 
 

@@ -45,17 +45,20 @@ class Scripted:
 AWAY = (PASSING, "no LowState: is the cable in?")
 
 
-def supervised(folder: Path, script: list[tuple[int, str] | None]) -> tuple[Supervisor, Scripted, list[str]]:
-    """A supervisor of a robot process alone, what starts its processes, and what it says."""
+def supervised(
+    folder: Path, script: list[tuple[int, str] | None], process: str = "robot"
+) -> tuple[Supervisor, Scripted, list[str]]:
+    """A supervisor of one process alone, what starts it, and what the supervisor says."""
     zygote, said = Scripted(script), list[str]()
-    others = tuple(p.name for p in PROCESSES if p.name != "robot")
-    config = load(without=others, record=False, log_dir=str(folder))
+    others = tuple(p.name for p in PROCESSES if p.name != process)
+    config = load(without=others, record=process == "recorder", log_dir=str(folder))
     return Supervisor(config, zygote, said.append), zygote, said  # type: ignore[arg-type]
 
 
 def mend(supervisor: Supervisor) -> dict[str, Any]:
-    """One turn without waiting for the backoff; the row of the robot process."""
-    supervisor._children["robot"].due = 0.0
+    """One turn without waiting for the backoff; the row of the process."""
+    (child,) = supervisor._children.values()
+    child.due = 0.0
     supervisor._mend()
     row: dict[str, Any] = supervisor.status()["processes"][0]
     return row
@@ -113,6 +116,53 @@ def test_a_supervisor_that_was_stopped_itself_ends_nobody_for_the_silence(
         now += 0.1
     assert killed
     assert "robot hangs; killing it" in said
+
+
+HANG = {
+    "robot": 3.0, "odometry": 3.0, "elevation": 15.0, "planner": 30.0, "navigator": 3.0,
+    "mission": 3.0, "tracker": 3.0, "guard": 3.0, "recorder": 3.0, "console": 5.0,
+}  # fmt: skip
+"""How long each process may be silent [s]."""
+
+
+@pytest.mark.parametrize("name", [p.name for p in PROCESSES])
+def test_a_process_that_hangs_is_ended_after_its_time_and_started_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [None, None], name)
+    supervisor._ready = True
+    now = 1000.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    monkeypatch.setattr(zygote, "kill", lambda: setattr(zygote, "end", (-9, "")), raising=False)
+    monkeypatch.setattr(zygote, "wait", lambda: None, raising=False)
+    mend(supervisor)
+    supervisor._health.take(t.HEARTBEAT, t.HEARTBEAT.kind(process=name, state="ready"))
+    while now < 1000.0 + HANG[name]:
+        mend(supervisor)
+        assert said == []
+        now += 0.1
+    for _ in range(4):
+        now += 0.1
+        mend(supervisor)
+    assert zygote.started == 2
+    assert said[0] == f"{name} hangs; killing it"
+    assert said[1].startswith(f"{name} ended (signal SIGKILL); restarting in 0.2 s: ")
+
+
+def test_the_process_that_starts_the_others_is_asked_each_second_and_a_new_one_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [])
+    now = 1000.0
+    asked: list[float] = []
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    monkeypatch.setattr(zygote, "mend", lambda: asked.append(now) or len(asked) == 2, raising=False)
+    monkeypatch.setattr(zygote, "reap", lambda _known: None, raising=False)
+    for tenth in range(31):
+        now = 1000.0 + tenth / 10
+        supervisor._measure()
+    assert asked == pytest.approx([1000.0, 1001.0, 1002.0, 1003.0], abs=0.11)
+    assert said == ["the process that starts the others ended; there is a new one, and the robot drives on"]
 
 
 def test_what_a_restart_cannot_mend_is_given_up(tmp_path: Path) -> None:

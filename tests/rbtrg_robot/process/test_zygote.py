@@ -110,6 +110,7 @@ def test_a_zygote_that_hangs_is_replaced_before_it_is_needed(tmp_path: Path) -> 
         assert not zygote.mend()  # asks again
         select.select([zygote._socket], [], [], 60.0)
         assert not zygote.mend()  # hears the answer
+        assert zygote._socket.gettimeout() == 5.0
         stuck = zygote.pid
         os.kill(stuck, signal.SIGSTOP)
         assert not zygote.mend()

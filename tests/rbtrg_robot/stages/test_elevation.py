@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hal.go2w import MOTORS
-from hal.lidar.config import LidarConfig
+from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.types import JointSample
 from mapping.elevation.map import ElevationMap
 from rbtrg_robot import topics as t
@@ -34,8 +34,9 @@ SWEEP = 100_000_000
 class Fed:
     """A stage on flat ground, one sweep each 0.1 s from where the odometry says it is."""
 
-    def __init__(self) -> None:
-        self.stage = ElevationStage(ElevationMap(), ElevationStageConfig(), (LidarConfig().mounted(),))
+    def __init__(self, lidars: tuple[LidarConfig, ...] = (LidarConfig(),)) -> None:
+        mounted = tuple(lidar.mounted() for lidar in lidars)
+        self.stage = ElevationStage(ElevationMap(), ElevationStageConfig(), mounted)
         self.now = SWEEP
         x, y = np.meshgrid(np.linspace(-6.0, 6.0, 90), np.linspace(-6.0, 6.0, 90))
         self.ground = np.stack([x, y, np.full_like(x, -0.4)], -1).reshape(-1, 3).astype(np.float32)
@@ -45,8 +46,11 @@ class Fed:
         offset = transform_msg(0, MAP, ODOM, np.array([x, 0.0, 0.0]), LEVEL)
         self.stage.on(t.TF_STATIC, t.TF_STATIC.kind(transforms=[offset]))
 
-    def sweep(self, x: float, y: float) -> list[tuple[Topic, Any]]:
+    def sweep(self, x: float, y: float, head: slice | None = None) -> list[tuple[Topic, Any]]:
+        """`head`: which points the head's LiDAR sees, where there is one."""
         self.now += SWEEP
+        if head is not None:
+            self.stage.on(t.CLOUDS["head"], cloud_msg(self.now, BASE, self.ground[head]))
         still = np.zeros(len(MOTORS))
         place = np.array([x, y, 0.4])
         self.stage.on(t.CLOUD, cloud_msg(self.now, BASE, self.ground))
@@ -74,12 +78,28 @@ def test_poses_that_jump_are_refused_and_cost_no_memory() -> None:
     assert "jumped" not in fed.status.warning
 
 
-def test_after_a_silence_the_robot_may_be_as_far_as_it_can_drive() -> None:
+@pytest.mark.parametrize(("silence", "reach"), [(0, 3.5), (2, 13.5)])
+def test_the_robot_may_be_as_far_as_it_can_drive_and_no_further(silence: int, reach: float) -> None:
+    """3 m at once, and 5 m/s since the sweep before."""
     fed = Fed()
     fed.sweep(0.0, 0.0)
-    assert fed.sweep(9.0, 0.0) == []
-    fed.now += 2 * 10**9
-    assert fed.sweep(9.0, 0.0) != []
+    fed.now += silence * 10**9
+    assert fed.sweep(reach + 0.1, 0.0) == []
+    fed.now -= SWEEP
+    assert fed.sweep(reach - 0.1, 0.0) != []
+
+
+def test_a_head_lidar_without_points_is_told_after_half_a_second() -> None:
+    fed = Fed(DEFAULT_LIDARS)
+    for _ in range(3):
+        fed.sweep(0.0, 0.0, slice(None))
+    warnings = []
+    for _ in range(6):
+        fed.sweep(0.0, 0.0, slice(0))
+        warnings.append("nothing from the head LiDAR" in fed.status.warning)
+    assert warnings == [False] * 4 + [True] * 2
+    fed.sweep(0.0, 0.0, slice(None))
+    assert "head" not in fed.status.warning
 
 
 @pytest.mark.parametrize("place", [40.0, -300.0])

@@ -85,11 +85,23 @@ def test_a_wall_limits_the_way_towards_it(yaw: float) -> None:
     limits = Around(yaw).tick(lambda forward, _: 0.5 * (forward > 0.7))
     free = 0.7 - 0.35
     fastest = limits.forward
-    p = CONFIG.guard
-    assert fastest * p.reaction + fastest**2 / (2 * p.deceleration) + p.margin == pytest.approx(free, abs=RES)
+    assert 0.3 * fastest + fastest**2 / (2 * 1.5) + 0.03 == pytest.approx(free, abs=RES)
     assert four(limits)[1:] == (1.0, 1.0, 1.0)
     assert limits.reason.startswith("a 0.50 m face 0.3")
     assert limits.reason.endswith("ahead")
+
+
+@pytest.mark.parametrize(
+    ("below", "what"), [(-0.5, "a 0.50 m drop"), (math.nan, "ground nobody saw")], ids=["drop", "unseen"]
+)
+def test_a_drop_limits_every_way_and_ground_nobody_saw_the_way_back(below: float, what: str) -> None:
+    behind = Around().tick(lambda forward, _: np.where(forward < -0.8, below, 0.0))
+    assert behind.backward < 0.8
+    assert (behind.forward, behind.left, behind.right) == (1.0, 1.0, 1.0)
+    assert what in behind.reason
+    ahead = Around().tick(lambda forward, _: np.where(forward > 0.8, below, 0.0))
+    assert (ahead.forward < 0.8) == ("drop" in what)
+    assert four(ahead)[1:] == (1.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.3])

@@ -9,7 +9,7 @@ import pytest
 
 from hal.safety.gate import SafetyGate
 from hal.types import NS
-from hal.unitree.api import Sport
+from hal.unitree.api import SPORT, Sport
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.robot import STEP, RobotStage
@@ -146,6 +146,17 @@ def test_a_stop_on_a_robot_that_stands_already_needs_its_own_resume(rig: Rig) ->
     assert rig.state.estop
     rig.order("resume", rig.state.latch)
     assert not rig.state.estop
+
+
+def test_the_sticks_of_the_robots_own_remote_end_every_word_to_it(rig: Rig) -> None:
+    rig.world.faults.remote = (0.5, 0.0, 0.0, 0.0, 0.0)
+    before = len(rig.world.sent)
+    rig.run(1.0)
+    said = [request.api for _, service, request in rig.world.sent[before:] if service == SPORT]
+    assert Sport.STOP_MOVE in said[:2], "at once; one Move was due before the sticks were seen"
+    silent = len(rig.world.sent)
+    rig.run(1.0)
+    assert len(rig.world.sent) == silent, "whoever holds the remote has the robot for himself"
 
 
 def test_a_second_source_of_commands_is_refused_and_counted(rig: Rig) -> None:

@@ -13,12 +13,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.risk.arcs import Arcs
+from planning.risk.body import BodyModel, weights_of
 from planning.risk.cost import Weights
 from planning.risk.footprint import scratch
 from planning.risk.table import RiskTable, slots_before
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.search.bounds import ToGo, begin_to_go
+from planning.search.bounds import Asked, ToGo, begin_to_go
 
 KEPT, LOST = 1, 2
 
@@ -27,8 +28,8 @@ KEPT, LOST = 1, 2
 class Search:
     """One search backward, with the graph it was made on."""
 
-    asked: bytes
-    """What its costs depend on besides the graph."""
+    key: bytes
+    """What its costs depend on besides the graph: the weights, the goal and how it is driven to."""
     ids: NDArray[np.int64]
     """(nodes,) `TraversalGraph.node_ids`."""
     arcs: Arcs
@@ -37,24 +38,19 @@ class Search:
     go: ToGo
 
 
-def go_on(
-    table: RiskTable,
-    tables: Tables,
-    w: Weights,
-    is_end: NDArray[np.bool_],
-    exit_cost: NDArray[np.float64],
-    *asked: float,
-) -> ToGo:
-    """What is known of the way to these ends, as far as `table` has kept a search to them; `asked`: all else that costs depend on, the weights `w` too.
+def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked) -> ToGo:
+    """What is known of the way to the ends of `asked`, as far as `table` has kept a search to them with the weights of `body`.
 
     The table keeps it for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
     """
-    arcs, old = table.arcs, table.searched
+    arcs, old, w = table.arcs, table.searched, weights_of(body)
+    _, is_end, exit_cost, _, *rest = asked
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost)
-    key = np.array([*asked, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
-    if isinstance(old, Search) and old.asked == key:
+    weights = body.weight_mean, body.weight_tail
+    key = np.array([*weights, *rest, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
+    if isinstance(old, Search) and old.key == key:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:

@@ -92,6 +92,26 @@ def cost_to_come(
     return total, g
 
 
+class Asked(NamedTuple):
+    """What a search over pairs is asked for, as its kernels take it."""
+
+    start: int
+    is_end: NDArray[np.bool_]
+    """(nodes,)"""
+    exit_cost: NDArray[np.float64]
+    """(nodes,) [m] that a route pays at its end: 0 at a goal; for frontiers the optimistic cost still to go."""
+    start_yaw: float
+    goal_yaw: float
+    """Of the body [rad], NaN = any."""
+    sweeps: bool
+    """Turns count: the risk of their poses, `turning` [m/rad] and more over edges, and there must be room for them."""
+    once: bool
+    """No route comes back to the start: it is a pose, no node."""
+    backward: float
+    """An edge driven backward costs so many times as much, more over faces that are climbed forward only; inf: none is."""
+    turning: float
+
+
 class ToGo(NamedTuple):
     """A search backward from the ends: what it knows of each state, which it can go on with."""
 
@@ -156,16 +176,8 @@ def cost_to_go(
     w: Weights,
     arcs: Arcs,
     tables: Tables,
-    start: int,
-    is_end: np.ndarray,
+    asked: Asked,
     come: np.ndarray,
-    start_yaw: float,
-    goal_yaw: float,
-    sweeps: bool,
-    ways: int,
-    once: bool,
-    backward: float,
-    turning: float,
     go: ToGo,
     heap: Heap,
     limit: float,
@@ -173,12 +185,14 @@ def cost_to_go(
     """Go on settling states until each that may be on a route as cheap as `limit` [m] is settled: A* backward, without the risk of turns.
 
     With `limit` inf it stops at the cheapest route. Returns what that costs as far as it was seen (inf: none was), and what is left to settle.
-    A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`, the rest as in
-    `planning.search.pairs.search_pairs`. A settled state to which a cheaper way comes up, on a graph that has changed, is settled anew.
+    A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`.
+    A settled state to which a cheaper way comes up, on a graph that has changed, is settled anew.
     """
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge = tables.edge
+    start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
+    ways = 1 if np.isinf(backward) else 2
     h, settled, after = go
     f, s, e, n = heap
     least = np.inf

@@ -21,6 +21,7 @@ from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor
 from planning.search.bounds import (
+    Asked,
     ToGo,
     cost_to_come,
     cost_to_go,
@@ -34,82 +35,26 @@ from planning.search.heap import grown, pop, push
 
 @njit(cache=True)
 def search_pairs(
-    sampler: Sampler,
-    w: Weights,
-    arcs: Arcs,
-    tables: Tables,
-    start: int,
-    is_end: np.ndarray,
-    exit_cost: np.ndarray,
-    gx: float,
-    gy: float,
-    start_yaw: float,
-    goal_yaw: float,
-    sweeps: bool,
-    once: bool,
-    backward: float,
-    turning: float,
-    go: ToGo,
+    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, gx: float, gy: float, go: ToGo
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
-    """Route over ordered pairs to the end node with the least cost plus `exit_cost` (nodes,).
+    """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`, none of which is less than the way to (gx, gy) is long.
 
-    That is zero for a goal node; for frontiers it is the optimistic cost still to go. A yaw of NaN was not
-    requested. With `once`, no route comes back to the start: it is a pose, no node. With `sweeps`, turns count, cost `turning` [m/rad] and more over edges, and are only made where there is room. An edge driven
-    backward costs `backward` times as much (inf: none is), more over faces that are climbed forward only; yaws are the body's. The footprint is the same turned by half a turn,
-    so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or with the other.
-    `go` is what is known of the way to the ends (`begin_to_go` at least); it comes to know more.
+    The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or
+    with the other. `go` is what is known of the way to the ends (`begin_to_go` at least); it comes to know more.
     Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
     """
     none = np.empty(0, np.int64)
-    turns = tables.turns
-    ways = 1 if np.isinf(backward) else 2
-    total, come = cost_to_come(sampler, w, arcs, tables, start, is_end, exit_cost, gx, gy)
+    total, come = cost_to_come(sampler, w, arcs, tables, asked.start, asked.is_end, asked.exit_cost, gx, gy)
     if np.isinf(total):
-        return np.inf, none, 0, turns
-    heap = reached(w, arcs, tables, start, come, backward, go)
+        return np.inf, none, 0, tables.turns
+    heap = reached(w, arcs, tables, asked.start, come, asked.backward, go)
     # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on a cheaper one.
-    limit, cost, route, expanded = np.inf, np.inf, none, 0
+    limit, cost, route, expanded, turns = np.inf, np.inf, none, 0, tables.turns
     for _ in range(2):
-        least, heap = cost_to_go(
-            sampler,
-            w,
-            arcs,
-            tables,
-            start,
-            is_end,
-            come,
-            start_yaw,
-            goal_yaw,
-            sweeps,
-            ways,
-            once,
-            backward,
-            turning,
-            go,
-            heap,
-            limit,
-        )
+        least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, limit)
         if np.isinf(limit) and np.isinf(least):
             break
-        cost, route, expanded, turns = _forward(
-            sampler,
-            w,
-            arcs,
-            tables,
-            turns,
-            start,
-            is_end,
-            exit_cost,
-            start_yaw,
-            goal_yaw,
-            sweeps,
-            ways,
-            once,
-            backward,
-            turning,
-            go,
-            limit,
-        )
+        cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit)
         limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
         if heap.n == 0 or heap.f[0] > limit:
             break
@@ -123,20 +68,13 @@ def _forward(
     arcs: Arcs,
     tables: Tables,
     turns: np.ndarray,
-    start: int,
-    is_end: np.ndarray,
-    exit_cost: np.ndarray,
-    start_yaw: float,
-    goal_yaw: float,
-    sweeps: bool,
-    ways: int,
-    once: bool,
-    backward: float,
-    turning: float,
+    asked: Asked,
     go: ToGo,
     limit: float,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
-    """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Arguments and result as in `search_pairs`."""
+    """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
+    start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
+    ways = 1 if np.isinf(backward) else 2
     none = np.empty(0, np.int64)
     h, settled = go.h, go.settled
     work = scratch(sampler)

@@ -15,6 +15,7 @@ from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
 from planning.search.again import go_on
 from planning.search.attach import NEAREST
+from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
@@ -292,33 +293,19 @@ def _cheapest(
     else:
         sweeps = request.variant != "edge-only"
         tables = table.tables(body)
-        backward = request.rules.backward if sweeps else np.inf
-        asked = (
-            body.weight_mean,
-            body.weight_tail,
-            goal_yaw,
-            sweeps,
-            at.exact,
-            backward,
-            request.rules.turning,
-        )
-        cost, route, expanded, turns = search_pairs(
-            table.sampler,
-            w,
-            table.arcs,
-            tables,
+        asked = Asked(
             start,
             ends,
             exit_cost,
-            *xy,
             start_yaw,
             goal_yaw,
             sweeps,
             at.exact,
-            backward,
+            request.rules.backward if sweeps else np.inf,
             request.rules.turning,
-            go_on(table, tables, w, ends, exit_cost, *asked),
         )
+        go = go_on(table, tables, body, asked)
+        cost, route, expanded, turns = search_pairs(table.sampler, w, table.arcs, tables, asked, *xy, go)
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):
         return None, expanded

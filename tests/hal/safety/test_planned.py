@@ -12,28 +12,14 @@ from hal.safety.planned import free_turn, known_behind, mapped
 from hal.safety.swept import (
     CLEAR,
     FLAT,
-    LIDAR,
     SPACING,
     UNSEEN,
-    Surroundings,
     reach_of,
     straight_tracks,
     turn_step,
     turn_tracks,
 )
-from hal.types import Capabilities
-
-ROBOT = Capabilities("test", max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10)
-RES = 0.04
-N = 101
-X, Y = np.meshgrid(*(2 * [(np.arange(N) - N // 2) * RES]))
-CORNER = (float(X[0, 0]), float(Y[0, 0]))
-
-
-def guard(height: np.ndarray) -> Surroundings:
-    """As the guard makes them of a map window."""
-    source = np.where(np.isnan(height), 0, LIDAR).astype(np.uint8)
-    return Surroundings(height, np.full_like(height, np.nan), source, np.zeros_like(source), CORNER, RES)
+from tests.hal.safety.ground import CORNER, RES, ROBOT, N, X, Y, ground
 
 
 def test_of_ground_behind() -> None:
@@ -42,7 +28,7 @@ def test_of_ground_behind() -> None:
         height = np.where(rng.random((N, N)) < rng.uniform(0.0, 0.8), np.nan, 0.0).astype(np.float32)
         pose = (*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi))
         tracks = straight_tracks(1.0, -1.0)
-        found = reach_of(tracks, SPACING, guard(height), pose, FLAT, ROBOT, seen=True)
+        found = reach_of(tracks, SPACING, ground(height), pose, FLAT, ROBOT, seen=True)
         told = known_behind(mapped(height, CORNER, RES), pose, ROBOT.max_gap, 0.4)
         assert found.kind in (UNSEEN, CLEAR)
         assert told == pytest.approx(min(found.free, 0.4))
@@ -59,7 +45,7 @@ def test_of_turns() -> None:
         pose = (*rng.uniform(-0.1, 0.1, 2), rng.uniform(-np.pi, np.pi))
         turn = rng.uniform(-np.pi, np.pi)
         tracks = turn_tracks(3.2, math.copysign(1.0, turn))
-        found = reach_of(tracks, turn_step(), guard(height), pose, FLAT, ROBOT, seen=False)
+        found = reach_of(tracks, turn_step(), ground(height), pose, FLAT, ROBOT, seen=False)
         told = free_turn(mapped(height, CORNER, RES), pose, turn, ROBOT)
         assert told == pytest.approx(min(found.free, abs(turn)))
         held += told < abs(turn)

@@ -35,23 +35,9 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
-from hal.types import Capabilities
+from tests.hal.safety.ground import RES, ROBOT, N, X, Y, ground
 
-ROBOT = Capabilities("test", max_step=0.10, max_slope=math.radians(25.0), max_gap=0.10)
-RES = 0.04
-N = 101
-X, Y = np.meshgrid(*(2 * [(np.arange(N) - N // 2) * RES]))
 FRONT, SIDE = BODY_LENGTH / 2, BODY_WIDTH / 2
-
-
-def ground(height: NDArray[Any], **layers: Any) -> Surroundings:
-    """Around the origin; what is not given is unknown or free."""
-    height = np.ascontiguousarray(height, np.float32)
-    bound = np.asarray(layers.get("bound", np.full_like(height, np.nan)), np.float32)
-    source = np.asarray(layers.get("source", np.where(np.isnan(height), 0, LIDAR)), np.uint8)
-    occupied = np.asarray(layers.get("occupied", np.zeros_like(height)), np.uint8)
-    corner = -(N // 2) * RES
-    return Surroundings(height, bound, source, occupied, (corner, corner), RES)
 
 
 def look(

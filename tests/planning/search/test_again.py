@@ -11,7 +11,7 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
 from planning.search.again import go_on
-from planning.search.bounds import ToGo, cost_to_go, reached
+from planning.search.bounds import Asked, ToGo, cost_to_go, reached
 from planning.search.plan import DriveRules, Plan, PlanRequest, plan
 
 BODY = BodyModel()
@@ -79,7 +79,6 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
     grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
     graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
     goal_id = int(graph.node_ids[-1])
-    asked = (np.nan, 1.0)
     kept = 0.0
     table = RiskTable(graph, grid, BODY)
     for k in range(5):
@@ -90,8 +89,8 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
         is_end = graph.node_ids == goal_id
         if not is_end.any():
             break
-        got, known = settled(table, is_end, asked)
-        want, none = settled(RiskTable(graph, grid, BODY), is_end, asked)
+        got, known = settled(table, is_end)
+        want, none = settled(RiskTable(graph, grid, BODY), is_end)
         assert not none
         np.testing.assert_array_equal(got.h, want.h)
         np.testing.assert_array_equal(got.settled, want.settled)
@@ -99,13 +98,12 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
     assert kept > 0.5
 
 
-def settled(table: RiskTable, is_end: np.ndarray, asked: tuple[float, ...]) -> tuple[ToGo, int]:
+def settled(table: RiskTable, is_end: np.ndarray) -> tuple[ToGo, int]:
     """The search backward over everything, and how many states it had settled before it began."""
     w, arcs, tables, come = weights_of(BODY), table.arcs, table.tables(BODY), np.zeros(len(is_end))
-    go = go_on(table, tables, w, is_end, np.zeros(len(is_end)), *asked)
+    asked = Asked(0, is_end, np.zeros(len(is_end)), np.nan, np.nan, True, False, 1.3, 0.3)
+    go = go_on(table, tables, BODY, asked)
     before = int(go.settled.sum())
     heap = reached(w, arcs, tables, 0, come, 1.3, go)
-    cost_to_go(
-        table.sampler, w, arcs, tables, 0, is_end, come, np.nan, np.nan, True, 2, False, 1.3, 0.3, go, heap, 1e9
-    )  # fmt: skip
+    cost_to_go(table.sampler, w, arcs, tables, asked, come, go, heap, 1e9)
     return go, before

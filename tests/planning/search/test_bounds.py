@@ -10,7 +10,7 @@ from planning.risk.body import BodyModel, weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
-from planning.search.bounds import begin_to_go, cost_to_come, cost_to_go, reached
+from planning.search.bounds import Asked, begin_to_go, cost_to_come, cost_to_go, reached
 from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.planning.worlds import lattice, rough
 
@@ -104,13 +104,13 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
         before = want.copy()
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
     tables, come = table.tables(BODY), np.zeros(len(a.x))
-    common = (start, is_end, come, *YAWS, True, 2, False, RULES.backward, RULES.turning)
+    asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning)
     go = begin_to_go(a, is_end, beyond)
     heap = reached(W, a, tables, start, come, RULES.backward, go)
-    least, heap = cost_to_go(table.sampler, W, a, tables, *common, go, heap, np.inf)
+    least, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, np.inf)
     for limit in (least, 1.1 * least):
         if limit > least:
-            _, heap = cost_to_go(table.sampler, W, a, tables, *common, go, heap, limit)
+            _, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, limit)
         np.testing.assert_allclose(go.h[go.settled], want[go.settled], atol=1e-9)
         assert go.settled[want + own < limit - 1e-9].all()
         assert not go.settled[want + own > limit + 1e-9].any()

@@ -62,7 +62,7 @@ def test_it_tilts_while_repeated_and_levels_at_the_deadline(tilted: Rig) -> None
     tilted.pitch = None
     pitches = tilted.run(0.6)
     assert pitches[8] == pytest.approx(DOWN), "the last command still holds"
-    assert pitches[-1] == 0.0
+    assert pitches[23] == 0.0, "0.2 s of silence, 0.2 rad at 0.8 rad/s"
     assert tilted.gate.status().refused == {}
 
 

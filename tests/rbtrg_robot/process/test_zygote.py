@@ -17,7 +17,8 @@ import pytest
 
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
-from rbtrg_robot.process.zygote import ONE_THREAD, Forked, Zygote
+from rbtrg_robot.process.zygote import ONE_THREAD, PR_SET_PDEATHSIG, Forked, Zygote, _settle
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.bus import Bus
 from tools.bench.ports import free_port
 
@@ -193,6 +194,19 @@ with Zygote() as zygote:
     arguments = [sys.executable, "-c", script, json.dumps(tracker()), str(tmp_path / "log")]
     done = subprocess.run(arguments, capture_output=True, text=True, timeout=150, check=False)
     assert done.stdout.split() == ["True", str(-signal.SIGKILL)], done.stderr
+
+
+@pytest.mark.parametrize("name", [p.name for p in PROCESSES])
+def test_when_the_supervisor_dies_robot_and_recorder_may_end_in_order(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: dict[int, Any] = {}
+    monkeypatch.setattr("rbtrg_robot.process.zygote.prctl", told.__setitem__)
+    monkeypatch.setattr(os, "setpgid", lambda *_: None)
+    monkeypatch.setattr(os, "dup2", lambda *_: None)
+    _settle({"specification": {"process": name}, "log_path": str(tmp_path / "log")}, os.getppid())
+    ends = signal.SIGTERM if name in ("robot", "recorder") else signal.SIGKILL
+    assert told[PR_SET_PDEATHSIG] == ends
 
 
 def test_nothing_survives_a_killed_caller(tmp_path: Path) -> None:

@@ -1,4 +1,7 @@
-"""The order of the test files: two workers take whole files, and a long one that begins last keeps the other waiting."""
+"""The order of the test files: workers take whole files, and a long one that begins last keeps the others waiting.
+
+Tests of processes wait for them a part of their time, so files that wait and files that compute take turns.
+"""
 
 from __future__ import annotations
 
@@ -17,22 +20,26 @@ hypothesis.settings.load_profile("busy")
 LONGEST_FIRST = (
     "rbtrg_robot/process/test_live.py",
     "rbtrg_robot/hosts/test_lockstep.py",
-    "rbtrg_robot/hosts/test_explore.py",
-    "hal/unitree/test_dds.py",
     "rbtrg_robot/hosts/test_guard.py",
-    "rbtrg_robot/process/test_cable.py",
-    "rbtrg_robot/process/test_latch.py",
-    "rbtrg_robot/console/test_browser.py",
-    "rbtrg_robot/process/test_console_live.py",
+    "hal/unitree/test_dds.py",
+    "tools/bench/test_closed_loop.py",
     "rbtrg_robot/stages/test_warm_up.py",
-    "rbtrg_robot/hosts/test_mission.py",
-    "rbtrg_robot/hosts/test_unitree.py",
-    "hal/locomotion/test_vmc.py",
-    "rbtrg_robot/hosts/test_restart.py",
-    "rbtrg_robot/cli/test_cli.py",
     "mapping/odometry/test_pipeline.py",
+    "rbtrg_robot/process/test_console_live.py",
+    "planning/search/test_explore.py",
+    "hal/locomotion/test_vmc.py",
+    "rbtrg_robot/hosts/test_rerun.py",
+    "rbtrg_robot/console/test_browser.py",
+    "rbtrg_robot/hosts/test_lidars.py",
+    "rbtrg_robot/process/test_latch.py",
+    "rbtrg_robot/hosts/test_mission.py",
+    "planning/graph/test_corrected.py",
+    "rbtrg_robot/cli/test_cli.py",
+    "planning/search/test_plan.py",
 )
-"""More than 15 s each on two cores; the rest follows in the order of collection."""
+"""More than 10 s each."""
+WAITING = ("access", "bridge", "cli", "console", "process", "unitree", "wire")
+"""Rooms whose tests wait for processes, sockets and browsers."""
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -41,7 +48,12 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Stable: files keep their order otherwise."""
+    """The longest first; the others in the order of collection, those that wait spread evenly among those that compute."""
     here = Path(__file__).parent
-    rank = {here / name: number for number, name in enumerate(LONGEST_FIRST)}
-    items.sort(key=lambda item: rank.get(item.path, len(rank)))
+    files = list(dict.fromkeys(item.path for item in items))
+    place = {here / name: float(number - len(LONGEST_FIRST)) for number, name in enumerate(LONGEST_FIRST)}
+    for waits in (True, False):
+        kind = [file for file in files if file not in place and (file.parent.name in WAITING) is waits]
+        shares = {file: number / len(kind) for number, file in enumerate(kind)}
+        place |= shares
+    items.sort(key=lambda item: place[item.path])

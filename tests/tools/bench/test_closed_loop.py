@@ -209,7 +209,7 @@ def test_a_study_goes_on_where_it_was_cut_off(tmp_path: Path, monkeypatch: pytes
 
 
 def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_path: Path) -> None:
-    args = ["--controller", "vmc", "--scenes", "rescue_slopes", "--queries", "3", "--draws", "1"]
+    args = ["--controller", "vmc", "--scenes", SCENE, "--queries", "2", "--draws", "1"]
     records = {}
     for workers in ("0", "2"):
         out = tmp_path / workers
@@ -218,10 +218,10 @@ def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_p
             r["key"]: {k: v for k, v in r.items() if k != "cpu"} for r in bench.read(out / "trials.jsonl")
         }
         assert bench.read(out / "routes.jsonl")
-        assert "6 trials" in (out / "tables.md").read_text()
+        assert "4 trials" in (out / "tables.md").read_text()
         assert list(out.glob("*.png"))
-    assert len(records["0"]) == 6
-    assert any(r["success"] for r in records["0"].values())
+    assert len(records["0"]) == 4
+    assert max(r.get("simulated", 0.0) for r in records["0"].values()) > 10.0, "one drove"
     assert records["2"] == records["0"]
 
 

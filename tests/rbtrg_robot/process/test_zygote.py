@@ -201,10 +201,11 @@ def test_when_the_supervisor_dies_robot_and_recorder_may_end_in_order(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: dict[int, Any] = {}
-    monkeypatch.setattr("rbtrg_robot.process.zygote.prctl", told.__setitem__)
-    monkeypatch.setattr(os, "setpgid", lambda *_: None)
-    monkeypatch.setattr(os, "dup2", lambda *_: None)
-    _settle({"specification": {"process": name}, "log_path": str(tmp_path / "log")}, os.getppid())
+    with monkeypatch.context() as here:  # pytest itself needs these
+        here.setattr("rbtrg_robot.process.zygote.prctl", told.__setitem__)
+        here.setattr(os, "setpgid", lambda *_: None)
+        here.setattr(os, "dup2", lambda *_: None)
+        _settle({"specification": {"process": name}, "log_path": str(tmp_path / "log")}, os.getppid())
     ends = signal.SIGTERM if name in ("robot", "recorder") else signal.SIGKILL
     assert told[PR_SET_PDEATHSIG] == ends
 

@@ -3,19 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import socket
-import subprocess
-import sys
-import time
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from dask import config
 
 from hal.scenes import load_scene
 from rbtrg_robot import topics
@@ -28,7 +21,6 @@ from tools.bench.closed_loop.routes import Route, crosses_wall, routes
 from tools.bench.closed_loop.statistics import difference, interval, mean, resampled
 from tools.bench.closed_loop.tables import markdown, report
 from tools.bench.closed_loop.trial import distance, drive
-from tools.bench.spread import SchedulerLost, TrialsFailed, spread
 
 SCENE = "rescue_platform"
 QUERY = 1
@@ -229,30 +221,6 @@ def vars_of(route: Route) -> dict[str, object]:
     return {name: getattr(route, name) for name in Route.__slots__}
 
 
-def square_or_die(folder: str, n: int) -> dict[str, int]:
-    """The first time it meets 3, the worker is killed."""
-    marker = Path(folder) / "died"
-    if n == 3 and not marker.exists():
-        marker.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    if n == 5:
-        raise ValueError("five")
-    return {"n": n, "square": n * n}
-
-
-def test_a_dead_worker_costs_no_trial_an_error_is_told_at_the_end_and_two_workers_tell_what_one_tells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tools.bench.spread.AHEAD", 3)  # more trials than are handed over at once
-    got = []
-    records = spread(square_or_die, [(str(tmp_path), n) for n in range(7)], 2)
-    with pytest.raises(TrialsFailed, match="1 of 7 trials failed, the first with ValueError: five"):
-        got.extend(record["square"] for record in records)
-    assert (tmp_path / "died").exists()
-    alone = [r["square"] for r in spread(square_or_die, [(str(tmp_path), n) for n in (0, 1, 2, 3, 4, 6)], 0)]
-    assert sorted(got) == alone == [0, 1, 4, 9, 16, 36]
-
-
 def test_wrong_names_are_refused(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -265,56 +233,6 @@ def test_wrong_names_are_refused(
         with pytest.raises(SystemExit):
             bench.run(["--out", "x", *args])
         assert word in capsys.readouterr().err
-
-
-def pause_or_square(n: int) -> dict[str, int]:
-    """The first trial is quick; the others outlast the scheduler."""
-    time.sleep(60.0 if n else 0.0)
-    return {"n": n}
-
-
-def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    dask = [sys.executable, "-m"]
-    scheduler = subprocess.Popen(
-        [
-            *dask,
-            "distributed.cli.dask_scheduler",
-            "--host",
-            "127.0.0.1",
-            "--port",
-            str(port),
-            "--no-dashboard",
-        ],
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    assert scheduler.stderr is not None
-    assert any("Scheduler at" in line for line in scheduler.stderr), "it listens"
-    worker = subprocess.Popen(
-        # All five trials at once: which one a single thread takes first is not told.
-        [*dask, "distributed.cli.dask_worker", address, "--nthreads", "5", "--no-nanny", "--no-dashboard"],
-        stderr=subprocess.DEVNULL,
-    )
-    got: list[int] = []
-
-    def spread_and_kill() -> None:
-        for record in spread(pause_or_square, [(n,) for n in range(5)], 0, address):
-            got.append(record["n"])
-            scheduler.kill()
-
-    waits = config.set({"distributed.comm.timeouts.connect": "1s"})  # for one that comes back
-    try:
-        with waits, pytest.raises(SchedulerLost, match="its workers, then give the same command again"):
-            spread_and_kill()
-    finally:
-        for process in (scheduler, worker):
-            process.kill()
-            process.wait()
-    assert got == [0]
 
 
 def test_the_stack_is_told_where_the_robot_stands_after_taking_its_stance() -> None:

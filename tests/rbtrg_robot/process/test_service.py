@@ -181,6 +181,7 @@ def test_the_latch_outlives_the_service_and_its_end_leaves_time_to_stop_the_robo
     # The signal of the watchdog goes to all processes of the service: the robot process must be able to take it.
     assert "KillMode=control-group" in lines
     assert "WatchdogSignal=SIGTERM" in lines
+    assert "WatchdogSec=30" in lines
     assert "OOMPolicy=continue" in lines
 
 

@@ -246,6 +246,22 @@ def test_whoever_takes_the_robot_keeps_it_until_the_mission_is_told_to_go_on(
     assert world.goals == [1.0, 1.0, 2.0]
 
 
+@pytest.mark.parametrize("cause", ["estop", "taken"])
+def test_a_step_without_a_goal_is_paused_as_soon_as_somebody_takes_the_robot(
+    world: World, cause: str
+) -> None:
+    world.start(step("wait", duration=1.0), step("sit"))
+    world.run(0.3)
+    setattr(world.robot, cause, True if cause == "estop" else "teleop has the motion")
+    world.run(5.0)
+    assert (world.state.phase, world.state.step) == ("paused", 1)
+    world.robot.estop, world.robot.taken = False, ""
+    world.run(5.0)
+    assert (world.state.phase, world.postures) == ("paused", [])
+    assert world.ask("resume") == ""
+    world.until("finished")
+
+
 def test_an_operator_pauses_skips_answers_and_stops(world: World) -> None:
     question = step("ask", text="open?", choices=["yes", "no"], on_failure="skip")
     world.start(goto(1.0), question, goto(2.0), goto(3.0))

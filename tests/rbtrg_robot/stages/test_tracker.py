@@ -112,14 +112,6 @@ def test_no_path_is_driven_before_the_start_in_the_map_is_known() -> None:
     assert world.state.hold == "no /tf_static yet"
 
 
-def test_a_path_is_not_driven_on_when_the_start_in_the_map_was_set_elsewhere() -> None:
-    world = Inputs()
-    world.path("goal/1")
-    assert max(world.run(1.0)) > 0.3
-    world.stage.on(t.TF_STATIC, map_offset(3.0))
-    assert set(world.run(1.0)) == {0.0}
-
-
 def look(world: Inputs, path_id: str = "goal/look-1", pitch: float = 0.25) -> None:
     world.stage.on(t.PATH_COMMAND, t.PATH_COMMAND.kind(id=path_id, look=pitch))
 

@@ -27,6 +27,9 @@ ONWARD = 0.15
 """The same at which it goes on: paths slow down amid what is climbed, and changing hands there is worse than a slow climb."""
 BLOCKED = 0.5
 """Share of the time after which the model-based controller lifts a blocked wheel, at which the learnt one takes over."""
+STALLED, STALL_TIME = 0.1, 0.6
+"""A wheel that rolls slower than this share of a fast command for so long [s] calls the learnt controller, too: the ground pushed a wheel before a post too
+little to count as blocked, and the other three spun for 4 s."""
 TWIST, TWIST_TIME = 0.14, 0.1
 """One wheel so far [m] off the plane of the others for so long [s] calls the learnt controller; a wheel that was lifted is put down in less."""
 ASTRIDE = 0.12
@@ -70,7 +73,7 @@ class HybridController:
         """The learnt policy drives."""
         self._share = 0.0
         """Of the learnt policy in the torques."""
-        self._calm = self._other = self._twist = 0.0
+        self._calm = self._other = self._twist = self._stalled = 0.0
         self._push = self._held = 0.0
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
@@ -84,7 +87,11 @@ class HybridController:
         fr, fl, rr, rl = heights.tolist()
         twisted = abs(fr + rl - fl - rr) > TWIST and blocked < 1.0
         self._twist = self._twist + self.period if twisted else 0.0
-        if not self.climbing and ((fast and blocked >= BLOCKED) or (moves and self._twist >= TWIST_TIME)):
+        way, speed = float(np.sign(velocity.vx)), abs(velocity.vx)
+        slowest = float((way * go2w.WHEEL_RADIUS * state.dq[go2w.WHEELS]).min())
+        self._stalled = self._stalled + self.period if fast and slowest < STALLED * speed else 0.0
+        held = fast and (blocked >= BLOCKED or self._stalled >= STALL_TIME)
+        if not self.climbing and (held or (moves and self._twist >= TWIST_TIME)):
             self.climbing = True
             self._calm = self._other = 0.0
             if self._share == 0.0:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hal.safety.planned import free_turn, mapped
+from hal.safety.planned import free_turn, mapped, wheels_turn
 from hal.safety.swept import Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
@@ -38,7 +38,8 @@ def guarded_turn(
     (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
     robot = Capabilities("", max_step=params.max_step, max_slope=params.max_slope, max_gap=params.max_gap)
-    return free_turn(known_around(grid, xy, REACH), (*xy, yaw), turn, robot, spare)
+    around, pose = known_around(grid, xy, REACH), (*xy, yaw)
+    return min(free_turn(around, pose, turn, robot, spare), wheels_turn(around, pose, turn, params.max_slope))
 
 
 def without(room: np.uint64, yaw: float, turn: float, free: float) -> np.uint64:

@@ -10,6 +10,12 @@ SLOW = 2.0
 """A turn on the spot is judged after so long [s]."""
 
 
+AGAINST, AGAINST_TIME = 0.15, 0.3
+"""A base that moves so fast [m/s] the other way than it is told to for so long [s] has lost its hold."""
+REST = 0.05
+"""[m/s] at which it has found it again."""
+
+
 class Stall:
     """Told at each step what the base was commanded and what it did; tells whether that is too little."""
 
@@ -17,6 +23,8 @@ class Stall:
         self._params = params
         self._held = 0.0
         """How long the base was told to move and did not, less how long it has moved since [s]."""
+        self._against = 0.0
+        self._lost = False
         self._began = (0, 0.0)
         """When a turn began [ns], and how far it was [rad]."""
 
@@ -29,6 +37,18 @@ class Stall:
             moves = abs(v) > 0.5 * least
             self._held = max(0.0, min(self._held + (-dt if moves else dt), 2.0 * HELD))
         return self._held > HELD
+
+    def against(self, v: float, commanded: float, dt: float) -> bool:
+        """Whether the base moves the other way than it is told to, and has not come to rest since: one that climbed a hurdle reared, rolled back over
+        the one behind it for a second, and fell. Arguments as of `held`."""
+        if self._lost:
+            self._lost = abs(v) > REST
+            self._against = 0.0
+        else:
+            other = commanded * v < 0.0 and abs(v) > AGAINST
+            self._against = self._against + dt if other else 0.0
+            self._lost = self._against > AGAINST_TIME
+        return self._lost
 
     def turn(self, now: int, left: float, *, aligning: bool) -> bool:
         """Whether the turn on the spot, `left` [rad] of which remain at `now` [ns], is slower than the drive turns by itself: the safety

@@ -175,6 +175,10 @@ class PathTracker:
             self._vx = self._wz = 0.0
             return TrackOutput(phase=self._phase, fault=f"{away:.1f} m off the path", **report)
 
+        if self._stall.against(v, self._vx, dt):
+            self._slew(0.0, 0.0, dt)
+            return TrackOutput(self._vx, self._wz, self._phase, slow="it rolls the other way", **report)
+
         # Pose when a command of now takes effect.
         travel = sign * v * p.lag
         course_p = course + wz * p.lag

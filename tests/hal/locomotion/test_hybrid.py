@@ -113,6 +113,24 @@ def test_a_blocked_wheel_calls_the_policy_and_level_ground_sends_it_home(
     assert sim.rotation[2, 2] > 0.98
 
 
+@pytest.mark.parametrize(("share", "calls"), [(0.02, True), (0.4, False)])
+def test_a_wheel_that_stands_while_the_others_spin_calls_the_policy(
+    standing: Path, share: float, calls: bool
+) -> None:
+    # Before a post of 10 cm one wheel stood for 4 s and was pushed by so little that it did not count as blocked.
+    hybrid, q, dq = HybridController(standing), np.zeros(16), np.zeros(16)
+    q[1:12:3], q[2:12:3] = 0.67, -1.3
+    dq[go2w.WHEELS] = 0.5 / go2w.WHEEL_RADIUS
+    dq[12] *= share
+    for tick in range(round(0.9 / hybrid.period)):
+        state = LowState(
+            tick * hybrid.period, q, dq, np.zeros(16), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3)
+        )
+        hybrid.step(state, VelocityCommand(0, 0.5), PostureCommand(0))
+        assert calls or not hybrid.climbing
+    assert hybrid.climbing == calls
+
+
 def test_who_stands_amid_a_climb_is_held_by_the_policy_until_something_else_is_asked(standing: Path) -> None:
     sim, hybrid = on("step_up_15"), HybridController(standing)
     driver = Driver(sim, hybrid)

@@ -8,6 +8,7 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph.describe import turn_is_free
+from planning.graph.flags import FACE, HIGH, LOW, cell_flags
 from planning.graph.graph import GraphParams, TraversalGraph
 from tests.planning.graph.scenes import WIDTH, Scene, crossing_edges, drivable, random_scene
 
@@ -316,3 +317,21 @@ def test_no_face_rises_to_ground_of_which_only_a_bound_is_known() -> None:
     z[x >= 2.0] = -0.4  # beyond an edge nothing is higher than that
     deep = ElevationGrid(z, ~virtual, (0.0, 0.0), RES, virtual)
     assert not _reaches(TraversalGraph.build(deep, (1.0, 2.0), PARAMS), (5.0, 2.0))
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [1, -1])
+def test_where_a_bound_tells_of_a_drop_it_begins_behind_the_last_ground_that_was_seen(
+    axis: int, way: int
+) -> None:
+    # As seen from the platform of `rescue_elevated` beside its bridge: behind the edge the rays pass ever lower.
+    z = np.zeros((40, 40), np.float32)
+    z[20:] = -np.linspace(0.04, 2.0, 20)[:, None]
+    virtual = np.zeros(z.shape, bool)
+    virtual[20:] = True
+    z, virtual = (np.ascontiguousarray((a if axis == 0 else a.T)[::way, ::way]) for a in (z, virtual))
+    flags = cell_flags(z, ~virtual, virtual, RES, 0.20, 0.03, np.tan(np.radians(25.0)), 3, 6)[0]
+    flags = (flags if axis == 0 else flags.T)[::way, ::way]
+    assert (flags[19, 8:32] & HIGH > 0).all()
+    assert (flags[20, 8:32] & LOW > 0).all()
+    assert not (flags[:19] & FACE).any()

@@ -650,3 +650,26 @@ def test_a_path_that_comes_back_beside_itself_is_driven_to_its_corner_first():
     assert run.last.phase is TrackPhase.DONE
     assert run.last.goal_distance <= 0.10
     assert run.last.progress == pytest.approx(2.8, abs=0.03)
+
+
+class Rearing(Base):
+    """Half a metre on it rears, and rolls backward for as long as it is told to drive on."""
+
+    reared = False
+    back = False
+
+    def advance(self, vx: float, wz: float) -> None:
+        self.back = (self.back or (self.x > 0.5 and not self.reared)) and abs(vx) > 0.02
+        self.reared |= self.back
+        super().advance(-0.8 * vx if self.back else vx, wz)
+
+
+def test_a_base_that_rolls_the_other_way_is_brought_to_rest_before_it_goes_on() -> None:
+    tracker, base = PathTracker(TrackerConfig(step_speed=0.5)), Rearing()
+    tracker.set_path(line(2.0), np.zeros(101), 0.5, least=0.5)
+    run = drive(tracker, base, 12.0)
+    assert base.reared
+    assert (run.speed < -0.15).sum() * DT < 1.0, "told to drive on it rolls back without end"
+    halted = np.array([out.slow == "it rolls the other way" for out in run.outputs])
+    assert np.abs(run.speed[halted]).min() < 0.1, "it stands before it tries again"
+    assert run.last.phase is TrackPhase.DONE

@@ -6,6 +6,8 @@ from planning.tracking.types import TrackerConfig
 
 HELD = 0.5
 """A base that does not move for so long [s] although it is told to is held by a face; once it moves it is over it after so long."""
+MEAN = 0.3
+"""[s] over which a speed is averaged: a base that climbs at a face rocks to and fro, and gets nowhere."""
 SLOW = 2.0
 """A turn on the spot is judged after so long [s]."""
 
@@ -23,6 +25,8 @@ class Stall:
         self._params = params
         self._held = 0.0
         """How long the base was told to move and did not, less how long it has moved since [s]."""
+        self._mean = 0.0
+        """Of the speed over MEAN [m/s]."""
         self._against = 0.0
         self._lost = False
         self._began = (0, 0.0)
@@ -31,10 +35,11 @@ class Stall:
     def held(self, v: float, commanded: float, dt: float) -> bool:
         """Whether a face holds the base, or held it just now; `v` as measured, `commanded` [m/s], `dt` [s] since the last step."""
         least = self._params.min_speed
+        self._mean += (v - self._mean) * min(dt / MEAN, 1.0)
         if abs(commanded) < 0.9 * least:
             self._held = 0.0
         else:
-            moves = abs(v) > 0.5 * least
+            moves = self._mean * commanded > 0.5 * least * abs(commanded)
             self._held = max(0.0, min(self._held + (-dt if moves else dt), 2.0 * HELD))
         return self._held > HELD
 

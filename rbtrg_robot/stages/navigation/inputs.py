@@ -16,6 +16,9 @@ AHEAD = 0.2
 HELD = 0.1
 """[rad/s] A turn that the guard lets go on no faster than this is held."""
 
+STANDS = 0.05
+"""[m/s] A robot that the guard lets drive no faster than this is held."""
+
 
 class Inputs:
     """Newest states of robot, tracker, odometry, map and guard, and when each topic was heard. Times in ns."""
@@ -57,6 +60,13 @@ class Inputs:
             return False
         error = self.tracker.heading_error
         return error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
+
+    @property
+    def way_held(self) -> bool:
+        """Whether the guard holds the robot on its path: nothing is let through that the tracker would call driving."""
+        if self.limits is None or self.robot is None or self.phase != "following":
+            return False
+        return abs(self.robot.vx) < STANDS and min(self.limits.forward, self.limits.backward) < STANDS
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

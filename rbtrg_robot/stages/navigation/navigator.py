@@ -32,8 +32,8 @@ KNOWN = 1000
 LOOKING = "looking at the ground ahead"
 MOVE_ON = 0.15
 """[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
-HELD_TURN = 2.5
-"""Seconds from a plan to the next one while the guard holds a turn: the tracker makes a bend of a short one after 2 s."""
+HELD = 2.5
+"""Seconds from a plan to the next one while the guard holds the robot: the tracker makes a bend of a short turn after 2 s."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -261,8 +261,8 @@ class NavigatorStage:
             self._progress.reset()  # the tracker ends that in time by itself
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             return self._recover(goal)
-        if goal.state is GoalState.MOVING and self._inputs.turn_held:
-            if self._query.age(now) > HELD_TURN:
+        if goal.state is GoalState.MOVING and (self._inputs.turn_held or self._inputs.way_held):
+            if self._query.age(now) > HELD:
                 self._replan(goal)  # the planner knows by the guard's rule what is free from here
         elif goal.state is GoalState.MOVING and goal.frontier:
             on_edge = self._route.over_edge(self._plan, self._pose)

@@ -11,6 +11,7 @@ from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.path import PathLimits, make_path, rest_of, smooth_route, still_safe
+from planning.path.speed import speeds
 from planning.path.spline import curve, distance_along, reach_limits
 from planning.risk.body import BodyModel, edge_poses, pose_features, sweep_poses
 from planning.search.plan import PlanRequest, plan
@@ -258,3 +259,14 @@ def test_a_robot_that_turns_near_a_corner_where_its_path_turns_round_goes_on_wit
             "the heading of the way back, or of the way to the corner"
         )
         assert len(rest.route) == len(ahead[0]) + 1
+
+
+@pytest.mark.parametrize(("face", "climbs"), [(0.02, False), (0.15, True), (0.22, True), (0.30, False)])
+def test_a_face_that_the_map_has_a_little_too_high_is_climbed_at_the_speed_that_faces_need(
+    face: float, climbs: bool
+) -> None:
+    s = np.arange(0.0, 3.0, 0.02)
+    features = np.tile([0.2, 0.0, 0.3, 0.0], (len(s), 1))  # it reaches up under the body: slower
+    limits = PathLimits(max_step=0.20, step_speed=0.5)
+    _, least = speeds(s, np.zeros_like(s), s, features, np.full(len(s), face), BODY, limits)
+    assert least[len(s) // 2] == pytest.approx(0.5 if climbs else 0.0)

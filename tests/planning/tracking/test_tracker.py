@@ -598,8 +598,9 @@ def test_ground_that_needs_a_speed_is_driven_at_it_also_where_it_is_steep():
     assert slowest(0.5) == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.parametrize("rocks", [0.0, 0.2])
 @pytest.mark.parametrize("step_speed", [0.0, 0.5])
-def test_a_base_that_a_face_holds_is_driven_at_the_speed_that_comes_over_it(step_speed: float):
+def test_a_base_that_a_face_holds_is_driven_at_the_speed_that_comes_over_it(step_speed: float, rocks: float):
     tracker, base = PathTracker(TrackerConfig(step_speed=step_speed)), Base()
     tracker.set_path(line(3.0), None, 0.25)
     fastest = 0.0
@@ -608,7 +609,7 @@ def test_a_base_that_a_face_holds_is_driven_at_the_speed_that_comes_over_it(step
         before = base.x
         base.advance(out.vx, out.wz)
         if before < 1.0 <= base.x and out.vx < 0.45:
-            base.x, base.v = before, 0.0
+            base.x, base.v = before, rocks * math.sin(2.0 * math.pi * 2.0 * k * DT)
         fastest = max(fastest, out.vx)
     over = step_speed > 0.0
     assert (base.x > 2.9) == over

@@ -851,6 +851,23 @@ def test_a_turn_that_the_guard_holds_is_asked_for_anew(world: World, error: floa
     assert world.count(t.PLAN_REQUEST) == requests + 1
 
 
+@pytest.mark.parametrize("ways", [{"forward": 0.01, "backward": 1.0}, {"forward": 1.0, "backward": 0.0}])
+def test_a_robot_that_the_guard_holds_on_its_path_asks_anew_before_it_counts_as_stuck(
+    world: World, ways: dict[str, float]
+) -> None:
+    # Before an edge that no plan knew it stood for 8 s, and then kept off the bridge behind the edge.
+    world.goal()
+    world.answer()
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(3.0)
+    assert world.count(t.PLAN_REQUEST) == requests, "nothing holds it"
+    world.send(t.MOTION_LIMITS, left=1.0, right=1.0, **ways)
+    world.run(0.2)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.status.state == "moving"
+    assert not len(world.last(t.PLAN_REQUEST).avoid)
+
+
 def test_a_turn_that_is_held_backs_out_where_the_guard_lets_nothing_ahead(world: World) -> None:
     world.come_along()
     world.goal()

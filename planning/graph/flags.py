@@ -202,36 +202,31 @@ def _mark_steps(flags, z, diff, trusted, below, dr, dc, n, side, limit, slope_ca
                 continue
             if below[rb, cb] if mean > 0.0 else below[r, c]:
                 continue
-            if below[r, c] if mean > 0.0 else below[rb, cb]:
-                # The bound tells that it falls, not where: as the guard has it, behind the last ground that was seen.
-                last = 1
-                while (
-                    last < n
-                    and trusted[
-                        r + (n - last if mean > 0.0 else last) * dr,
-                        c + (n - last if mean > 0.0 else last) * dc,
-                    ]
-                ):
-                    last += 1
-                low = n - last if mean > 0.0 else last - 1
-                high = low + 1
-                up = mean > 0.0
-            else:
-                # the face is where the height changes most on the way, over an unknown stretch if there is one
-                last = 0
-                low = 0
-                high = n
-                most = np.float32(-1.0)
-                for k in range(1, n + 1):
-                    here = z[r + k * dr, c + k * dc]
-                    if here == here:
-                        jump = abs(here - z[r + last * dr, c + last * dc])
-                        if jump > most:
-                            most = jump
-                            low = last
-                            high = k
-                        last = k
-                up = z[r + high * dr, c + high * dc] > z[r + low * dr, c + low * dc]
+            # the face is where the height changes most on the way, over an unknown stretch if there is one
+            last = 0
+            low = 0
+            high = n
+            most = np.float32(-1.0)
+            for k in range(1, n + 1):
+                here = z[r + k * dr, c + k * dc]
+                if here == here:
+                    jump = abs(here - z[r + last * dr, c + last * dc])
+                    if jump > most:
+                        most = jump
+                        low = last
+                        high = k
+                    last = k
+            up = z[r + high * dr, c + high * dc] > z[r + low * dr, c + low * dc]
+            way = 1 if up else -1
+            at = low if up else high
+            if below[r + at * dr, c + at * dc]:
+                # A bound tells that it falls, not where: as the guard has it, behind the last ground that was seen.
+                at += way
+                while 0 < at < n and not trusted[r + at * dr, c + at * dc]:
+                    at += way
+                if trusted[r + at * dr, c + at * dc]:
+                    low = min(at, at - way)
+                    high = low + 1
             flags[r + low * dr, c + low * dc] |= LOW if up else HIGH
             flags[r + high * dr, c + high * dc] |= HIGH if up else LOW
             for k in range(low + 1, high):

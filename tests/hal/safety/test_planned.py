@@ -19,6 +19,7 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
+from hal.types import Capabilities
 from tests.hal.safety.ground import CORNER, RES, ROBOT, N, X, Y, ground
 
 

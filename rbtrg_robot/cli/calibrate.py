@@ -87,7 +87,7 @@ def calibrate_lidar(
     """
     from rbtrg_robot.config import ConfigError, load, of_log
     from rbtrg_robot.hosts.calibrate import as_yaml, calibrate, samples_of
-    from rbtrg_robot.log.file import CONFIG, first_of
+    from rbtrg_robot.log.read import CONFIG, first_of
 
     if log is not None:
         if drive:
@@ -108,7 +108,7 @@ def _running(robot: str) -> bytes:
     """Configuration of the running stack, YAML: mounts are found as an error of the configured ones. Raises ConfigError where it is not on this computer."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.config import ConfigError
-    from rbtrg_robot.log.file import CONFIG
+    from rbtrg_robot.log.read import CONFIG
 
     with connect(robot) as bus:
         folder = json.loads(bus.ask("status") or b"{}").get("log_dir", "")

@@ -54,7 +54,7 @@ def replay(
         return
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"--rate must be positive, got {rate}")
-    from rbtrg_robot.log.file import log_files
+    from rbtrg_robot.log.read import log_files
     from rbtrg_robot.log.replay import Controls, Report, alone, keyboard, play
 
     log_files(file)
@@ -197,7 +197,7 @@ def log_recover(
     as_json: Json = False,
 ) -> None:
     """Write an indexed file from one whose recorder was killed."""
-    from rbtrg_robot.log.file import recover
+    from rbtrg_robot.log.write import recover
 
     target = out or file.with_name(f"{file.stem}.recovered.mcap")
     count, damage = recover(file, target)

@@ -177,7 +177,7 @@ def _check(config: StackConfig) -> None:
 
 
 def _run_folder(base: Path, label: str) -> Path:
-    from rbtrg_robot.log.file import LogError
+    from rbtrg_robot.log.read import LogError
 
     name = f"{time.strftime('%Y%m%d-%H%M%S')}_{Path(label).stem}_{os.getpid()}"
     folder = (base / name).resolve()

@@ -110,7 +110,7 @@ def topic_echo(
     wanted = _topic(name)
     shown = 0
     if log is not None:
-        from rbtrg_robot.log.file import read_run
+        from rbtrg_robot.log.read import read_run
 
         for entry in read_run(log):
             if entry.topic == wanted.name:

@@ -23,7 +23,7 @@ from hal.errors import OperatorError
 from rbtrg_robot import topics as t
 from rbtrg_robot.console.replays import GO_ON, PAUSE
 from rbtrg_robot.hosts.offline import rerun
-from rbtrg_robot.log.file import CONFIG, first_of, read_run
+from rbtrg_robot.log.read import CONFIG, first_of, read_run
 from rbtrg_robot.log.replay import Controls, alone, play
 from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.process.zygote import PR_SET_PDEATHSIG, prctl

@@ -16,7 +16,7 @@ from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, 
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import OdometryConfig
 from rbtrg_robot import topics as t
-from rbtrg_robot.log.file import read_run
+from rbtrg_robot.log.read import read_run
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import LayoutError, imu_sample, joint_sample, lidar_scan
 from rbtrg_robot.wire.messages import MessageError, decode

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 from hal.types import NS
 from rbtrg_robot import msg, topics
-from rbtrg_robot.log.file import Entry
+from rbtrg_robot.log.read import Entry
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.bus import Bus, Received

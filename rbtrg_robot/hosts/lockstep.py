@@ -18,7 +18,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.hosts.robot import build
 from rbtrg_robot.hosts.sync import Sink, SyncHost
-from rbtrg_robot.log.file import CONFIG, LogWriter
+from rbtrg_robot.log.read import CONFIG
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.navigation.goal import GoalState, goal_request
 from rbtrg_robot.stages.navigation.reasons import unlocated

@@ -12,7 +12,8 @@ from rbtrg_robot.hosts.follow import Follower
 from rbtrg_robot.hosts.journal import LAST, Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
-from rbtrg_robot.log.file import CONFIG, METADATA, Entry, LogWriter, first_of, read_run
+from rbtrg_robot.log.read import CONFIG, METADATA, Entry, first_of, read_run
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Topic

@@ -12,7 +12,7 @@ from hal.mujoco.view.render import Film
 from hal.types import GroundTruth
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load, of_log
-from rbtrg_robot.log.file import CONFIG, first_of, read_run
+from rbtrg_robot.log.read import CONFIG, first_of, read_run
 from rbtrg_robot.wire.convert import LayoutError, joint_sample, xyz, xyzw
 from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
 

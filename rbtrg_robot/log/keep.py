@@ -10,7 +10,7 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from rbtrg_robot.log.file import CONFIG, LogError, is_being_written
+from rbtrg_robot.log.read import CONFIG, LogError, is_being_written
 
 MARK = "KEEP"
 GIGABYTE = 1_000_000_000

@@ -13,7 +13,7 @@ from mapping.elevation.mirror import MapMirror
 from mapping.elevation.tiles import ASSUMED
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError
-from rbtrg_robot.log.file import read_run
+from rbtrg_robot.log.read import read_run
 from rbtrg_robot.wire.convert import LayoutError, map_patch, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import MessageError, decode

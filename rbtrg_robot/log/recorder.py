@@ -13,8 +13,9 @@ from pathlib import Path
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.log.file import CONFIG, LogError, LogWriter, is_intact
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune
+from rbtrg_robot.log.read import CONFIG, LogError, is_intact
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.bus import Bus

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from hal.errors import OperatorError
 from rbtrg_robot import topics as t
-from rbtrg_robot.log.file import Entry, read_run
+from rbtrg_robot.log.read import Entry, read_run
 from rbtrg_robot.topics import Qos, Topic
 from rbtrg_robot.wire.bus import Bus
 

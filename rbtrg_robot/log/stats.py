@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from rbtrg_robot.log.file import METADATA, Entry, LogContents, is_being_written, log_files, read_log
+from rbtrg_robot.log.read import METADATA, Entry, LogContents, is_being_written, log_files, read_log
 from rbtrg_robot.topics import BY_NAME
 
 

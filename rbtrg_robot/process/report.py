@@ -20,16 +20,8 @@ from hal.errors import one_line
 from hal.regular import is_own
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
-from rbtrg_robot.log.file import (
-    CONFIG,
-    METADATA,
-    Entry,
-    LogContents,
-    LogError,
-    LogWriter,
-    log_files,
-    read_log,
-)
+from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogContents, LogError, log_files, read_log
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.doctor import examine
 
 SECONDS = 60.0

@@ -21,7 +21,8 @@ from rbtrg_robot.cli.main import app
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.calibrate import HEARD, Found, calibrate, sample_of
 from rbtrg_robot.hosts.lockstep import Lockstep
-from rbtrg_robot.log.file import CONFIG, LogWriter
+from rbtrg_robot.log.read import CONFIG
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg
 from rbtrg_robot.wire.messages import decode, encode
 from tools.bench.perception.offset import two_lidars

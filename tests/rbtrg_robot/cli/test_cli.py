@@ -19,7 +19,8 @@ from rbtrg_robot.cli import stack
 from rbtrg_robot.cli.main import main
 from rbtrg_robot.cli.table import Screen
 from rbtrg_robot.config import load
-from rbtrg_robot.log.file import CONFIG, LogWriter, first_of
+from rbtrg_robot.log.read import CONFIG, first_of
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.messages import encode, header, time_msg

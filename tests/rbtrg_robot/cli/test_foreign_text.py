@@ -19,7 +19,8 @@ from rich.console import Console
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli import table
-from rbtrg_robot.log.file import CONFIG, Entry, LogWriter
+from rbtrg_robot.log.read import CONFIG, Entry
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process import doctor
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.narrator import Narrator

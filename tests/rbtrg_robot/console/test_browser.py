@@ -15,7 +15,8 @@ from playwright.sync_api import Browser, BrowserContext, Page
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
-from rbtrg_robot.log.file import CONFIG, LogWriter
+from rbtrg_robot.log.read import CONFIG
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until

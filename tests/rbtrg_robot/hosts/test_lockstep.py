@@ -16,7 +16,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.hosts.offline import rerun
-from rbtrg_robot.log.file import read_run
+from rbtrg_robot.log.read import read_run
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame

@@ -13,9 +13,10 @@ from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.live import Node
 from rbtrg_robot.hosts.lockstep import Lockstep, build_stages
 from rbtrg_robot.hosts.offline import rerun
-from rbtrg_robot.log.file import CONFIG, Entry, LogWriter, first_of, read_run
 from rbtrg_robot.log.film import film
 from rbtrg_robot.log.picture import picture
+from rbtrg_robot.log.read import CONFIG, Entry, first_of, read_run
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received

@@ -20,19 +20,10 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
-from rbtrg_robot.log import file as log_file
-from rbtrg_robot.log.file import (
-    CONFIG,
-    LogContents,
-    LogError,
-    LogWriter,
-    first_of,
-    is_intact,
-    read_log,
-    read_run,
-    recover,
-)
+from rbtrg_robot.log import write as log_write
+from rbtrg_robot.log.read import CONFIG, LogContents, LogError, first_of, is_intact, read_log, read_run
 from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.write import LogWriter, recover
 from rbtrg_robot.wire.messages import encode, header
 from tests.places import ROOT
 
@@ -254,7 +245,7 @@ def test_a_chunk_never_takes_more_memory_than_it_says(tmp_path: Path) -> None:
 def test_a_log_of_more_topics_than_a_file_can_number_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(log_file, "MOST_TOPICS", 1)
+    monkeypatch.setattr(log_write, "MOST_TOPICS", 1)
     write(tmp_path / "a.mcap")
     with pytest.raises(LogError, match="more than 1 topics"):
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")

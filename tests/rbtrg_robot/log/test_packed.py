@@ -15,9 +15,10 @@ from hal.types import POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM, LidarScan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.log import packed
-from rbtrg_robot.log.file import LogContents, LogWriter, read_log, recover
 from rbtrg_robot.log.packed import COLUMNS, VERBATIM, PackedError, pack, unpack
+from rbtrg_robot.log.read import LogContents, read_log
 from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.write import LogWriter, recover
 from rbtrg_robot.wire.convert import cloud_msg, scan_msg
 from rbtrg_robot.wire.messages import MessageError, decode, encode
 
@@ -157,7 +158,7 @@ def test_a_damaged_sweep_is_damage_of_the_log(tmp_path: Path, monkeypatch: pytes
     path = tmp_path / "log.mcap"
     with LogWriter(path, {}, pack_sweeps=True) as writer:
         writer.write(t.POINTS, wire(sweep(5)), 1, 1, 1)
-        monkeypatch.setattr("rbtrg_robot.log.file.pack", lambda payload: pack(payload)[:-200])
+        monkeypatch.setattr("rbtrg_robot.log.write.pack", lambda payload: pack(payload)[:-200])
         writer.write(t.POINTS, wire(sweep(6)), 2, 2, 2)
     contents = LogContents()
     assert len(list(read_log(path, contents))) == 1

@@ -8,7 +8,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.hosts.offline import rerun
-from rbtrg_robot.log.file import read_run
+from rbtrg_robot.log.read import read_run
 
 
 def recorded(folder: Path, profile: str) -> Path:

@@ -13,11 +13,11 @@ from typing import Any
 import pytest
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.log import file as log_file
 from rbtrg_robot.log import keep
 from rbtrg_robot.log import recorder as module
-from rbtrg_robot.log.file import is_intact, read_log
+from rbtrg_robot.log import write as log_write
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
+from rbtrg_robot.log.read import is_intact, read_log
 from rbtrg_robot.log.recorder import Recorder
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.process.leftovers import last_words, rotate
@@ -103,14 +103,14 @@ def test_a_write_that_fails_does_not_end_the_recorder(
 ) -> None:
     recorder = recorder_in(tmp_path / "run")
     full = True
-    plain = log_file._LogFile.write
+    plain = log_write._LogFile.write
 
-    def write(self: log_file._LogFile, data: bytes) -> int:
+    def write(self: log_write._LogFile, data: bytes) -> int:
         if full:
-            raise log_file._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+            raise log_write._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
         return plain(self, data)
 
-    monkeypatch.setattr(log_file._LogFile, "write", write)
+    monkeypatch.setattr(log_write._LogFile, "write", write)
     one(recorder, t.IMU, 1)
     clock.now += 2.0
     recorder.housekeep()
@@ -127,17 +127,17 @@ def test_a_write_that_fails_does_not_end_the_recorder(
 def test_a_recorder_that_starts_on_a_full_disk_waits_for_room(
     tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain = log_file._LogFile.write
+    plain = log_write._LogFile.write
 
-    def write(self: log_file._LogFile, data: bytes) -> int:
-        raise log_file._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
+    def write(self: log_write._LogFile, data: bytes) -> int:
+        raise log_write._cannot_write(Path("log"), OSError(errno.ENOSPC, os.strerror(errno.ENOSPC)))
 
-    monkeypatch.setattr(log_file._LogFile, "write", write)
+    monkeypatch.setattr(log_write._LogFile, "write", write)
     recorder = recorder_in(tmp_path / "run")
     one(recorder, t.IMU, 1)
     recorder.housekeep()
     assert "No space left" in recorder.trouble
-    monkeypatch.setattr(log_file._LogFile, "write", plain)
+    monkeypatch.setattr(log_write._LogFile, "write", plain)
     clock.now += 10.0
     recorder.housekeep()
     one(recorder, t.IMU, 2)
@@ -150,7 +150,7 @@ def test_waiting_for_the_disk_does_not_hold_the_recorder_up(
     tmp_path: Path, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     slow = threading.Event()
-    monkeypatch.setattr(log_file.os, "fsync", lambda _file: slow.wait(20.0))
+    monkeypatch.setattr(log_write.os, "fsync", lambda _file: slow.wait(20.0))
     recorder = recorder_in(tmp_path / "run", rotate_seconds=10.0)
     clock.now += 11.0
     recorder.housekeep()

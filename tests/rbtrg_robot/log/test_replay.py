@@ -12,8 +12,9 @@ from mcap.records import Channel, Schema
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.console.child import play_run
-from rbtrg_robot.log.file import Entry, LogWriter
+from rbtrg_robot.log.read import Entry
 from rbtrg_robot.log.replay import Controls, ReplayError, alone, play
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RobotTaken, RunLock
 from rbtrg_robot.wire.bus import Bus

@@ -19,10 +19,11 @@ from rbtrg_robot.console.desk import Desk, Page
 from rbtrg_robot.console.feed import HEARD, Feed, Slots
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.robot import build
-from rbtrg_robot.log.file import LogError, LogWriter
+from rbtrg_robot.log.read import LogError
 from rbtrg_robot.log.recorder import Recorder
 from rbtrg_robot.log.replay import Controls, play
 from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.processes import BY_NAME, PROCESSES

@@ -1,8 +1,7 @@
-"""MCAP log files: writing, reading, and what can be said about one.
+"""Writing of MCAP logs.
 
 Profile `ros2`, CDR payloads as they were on the wire, `ros2msg` schemas, zstd chunks of 1 MiB. `log_time` is when
-the message was recorded, `publish_time` its source clock; both in ns. rosbag2, Foxglove and rosbags read these files. Sweeps that are
-packed (`rbtrg_robot.log.packed`) are what they were on the wire to every reader here.
+the message was recorded, `publish_time` its source clock; both in ns. rosbag2, Foxglove and rosbags read these files.
 """
 
 from __future__ import annotations
@@ -11,27 +10,20 @@ import errno
 import fcntl
 import io
 import os
-import struct
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace, TracebackType
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, Self
 
 import mcap.writer
 import zstandard
-from lz4.frame import LZ4FrameDecompressor
-from mcap.exceptions import McapError
-from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 
-from hal.errors import OperatorError
-from hal.regular import open_regular
 from rbtrg_robot import __version__, msg
-from rbtrg_robot.log.packed import pack, unpack
+from rbtrg_robot.log.packed import pack
+from rbtrg_robot.log.read import METADATA, Entry, LogContents, LogError, read_log
 from rbtrg_robot.topics import SWEEPS, Qos, Topic
 from rbtrg_robot.wire.messages import definition, type_hash
 
@@ -43,9 +35,10 @@ ZSTD_LEVEL = 6
 """A tenth smaller than level 3 for 2.5 times its CPU (44 instead of 18 ms per second of an XT16 and an L1); higher levels gain 2 %."""
 # mcap 1.6.0 compresses with zstd's default and has no setting; pyproject pins that version.
 mcap.writer.zstandard = SimpleNamespace(compress=partial(zstandard.compress, level=ZSTD_LEVEL))  # type: ignore[assignment]
-METADATA = "run"
-CONFIG = "config.yaml"
-
+MOST_TOPICS = 65_535
+"""Of one file: MCAP numbers them with 16 bits."""
+PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
+"""Reasons of a failed write that may be gone at the next attempt: what fills a disk is often deleted again."""
 # What rosbag2 stores per channel; rosbags and `ros2 bag play` want it.
 _OFFERED_QOS = """- history: keep_last
   depth: 10
@@ -65,23 +58,6 @@ _OFFERED_QOS = """- history: keep_last
 """
 
 
-class LogError(OperatorError):
-    """A log file cannot be read or written; the message tells what to do."""
-
-
-PASSING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EMFILE, errno.ENFILE)
-"""Reasons of a failed write that may be gone at the next attempt: what fills a disk is often deleted again."""
-
-LARGEST_CHUNK = 256 * 1024 * 1024
-"""Bytes of a chunk that is read. Writers make them of 1 to 4 MiB; a few bytes may claim to be any number of them."""
-MOST_TOPICS = 65_535
-"""Of one file: MCAP numbers them with 16 bits."""
-BROKEN = (
-    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, RuntimeError, struct.error,
-)  # fmt: skip
-"""What reading a damaged file can raise; OverflowError: a length beyond 2^63; RuntimeError: of lz4."""
-
-
 def _cannot_write(path: Path, error: OSError) -> LogError:
     return LogError(
         f"cannot write {path}: {error.strerror}; make room or choose another --log-dir",
@@ -97,18 +73,6 @@ class _LogFile(io.FileIO):
             return super().write(data)
         except OSError as error:
             raise _cannot_write(Path(str(self.name)), error) from error
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One recorded message."""
-
-    topic: str
-    type: str
-    data: bytes
-    log_time: int
-    publish_time: int
-    sequence: int
 
 
 class LogWriter:
@@ -230,119 +194,6 @@ class LogWriter:
         self.close()
 
 
-@dataclass(slots=True)
-class LogContents:
-    """Findings of a pass over a file besides its messages; filled while `messages` runs."""
-
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    damage: str = ""
-    """Where and why reading ended early; empty for an intact file."""
-    indexed: bool = False
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-
-
-def read_log(
-    path: Path, contents: LogContents | None = None, *, raw: bool = False
-) -> Iterator[tuple[Entry, Schema | None, Channel]]:
-    """Messages in file order, up to the first damage; `raw`: packed sweeps as they are, to be copied. Raises LogError when it is no MCAP
-    file at all."""
-    found = contents if contents is not None else LogContents()
-    try:
-        stream = open_regular(path)
-    except OSError as error:
-        raise LogError(f"cannot read {path}: {error.strerror}") from error
-    with stream:
-        count = 0
-        try:
-            for record in _records(stream):
-                if isinstance(record, Schema):
-                    found.schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    found.channels[record.id] = record
-                elif isinstance(record, Metadata):
-                    found.metadata[record.name] = dict(record.metadata)
-                elif isinstance(record, Attachment):
-                    found.attachments[record.name] = record.data
-                elif isinstance(record, Message):
-                    channel = found.channels[record.channel_id]
-                    schema = found.schemas.get(channel.schema_id)
-                    kind, data = schema.name if schema else "", record.data
-                    if not raw and kind == msg.CompressedPointCloud2.__msgtype__:
-                        kind, data = msg.PointCloud2.__msgtype__, unpack(data)
-                    entry = Entry(
-                        channel.topic, kind, data, record.log_time, record.publish_time, record.sequence
-                    )
-                    count += 1
-                    yield entry, schema, channel
-            found.indexed = True
-        except BROKEN as error:
-            if not found.channels and not found.metadata:
-                raise LogError(f"{path} is not an MCAP file") from error
-            found.damage = f"after {count} messages: {type(error).__name__}"
-
-
-def _records(stream: BinaryIO) -> Iterator[McapRecord]:
-    """All records, those in chunks too, whose checksums are compared. Raises what BROKEN lists."""
-    for record in StreamReader(stream, emit_chunks=True, record_size_limit=2 * LARGEST_CHUNK).records:
-        if isinstance(record, Chunk):
-            data = _unpacked(record)
-            yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
-        else:
-            yield record
-
-
-def _unpacked(chunk: Chunk) -> bytes:
-    """Never more bytes than a chunk says it has, whatever its compressed data says. Raises ValueError for another number."""
-    size = chunk.uncompressed_size
-    if size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes")
-    if chunk.compression == "zstd":
-        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
-    elif chunk.compression == "lz4":
-        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
-        raise ValueError(f"compression {chunk.compression!r}")
-    if len(data) != size:
-        raise ValueError(f"a chunk of {size} bytes has {len(data)}")
-    return data
-
-
-def log_files(path: Path) -> list[Path]:
-    """The files of a run: `path` itself, or all .mcap files of a folder in order, but for those of a recorder that was killed before it
-    wrote. Raises LogError."""
-    if path.is_dir():
-        written = [file for file in path.glob("*.mcap") if file.stat().st_size]
-        files = sorted(written, key=lambda p: (len(p.name), p.name))
-        if not files:
-            raise LogError(f"no .mcap file in {path}")
-        return files
-    if not path.exists():
-        raise LogError(f"there is no {path}")
-    return [path]
-
-
-def read_run(path: Path, contents: LogContents | None = None) -> Iterator[Entry]:
-    """Messages of a file or of all files of a run's folder, in order."""
-    for file in log_files(path):
-        found = contents if contents is not None else LogContents()
-        found.schemas.clear()
-        found.channels.clear()
-        for entry, _schema, _channel in read_log(file, found):
-            yield entry
-
-
-def first_of(path: Path) -> LogContents:
-    """Metadata and attachments of a run without reading its messages."""
-    contents = LogContents()
-    for _ in read_log(log_files(path)[0], contents):
-        break
-    return contents
-
-
 def recover(path: Path, out: Path) -> tuple[int, str]:
     """Write what can be read of `path` to a new, indexed file. (messages, damage found). Raises LogError."""
     if out.exists():
@@ -356,22 +207,3 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
             for record in records:
                 writer.copy(*record)
         return writer.messages, contents.damage
-
-
-def is_being_written(path: Path) -> bool:
-    """A LogWriter has it open."""
-    with open_regular(path) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-    return False
-
-
-def is_intact(path: Path) -> bool:
-    """True when a file has its index, without reading the messages."""
-    try:
-        with open_regular(path) as stream:
-            return make_reader(stream).get_summary() is not None
-    except Exception:  # noqa: BLE001 - any failure to read the summary means the same thing
-        return False

@@ -1,0 +1,179 @@
+"""Reading of MCAP logs, up to their first damage. Sweeps that are packed (`rbtrg_robot.log.packed`) are what they were on the wire to every reader here."""
+
+from __future__ import annotations
+
+import fcntl
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
+
+import zstandard
+from lz4.frame import LZ4FrameDecompressor
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from hal.errors import OperatorError
+from hal.regular import open_regular
+from rbtrg_robot import msg
+from rbtrg_robot.log.packed import unpack
+
+METADATA = "run"
+CONFIG = "config.yaml"
+LARGEST_CHUNK = 256 * 1024 * 1024
+"""Bytes of a chunk that is read. Writers make them of 1 to 4 MiB; a few bytes may claim to be any number of them."""
+BROKEN = (
+    McapError, zstandard.ZstdError, ValueError, KeyError, EOFError, MemoryError, OverflowError, RuntimeError, struct.error,
+)  # fmt: skip
+"""What reading a damaged file can raise; OverflowError: a length beyond 2^63; RuntimeError: of lz4."""
+
+
+class LogError(OperatorError):
+    """A log file cannot be read or written; the message tells what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One recorded message."""
+
+    topic: str
+    type: str
+    data: bytes
+    log_time: int
+    publish_time: int
+    sequence: int
+
+
+@dataclass(slots=True)
+class LogContents:
+    """Findings of a pass over a file besides its messages; filled while `messages` runs."""
+
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    damage: str = ""
+    """Where and why reading ended early; empty for an intact file."""
+    indexed: bool = False
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+
+def read_log(
+    path: Path, contents: LogContents | None = None, *, raw: bool = False
+) -> Iterator[tuple[Entry, Schema | None, Channel]]:
+    """Messages in file order, up to the first damage; `raw`: packed sweeps as they are, to be copied. Raises LogError when it is no MCAP
+    file at all."""
+    found = contents if contents is not None else LogContents()
+    try:
+        stream = open_regular(path)
+    except OSError as error:
+        raise LogError(f"cannot read {path}: {error.strerror}") from error
+    with stream:
+        count = 0
+        try:
+            for record in _records(stream):
+                if isinstance(record, Schema):
+                    found.schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    found.channels[record.id] = record
+                elif isinstance(record, Metadata):
+                    found.metadata[record.name] = dict(record.metadata)
+                elif isinstance(record, Attachment):
+                    found.attachments[record.name] = record.data
+                elif isinstance(record, Message):
+                    channel = found.channels[record.channel_id]
+                    schema = found.schemas.get(channel.schema_id)
+                    kind, data = schema.name if schema else "", record.data
+                    if not raw and kind == msg.CompressedPointCloud2.__msgtype__:
+                        kind, data = msg.PointCloud2.__msgtype__, unpack(data)
+                    entry = Entry(
+                        channel.topic, kind, data, record.log_time, record.publish_time, record.sequence
+                    )
+                    count += 1
+                    yield entry, schema, channel
+            found.indexed = True
+        except BROKEN as error:
+            if not found.channels and not found.metadata:
+                raise LogError(f"{path} is not an MCAP file") from error
+            found.damage = f"after {count} messages: {type(error).__name__}"
+
+
+def _records(stream: BinaryIO) -> Iterator[McapRecord]:
+    """All records, those in chunks too, whose checksums are compared. Raises what BROKEN lists."""
+    for record in StreamReader(stream, emit_chunks=True, record_size_limit=2 * LARGEST_CHUNK).records:
+        if isinstance(record, Chunk):
+            data = _unpacked(record)
+            yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
+        else:
+            yield record
+
+
+def _unpacked(chunk: Chunk) -> bytes:
+    """Never more bytes than a chunk says it has, whatever its compressed data says. Raises ValueError for another number."""
+    size = chunk.uncompressed_size
+    if size > LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes")
+    if chunk.compression == "zstd":
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(size)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise ValueError(f"compression {chunk.compression!r}")
+    if len(data) != size:
+        raise ValueError(f"a chunk of {size} bytes has {len(data)}")
+    return data
+
+
+def log_files(path: Path) -> list[Path]:
+    """The files of a run: `path` itself, or all .mcap files of a folder in order, but for those of a recorder that was killed before it
+    wrote. Raises LogError."""
+    if path.is_dir():
+        written = [file for file in path.glob("*.mcap") if file.stat().st_size]
+        files = sorted(written, key=lambda p: (len(p.name), p.name))
+        if not files:
+            raise LogError(f"no .mcap file in {path}")
+        return files
+    if not path.exists():
+        raise LogError(f"there is no {path}")
+    return [path]
+
+
+def read_run(path: Path, contents: LogContents | None = None) -> Iterator[Entry]:
+    """Messages of a file or of all files of a run's folder, in order."""
+    for file in log_files(path):
+        found = contents if contents is not None else LogContents()
+        found.schemas.clear()
+        found.channels.clear()
+        for entry, _schema, _channel in read_log(file, found):
+            yield entry
+
+
+def first_of(path: Path) -> LogContents:
+    """Metadata and attachments of a run without reading its messages."""
+    contents = LogContents()
+    for _ in read_log(log_files(path)[0], contents):
+        break
+    return contents
+
+
+def is_being_written(path: Path) -> bool:
+    """A LogWriter has it open."""
+    with open_regular(path) as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+    return False
+
+
+def is_intact(path: Path) -> bool:
+    """True when a file has its index, without reading the messages."""
+    try:
+        with open_regular(path) as stream:
+            return make_reader(stream).get_summary() is not None
+    except Exception:  # noqa: BLE001 - any failure to read the summary means the same thing
+        return False

@@ -104,7 +104,7 @@ MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SE
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     8, "elevation", "whole elevation map, on request; a large one in blocks", recorded="full")
 MAP_PARTS      = Topic("/elevation_map/part",    msg.MapPart,          0, Qos.STATE,     8, "elevation", "the same to be saved, on request: parts that tell how many they are", recorded="")
 MAP_CLOUD      = Topic("/elevation_map/cloud",   msg.PointCloud2,      0, Qos.STATE,     2, "elevation", "what the map keeps of walls, one point per 0.25 m, on request, before the whole map", recorded="full")
-MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.MapPart,          0, Qos.STATE,     8, "planner",   "the planner's copy of the map, in parts, for a restarted elevation process", recorded="")
+MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.MapPart,          0, Qos.STATE,    32, "planner",   "the planner's copy of the map, in parts, for a restarted elevation process", recorded="")
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full, parts: send the whole map and its cloud", publish_by=Role.OPERATOR)
 MAP_PRIOR      = Topic("/elevation_map/prior",   msg.MapPrior,         0, Qos.STATE,     1, "",          "a prior map to begin anew with, while the robot stands", recorded="full standard", safe_to_replay=False, publish_by=Role.OPERATOR)
 MAP_STATUS     = Topic("/elevation_map/status",  msg.MapStatus,        2, Qos.STATE,     1, "elevation", "size and age of the map")

@@ -14,7 +14,7 @@ from hal.errors import one_line
 from hal.regular import open_regular
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
-from mapping.elevation.tiles import ASSUMED, CELL, CONTACT, FRESH, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
+from mapping.elevation.tiles import ASSUMED, CELL, CONTACT, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
 VERSION = 1
@@ -74,21 +74,11 @@ def restore_store(
             raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
     known = (source == CONTACT) | (source == LIDAR)
-    row, col = np.nonzero(known | np.isfinite(upper))
-    at = row, col
-    cell = store.locate((row + patch.cell[0]).astype(np.int64), (col + patch.cell[1]).astype(np.int64))
-    new = np.repeat(FRESH, len(row))
-    new["upper"] = np.where(known[at], np.inf, upper[at])
-    new["height"] = np.where(known[at], height[at], np.nan)
-    new["variance"] = np.where(known[at], layers["variance"][at], np.nan)
-    new["source"] = np.where(known[at], source[at], UNKNOWN)
-    new["count"] = np.where(source[at] == LIDAR, params.trust_count, 0)
-    new["seen"] = now
-    store.cells[cell] = new
+    measured = np.where(known, source, UNKNOWN).astype(np.uint8)
+    store.take_back(*patch.cell, (height, layers["variance"], upper), measured, params.trust_count, now)
     if sent:
         state = (source + 16 * layers["trusted"]).astype(np.uint8)
         store.differences(*patch.cell, height, upper, state, 0.0)
-    store.touched[np.unique(cell >> (2 * store.shift))] = 1
     return int(known.sum())
 
 

@@ -22,8 +22,8 @@ from mapping.elevation.align import Alignment
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
-from mapping.elevation.files import load_into, read_cloud, restore_store, save_store
-from mapping.elevation.mirror import PART
+from mapping.elevation.files import MAX_TILES, load_into, read_cloud, restore_store, save_store
+from mapping.elevation.mirror import BLOCK, PART
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
@@ -95,6 +95,7 @@ class ElevationMap:
         other.clean()
         for patch in other.take_patches():
             patch.with_terrain()
+            other.restore(patch)
 
     def put_on(self, folder: Path) -> None:
         """Put far tiles on this disk and bring them back, from before the first scan on. Nothing that is read out differs by that."""
@@ -313,6 +314,10 @@ class ElevationMap:
         """Warning for the operator about the map, in plain words; empty when all is well."""
         fits = self._prior.warning if self._prior is not None else ""
         return "; ".join(filter(None, (fits, self.store.shelf.trouble)))
+
+    def expect(self, blocks: int) -> None:
+        """Make room for a map that comes back in so many blocks: to grow by and by copies what is there each time."""
+        self.store.reserve(min(blocks * BLOCK * BLOCK, MAX_TILES))
 
     def restore(self, patch: MapPatch) -> int:
         """Take over what a reader still has of this map after the map itself was lost; returns the known cells.

@@ -61,6 +61,51 @@ def gather(
 
 
 @njit(cache=True)
+def take_back(
+    cells,
+    touched,
+    directory,
+    first,
+    shift,
+    i0,
+    j0,
+    height,
+    variance,
+    upper,
+    source,
+    wanted,
+    count,
+    lidar,
+    now,
+):  # pragma: no cover - compiled
+    """See `TileStore.take_back`; cells of absent tiles are left out."""
+    rows, cols = height.shape
+    mask = (1 << shift) - 1
+    for r in range(rows):
+        i = i0 + r
+        c = 0
+        while c < cols:
+            j = j0 + c
+            end = min(cols, c + mask + 1 - (j & mask))
+            base = base_of(directory, first, shift, i >> shift, j >> shift)
+            at = base + ((i & mask) << shift) + (j & mask) - c
+            for k in range(c, end if base >= 0 else c):
+                if not wanted[r, k]:
+                    continue
+                cell, known = cells[at + k], source[r, k] > 0
+                cell.height = height[r, k] if known else np.nan
+                cell.variance = variance[r, k] if known else np.nan
+                cell.upper = np.inf if known else upper[r, k]
+                cell.alt = cell.below = np.nan
+                cell.seen, cell.alt_seen = now, 0
+                cell.count = count if source[r, k] == lidar else 0
+                cell.source = source[r, k]
+                cell.streak = cell.passes = 0
+                touched[base >> (2 * shift)] = 1
+            c = end
+
+
+@njit(cache=True)
 def differences(
     sent, directory, first, shift, i0, j0, height, upper, state, step, boxes
 ):  # pragma: no cover - compiled

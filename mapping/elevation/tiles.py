@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mapping.elevation.exchange import MapError
 from mapping.elevation.shelf import Shelf
-from mapping.elevation.tile_kernels import differences, gather, locate
+from mapping.elevation.tile_kernels import differences, gather, locate, take_back
 
 UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
 """Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store."""
@@ -286,6 +286,28 @@ class TileStore:
         s = self.shift
         self.bring(i0 >> s, j0 >> s, (i0 + rows - 1) >> s, (j0 + cols - 1) >> s)
         gather(self.cells, self.directory, self.first, self.shift, i0, j0, *out)
+
+    def take_back(
+        self,
+        i0: int,
+        j0: int,
+        layers: tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]],
+        source: NDArray[np.uint8],
+        count: int,
+        now: int,
+    ) -> None:
+        """Write height, variance and upper bound, (rows, cols) each, into the cells from (i0, j0) on, as seen at `now` [ms], LiDAR cells by
+        `count` points. source: UNKNOWN, CONTACT or LIDAR; an unknown cell without a finite upper bound stays as it is.
+        """
+        wanted = (source != UNKNOWN) | np.isfinite(layers[2])
+        rows, cols = source.shape
+        for row in range(i0 >> self.shift, ((i0 + rows - 1) >> self.shift) + 1):
+            for col in range(j0 >> self.shift, ((j0 + cols - 1) >> self.shift) + 1):
+                r, c = row * self.size - i0, col * self.size - j0
+                if wanted[max(0, r) : r + self.size, max(0, c) : c + self.size].any():
+                    self.allocate(row, col)
+        where = (self.directory, self.first, self.shift, i0, j0)
+        take_back(self.cells, self.touched, *where, *layers, source, wanted, count, LIDAR, now)
 
     def differences(
         self,

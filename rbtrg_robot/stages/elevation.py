@@ -301,6 +301,7 @@ class ElevationStage:
         return ((t.MAP_PARTS, part) for part in map_parts(self.map.boxes(), self.map.read, self.map.stamp))
 
     def _restore(self, mirror: msg.MapPart) -> None:
+        self.map.expect(mirror.parts)
         self.map.restore(map_patch(mirror.map, self.map.epoch))
         self._returned.add(mirror.part)
         self._patience = 0

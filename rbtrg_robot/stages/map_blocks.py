@@ -21,9 +21,9 @@ class MapBlocks:
         self._left[name] = blocks
         return list(islice(blocks, 1))
 
-    def due(self) -> Outputs:
-        """The next block of each."""
-        return [block for blocks in self._left.values() for block in islice(blocks, 1)]
+    def due(self, most: int = 1) -> Outputs:
+        """The next blocks of each, so many."""
+        return [block for blocks in self._left.values() for block in islice(blocks, most)]
 
     def stop(self) -> None:
         """Nobody needs the rest."""

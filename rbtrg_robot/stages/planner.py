@@ -38,6 +38,9 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
 from rbtrg_robot.wire.messages import header
 
+BACK = 4
+"""Parts of the map that a restarted elevation process gets in one tick: 100 x 100 m come back in a second."""
+
 
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
@@ -164,7 +167,7 @@ class PlannerStage:
         due = now - self._updated >= self._params.update_period * NS or now < self._updated
         if due and self._path is not None and self._start is not None and self._map.stale:
             self._sync(self._start)
-        outputs = self._returning.due()
+        outputs = self._returning.due(BACK)
         if now < self._status_due and now > self._status_due - NS:
             return outputs
         self._status_due = now + NS // 2

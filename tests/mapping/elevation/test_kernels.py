@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapping.elevation import fusion as kernels
-from mapping.elevation.tiles import LIDAR, UNKNOWN, TileStore
+from mapping.elevation.tiles import CONTACT, FRESH, LIDAR, UNKNOWN, TileStore
 from mapping.elevation.visibility import COMPANY, judge, trace
 
 RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0])
@@ -15,6 +15,35 @@ RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0]
 def rotation(rng: np.random.Generator) -> np.ndarray:
     q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     return q * np.linalg.det(q)
+
+
+def test_a_read_out_is_taken_back_as_numpy_does_it() -> None:
+    rng = np.random.default_rng(5)
+    rows, cols, i0, j0 = 41, 60, -13, -30
+    store = TileStore(16)
+    store.allocate(-1, -2)
+    height, variance, upper = rng.normal(size=(3, rows, cols)).astype(np.float32)
+    upper[rng.random(upper.shape) < 0.5] = np.nan
+    source = rng.choice(np.array([UNKNOWN, CONTACT, LIDAR], np.uint8), (rows, cols))
+    upper[:, 14:30], source[:, 14:30] = np.inf, UNKNOWN  # a tile of which nothing comes stays absent
+    known = source != UNKNOWN
+    at = np.nonzero(known | np.isfinite(upper))
+    want = np.repeat(FRESH, at[0].size)
+    want["upper"] = np.where(known[at], np.inf, upper[at])
+    want["height"], want["variance"] = (
+        np.where(known[at], layer[at], np.nan) for layer in (height, variance)
+    )
+    want["source"], want["count"], want["seen"] = source[at], np.where(source[at] == LIDAR, 7, 0), 99
+    store.take_back(i0, j0, (height, variance, upper), source, 7, 99)
+    used = store.used
+    cell = store.locate((at[0] + i0).astype(np.int64), (at[1] + j0).astype(np.int64))
+    assert store.used == used
+    assert store.slot(0, -1) < 0
+    for name in store.cells.dtype.names or ():
+        np.testing.assert_array_equal(store.cells[cell][name], want[name], name)
+    others = np.setdiff1d(np.arange(used * 16 * 16), cell)
+    assert (store.cells["source"][others] == UNKNOWN).all()
+    assert set(np.flatnonzero(store.touched)) == set(cell >> 8)
 
 
 def test_project_equals_numpy() -> None:

@@ -91,15 +91,18 @@ def test_a_restarted_elevation_process_gets_all_parts_back() -> None:
     fed.stage.on(t.MAP_STATUS, msg.MapStatus(known_cells=1))
     restoring = msg.MapStatus(restoring=True)
     outputs = giver.on(t.MAP_STATUS, restoring)
-    parts = 0
+    parts, room = 0, 0
     for k in range(20):
         for topic, message in outputs:
             if topic is t.MAP_MIRROR:
                 assert fed.stage._restoring == (parts < message.parts)
                 fed.stage.on(topic, message)
+                room = room or fed.stage.map.store.touched.size
                 parts += 1
         outputs = giver.tick(k)
     assert parts == 3
+    assert fed.stage.map.store.touched.size == room, "what came first was copied when more came"
+    assert t.MAP_MIRROR.depth > planner.BACK
     assert not fed.stage._restoring
     assert fed.stage.map.store.counts()[1] == 3 * 100 * 100
     assert "came back from the planner" in fed.status.detail

@@ -84,7 +84,7 @@ class CommandPath:
         """Take back what was latched before a restart: a stop outlives a crash."""
         self._latch = message.latch
         if message.estop:
-            self._gate.stop(StopCause.OPERATOR, message.estop_cause)
+            self._gate.stop(StopCause.OPERATOR, message.estop_cause.removeprefix(f"{StopCause.OPERATOR}: "))
             self._latched = True
         if message.taken:
             self._mux.hold(TELEOP)

@@ -40,6 +40,8 @@ from rbtrg_robot.wire.messages import header
 
 BACK = 4
 """Parts of the map that a restarted elevation process gets in one tick: 100 x 100 m come back in a second."""
+AGAIN = 1_500_000_000
+"""From the last part until all are sent once more [ns]; shorter than it waits for one."""
 
 
 class PlannerStage:
@@ -81,6 +83,8 @@ class PlannerStage:
         """Of the poses that are watched on `_path`: those in stepfields that were known when it was made."""
         self._malformed = 0
         self._returning = MapBlocks()
+        self._returned = -AGAIN
+        """When its newest part was sent [ns]."""
         self._verdict = (True, "")
         self._checked_version = -1
 
@@ -118,7 +122,7 @@ class PlannerStage:
             if not message.restoring:
                 self._returning.stop()
             elif self._map.known:
-                return self._returning.due() or self._return_map()
+                return self._return_map()
         elif t.PLAN_REQUEST.carried(message, topic):
             return self._answer(message)
         elif t.ROUTE_QUESTION.carried(message, topic):
@@ -126,10 +130,18 @@ class PlannerStage:
         return []
 
     def _return_map(self) -> Outputs:
-        """The map for an elevation process that lost it, part by part."""
+        """The map for an elevation process that lost it, part by part. It may have all of it and be slow: what is lost is sent again later."""
+        if (due := self._next_parts()) or 0 <= self._now - self._returned < AGAIN:
+            return due
+        self._returned = self._now
         mirror = self._map.mirror
         parts = map_parts(mirror.windows(), mirror.read, mirror.stamp)
         return self._returning.begin("mirror", ((t.MAP_MIRROR, part) for part in parts))
+
+    def _next_parts(self) -> Outputs:
+        parts = self._returning.due(BACK)
+        self._returned = self._now if parts else self._returned
+        return parts
 
     def _take_patch(self, message: msg.GridMap) -> None:
         try:
@@ -167,7 +179,7 @@ class PlannerStage:
         due = now - self._updated >= self._params.update_period * NS or now < self._updated
         if due and self._path is not None and self._start is not None and self._map.stale:
             self._sync(self._start)
-        outputs = self._returning.due(BACK)
+        outputs = self._next_parts()
         if now < self._status_due and now > self._status_due - NS:
             return outputs
         self._status_due = now + NS // 2

@@ -82,7 +82,9 @@ class Bus:
         try:
             self.session = zenoh.open(config)
         except zenoh.ZError as error:
-            if router:
+            if "shm" in str(error):
+                what = "no shared memory for Zenoh: is /dev/shm full, or `mlock` forbidden (`ulimit -l`, a container's filter)?"
+            elif router:
                 where = " or ".join((endpoint, *(security.listen if security else ())))
                 what = f"cannot listen on {where}: is another program using the port? Choose one with --port"
             elif security is not None:

@@ -16,6 +16,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.orders.map import FetchMap, read, save
 from rbtrg_robot.stages import planner
+from rbtrg_robot.stages.elevation import RESTORE_PATIENCE
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.wire.convert import map_patch, patch_msg
 from tests.rbtrg_robot.stages.test_elevation import Fed
@@ -106,6 +107,20 @@ def test_a_restarted_elevation_process_gets_all_parts_back() -> None:
     assert not fed.stage._restoring
     assert fed.stage.map.store.counts()[1] == 3 * 100 * 100
     assert "came back from the planner" in fed.status.detail
+
+
+def test_a_slow_elevation_process_gets_no_part_twice_but_a_lost_one() -> None:
+    """It tells twice a second that it is restoring. On a busy computer it was sent the whole map twice."""
+    giver = planner.build(load(None, [], scene="flat"))
+    for patch in squares():
+        giver.on(t.MAP_UPDATE, patch_msg(patch))
+    sent = []
+    for now in range(0, 3 * planner.AGAIN, planner.AGAIN // 3):
+        outputs = giver.tick(now) + giver.on(t.MAP_STATUS, msg.MapStatus(restoring=True))
+        sent.append(sum(topic is t.MAP_MIRROR for topic, _ in outputs))
+    assert sum(sent[:4]) == 3
+    assert 3 < sum(sent) <= 9
+    assert planner.AGAIN < RESTORE_PATIENCE
 
 
 def test_routes_are_searched_around_the_robot_on_a_large_map() -> None:

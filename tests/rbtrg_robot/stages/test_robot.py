@@ -191,6 +191,7 @@ def test_what_was_latched_before_a_crash_is_latched_after_it(rig: Rig, taken: bo
     again.run(1.0)
     assert again.speed == 0.0
     assert again.state.latch == before.latch
+    assert again.state.estop_cause == before.estop_cause
     again.order("resume", before.latch)
     again.run(0.5)
     assert again.speed == 0.3

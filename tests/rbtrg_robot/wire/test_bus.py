@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+import zenoh
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.scope import Scope
@@ -36,6 +37,17 @@ def collect(bus: Bus, count: int) -> list[Received]:
         if len(got) >= count:
             break
     return got
+
+
+def test_what_shared_memory_lacks_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a container whose filter forbids `mlock` the port was named instead."""
+
+    def forbidden(_config: object) -> None:
+        raise zenoh.ZError("Unable to create POSIX shm segment: OS error 1 at segment.rs:85.")
+
+    monkeypatch.setattr(zenoh, "open", forbidden)
+    with pytest.raises(BusError, match="mlock"):
+        Bus(free_endpoint(), "supervisor", router=True)
 
 
 def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint: str) -> None:

@@ -10,11 +10,8 @@ import math
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from hal.go2w import HIP_Y, THIGH_Y, TREAD_WIDTH
-from hal.go2w import TREAD_Y as TREAD
 from hal.safety.swept import (
     BEFORE,
     FLAT,
@@ -26,12 +23,6 @@ from hal.safety.swept import (
     turn_tracks,
 )
 from hal.types import Array, Capabilities
-
-AXLE, TREAD_Y = 0.21, HIP_Y + THIGH_Y + TREAD
-"""Where the wheels stand in base_link [m]."""
-TURN_FACE = 0.09
-"""[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar (`docs/simulated_robot.md`); 3 cm are the noise
-of the map."""
 
 Pose = tuple[float, float, float]
 """x, y [m], yaw [rad] in `map`."""
@@ -69,56 +60,6 @@ def free_turn(
     tracks = np.ascontiguousarray(_turning(math.copysign(1.0, turn), spare)[:, :samples])
     found = reach_of(tracks, turn_step(), around, pose, FLAT, robot, seen=False)
     return min(found.free, abs(turn)) if found.kind else abs(turn)
-
-
-def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float) -> float:
-    """How far [rad], at most the size of `turn`, a body at `pose` turns on the spot, to the left where `turn` is positive, before one of its
-    wheels comes to a face above `TURN_FACE`. Ground may rise as steeply as `max_slope` [rad] besides.
-    """
-    steps = math.ceil(abs(turn) / turn_step())
-    at = wheel_face(
-        around.height,
-        around.origin[0],
-        around.origin[1],
-        around.resolution,
-        float(pose[0]),
-        float(pose[1]),
-        float(pose[2]),
-        math.copysign(turn_step(), turn),
-        steps,
-        TURN_FACE,
-        math.tan(max_slope),
-    )
-    return min(at * turn_step(), abs(turn))
-
-
-@njit(cache=True)
-def wheel_face(
-    height, x0, y0, resolution, x, y, yaw, step, steps, limit, grade
-):  # pragma: no cover - compiled
-    """Number of steps of `step` [rad] after which a wheel meets a face of more than `limit` [m] within two cells, less what the ground rises by `grade`;
-    `steps` where none does."""
-    rows, cols = height.shape
-    first = steps
-    for wheel in range(12):
-        u = AXLE if wheel % 2 == 0 else -AXLE
-        v = TREAD_Y * (1.0 if wheel % 4 < 2 else -1.0) + 0.5 * TREAD_WIDTH * (wheel // 4 - 1)
-        radius, angle = math.hypot(u, v), yaw + math.atan2(v, u)
-        back = math.ceil(2.0 * resolution / (radius * abs(step)))
-        ground = np.full(steps + 1, np.nan)
-        for i in range(first + 1):
-            a = angle + i * step
-            col = math.floor((x + radius * math.cos(a) - x0) / resolution + 0.5)
-            row = math.floor((y + radius * math.sin(a) - y0) / resolution + 0.5)
-            if 0 <= row < rows and 0 <= col < cols:
-                ground[i] = height[row, col]
-            met = False
-            for j in range(max(0, i - back), i):
-                met |= ground[i] - ground[j] - grade * (i - j) * radius * abs(step) > limit
-            if met:
-                first = min(first, i)
-                break
-    return first
 
 
 @lru_cache(maxsize=8)

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 
-from hal.safety.planned import free_turn, mapped, wheels_turn
+from hal.safety.planned import free_turn, mapped
 from hal.safety.swept import Surroundings
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.graph.describe import HEADINGS
 from planning.graph.params import GraphParams
+from planning.search.wheels import wheels_turn
 
 REACH = 0.6
 """[m] around a turn: what the corners of the body sweep, and a gap beside it."""
@@ -31,10 +32,10 @@ def known_around(grid: ElevationGrid, xy: tuple[float, float], reach: float) -> 
 def guarded_turn(
     grid: ElevationGrid, params: GraphParams, xy: tuple[float, float], yaw: float, turn: float, spare: float
 ) -> float:
-    """How far [rad], at most the size of `turn`, the guard lets a body that is larger by `spare` [m] on each side turn at x, y [m] on the spot from
-    `yaw` [rad].
+    """How far [rad], at most the size of `turn`, the guard and the wheels let a body that is larger by `spare` [m] on each side turn at x, y [m] on the spot
+    from `yaw` [rad].
 
-    It keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when 0.14 rad of a turn are left
+    The guard keeps a margin of 0.03 m, which is a turn of 0.07 rad, and slows down before. The tracker drives on when 0.14 rad of a turn are left
     (`TrackerConfig.turn_release`), so a turn that meets nothing to its end is not held.
     """
     robot = Capabilities("", max_step=params.max_step, max_slope=params.max_slope, max_gap=params.max_gap)

@@ -10,8 +10,6 @@ MEAN = 0.3
 """[s] over which a speed is averaged: a base that climbs at a face rocks to and fro, and gets nowhere."""
 SLOW = 2.0
 """A turn on the spot is judged after so long [s]."""
-
-
 AGAINST, AGAINST_TIME = 0.15, 0.3
 """A base that moves so fast [m/s] the other way than it is told to for so long [s] has lost its hold."""
 REST = 0.05

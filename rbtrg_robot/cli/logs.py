@@ -185,7 +185,8 @@ def log_check(file: Path, as_json: Json = False) -> None:
     if as_json:
         say_json(_summary(summary) | {"problems": problems})
     else:
-        say("\n".join(problems) if problems else "no problems found")
+        for problem in problems or ["no problems found"]:
+            say(problem)
     if problems:
         raise typer.Exit(1)
 

@@ -32,10 +32,9 @@ class CrowdedSocket(socket.socket):
         self._strangers = _open(self._strangers)
         while len(self._strangers) >= STRANGERS:
             oldest = self._strangers.pop(next(iter(self._strangers)))
+            # Whoever holds it reads its end: to close it here would give its number away.
             with contextlib.suppress(OSError):
-                oldest.shutdown(
-                    socket.SHUT_RDWR
-                )  # whoever holds it reads its end: to close it here would give its number away
+                oldest.shutdown(socket.SHUT_RDWR)
         self._strangers[address[:2]] = found
         return found, address
 

@@ -24,7 +24,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hal.errors import OperatorError
 from rbtrg_robot.terminal import say
@@ -204,9 +204,10 @@ class Zygote:
 def serve(link: socket.socket, supervisor: int) -> dict[str, Any] | None:
     """Fork on request. Returns a specification in each forked process, None in the zygote itself at its end."""
     requests = link.makefile("rb")
-    while line := requests.readline():
+    while line := _next(requests):
         if not line.strip():  # whether somebody is here
-            link.sendall(line)
+            with contextlib.suppress(BrokenPipeError):  # the next read is the end
+                link.sendall(line)
             continue
         request = json.loads(line)
         pid_read, pid_write = os.pipe()
@@ -240,6 +241,14 @@ def serve(link: socket.socket, supervisor: int) -> dict[str, Any] | None:
         os.close(pid_read)
         os.close(go_write)
     return None
+
+
+def _next(requests: BinaryIO) -> bytes:
+    """One line; empty at the end, also of a link that was closed before its last answer was read."""
+    try:
+        return requests.readline()
+    except ConnectionResetError:
+        return b""
 
 
 def _go_on(signal_read: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from hal.safety.gate_types import BY_GUARD
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -17,7 +18,7 @@ HELD = 0.1
 """[rad/s] A turn that the guard lets go on no faster than this is held."""
 
 STANDS = 0.05
-"""[m/s] A robot that the guard lets drive no faster than this is held."""
+"""[m/s] A robot that the guard slows down to less than this is held."""
 
 
 class Inputs:
@@ -63,10 +64,12 @@ class Inputs:
 
     @property
     def way_held(self) -> bool:
-        """Whether the guard holds the robot on its path: nothing is let through that the tracker would call driving."""
+        """Whether the guard holds the robot on its path, or lets it creep the way it is driven."""
         if self.limits is None or self.robot is None or self.phase != "following":
             return False
-        return abs(self.robot.vx) < STANDS and min(self.limits.forward, self.limits.backward) < STANDS
+        if self.robot.vx == 0.0:
+            return self.robot.hold.startswith(BY_GUARD)
+        return (self.limits.forward if self.robot.vx > 0.0 else self.limits.backward) < STANDS
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

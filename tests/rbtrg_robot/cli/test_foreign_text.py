@@ -139,6 +139,12 @@ def test_logs(here: Here, log: Path, words: tuple[str, ...]) -> None:
     clean(ended.stdout + ended.stderr)
 
 
+def test_each_problem_of_a_log_has_a_line(here: Here, log: Path) -> None:
+    (log / "log_2.mcap").write_bytes((log / "log_1.mcap").read_bytes())
+    problems = json.loads(here("log", "check", str(log), "--json").stdout)["problems"]
+    assert len(here("log", "check", str(log)).stdout.splitlines()) == len(problems) > 1
+
+
 def test_replay_names_what_it_leaves_out(here: Here, log: Path) -> None:
     clean(here("replay", str(log), "--port", str(free_port())).stdout)
 

@@ -7,7 +7,7 @@ import http.client
 import json
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,18 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from rbtrg_robot.console import archive, crowd
-from tools.bench.console.stack import Console, Robot
-
-
-@pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
-        robot = Robot()
-        made = Console(robot, tmp_path_factory.mktemp("console"))
-        yield made
-        made.close()
-        robot.close()
+from tools.bench.console.stack import Console
 
 
 def ask(

@@ -6,7 +6,6 @@ import http.client
 import json
 import ssl
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +29,7 @@ from rbtrg_robot.stages.planner import build
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import patch_msg
 from rbtrg_robot.wire.messages import decode, encode
-from tools.bench.console.stack import Console, Robot, ground
-
-
-@pytest.fixture(scope="module")
-def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Console]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("run")))
-        robot = Robot()
-        made = Console(robot, tmp_path_factory.mktemp("console"))
-        yield made
-        made.close()
-        robot.close()
+from tools.bench.console.stack import Console, ground
 
 
 def get(

@@ -6,9 +6,11 @@ import json
 import os
 import select
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ import pytest
 
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
-from rbtrg_robot.process.zygote import ONE_THREAD, PR_SET_PDEATHSIG, Forked, Zygote, _settle
+from rbtrg_robot.process.zygote import ONE_THREAD, PR_SET_PDEATHSIG, Forked, Zygote, _settle, serve
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.bus import Bus
 from tools.bench.ports import free_port
@@ -101,6 +103,17 @@ def test_a_zygote_that_ended_is_replaced_before_it_is_needed() -> None:
         assert zygote.mend()
         assert zygote.pid != killed
         assert not zygote.mend()
+
+
+def test_a_supervisor_that_ends_before_it_reads_the_answer_is_the_end_and_no_fault() -> None:
+    ours, its = socket.socketpair()
+    with ThreadPoolExecutor(1) as pool:
+        end = pool.submit(serve, its, os.getpid())
+        ours.sendall(b"\n")
+        assert select.select([ours], [], [], 20.0)[0], "the answer is there"
+        ours.close()
+        assert end.result(20.0) is None
+    its.close()
 
 
 def test_a_zygote_that_hangs_is_replaced_before_it_is_needed(tmp_path: Path) -> None:

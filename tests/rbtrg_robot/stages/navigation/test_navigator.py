@@ -45,6 +45,7 @@ class World:
         self.taken = ""
         self.phase = "ready"
         self.vx = 0.0
+        self.hold = ""
         self.left = 2.0
         self.route_valid = True
         if placed:
@@ -82,6 +83,7 @@ class World:
                 estop_cause="operator" if self.estop else "",
                 taken=self.taken,
                 vx=self.vx,
+                hold=self.hold,
             )
             path = self.last(t.PATH_COMMAND)
             path_id = path.id if path is not None and self.tracker_obeys else ""
@@ -851,9 +853,18 @@ def test_a_turn_that_the_guard_holds_is_asked_for_anew(world: World, error: floa
     assert world.count(t.PLAN_REQUEST) == requests + 1
 
 
-@pytest.mark.parametrize("ways", [{"forward": 0.01, "backward": 1.0}, {"forward": 1.0, "backward": 0.0}])
+@pytest.mark.parametrize(
+    ("vx", "hold", "forward", "backward", "asks"),
+    [
+        (0.0, "guard: a face", 0.0, 1.0, True),
+        (0.01, "", 0.01, 1.0, True),
+        (-0.01, "", 1.0, 0.01, True),
+        (0.01, "", 1.0, 0.0, False),  # it sets off; what lies behind it is in nobody's way
+        (0.0, "no fresh command", 0.0, 0.0, False),
+    ],
+)
 def test_a_robot_that_the_guard_holds_on_its_path_asks_anew_before_it_counts_as_stuck(
-    world: World, ways: dict[str, float]
+    world: World, vx: float, hold: str, forward: float, backward: float, asks: bool
 ) -> None:
     # Before an edge that no plan knew it stood for 8 s, and then kept off the bridge behind the edge.
     world.goal()
@@ -861,9 +872,10 @@ def test_a_robot_that_the_guard_holds_on_its_path_asks_anew_before_it_counts_as_
     requests = world.count(t.PLAN_REQUEST)
     world.run(3.0)
     assert world.count(t.PLAN_REQUEST) == requests, "nothing holds it"
-    world.send(t.MOTION_LIMITS, left=1.0, right=1.0, **ways)
+    world.vx, world.hold = vx, hold
+    world.send(t.MOTION_LIMITS, left=1.0, right=1.0, forward=forward, backward=backward)
     world.run(0.2)
-    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert world.count(t.PLAN_REQUEST) == requests + asks
     assert world.status.state == "moving"
     assert not len(world.last(t.PLAN_REQUEST).avoid)
 

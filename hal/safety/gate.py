@@ -16,7 +16,6 @@ import math
 from collections import Counter
 
 from hal.safety.gate_types import (
-    BY_GUARD,
     GateConfig,
     GateInputs,
     GateStatus,
@@ -292,8 +291,9 @@ class SafetyGate:
         wanted = target.vx != 0.0 or target.vy != 0.0 or target.wz != 0.0
         cleared = cut(target.vx, limits.forward, limits.backward), cut(target.wz, limits.left, limits.right)
         if wanted and cleared == (0.0, 0.0):
-            reason = limits.reason or "nothing is known to be in the way, and nothing is allowed"
-            self._hold = f"{BY_GUARD}{reason}"
+            self._hold = (
+                f"guard: {limits.reason or 'nothing is known to be in the way, and nothing is allowed'}"
+            )
 
     def _keep_inside(self, fence: Geofence, pose: tuple[float, float, float]) -> None:
         """Slow down before the fence and stop at it. A robot outside may drive inwards, and turn.

@@ -100,10 +100,6 @@ class Refusal:
     detail: str
 
 
-BY_GUARD = "guard: "
-"""What holds the robot begins so where the guard allows nothing of what was asked."""
-
-
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
     """The speeds at which the body still stops before what is in its way; from a guard that sees the ground around it."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from hal.safety.gate_types import BY_GUARD
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -64,11 +63,14 @@ class Inputs:
 
     @property
     def way_held(self) -> bool:
-        """Whether the guard holds the robot on its path, or lets it creep the way it is driven."""
-        if self.limits is None or self.robot is None or self.phase != "following":
+        """Whether the guard holds the robot on its path, or lets it creep the way it is driven.
+
+        A robot that stands does not tell which way it is to be driven; where the tracker drives it, the guard holds one of them.
+        """
+        if self.limits is None or self.robot is None or self.tracker is None or self.phase != "following":
             return False
         if self.robot.vx == 0.0:
-            return self.robot.hold.startswith(BY_GUARD)
+            return not self.tracker.hold and min(self.limits.forward, self.limits.backward) < STANDS
         return (self.limits.forward if self.robot.vx > 0.0 else self.limits.backward) < STANDS
 
     def take(self, topic: Topic, message: Any, now: int) -> None:

@@ -129,16 +129,16 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
             return np.ascontiguousarray(geometry.vertices, np.float32)
     if path.suffix.lower() != ".npz":
         return np.empty((0, 3), np.float32)
-    return checked_cloud(_arrays(path).get("cloud", np.empty((0, 3), np.float32)), path.name)
+    return checked_cloud(_arrays(path, ("cloud",)).get("cloud", np.empty((0, 3), np.float32)), path.name)
 
 
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a .npz file. Raises MapError."""
+def _arrays(path: Path, only: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
+    """The arrays of a .npz file, or those of them that are named. Raises MapError."""
     try:
         with open_regular(path) as stream, np.load(stream, allow_pickle=False) as file:
             size = sum(member.file_size for member in file.zip.infolist())
             if size <= MAX_BYTES:
-                return {name: file[name] for name in file.files}
+                return {name: file[name] for name in file.files if not only or name in only}
     except Exception as error:  # zip, zlib, the parser of headers and numpy raise what they trip over
         raise MapError(f"{path.name}: broken or truncated .npz file ({one_line(error)})") from error
     raise MapError(
@@ -182,6 +182,7 @@ def _load_own(
         raise MapError(f"{name}: damaged map ({error}): take another copy") from error
     if abs(own - resolution) < 1e-9 and size == store.size:
         n = size * size
+        store.reserve(store.used + len(tiles))
         for k, (row, col) in enumerate(tiles):
             slot = store.allocate(int(row), int(col))
             cells = store.cells[slot * n : (slot + 1) * n]

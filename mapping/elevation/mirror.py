@@ -98,7 +98,15 @@ class MapMirror:
     @property
     def known(self) -> bool:
         """A patch was received."""
-        return bool(self._tiles) or len(self.shelf) > 0
+        return len(self) > 0
+
+    def __contains__(self, key: Key) -> bool:
+        """Whether something of a tile was received."""
+        return key in self._tiles or key in self.shelf
+
+    def __len__(self) -> int:
+        """Tiles of which something was received."""
+        return len(self._tiles) + len(self.shelf)
 
     @property
     def trouble(self) -> str:
@@ -221,7 +229,7 @@ class MapMirror:
 
     def _within(self, window: CellWindow) -> Iterator[Key]:
         """Tiles of a window of which something was seen."""
-        return (key for key in window.tiles if key in self._tiles or key in self.shelf)
+        return (key for key in window.tiles if key in self)
 
 
 def fresh_tile() -> NDArray[np.float32]:

@@ -54,6 +54,8 @@ AWAY = -2
 """In the directory: the tile lies on the shelf. -1: there is none."""
 FRESH_SENT = np.array([(np.nan, np.nan, 0)], dtype=SENT)[0]
 
+AT_ONCE = 16
+"""Tiles that are put away in one scan, 3 MB. The robot stood for 2.4 s on its way when 1000 tiles of a prior map were, on a loaded machine."""
 TRUSTED_SENT = 16
 """`state` of a cell that the last delta called trusted."""
 
@@ -140,13 +142,15 @@ class TileStore:
         self.touched, self.tiles = _grown(self.touched, capacity), _grown(self.tiles, capacity)
 
     def stay_near(self, row: int, col: int, near: int, far: int) -> None:
-        """Bring back the tiles up to `near` rows and columns from a tile, put away those beyond `far` of which all changes were read."""
+        """Bring back the tiles up to `near` rows and columns from a tile, put away some of those beyond `far` of which all changes were read: at most
+        AT_ONCE, the rest in the next calls."""
         if (not self.shelf.open and not len(self.shelf)) or self._middle == (row, col):
             return
-        self._middle = (row, col)
         self.bring(row - near, col - near, row + near, col + near)
         away = np.abs(self.tiles[: self.used] - (row, col)).max(axis=1) > far
-        for slot in np.flatnonzero(away & (self.touched[: self.used] == 0))[::-1].tolist():
+        slots = np.flatnonzero(away & (self.touched[: self.used] == 0))[::-1]
+        self._middle = (row, col) if len(slots) <= AT_ONCE else None
+        for slot in slots[:AT_ONCE].tolist():
             if not self._put_away(slot):
                 return
 

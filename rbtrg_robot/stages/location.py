@@ -59,7 +59,10 @@ class Location:
         """Of `odom` in `map`, once found."""
         self.candidates: tuple[Candidate, ...] = ()
         self._name = ""
+        self._map: tuple[NDArray[np.float32], Sequence[MapPatch]] | None = None
+        """Cloud and ground that are searched; None where nothing can be."""
         self._prior: PriorMap | None = None
+        """Made of these at the first search: it takes seconds for a large map, and a restarted process that was located needs none."""
         self._hint: Planar = (0.0, 0.0, 0.0)
         self._told = False
         self._submap = Submap()
@@ -74,7 +77,7 @@ class Location:
         out = cls()
         out._name, out._hint = name, hint
         if len(cloud):
-            out._prior = PriorMap(cloud, [patch.grid() for patch in patches])
+            out._map = cloud, patches
             out._say(State.SEARCHING, f"searching the robot in {name}")
         else:
             out._say(
@@ -95,7 +98,7 @@ class Location:
         offset = offset_of((place.x, place.y, yaw_of(pose.pose.pose.orientation)), odom)
         if not all(map(math.isfinite, offset)) or not stands(odom) or self.state is State.NONE:
             return
-        if self._prior is None:
+        if self._map is None:
             self._say(State.TOLD, f"told where the robot stands in {self._name}; the map cannot be searched")
             return
         self._hint, self._told = offset, True
@@ -109,7 +112,7 @@ class Location:
         below: float,
     ) -> None:
         """One scan of every LiDAR, points in base_link; `below`: how far the ground is under base_link [m]."""
-        if self._prior is None or self.state is State.FOUND or self.state.known:
+        if self._map is None or self.state is State.FOUND or self.state.known:
             return
         position = xyz(odom.pose.pose.position)
         if not stands(odom):
@@ -137,7 +140,10 @@ class Location:
         return True
 
     def _decide(self, odom: msg.Odometry) -> None:
-        assert self._prior is not None
+        assert self._map is not None
+        if self._prior is None:
+            cloud, patches = self._map
+            self._prior = PriorMap(cloud, [patch.grid() for patch in patches])
         hint = pose_of(self._hint, odom)
         verdict = locate(self._prior, self._submap, hint, self._told)
         self.candidates = verdict.candidates

@@ -40,6 +40,8 @@ from rbtrg_robot.wire.messages import header
 
 BACK = 4
 """Parts of the map that a restarted elevation process gets in one tick: 100 x 100 m come back in a second."""
+SETTLED = 300_000_000
+"""[ns] without a block of the map: the whole of a prior map has come. While the robot maps, blocks come every 0.5 s."""
 AGAIN = 1_500_000_000
 """From the last part until all are sent once more [ns]; shorter than it waits for one."""
 
@@ -71,6 +73,10 @@ class PlannerStage:
         self._ways = WaySearch(params, body, limits)
         self._epoch = 0
         self._updated = 0
+        self._patched = 0
+        """When the newest block of the map came [ns]."""
+        self._unprepared = False
+        """The graph follows the map, its edges were not evaluated yet."""
         self._start: tuple[float, float] | None = None
         self._now = 0
         self._status_due = 0
@@ -144,6 +150,7 @@ class PlannerStage:
         return parts
 
     def _take_patch(self, message: msg.GridMap) -> None:
+        self._patched = self._now
         try:
             self._map.apply(map_patch(message, max(self._epoch, self._map.mirror.epoch)))
         except (LayoutError, MapError):
@@ -151,6 +158,9 @@ class PlannerStage:
 
     def _watch(self, message: msg.GridMap) -> Outputs:
         """Look whether something came into the way of the path, at the rate of the scans."""
+        if self._path is None:  # the robot may be driven by hand, or carried to its place in a prior map
+            place = message.info.pose.position
+            self._start = (place.x, place.y) if math.isfinite(place.x + place.y) else self._start
         watching = self._path is not None and self._verdict[0]
         if not watching and self._map.window is None:
             return []
@@ -179,6 +189,7 @@ class PlannerStage:
         due = now - self._updated >= self._params.update_period * NS or now < self._updated
         if due and self._path is not None and self._start is not None and self._map.stale:
             self._sync(self._start)
+        self._prepare(due)
         outputs = self._next_parts()
         if now < self._status_due and now > self._status_due - NS:
             return outputs
@@ -187,6 +198,17 @@ class PlannerStage:
         if not self._map.known:  # just started: what was published before must be asked for
             outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")))
         return outputs
+
+    def _prepare(self, due: bool) -> None:
+        """Once much new ground has come (a prior map), build the graph on it and evaluate its edges before a goal needs them; a step a tick."""
+        if self._unprepared:
+            self._unprepared = False
+            self._map.prepare()
+        elif (
+            due and self._map.much_is_new and self._start is not None and self._now - self._patched >= SETTLED
+        ):
+            self._sync(self._start)
+            self._unprepared = True
 
     def _sync(self, start: tuple[float, float]) -> None:
         self._updated = self._now

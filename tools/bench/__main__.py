@@ -1,9 +1,13 @@
-"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit, 130 on Ctrl-C."""
+"""`python -m tools.bench NAME [options] [--json]`: run one benchmark, print its rows, exit 1 on a missed limit, 130 where it is ended before.
+
+SIGTERM ends it as Ctrl-C does, so that no stack that it started is left behind.
+"""
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+import signal
 import sys
 
 import tools.bench
@@ -24,6 +28,7 @@ def main(argv: list[str]) -> int:
     args = argv[1:]
     as_json = "--json" in args
     args = [a for a in args if a != "--json"]
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         report = importlib.import_module(f"tools.bench.{argv[0]}").run(args)
     except OperatorError as error:

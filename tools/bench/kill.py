@@ -66,6 +66,7 @@ def run(args: list[str]) -> Report:
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulation")
     parser.add_argument("--scene", default="flat")
+    parser.add_argument("--map", help="prior map of the stack")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
     report = Report("kill")
@@ -75,7 +76,8 @@ def run(args: list[str]) -> Report:
         return report
     with tempfile.TemporaryDirectory() as scratch:
         logs = options.keep or Path(scratch) / "logs"
-        settings = ("--scene", options.scene, "--seed", str(options.seed))
+        prior = ("--map", options.map) if options.map else ()
+        settings = ("--scene", options.scene, "--seed", str(options.seed), *prior)
         try:
             _live(options, settings, logs, Path(scratch), report)
         except NotDriving as error:

@@ -91,9 +91,10 @@ class Inputs:
         """The clock was reset: stamps of before mean nothing."""
         self._heard.clear()
 
-    def silent(self, topic: Topic, now: int, seconds: float) -> bool:
-        """Whether a topic that was heard once has not been heard for so long [s]."""
-        return now - self._heard.get(topic, now) > seconds * NS
+    def planner_silent(self, now: int, seconds: float) -> bool:
+        """Whether the planner, once it was heard, has said nothing for so long [s]: an answer is a sign of life, too."""
+        heard = max(self._heard.get(t.ROUTE_STATUS, now), self._heard.get(t.PLAN, 0))
+        return now - heard > seconds * NS
 
     def missing(self, now: int, timeout: float, *, frame: bool) -> tuple[Reason, str] | None:
         """Why a goal must wait. `timeout` [s] for odometry and map; `frame`: it is known where `odom` lies in `map`."""

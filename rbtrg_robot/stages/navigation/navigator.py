@@ -252,7 +252,7 @@ class NavigatorStage:
         if on_path and self._inputs.phase == "done":
             return self._arrive(goal)
         broken = self._route.broken(now, self._plan, self._pose) if goal.state is GoalState.MOVING else ""
-        if not broken and self._inputs.silent(t.ROUTE_STATUS, now, self._params.plan_retry):
+        if not broken and self._inputs.planner_silent(now, self._params.plan_retry):
             broken = PLANNER_SILENT
         if broken:
             self._stand(goal, broken)

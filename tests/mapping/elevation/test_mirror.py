@@ -12,6 +12,7 @@ from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.mirror import BLOCK, SIDE, WHOLE, CellWindow, MapMirror, blocks_of
 from mapping.elevation.shelf import Shelf
+from mapping.elevation.tiles import AT_ONCE, TileStore
 
 RES = 0.04
 SHORT = ElevationConfig(max_range=2.0)
@@ -135,6 +136,23 @@ def test_a_map_on_the_disk_reads_byte_for_byte_like_one_in_memory(tmp_path: Path
     one.save(tmp_path / "one.npz")
     other.save(tmp_path / "other.npz")
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "other.npz").read_bytes()
+
+
+def test_many_far_tiles_are_put_away_a_few_at_a_time(tmp_path: Path) -> None:
+    """A scan must not wait for the tiles of a whole prior map."""
+    store = TileStore(8, tmp_path)
+    for col in range(100):
+        store.allocate(0, col)
+    away, none = [], None
+    while none != 0:
+        before = len(store.shelf)
+        store.stay_near(0, 0, 2, 4)
+        none = len(store.shelf) - before
+        away.append(none)
+    assert sum(away) == 95
+    assert max(away) == AT_ONCE
+    store.stay_near(0, 99, 2, 4)
+    assert all(store.slot(0, col) >= 0 for col in (97, 98, 99)), "what is near is brought back at once"
 
 
 def test_a_disk_that_takes_nothing_leaves_the_map_in_memory_and_says_so(tmp_path: Path) -> None:

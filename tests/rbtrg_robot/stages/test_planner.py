@@ -92,6 +92,31 @@ def test_before_any_map_a_request_is_answered_with_what_is_missing() -> None:
     assert t.MAP_REQUEST in dict(stage.tick(4 * NS)), "it asks for the map"
 
 
+def test_much_new_ground_is_looked_at_before_a_goal_is_asked_for() -> None:
+    stage, side = planner(), 660
+    stage.tick(1 * NS)
+    stage.on(t.MAP_UPDATE, patch(np.zeros((side, side))))
+    stage.on(t.MAP_WINDOW, patch(np.zeros((75, 75)), cell=(300, 300)))
+    stage.tick(1 * NS + NS // 10)
+    assert stage._map.graph is None, "more of it may come"
+    for k in range(3):
+        stage.tick(2 * NS + k)
+    graph, table = stage._map.graph, stage._map.table
+    assert graph is not None
+    assert table is not None
+    assert table.evaluated()[0] == len(graph.indices)
+    stage.on(t.MAP_UPDATE, patch(np.zeros((75, 75)), cell=(0, side), stamp=2 * NS))
+    stage.tick(3 * NS)
+    assert stage._map.stale, "a little more can wait"
+    asked = ask(stage, (13.5, 13.5), (20.0, 20.0), now=3 * NS)
+    assert (asked.ok, asked.reaches_goal) == (True, True)
+    unprepared = planner()
+    unprepared.on(t.MAP_UPDATE, patch(np.zeros((side, side))))
+    unprepared.on(t.MAP_UPDATE, patch(np.zeros((75, 75)), cell=(0, side), stamp=2 * NS))
+    same = ask(unprepared, (13.5, 13.5), (20.0, 20.0), now=3 * NS)
+    assert np.array_equal(same.x, asked.x)
+
+
 def test_a_map_that_comes_in_pieces_is_planned_on_as_far_as_it_goes() -> None:
     stage = planner()
     stage.on(t.MAP_UPDATE, patch(np.zeros((75, 75))))

@@ -550,6 +550,19 @@ def test_a_planner_that_does_not_answer_is_asked_again_then_given_up(world: Worl
     assert (world.status.state, world.status.reason) == ("aborted", "process_lost")
 
 
+def test_the_answer_of_a_planner_that_was_silent_while_it_searched_is_driven(world: World) -> None:
+    world.goal()
+    world.run(0.3)
+    world.silent.add(t.ROUTE_STATUS)
+    world.run(3.0)
+    world.answer()
+    path = world.last(t.PATH_COMMAND)
+    assert len(path.x) > 0
+    world.run(0.1)
+    assert world.status.state == "moving"
+    assert world.last(t.PATH_COMMAND).id == path.id
+
+
 def test_a_planner_that_dies_while_driving_halts(world: World) -> None:
     world.goal()
     world.answer()

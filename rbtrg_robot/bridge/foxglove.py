@@ -25,6 +25,7 @@ from hal.types import NS
 from hal.urdf import urdf
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.legs import Legs
+from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.orders.order import send
 from rbtrg_robot.orders.robot import Stop
 from rbtrg_robot.topics import Qos, Topic
@@ -46,6 +47,8 @@ CLOCK = -1
 WARNING, ERROR = 1, 2
 LARGEST = 1 << 20
 """Bytes of a client's message."""
+STRANGERS, CLIENTS = 64, 32
+"""Connections before and after their first request was read. Each holds up to four threads."""
 CHANNELS = dict(enumerate(t.TOPICS, 1))
 
 
@@ -126,28 +129,32 @@ class Foxglove:
         """A stop that the robot has not confirmed."""
         allowed: list[Any] = [*ORIGINS, *origins]
         try:
-            self._server = serve(
-                self._serve,
-                host,
-                port,
-                origins=allowed,
-                subprotocols=[*PROTOCOLS],  # type: ignore[list-item]
-                compression=None,
-                max_size=LARGEST,
-                process_response=self._refused,
-            )
+            self.listener = CrowdedSocket(host, port, strangers=STRANGERS, guests=CLIENTS)
         except OSError as error:
             raise BridgeError(
                 f"cannot listen on {host}:{port}: {error.strerror}; choose another --port"
             ) from error
-        self.port = int(self._server.socket.getsockname()[1])
+        self.port = int(self.listener.getsockname()[1])
+        self._server = serve(
+            self._serve,
+            sock=self.listener,
+            origins=allowed,
+            subprotocols=[*PROTOCOLS],  # type: ignore[list-item]
+            compression=None,
+            max_size=LARGEST,
+            process_response=self._let_in,
+        )
         self._thread = threading.Thread(target=self._server.serve_forever, name="foxglove", daemon=True)
         self._thread.start()
 
     def run(self, stopping: Callable[[], bool]) -> None:
-        """Carry messages until `stopping()`."""
+        """Carry messages until `stopping()`. Raises BridgeError where nobody can come in any more."""
         try:
             while not stopping():
+                if not self._thread.is_alive():
+                    raise BridgeError(
+                        "the server takes no connections any more (too many open files?): start it again"
+                    )
                 self._turn()
         finally:
             self.close()
@@ -212,15 +219,22 @@ class Foxglove:
 
     # --- a connection, in its own thread ----------------------------------------------------------------------
 
-    def _refused(self, _connection: ServerConnection, request: Request, response: Response) -> None:
+    def _let_in(self, connection: ServerConnection, request: Request, response: Response) -> Response | None:
         if response.status_code == 403:
             origin = request.headers.get("Origin", "?")
             self._say(f"refused a web page of {origin}; if it is yours: --origin {origin}")
+        elif response.status_code == 101 and not self.listener.admit(connection.remote_address[:2]):
+            self._say(f"refused a client: {self.listener.guests} are connected")
+            return connection.respond(503, "Too many clients are connected: close some.\n")
+        return None
 
     def _serve(self, connection: ServerConnection) -> None:
         client = Client(connection)
-        connection.send(json.dumps(_server_info()))
-        connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
+        try:
+            connection.send(json.dumps(_server_info()))
+            connection.send(json.dumps({"op": "advertise", "channels": _channels()}))
+        except ConnectionClosed:
+            return  # it left at once
         sender = threading.Thread(target=client.send_all, name="foxglove sender", daemon=True)
         sender.start()
         with self._lock:

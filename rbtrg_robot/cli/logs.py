@@ -124,8 +124,6 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
         raise ConfigError("--rerun needs --out NEW.mcap")
     if out.exists():
         raise ConfigError(f"{out} exists; name another file with --out")
-    from rich.progress import Progress
-
     from rbtrg_robot.hosts.offline import rerun as run_again
     from rbtrg_robot.log.stats import summarize
 
@@ -133,7 +131,7 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
     total = (clock.last - clock.first) / 1e9 if clock else None
     began = time.monotonic()
     done = 0.0
-    with Progress(disable=not sys.stderr.isatty()) as bar:
+    with _bar() as bar:
         task = bar.add_task("rerun", total=total)
 
         def progress(seconds: float) -> None:
@@ -250,15 +248,20 @@ def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png."
 
 
 def draw(log: Path, out: Path) -> None:
-    """With a progress bar where there is a terminal."""
-    from rich.progress import Progress
-
+    """The film of a log, with a bar."""
     from rbtrg_robot.log.film import film
 
-    with Progress(disable=not sys.stderr.isatty()) as bar:
+    with _bar() as bar:
         task = bar.add_task("film", total=None)
         poses = film(log, out, lambda done, total: bar.update(task, completed=done, total=total))
     say(f"{poses} poses -> {out}")
+
+
+def _bar() -> Any:
+    """A progress bar on a terminal, below the words that are said meanwhile; none in a file."""
+    from rich.progress import Progress
+
+    return Progress(disable=not sys.stdout.isatty())
 
 
 def _summary(summary: Any) -> dict[str, Any]:

@@ -24,13 +24,13 @@ from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.archive import Archive
-from rbtrg_robot.console.crowd import CrowdedSocket
 from rbtrg_robot.console.desk import Desk, Page
 from rbtrg_robot.console.door import OUTSIDE, STOP, VALID, WHO, Door, Guard
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.maps import Maps
 from rbtrg_robot.console.missions import MissionFiles
 from rbtrg_robot.console.replays import Replays
+from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.process.runfiles import CONSOLE_ENTER
 
 log = logging.getLogger(__name__)

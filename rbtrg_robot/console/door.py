@@ -20,7 +20,7 @@ from starlette.requests import cookie_parser
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from rbtrg_robot.console.crowd import CrowdedSocket
+from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.process.runfiles import CONSOLE_ENTER, console_file
 from rbtrg_robot.topics import Role
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import socket
 import ssl
 import threading
 import time
@@ -21,10 +20,10 @@ from rbtrg_robot.access.certificates import check
 from rbtrg_robot.access.identity import CERTIFICATE, KEY, ROBOT, keys_dir
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.app import Site
-from rbtrg_robot.console.crowd import CrowdedSocket
 from rbtrg_robot.console.desk import Desk
 from rbtrg_robot.console.door import Door
 from rbtrg_robot.console.feed import HEARD, Feed
+from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.heart import Heart
@@ -33,8 +32,13 @@ log = logging.getLogger(__name__)
 
 LARGEST = 16_384
 """Bytes of a message from a page, and of the head of a request."""
-BACKLOG = 64
-"""Connections that wait, and that are accepted in one turn of the loop."""
+TURN_TAKES = 64
+"""Connections that are accepted in one turn of the loop."""
+STRANGERS = 400
+"""Connections without a cookie. A browser shows its cookie with its first bytes, which are read a few turns of the loop after it was let in,
+and each turn lets in as many as TURN_TAKES."""
+GUESTS = 128
+"""Connections with one. A page holds one, and up to six more while it loads."""
 LOOPBACK = "127.0.0.1"
 STATUS_PERIOD, TURN = 1.0, 0.05
 """[s]"""
@@ -46,20 +50,19 @@ class ConsoleError(OperatorError):
 
 def listening(host: str, port: int) -> CrowdedSocket:
     """A socket on this address; on any free port where that one is taken. Raises ConsoleError."""
+
+    def asks(first: bytes) -> bool:
+        """A whole head; over TLS, which is spoken elsewhere, nobody can tell."""
+        return b"\r\n\r\n" in first if host == LOOPBACK else first != b""
+
     for wanted in (port, 0):
-        found = CrowdedSocket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            found.bind((host, wanted))
-            found.listen(BACKLOG)
+            return CrowdedSocket(host, wanted, strangers=STRANGERS, guests=GUESTS, asks=asks)
         except OSError as error:
-            found.close()
             if wanted == 0 or host != LOOPBACK:  # elsewhere people wrote the address down
                 raise ConsoleError(
                     f"cannot serve on {host} port {wanted}: {error.strerror}; see `console.address`"
                 ) from error
-            continue
-        return found
     raise AssertionError
 
 
@@ -130,7 +133,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
             ws_max_size=LARGEST,
             h11_max_incomplete_event_size=LARGEST,
             http="h11",
-            backlog=BACKLOG,
+            backlog=TURN_TAKES,
             timeout_graceful_shutdown=1,
             **tls,
         )

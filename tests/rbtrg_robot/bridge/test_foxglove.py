@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
+import socket
 import struct
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -41,8 +43,15 @@ class Door:
         self._own = Bus(endpoint, "foxglove")
         self.server = Foxglove(self._own, port=0, commands=commands, origins=["http://mine:1"], say=self._say)
         self._done = threading.Event()
-        self._thread = threading.Thread(target=self.server.run, args=(self._done.is_set,))
+        self.failed: list[BridgeError] = []
+        self._thread = threading.Thread(target=self._run)
         self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            self.server.run(self._done.is_set)
+        except BridgeError as error:
+            self.failed.append(error)
 
     def _say(self, line: str) -> None:
         self.said.append(line)
@@ -59,6 +68,15 @@ class Door:
         uri = f"ws://127.0.0.1:{self.server.port}"
         settings: Any = {"subprotocols": ["foxglove.sdk.v1"], "origin": origin}
         return Client(self._entered.enter_context(connect(uri, **settings)))
+
+    def knock(self, says: bytes) -> socket.socket:
+        """Somebody who never asks to come in."""
+        stranger = self._entered.enter_context(
+            socket.create_connection(("127.0.0.1", self.server.port), LIMIT)
+        )
+        stranger.sendall(says)
+        stranger.setblocking(False)
+        return stranger
 
     def heard(self, topic: Topic) -> Any:
         end = time.monotonic() + LIMIT
@@ -107,6 +125,22 @@ class Client:
         channel = {"id": number, "topic": topic.name, "encoding": "cdr", "schemaName": topic.type} | other
         self.send(op="advertise", channels=[channel])
         self.connection.send(struct.pack("<BI", 1, number) + encode(message))
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + LIMIT
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def ended(stranger: socket.socket) -> bool:
+    try:
+        return stranger.recv(1000) == b""
+    except BlockingIOError:
+        return False
+    except ConnectionError:
+        return True
 
 
 @pytest.fixture
@@ -246,6 +280,70 @@ def test_a_client_that_hangs_holds_up_nobody(door: Door) -> None:
                 got = client.data(1, timeout=0.5)[0]
             assert time.monotonic() < end
     hanging.connection.socket.close()
+
+
+@pytest.mark.parametrize("says", [b"", b"GET / HTTP/1.1\r\nHost: x"], ids=["silent", "half a request"])
+def test_a_flood_of_strangers_keeps_no_client_out(
+    door: Door, says: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(door.server.listener, "strangers", 6)
+    here = door.enter()
+    strangers = [door.knock(says) for _ in range(20)]
+    until(lambda: sum(not ended(stranger) for stranger in strangers) <= 6)
+    door.bus.subscribe([t.ROBOT_STOP])
+    for client in (door.enter(), here):
+        client.publish(1, t.ROBOT_STOP, msg.RobotCommand(mode="stop", cause="Foxglove"))
+        assert door.heard(t.ROBOT_STOP).cause == "Foxglove"
+
+
+def test_too_many_clients_are_refused_in_words_and_who_is_in_stays(
+    door: Door, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(door.server.listener, "guests", 2)
+    first, second = door.enter(), door.enter()
+    with pytest.raises(InvalidStatus) as refused:
+        door.enter()
+    assert refused.value.response.status_code == 503
+    assert b"close some" in refused.value.response.body
+    assert door.said == ["refused a client: 2 are connected"]
+    door.bus.publish(t.GOAL_STATUS, msg.GoalStatus(header=header(5, "map"), state="idle"), 5)
+    first.subscribe(1, t.GOAL_STATUS)
+    assert first.data(1)[0] == 5
+    second.connection.close()
+    until(lambda: door.server.listener.connected == 1)
+    assert door.enter().channels
+
+
+def test_a_client_that_leaves_at_once_is_no_fault(
+    door: Door, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    left = threading.Event()
+
+    def late() -> list[Any]:
+        assert left.wait(LIMIT)
+        return []
+
+    monkeypatch.setattr("rbtrg_robot.bridge.foxglove._channels", late)
+    with connect(f"ws://127.0.0.1:{door.server.port}", subprotocols=["foxglove.sdk.v1"]):  # type: ignore[list-item]
+        pass
+    left.set()
+    until(lambda: door.server.listener.connected == 0)
+    door.close()
+    assert "failed" not in caplog.text
+
+
+def test_a_door_that_can_let_in_nobody_any_more_ends_and_says_so(
+    door: Door, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The server of `websockets` ends at the first error of `accept`."""
+
+    def full() -> None:
+        raise OSError(errno.EMFILE, "too many open files")
+
+    monkeypatch.setattr(door.server.listener, "accept", full)
+    door.knock(b"")
+    until(lambda: bool(door.failed))
+    assert "start it again" in str(door.failed[0])
 
 
 def test_a_taken_port_is_one_line(door: Door) -> None:

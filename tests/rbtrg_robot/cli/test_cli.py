@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import yaml
 
 from hal.types import NS
 from rbtrg_robot import topics as t
-from rbtrg_robot.cli import stack
+from rbtrg_robot.cli import logs, stack
 from rbtrg_robot.cli.main import main
 from rbtrg_robot.cli.table import Screen
 from rbtrg_robot.config import load
@@ -23,6 +24,7 @@ from rbtrg_robot.log.read import CONFIG, first_of
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.terminal import say
 from rbtrg_robot.wire.messages import encode, header, time_msg
 from tests.rbtrg_robot.conftest import Here
 from tools.bench.ports import free_port
@@ -129,6 +131,34 @@ def test_a_rerun_takes_the_configuration_of_the_log_with_changes(tmp_path: Path)
     used = yaml.safe_load(first_of(out).attachments[CONFIG])
     assert used["scene"] == "flat"
     assert (used["tracker"]["max_speed"], used["tracker"]["goal_tolerance"]) == (0.4, 0.07)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_progress_bar_is_on_a_terminal_alone_and_leaves_words_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    shown = {}
+    for kind in (io.StringIO, Terminal):
+        monkeypatch.setattr(sys, "stdout", kind())
+        stdout = sys.stdout
+        with logs._bar() as bar:
+            task = bar.add_task("rerun", total=9)
+            for number in range(9):
+                bar.update(task, completed=number)
+                bar.refresh()
+                say(f"[red]word[/red] {number}")
+        shown[kind] = stdout.getvalue()  # type: ignore[attr-defined]
+    words = [f"[red]word[/red] {number}" for number in range(9)]
+    assert shown[io.StringIO].splitlines() == words
+    lines = re.split(r"[\r\n]+", re.sub(r"\x1b\[[?\d;]*[A-Za-z]", "", shown[Terminal]))
+    assert [line for line in lines if "word" in line] == words
+    assert any(line.startswith("rerun") for line in lines)
 
 
 def test_a_fault_of_the_program_is_one_line_and_its_traceback_a_file(

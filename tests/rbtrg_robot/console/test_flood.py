@@ -14,7 +14,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from rbtrg_robot.console import archive, crowd
+from rbtrg_robot.console import archive
 from tools.bench.console.stack import Console
 
 
@@ -70,7 +70,8 @@ def ended(stranger: socket.socket) -> bool:
 def test_a_flood_of_strangers_keeps_nobody_from_stopping(
     console: Console, who: dict[str, str], says: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(crowd, "STRANGERS", 8)
+    assert console.serve is not None
+    monkeypatch.setattr(console.serve.listener, "strangers", 8)
     host, port = who["Origin"].rpartition("/")[2].split(":")
     with contextlib.ExitStack() as held:
         here = held.enter_context(page(who))
@@ -95,7 +96,7 @@ def test_too_many_pages_are_refused_but_stop(
     assert console.serve is not None
     listener = console.serve.listener
     until(lambda: listener.connected == 0)
-    monkeypatch.setattr(crowd, "GUESTS", 3)
+    monkeypatch.setattr(listener, "guests", 3)
     with page(who), page(who), page(who):
         with pytest.raises(InvalidStatus), page(who):
             pass

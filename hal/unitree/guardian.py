@@ -180,18 +180,27 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     except BackendError as error:
         print(f"guardian: {error}", file=sys.stderr)
         return 1
+    try:
+        watch(link, avoid, 0, 1)
+    finally:
+        link.close()
+    return 0
+
+
+def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
+    """Read `orders` and write to `signs` (descriptors) as told above, until either is at its end and the last order is through."""
     order = Order(link, avoid)
     moving, ended, ready = False, False, False
     heard = sign = time.monotonic()
     while True:
         busy = order.pump()
         if ended and not busy:
-            link.close()
-            return 0
-        readable, _, _ = select.select([] if ended else [0], [], [], 0.01 if busy else 0.02)
+            return
+        readable, _, _ = select.select([] if ended else [orders], [], [], 0.01 if busy else 0.02)
         now = time.monotonic()
+        gone = False
         if readable:
-            data = os.read(0, 4096)
+            data = os.read(orders, 4096)
             if b"d" in data:
                 order.give(api.Sport.DAMP)
             elif b"s" in data:
@@ -199,21 +208,25 @@ def main(interface: str, domain: int, avoid: bool) -> int:
             if data:
                 moving, heard = data.rstrip(b"sd")[-1:] == b"m" if data.rstrip(b"sd") else moving, now
             else:
-                ended = True
-                if moving:
-                    print("guardian: the driver is gone, stopping the robot", file=sys.stderr)
-                    order.give(api.Sport.STOP_MOVE)
+                gone = True
         elif moving and not ended and now - heard > SILENCE:
             print(f"guardian: no heartbeat for {now - heard:.2f} s, stopping the robot", file=sys.stderr)
             moving = False
             order.give(api.Sport.STOP_MOVE)
-        if not ended and now - sign >= 0.1:
+        if not (ended or gone) and now - sign >= 0.1:
             sign = now
             ready = ready or link.reachable(api.SPORT)
             try:
-                os.write(1, b"r" if ready else b".")
-            except BrokenPipeError:
-                ended = True
+                os.write(signs, b"r" if ready else b".")
+            except (
+                BrokenPipeError
+            ):  # the driver died since `select`: nobody reads the end of its orders any more
+                gone = True
+        if gone:
+            ended = True
+            if moving:
+                print("guardian: the driver is gone, stopping the robot", file=sys.stderr)
+                order.give(api.Sport.STOP_MOVE)
 
 
 if __name__ == "__main__":

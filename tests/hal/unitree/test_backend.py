@@ -24,6 +24,7 @@ from hal.types import (
     Phase,
     PostureCommand,
     RobotState,
+    VelocityCommand,
 )
 from hal.unitree.api import Sport
 from hal.unitree.config import UnitreeConfig
@@ -513,7 +514,7 @@ class FakeGuardian:
     made: ClassVar[list[FakeGuardian]] = []
 
     def __init__(self, *_arguments: object) -> None:
-        self.lives, self.ready, self.killed = True, False, False
+        self.lives, self.ready, self.killed, self.moving = True, False, False, False
         self.pid = 1
         self.made.append(self)
 
@@ -524,7 +525,7 @@ class FakeGuardian:
         self.killed = True
 
     def beat(self, moving: bool) -> None:
-        pass
+        self.moving = moving
 
     stop = damp = close = lambda self: None
 
@@ -551,6 +552,22 @@ def test_nothing_moves_without_a_guardian_that_is_ready(monkeypatch: pytest.Monk
     assert world.body.x - x < 0.2
     FakeGuardian.made[1].ready = True
     world.until(Phase.MOVING, 2.0, vx=0.5)
+
+
+def test_the_guardian_hears_of_a_motion_before_the_robot_does(monkeypatch: pytest.MonkeyPatch):
+    """A host that dies after the first Move must not leave a guardian that takes the robot to be at rest."""
+    monkeypatch.setattr("hal.unitree.backend.Guardian", FakeGuardian)
+    FakeGuardian.made.clear()
+    world = World()
+    world.backend._guarded = True
+    world.backend.connect()
+    world.until(Phase.READY, 5.0)
+    (guardian,) = FakeGuardian.made
+    assert not guardian.moving
+    told: list[bool] = []
+    monkeypatch.setattr(world, "send", lambda *_: told.append(guardian.moving))
+    world.backend.drive(VelocityCommand(world.now, vx=0.5))
+    assert told == [True]
 
 
 def test_an_l1_mounted_the_other_way_round_is_found_out_by_gravity():

@@ -13,7 +13,7 @@ import pytest
 
 from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
-from hal.unitree.guardian import INSIST, SILENCE, Guardian, Order
+from hal.unitree.guardian import INSIST, SILENCE, Guardian, Order, watch
 from hal.unitree.sentry import Sentry, run
 
 
@@ -30,6 +30,9 @@ class Link:
     def responses(self, _service: str) -> list[Response]:
         out, self.answers = self.answers, []
         return out
+
+    def reachable(self, _service: str) -> bool:
+        return True
 
 
 def move(vx: float) -> tuple[str, Request]:
@@ -102,6 +105,21 @@ def test_without_the_extra_it_says_how_to_install(
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("sentry: ")
     assert "pip install 'rbtrg-robot[unitree]'" in line
+
+
+def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link: Link) -> None:
+    """It notices by its sign that nobody reads, not by the end of its orders: it ended then and left the robot rolling."""
+    orders, tell = os.pipe()
+    read, signs = os.pipe()
+    os.write(tell, b"m")
+    os.close(read)
+    try:
+        watch(link, False, orders, signs)
+    finally:
+        for end in (orders, tell, signs):
+            os.close(end)
+    assert {(s, r.api) for s, r in link.sent} == {(api.SPORT, Sport.STOP_MOVE)}
+    assert len(link.sent) > 1, "it insists until it is confirmed"
 
 
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: str) -> None:

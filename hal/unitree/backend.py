@@ -130,9 +130,8 @@ class UnitreeBackend:
         ready = self._phase in (Phase.READY, Phase.MOVING) and not self._steps.goal
         self._mover.set(command if ready else VelocityCommand(command.stamp), self._now)
         if self._guardian is not None:
-            self._guardian.beat(
-                self._mover.moving
-            )  # it must know before the robot does: this process may end in between
+            # It must know before the robot does: this process may end in between.
+            self._guardian.beat(self._mover.moving)
         self._mover.pump(self._now, allowed=ready)
 
     def posture(self, command: PostureCommand) -> None:

@@ -218,10 +218,8 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
             ready = ready or link.reachable(api.SPORT)
             try:
                 os.write(signs, b"r" if ready else b".")
-            except (
-                BrokenPipeError
-            ):  # the driver died since `select`: nobody reads the end of its orders any more
-                gone = True
+            except BrokenPipeError:
+                gone = True  # it died since `select`
         if gone:
             ended = True
             if moving:

@@ -154,7 +154,9 @@ class PathTracker:
         sign = -1.0 if self._reverse else 1.0
         course = yaw if not self._reverse else yaw + math.pi  # direction in which the base travels
         ahead = self._s + (_WINDOW if self._started else _START_WINDOW)
-        s = line.project(x, y, max(self._s - _BACK, 0.0), min(ahead, line.length))
+        # A base that drifts while it turns at a corner would come back before it there, and turn back.
+        back = 0.0 if self._phase is TrackPhase.ALIGNING else _BACK
+        s = line.project(x, y, max(self._s - back, 0.0), min(ahead, line.length))
         self._s = max(s, self._s)
         self._started = True
         left = line.length - s

@@ -16,6 +16,9 @@ AHEAD = 0.2
 HELD = 0.1
 """[rad/s] A turn that the guard lets go on no faster than this is held."""
 
+ASTRAY = 0.15
+"""[m] beside its path a robot is not where the planner looked: in 51 of 52 drives through the rescue scenes none was farther off, in the other it slid
+onto a hurdle backward and fell."""
 STANDS = 0.05
 """[m/s] A robot that the guard slows down to less than this is held."""
 
@@ -60,6 +63,19 @@ class Inputs:
             return False
         error = self.tracker.heading_error
         return error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
+
+    @property
+    def astray(self) -> str:
+        """That the robot slid off the path that it follows, in words; empty while it is on it."""
+        if self.tracker is None or self.phase != "following" or abs(self.tracker.cross_track) <= ASTRAY:
+            return ""
+        return f"{abs(self.tracker.cross_track):.2f} m beside its way"
+
+    @property
+    def held(self) -> set[float]:
+        """The ways straight on that the guard holds: -1.0 backward, 1.0 forward."""
+        ways = () if self.limits is None else ((-1.0, self.limits.backward), (1.0, self.limits.forward))
+        return {way for way, limit in ways if limit < STANDS}
 
     @property
     def way_held(self) -> bool:

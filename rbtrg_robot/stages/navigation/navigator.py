@@ -254,6 +254,8 @@ class NavigatorStage:
         broken = self._route.broken(now, self._plan, self._pose) if goal.state is GoalState.MOVING else ""
         if not broken and self._inputs.planner_silent(now, self._params.plan_retry):
             broken = PLANNER_SILENT
+        if not broken and on_path and goal.state is GoalState.MOVING:
+            broken = self._inputs.astray
         if broken:
             self._stand(goal, broken)
             return self._replan(goal)
@@ -303,8 +305,10 @@ class NavigatorStage:
             self._replan(goal)
 
     def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
-        """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred`; False when there is none."""
-        reach = self._trail.reach(self._pose, self._params.back_out, barred) if self._pose else 0.0
+        """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where the guard holds it; False when
+        there is none."""
+        ways = self._inputs.held | {barred}
+        reach = self._trail.reach(self._pose, self._params.back_out, ways) if self._pose else 0.0
         if reach != 0.0:
             self._straight(goal, reach, "backing out" if reach < 0.0 else "moving out")
         return reach != 0.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,10 +113,10 @@ class Trail:
         ):
             self._poses.append(pose)
 
-    def reach(self, pose: Pose2, distance: float, barred: float = 0.0) -> float:
+    def reach(self, pose: Pose2, distance: float, barred: Collection[float] = ()) -> float:
         """How far straight along the heading, at most `distance` [m], the body stays on ground it covered.
 
-        Negative: backward, which also wins a tie. `barred`: -1.0 or 1.0 where it cannot go backward or forward. 0.0 while the robot
+        Negative: backward, which also wins a tie. `barred`: -1.0 and 1.0 where it cannot go backward or forward. 0.0 while the robot
         came from nowhere.
         """
         if len(self._poses) < 2:
@@ -124,7 +125,7 @@ class Trail:
         runs = []
         for sign in (-1.0, 1.0):
             run = 0.0
-            while run < distance and sign != barred:
+            while run < distance and sign not in barred:
                 ahead = min(run + TRAIL_SPACING, distance)
                 # The end that leads, its corners and its middle, in the frame of the body now.
                 tip = sign * (ahead + BODY_LENGTH / 2)

@@ -639,6 +639,29 @@ def test_a_short_turn_on_the_spot_that_something_slows_down_goes_on_as_a_bend(de
     assert (moved[-1] > 0.5) == bends
 
 
+def test_a_base_that_drifts_back_while_it_turns_at_a_corner_goes_on_turning():
+    """In a lane it turned left at the corner, drifted back before it, turned right to the leg that it had driven, and so on for ten seconds."""
+    tracker = PathTracker(TrackerConfig())
+    corner = np.array([[0.0, 0.0], [0.13, 0.0], [0.13, 1.0]])
+    dense = np.vstack(
+        [
+            np.linspace(a, b, 20)[: 19 + last]
+            for a, b, last in ((corner[0], corner[1], 0), (corner[1], corner[2], 1))
+        ]
+    )
+    tracker.set_path(dense, None, 0.5)
+    now = 0
+    for x, y, yaw in (
+        (0.0, 0.0, 0.0), (0.13, 0.02, 0.0), (0.13, 0.02, 0.1), (0.08, 0.0, 0.3), (0.05, 0.0, 0.5), (0.03, 0.0, 0.7),
+    ):  # fmt: skip
+        for _ in range(5):
+            now += int(DT * 1e9)
+            out = tracker.step(now, x, y, yaw, 0.0, 0.0, 0.0)
+        if yaw:
+            assert out.phase is TrackPhase.ALIGNING
+            assert out.heading_error > 0.3, "to the leg after the corner"
+
+
 def test_a_path_that_comes_back_beside_itself_is_driven_to_its_corner_first():
     out, back = np.linspace((0.0, 0.0), (2.0, 0.0), 101), np.linspace((2.0, 0.0), (1.2, 0.01), 41)
     yaw = np.concatenate([np.zeros(100), np.full(41, math.pi - 0.012)])

@@ -46,6 +46,7 @@ class World:
         self.phase = "ready"
         self.vx = 0.0
         self.tracker_hold = ""
+        self.cross_track = 0.0
         self.left = 2.0
         self.route_valid = True
         if placed:
@@ -94,6 +95,7 @@ class World:
                 distance_left=self.left,
                 heading_error=self.heading_error,
                 hold=self.tracker_hold,
+                cross_track=self.cross_track,
             )
             if t.ROUTE_STATUS not in self.silent and self.last(t.PLAN_REQUEST) is not None:
                 request = self.last(t.PLAN_REQUEST)
@@ -912,6 +914,42 @@ def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
     world.run(5.5)
     assert world.count(t.PLAN_REQUEST) == requests + 1
     assert len(world.last(t.PATH_COMMAND).x) == 11
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_robot_that_slid_off_its_path_stands_and_asks_anew(world: World, side: float) -> None:
+    world.goal()
+    world.answer()
+    world.cross_track = 0.14 * side
+    world.run(1.0)
+    requests = world.count(t.PLAN_REQUEST)
+    world.cross_track = 0.16 * side
+    world.run(0.1)
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    world.run(0.6)
+    assert world.status.detail == "0.16 m beside its way"
+    world.answer()
+    world.cross_track = 0.0
+    world.run(0.5)
+    assert world.status.state == "moving"
+
+
+def test_a_robot_is_not_moved_out_where_the_guard_holds_it(world: World) -> None:
+    """It stood across a lane, was backed out to the wall behind it, and then told to back out further."""
+    world.come_along()
+    world.goal()
+    world.answer()
+    world.tracker_phase = "aligning"
+    world.send(t.MOTION_LIMITS, forward=0.0, backward=0.01, left=1.0, right=1.0)
+    requests = world.count(t.PLAN_REQUEST)
+    world.run(5.5)
+    assert world.status.recoveries == 1
+    assert world.count(t.PLAN_REQUEST) == requests + 1, "it asks anew instead"
+    world.send(t.MOTION_LIMITS, forward=0.0, backward=1.0, left=1.0, right=1.0)
+    world.answer()
+    world.run(5.5)
+    assert world.status.detail == "backing out"
 
 
 @pytest.mark.parametrize(

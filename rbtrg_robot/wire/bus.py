@@ -28,7 +28,7 @@ from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
-from rbtrg_robot.wire.session import Security, session_config
+from rbtrg_robot.wire.session import Security, open_router, session_config
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ class Bus:
         self._stack = stack
         config = session_config(endpoint, router=router, stack=stack, security=security)
         try:
-            self.session = zenoh.open(config)
+            self.session = open_router(config) if router else zenoh.open(config)
         except zenoh.ZError as error:
             if "shm" in str(error):
                 what = "no shared memory for Zenoh: is /dev/shm full, or `mlock` forbidden (`ulimit -l`, a container's filter)?"

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
 from dataclasses import dataclass, field
 from typing import Any
 
 import zenoh
+
+MOST = 100_000
+"""Connections that a router takes, before and after they have shown who they are. Zenoh counts those of all doors together: with its own 100
+and 1000 anybody whose certificate the authority once signed, on the list or not, keeps the robot's own processes out."""
+RUNTIME, RUNTIME_OF_ROUTER = "ZENOH_RUNTIME", "(acc: (worker_threads: 8))"
+"""Zenoh closes a connection that said nothing after TLS in 25 ms of one thread, which nobody else gets in through meanwhile."""
 
 
 def stack_id() -> str:
@@ -24,6 +31,18 @@ class Security:
     """Where the router listens too."""
     access_control: dict[str, Any] = field(default_factory=dict)
     """Of the router."""
+
+
+def open_router(config: zenoh.Config) -> zenoh.Session:
+    """A session that serves others. Raises zenoh.ZError. Zenoh takes the number of its threads from the environment, once a process."""
+    ours = RUNTIME not in os.environ
+    if ours:
+        os.environ[RUNTIME] = RUNTIME_OF_ROUTER
+    try:
+        return zenoh.open(config)
+    finally:
+        if ours:
+            del os.environ[RUNTIME]
 
 
 def session_config(
@@ -59,7 +78,9 @@ def session_config(
         if security.access_control:
             config["access_control"] = security.access_control
     config["listen" if router else "connect"] = {"endpoints": endpoints}
-    if not router:
+    if router:
+        config["transport"]["unicast"] = {"accept_pending": MOST, "max_sessions": MOST}
+    else:
         config["connect"]["timeout_ms"] = 3000
         config["listen"] = {"endpoints": []}
     return zenoh.Config.from_json5(json.dumps(config))

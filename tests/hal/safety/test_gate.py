@@ -99,6 +99,15 @@ def test_bad_commands_are_refused_counted_and_do_not_move(command: VelocityComma
         assert gate.output(NS + k * TICK, well(NS + k * TICK)).vx == 0.0
 
 
+def test_a_stamp_ahead_of_the_clock_does_not_prolong_a_command():
+    gate = SafetyGate(CAPS)
+    for now in range(0, NS, TICK):
+        assert gate.command(VelocityCommand(now + 50 * MS, vx=0.5), now) is None
+        gate.output(now, well(now))
+    assert gate.output(now + 100 * MS, well(now + 100 * MS)).vx == 0.5
+    assert gate.output(now + 200 * MS, well(now + 200 * MS)).vx == 0.0
+
+
 def test_an_older_command_does_not_replace_a_newer_one():
     gate = SafetyGate(CAPS)
     assert gate.command(VelocityCommand(NS, vx=0.2), NS) is None
@@ -151,6 +160,8 @@ def test_the_first_cause_stays():
             {"state": RobotState(0, Phase.READY, motor_temperature=95.0)},
             "motor too hot: 95 deg C, limit 90 deg C",
         ),
+        ({"state": RobotState(0, Phase.READY, battery=math.nan)}, "battery low"),
+        ({"state": RobotState(0, Phase.READY, motor_temperature=math.nan)}, "motor too hot"),
         ({"state": RobotState(0, Phase.FAULT, "fallen")}, "robot fault: fallen"),
     ],
 )
@@ -268,6 +279,24 @@ def test_a_silent_guard_means_zero_after_a_third_of_a_second():
     assert gate.status().hold.startswith("guard is 0.")
 
 
+def test_limits_from_the_future_allow_nothing():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    later = MotionLimits(now + NS, 1.0, 1.0, 1.0, 1.0)
+    out, _ = run(gate, now, 0.5, limits=later)
+    assert out.vx == 0.0
+
+
+def test_a_robot_that_can_strafe_does_not_while_the_guard_runs():
+    caps = replace(CAPS, strafe=True, max_vy=0.5)
+    for guarded, sideways in ((True, 0.0), (False, 0.3)):
+        gate = SafetyGate(caps, guarded=guarded)
+        for now in range(0, NS, TICK):
+            gate.command(VelocityCommand(now, vx=0.2, vy=0.3), now)
+            out = gate.output(now, well(now))
+        assert (out.vx, out.vy) == (pytest.approx(0.2), sideways)
+
+
 @pytest.mark.parametrize("value", [math.nan, -1.0, -math.inf])
 def test_limits_that_make_no_sense_allow_nothing(value: float):
     gate = SafetyGate(CAPS)
@@ -358,6 +387,11 @@ def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():
     assert out.vx == -0.4
     out, now = run(gate, now, 0.1, pose=None)
     assert out.vx == 0.0
+    out, now = run(gate, now, 1.0, pose=(2.0, 2.0, 0.0))
+    assert out.vx == 0.5
+    for broken in ((math.nan, 2.0, 0.0), (2.0, math.inf, 0.0), (2.0, 2.0, math.nan)):
+        out, now = run(gate, now, 0.1, pose=broken)
+        assert out.vx == 0.0, broken
 
 
 @pytest.mark.parametrize(

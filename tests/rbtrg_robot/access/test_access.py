@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Iterator
@@ -20,7 +22,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.access import rules
 from rbtrg_robot.access.certificates import KeysError
-from rbtrg_robot.access.identity import CONNECT, NAME, client_tls, server_tls
+from rbtrg_robot.access.identity import CA, CERTIFICATE, CONNECT, KEY, NAME, client_tls, server_tls
 from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.stop import stop
@@ -117,6 +119,23 @@ def test_messages_reach_who_may_see(place: Site, who: str) -> None:
 def test_nobody_outside_passes_for_a_process(place: Site, who: str) -> None:
     with place.enter(who) as bus:
         assert not place.deceived(bus)
+
+
+@pytest.mark.parametrize("who", ["somebody", "removed"])
+def test_connections_that_say_nothing_keep_nobody_out(who: str) -> None:
+    """More than Zenoh takes at a time unless it is told. Processes that were started anew, and commands, did not get in either."""
+    with site() as place, contextlib.ExitStack() as held, place.enter("operator") as before:
+        host, port = place.endpoint.partition("/")[2].split(":")
+        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        tls.check_hostname = False
+        tls.load_verify_locations(place.folders["removed"] / CA)
+        tls.load_cert_chain(place.folders["removed"] / CERTIFICATE, place.folders["removed"] / KEY)
+        for _ in range(300):
+            one = socket.create_connection((host, int(port)), timeout=20.0)
+            held.enter_context(one if who == "somebody" else tls.wrap_socket(one))
+        with Bus(place.local, "tracker"), place.enter("observer"):
+            stop = wire.key(t.ROBOT_STOP, Scope())
+            assert place.arrived(before.session, [stop], b"beside them") == {stop}
 
 
 def stopped(place: Site, who: str, robot: str, monkeypatch: pytest.MonkeyPatch) -> int:

@@ -42,8 +42,8 @@ class Around:
         if topic not in self.silent:
             self.stage.on(topic, decode(encode(message), topic.kind))
 
-    def tick(self, height: Any, points: Any = ()) -> msg.MotionLimits:
-        """A tenth of a second: `height(forward, left)` of the ground [m], `points` (n, 3) [m] in base_link."""
+    def tick(self, height: Any, points: Any = (), **others: Any) -> msg.MotionLimits:
+        """A tenth of a second: `height(forward, left)` of the ground [m], `others` layers of the map, `points` (n, 3) [m] in base_link."""
         self.now += NS // 10
         corner = (round(START[0] / RES) - 70) * RES, round(START[1] / RES - 70) * RES
         x, y = np.meshgrid(corner[0] + RES * np.arange(141), corner[1] + RES * np.arange(141))
@@ -54,6 +54,8 @@ class Around:
         layers = {name: np.zeros(x.shape, np.float32) for name in PATCH_LAYERS}
         layers["elevation"] = np.asarray(height(forward, left), np.float32)
         layers["trusted"][:], layers["source"][:] = 1.0, LIDAR
+        for name, layer in others.items():
+            layers[name] = np.asarray(layer(forward, left), np.float32)
         pose = odometry_msg(self.now, self.position, self.orientation, np.zeros(3), np.zeros(3))
         cloud = cloud_msg(self.now, "base_link", np.reshape(points, (-1, 3)).astype(np.float32))
         for topic, message in (
@@ -102,6 +104,43 @@ def test_a_drop_limits_every_way_and_ground_nobody_saw_the_way_back(below: float
     ahead = Around().tick(lambda forward, _: np.where(forward > 0.8, below, 0.0))
     assert (ahead.forward < 0.8) == ("drop" in what)
     assert four(ahead)[1:] == (1.0, 1.0, 1.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_post_beside_the_front_limits_the_turn_towards_it(side: float) -> None:
+    """Where the front corner comes past soon, and the other three do not."""
+    limits = Around().tick(lambda forward, left: 0.5 * (np.hypot(forward - 0.19, side * left - 0.33) < 0.05))
+    there, away = (limits.left, limits.right) if side > 0.0 else (limits.right, limits.left)
+    assert there < 0.7
+    assert (limits.forward, limits.backward, away) == (1.0, 1.0, 1.0)
+    assert ("to the left" if side > 0.0 else "to the right") in limits.reason
+
+
+def test_ground_that_the_map_does_not_trust_is_ground_nobody_saw() -> None:
+    limits = Around().tick(flat, trusted=lambda forward, _: forward > -0.8)
+    assert limits.backward < 0.8
+    assert "ground nobody saw" in limits.reason
+    assert limits.forward == 1.0
+
+
+def test_a_drop_that_only_rays_have_shown_limits_the_way_ahead() -> None:
+    """Nobody saw its ground, but it lies lower than this."""
+
+    def hidden(forward: Any, _: Any) -> Any:
+        return np.where(forward > 0.8, np.nan, 0.0)
+
+    limits = Around().tick(hidden, upper_bound=lambda forward, _: np.where(forward > 0.8, -0.5, np.nan))
+    assert limits.forward < 0.8
+    assert "a 0.50 m drop" in limits.reason
+    assert Around().tick(hidden, upper_bound=lambda forward, _: np.full_like(forward, np.nan)).forward == 1.0
+
+
+def test_points_lie_as_much_higher_as_the_map_was_corrected() -> None:
+    around = Around()
+    low = np.array([[0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.37, -0.36, -0.35)])
+    assert around.tick(flat, low).forward == 1.0
+    around.hear(t.MAP_STATUS, t.MAP_STATUS.kind(height_correction=0.2))
+    assert around.tick(flat, low).forward < 0.7
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.3])

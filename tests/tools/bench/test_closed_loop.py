@@ -19,7 +19,7 @@ from tools.bench.closed_loop import bench, protocol, stack
 from tools.bench.closed_loop.protocol import Trial, conditions, trials
 from tools.bench.closed_loop.routes import Route, crosses_wall, routes
 from tools.bench.closed_loop.statistics import difference, interval, mean, resampled
-from tools.bench.closed_loop.tables import markdown, report
+from tools.bench.closed_loop.tables import MEANS, markdown, report
 from tools.bench.closed_loop.trial import distance, drive
 
 SCENE = "rescue_platform"
@@ -202,19 +202,41 @@ def test_a_study_goes_on_where_it_was_cut_off(tmp_path: Path, monkeypatch: pytes
 
 def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_path: Path) -> None:
     args = ["--controller", "vmc", "--scenes", SCENE, "--queries", "2", "--draws", "1"]
-    records = {}
+    records, rows = {}, {}
     for workers in ("0", "2"):
         out = tmp_path / workers
-        bench.run([*args, "--out", str(out), "--methods", "native,ours", "--workers", workers])
+        told = bench.run([*args, "--out", str(out), "--methods", "native,ours", "--workers", workers])
+        rows = {row.key: row for row in told.rows}
         records[workers] = {
             r["key"]: {k: v for k, v in r.items() if k != "cpu"} for r in bench.read(out / "trials.jsonl")
         }
-        assert bench.read(out / "routes.jsonl")
+        planned = [(r["query"], r["method"], r["controller"]) for r in bench.read(out / "routes.jsonl")]
+        assert sorted(planned) == sorted(
+            (query, *line) for query in (0, 1) for line in (("native", ""), ("ours", "vmc"))
+        )
         assert "4 trials" in (out / "tables.md").read_text()
         assert list(out.glob("*.png"))
-    assert len(records["0"]) == 4
-    assert max(r.get("simulated", 0.0) for r in records["0"].values()) > 10.0, "one drove"
     assert records["2"] == records["0"]
+    wanted = trials(["native", "ours"], ["vmc"], ["all"], [SCENE], 1, 2)
+    assert set(records["0"]) == {trial.key for trial in wanted}
+    driven = [r for r in records["0"].values() if r["eligible"]]
+    assert {r["method"] for r in driven} == {"native", "ours"}, "of each method one drove"
+    for record in driven:
+        assert record["simulated"] > protocol.SETTLE + record["time"] - 0.1 > protocol.SETTLE
+        assert record["success"] == (record["end"] == "arrived") == (record["cause"] == "")
+        assert all(isinstance(record[name], float) for name in MEANS)
+    for method in ("native", "ours"):
+        mine = [r for r in records["0"].values() if r["method"] == method]
+        eligible = [r for r in mine if r["eligible"]]
+        for scene in (SCENE, "all"):
+            key = f"vmc.all.{method}.{scene}"
+            hits = sum(r["success"] for r in mine)
+            assert rows[f"{key}.coverage"].value == sum(r["routed"] for r in mine) / 2
+            assert rows[f"{key}.eligible"].value == len(eligible) / 2
+            assert (rows[f"{key}.e2e"].value, rows[f"{key}.e2e"].trials) == (hits / 2, 2)
+            assert rows[f"{key}.conditional"].value == hits / len(eligible)
+            for name in MEANS:
+                assert rows[f"{key}.{name}"].value == pytest.approx(np.mean([r[name] for r in eligible]))
 
 
 def vars_of(route: Route) -> dict[str, object]:

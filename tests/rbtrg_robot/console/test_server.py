@@ -6,7 +6,10 @@ import http.client
 import json
 import ssl
 import struct
+import time
+from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access.certificates import KeysError, make_authority
 from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
+from rbtrg_robot.console import door
+from rbtrg_robot.console.desk import ONLY_SEE
 from rbtrg_robot.console.lease import VALID, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
 from rbtrg_robot.console.terrain import HEADER, LIMIT, SIDE, Terrain, ground_risk, trust_of
@@ -148,6 +153,40 @@ def test_an_observer_changes_nothing_on_the_disk(console: Console) -> None:
     who = {"Cookie": cookie(console, "observer"), "Origin": f"http://{console.address().split('/')[2]}"}
     assert get(console, "/maps/yard", "POST", **who)[0] == 403
     assert get(console, "/stop", "POST", **who)[0] == 202
+
+
+def until(true: Callable[[], bool]) -> None:
+    end = time.monotonic() + 20.0
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
+def test_an_observer_is_refused_whatever_moves_the_robot_and_may_stop_it(console: Console) -> None:
+    host = console.address().split("/")[2]
+    who = cookie(console, "observer")
+    with connect(f"ws://{host}/live", origin=f"http://{host}", additional_headers={"Cookie": who}) as socket:  # type: ignore[arg-type]
+        socket.recv()
+        assert console.serve is not None
+        for number, what in enumerate((*console.serve.desk.wishes, "drive", "take over"), 1):
+            socket.send(json.dumps({"do": what, "n": number, "x": 1, "y": 1, "v": 0.1, "w": 0, "t": 0}))
+            answer = json.loads(socket.recv()[4:])
+            while answer.get("n") != number:
+                answer = json.loads(socket.recv()[4:])
+            assert (answer["ok"], answer["words"]) == (False, ONLY_SEE), what
+        desk, robot = console.serve.desk, console.robot
+        until(lambda: desk.stop_state["state"] != "sending")  # one of before would be this one, too
+        stops = robot.stops
+        socket.send('{"do": "stop"}')
+        until(lambda: robot.stops > stops)
+
+
+def test_a_cookie_ends(console: Console, monkeypatch: pytest.MonkeyPatch) -> None:
+    who = {"Cookie": cookie(console)}
+    assert get(console, "/about", **who)[0] == 200
+    later = time.time() + door.VALID + 1.0
+    monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later))
+    assert get(console, "/about", **who)[0] == 401
 
 
 @pytest.mark.parametrize("name", ["..", "%2e%2e%2fsecret", ".hidden", "a/b"])

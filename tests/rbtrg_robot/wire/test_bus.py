@@ -137,6 +137,31 @@ def test_a_foreign_node_of_the_same_name_changes_nothing(endpoint: str) -> None:
             foreign.close()
 
 
+def test_a_process_that_was_started_anew_lives_though_the_one_before_ends_late(endpoint: str) -> None:
+    stack = stack_id()
+    changes: list[bool] = []
+    turn = threading.Condition()
+
+    def changed(process: str, alive: bool) -> None:
+        with turn:
+            changes.extend([alive] * (process == "tracker"))
+            turn.notify()
+
+    def seen(*expected: bool) -> None:
+        with turn:
+            assert turn.wait_for(lambda: changes == list(expected), 10.0), changes
+
+    with Bus(endpoint, "supervisor", router=True, stack=stack) as watcher:
+        watcher.watch_processes(changed)
+        before = Bus(endpoint, "tracker", stack=stack)
+        seen(True)
+        with Bus(endpoint, "tracker", stack=stack):
+            seen(True, True)
+            before.close()
+            seen(True, True, False, True)
+        seen(True, True, False, True, False)
+
+
 @pytest.mark.parametrize(
     "scopes", [(Scope(1), Scope(2)), (Scope.of(0, "a"), Scope.of(0, "b")), (Scope.of(0, "a"), Scope())]
 )

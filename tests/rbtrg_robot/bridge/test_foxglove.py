@@ -22,6 +22,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.foxglove import BACK, BridgeError, Foxglove
+from rbtrg_robot.bridge.foxglove import Client as Waiting
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg
@@ -280,6 +281,23 @@ def test_a_client_that_hangs_holds_up_nobody(door: Door) -> None:
                 got = client.data(1, timeout=0.5)[0]
             assert time.monotonic() < end
     hanging.connection.socket.close()
+
+
+def test_for_a_slow_client_the_newest_messages_wait_and_no_others() -> None:
+    class Slow:
+        def __init__(self) -> None:
+            self.got: list[bytes] = []
+
+        def send(self, frame: bytes) -> None:
+            self.got.append(frame)
+            client.close()  # it takes one look
+
+    slow = Slow()
+    client = Waiting(slow)  # type: ignore[arg-type]
+    for k in range(100):
+        client.put(1, b"cloud %d" % k, 1)
+    client.send_all()
+    assert slow.got == [b"cloud 99"]
 
 
 @pytest.mark.parametrize("says", [b"", b"GET / HTTP/1.1\r\nHost: x"], ids=["silent", "half a request"])

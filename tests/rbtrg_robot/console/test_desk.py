@@ -34,3 +34,7 @@ def test_hands_that_let_go_are_heard_however_late_and_late_velocities_are_not() 
     assert told == [0.3, 0.0]
     drive(0.0, 5.0)
     assert told == [0.3, 0.0], "who does not drive takes no motion away"
+    drive(0.3, 0.0)
+    desk.leave(page)
+    assert told == [0.3, 0.0, 0.3, 0.0], "its page was closed"
+    assert desk.lease.holder(time.monotonic()) == 0

@@ -7,6 +7,7 @@ climbs higher while driving, but it sways at rest and turns badly. The torques o
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,9 +88,10 @@ class HybridController:
         fr, fl, rr, rl = heights.tolist()
         twisted = abs(fr + rl - fl - rr) > TWIST and blocked < 1.0
         self._twist = self._twist + self.period if twisted else 0.0
-        way, speed = float(np.sign(velocity.vx)), abs(velocity.vx)
-        slowest = float((way * go2w.WHEEL_RADIUS * state.dq[go2w.WHEELS]).min())
-        self._stalled = self._stalled + self.period if fast and slowest < STALLED * speed else 0.0
+        way, speed = math.copysign(1.0, velocity.vx), abs(velocity.vx)
+        roll = way * go2w.WHEEL_RADIUS
+        stalls = fast and min(roll * v for v in state.dq[go2w.WHEELS].tolist()) < STALLED * speed
+        self._stalled = self._stalled + self.period if stalls else 0.0
         held = fast and (blocked >= BLOCKED or self._stalled >= STALL_TIME)
         if not self.climbing and (held or (moves and self._twist >= TWIST_TIME)):
             self.climbing = True

@@ -43,34 +43,39 @@ class MapReader:
         ]  # fmt: skip
         self._floats, self._bytes = _Scratch(np.float32), _Scratch(np.uint8)
         self._result = _Scratch(np.float32)
+        self._border = int(bridging.RIM / p.resolution) + 2
+        """Cells around the tiles that are read with them: more than the rim of a hole is wide."""
         self._pad = int(np.ceil((max(p.bridge_gap, p.blind_gap) + 2 * p.bridge_gap) / p.resolution)) + 1
 
     def read(self, box: Box, stamp: int, epoch: int) -> MapPatch:
         """Cells of `box`, bridged."""
-        layers = {name: layer.copy() for name, layer in zip(PATCH_LAYERS, self._layers(box), strict=True)}
-        return self._patch(box, stamp, epoch, layers)
+        layers = self._layers(box, np.empty((len(PATCH_LAYERS), *box[2:]), np.float32))
+        return self._patch(box, stamp, epoch, dict(zip(PATCH_LAYERS, layers, strict=True)))
 
     def _patch(self, box: Box, stamp: int, epoch: int, layers: dict[str, NDArray[np.float32]]) -> MapPatch:
         r = self.params.resolution
         return MapPatch((box[1] * r, box[0] * r), r, stamp, epoch, layers)
 
-    def _layers(self, box: Box) -> NDArray[np.float32]:
-        """(5, rows, cols) as PATCH_LAYERS, valid until the next call. The margin around it covers a bridge and what its
-        slope is judged by."""
+    def _layers(self, box: Box, out: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Into `out` (5, rows, cols), as PATCH_LAYERS. The margin around it covers a bridge and what its slope is judged by, as far as there are tiles: a
+        bridge ends on known cells."""
         p, pad = self.params, self._pad
         i0, j0, rows, cols = box
-        wide = rows + 2 * pad, cols + 2 * pad
-        height, variance, upper, bound, out, gap = self._floats.take(6, *wide)
+        i, j, tile_rows, tile_cols = self.store.bounds() or (i0, j0, 0, 0)
+        top, left = min(i0, max(i0 - pad, i - self._border)), min(j0, max(j0 - pad, j - self._border))
+        bottom = max(i0 + rows, min(i0 + rows + pad, i + tile_rows + self._border))
+        right = max(j0 + cols, min(j0 + cols + pad, j + tile_cols + self._border))
+        wide = bottom - top, right - left
+        height, variance, upper, bound, level, gap = self._floats.take(6, *wide)
         small = self._bytes.take(5, *wide)
         count, source, marks = small[0], small[1], small[2:]
-        self.store.read(i0 - pad, j0 - pad, Layers(height, variance, upper, count, source))
+        self.store.read(top, left, Layers(height, variance, upper, count, source))
         trusted = trust(
             height, variance, upper, count, source, p.trust_sigma**2, p.trust_count, p.gate_min, p.hole, bound
         )
-        bridge(height, source, trusted, bound, self._rules[self.granted], out, gap, marks)
-        layers = self._result.take(5, rows, cols)
-        _compose(height, variance, upper, source, trusted, pad, p.trust_sigma**2, layers)
-        return layers
+        bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
+        _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
+        return out
 
     def take_changes(self, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what reads differently from what the last ones said; at most one per row of tiles and block."""
@@ -82,11 +87,16 @@ class MapReader:
         pad = self._pad  # bridging carries a change that far
         patches = []
         tiles = s.tiles[slots].astype(np.int64)
+        bounds = s.bounds()
+        assert bounds is not None
         block = (tiles - tiles.min(axis=0)) // _BLOCK
         for place in np.unique(block, axis=0):
             inside = tiles[(block == place).all(axis=1)]
             row, col = inside.min(axis=0) * s.size - pad
-            rows, cols = (inside.max(axis=0) + 1) * s.size + pad - (row, col)
+            end = (inside.max(axis=0) + 1) * s.size + pad
+            # Where there are no tiles nothing reads differently. Rows are left out by whole bands, or other cells would share a patch.
+            row, col = row + max(0, bounds[0] - row) // s.size * s.size, max(col, bounds[1])
+            rows, cols = np.minimum(end, (bounds[0] + bounds[2], bounds[1] + bounds[3])) - (row, col)
             patches += self._changes((int(row), int(col), int(rows), int(cols)), stamp, epoch)
         return patches
 
@@ -109,7 +119,7 @@ class MapReader:
 
     def _changes(self, box: Box, stamp: int, epoch: int) -> list[MapPatch]:
         """Patches of what differs from the last ones sent, within a box."""
-        whole = self._layers(box)
+        whole = self._layers(box, self._result.take(len(PATCH_LAYERS), *box[2:]))
         elevation, _, trusted, upper, source = whole
         state = (source + 16 * trusted).astype(np.uint8)
         patches = []
@@ -137,11 +147,11 @@ class _Scratch:
 
 
 @njit(cache=True)
-def _compose(height, variance, upper, source, trusted, pad, sigma2, out):  # pragma: no cover - compiled
-    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`."""
+def _compose(height, variance, upper, source, trusted, top, left, sigma2, out):  # pragma: no cover - compiled
+    """Layers (5, rows, cols) in the order of PATCH_LAYERS from wider read-outs after `bridge`, which they begin `top` rows and `left` columns in."""
     for r in range(out.shape[1]):
         for c in range(out.shape[2]):
-            a, b = r + pad, c + pad
+            a, b = r + top, c + left
             h, s, u = height[a, b], source[a, b], upper[a, b]
             out[0, r, c] = h
             out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)

@@ -357,7 +357,7 @@ class TileStore:
 
     def bounds(self) -> tuple[int, int, int, int] | None:
         """i0, j0, rows, cols of the cells of all tiles, None for an empty store."""
-        keys = self.keys
+        keys = self.keys if len(self.shelf) else self.tiles[: self.used]
         if not len(keys):
             return None
         lo, hi = keys.min(axis=0) * self.size, (keys.max(axis=0) + 1) * self.size

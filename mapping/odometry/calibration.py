@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import cross
 from hal.types import NS, Array, Extrinsics, LidarName
 from mapping.odometry.alignment import GATE, SCALE, GyroFit, MapFit
 from mapping.odometry.ground_fit import GroundFit
@@ -146,7 +147,7 @@ class Calibration:
                 main = out["main"]
                 turn += main.turn
                 turn_sigma = np.hypot(turn_sigma, main.turn_sigma)
-                place = x[4:] + main.place - np.cross(main.turn, self._places["main"]) + np.cross(turn, at)
+                place = x[4:] + main.place - cross(main.turn, self._places["main"]) + cross(turn, at)
                 place_sigma = np.hypot(sigma[4:], SYSTEMATIC[1])
             if self._ground[name].known:
                 roll, pitch, height = self._ground[name].beside_wheels()
@@ -226,6 +227,6 @@ def _turns(x: Array, sigma: Array, which: Iterable[int]) -> dict[str, float]:
 
 def _places(x: Array, sigma: Array, at: Array) -> dict[str, float]:
     """The same for the place [m] of a LiDAR that is mounted `at` (3,), ahead and aside; the ground tells its height."""
-    place = x[4:] + np.cross(x[1:4], at)
+    place = x[4:] + cross(x[1:4], at)
     error = 2.0 * np.hypot(sigma[4:], SYSTEMATIC[1])
     return {AXES[3 + k]: float(place[k]) for k in (0, 1) if abs(place[k]) - error[k] > MOUNT[1]}

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import WHEEL_RADIUS, wheel_centres
+from hal.rotation import cross
 from hal.types import Array, JointSample
 from mapping.odometry.wheels import leg_velocity
 
@@ -29,7 +30,7 @@ def wheel_contacts(joints: JointSample) -> NDArray[np.float64]:
     contact = np.empty(4, np.bool_)
     leg_velocity(q, dq, tau, np.zeros(3), np.ones(3), np.empty(3), np.empty(3), contact)
     centre = wheel_centres(q)
-    normal = np.cross(centre[0] - centre[3], centre[1] - centre[2])
+    normal = cross(centre[0] - centre[3], centre[1] - centre[2])
     length = np.linalg.norm(normal)
     if length < 1e-6:
         return np.zeros((0, 3))

@@ -8,12 +8,15 @@ from collections import deque
 import numpy as np
 from numpy.typing import NDArray
 
+from hal.rotation import cross
 from hal.types import Array
 
 REACH = 3.5
 """Ground within this distance [m] is looked at,"""
 BAND, FAN = 0.08, 0.12
 """within this height of the plane under the wheels [m], and this much more per metre."""
+FAR = 1.05 * math.hypot(REACH, BAND + FAN * REACH)
+"""No such ground lies further from the middle of the wheels [m]."""
 CELL, POINTS, CELLS = 0.25, 3, 25
 """Heights are averaged in cells of this size [m] with so many points at least; so many cells make a plane."""
 HALF = math.ceil(REACH / CELL)
@@ -64,20 +67,22 @@ class GroundFit:
         self._uneven += 1
         if len(contacts) < 4:
             return
-        normal = np.cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
+        normal = cross(contacts[0] - contacts[3], contacts[1] - contacts[2])
         normal /= math.copysign(max(float(np.linalg.norm(normal)), 1e-9), normal[2])
         if min(normal[2], normal @ up) < UPRIGHT:
             return
-        side = np.cross(normal, [1.0, 0.0, 0.0])
+        side = cross(normal, [1.0, 0.0, 0.0])
         side /= np.linalg.norm(side)
-        axes = np.stack([np.cross(side, normal), side, normal])
-        points = cloud @ axes.T - axes @ contacts.mean(axis=0)
-        plane = fit_plane(points)
+        axes = np.stack([cross(side, normal), side, normal])
+        middle = contacts.mean(axis=0)
+        away = cloud - middle.astype(np.float32)
+        near = np.flatnonzero(np.einsum("ij,ij->i", away, away) < FAR**2)  # most of a sweep lies beyond
+        plane = fit_plane(cloud[near] @ axes.T - axes @ middle)
         if plane is None:
             return
         a, b, c = plane
         self._uneven = 0
-        x, y, _ = axes @ contacts.mean(axis=0)
+        x, y, _ = axes @ middle
         u = axes @ up
         height = c - a * x - b * y
         self._looks.append(np.array([b, -a, height, b + u[1] / u[2], -a - u[0] / u[2]]))

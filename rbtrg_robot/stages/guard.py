@@ -185,7 +185,7 @@ class GuardStage:
             return
         points = self._clouds[newest]
         x, y = points[:, 0], points[:, 1]
-        near = points[(np.abs(x) < AROUND) & (np.abs(y) < AROUND)].astype(np.float64)
+        near = points[np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < AROUND)].astype(np.float64)
         pose = self._odoms[newest].pose.pose
         position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
         place = position + np.array([0.0, 0.0, self._correction])

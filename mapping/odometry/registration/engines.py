@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hal.rotation import rotation, turn
 from hal.types import Array
 from mapping.odometry.registration.planes import VoxelPlanes
+from mapping.odometry.registration.voxels import voxel_down_sample
 
 EngineName = Literal["kiss_icp", "small_gicp"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
@@ -121,9 +122,7 @@ class PlaneEngine:
 
     def take(self, cloud: NDArray[np.float32]) -> None:
         """See Engine."""
-        from kiss_icp.voxelization import voxel_down_sample
-
-        self.frame = voxel_down_sample(cloud.astype(np.float64), self._params.map_voxel)
+        self.frame = voxel_down_sample(cloud, self._params.map_voxel)
         size = self._params.source_voxel
         self._source = voxel_down_sample(self.frame, size)
         while len(self._source) < self._params.min_source and size > self._params.map_voxel:

@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.rotation import rotation_rpy, rotation_vector
 from hal.types import Array
+from mapping.odometry.registration.voxels import voxel_down_sample
 
 HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
 """Tried in turn in a search [rad]: registration finds a heading that is 0.4 rad off, a robot out of contact turns further."""
@@ -136,8 +137,6 @@ class Witness:
             self._pose, self._motion = np.linalg.inv(self._offsets[-1]) @ pose, np.eye(4)
 
     def _thinned(self, frame: Array) -> tuple[Array, Array]:
-        from kiss_icp.voxelization import voxel_down_sample
-
         thin = voxel_down_sample(frame, 0.5 * self.params.voxel_size)
         return thin, voxel_down_sample(thin, 1.5 * self.params.voxel_size)
 

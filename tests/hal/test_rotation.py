@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hal.rotation import rotation, rotation_rpy, rotation_vector, rotation_vectors, rotations, wrap
+from hal.rotation import cross, rotation, rotation_rpy, rotation_vector, rotation_vectors, rotations, wrap
 
 
 def test_a_wrapped_angle_is_the_same_direction_and_half_a_turn_is_positive() -> None:
@@ -31,3 +31,9 @@ def test_many_quaternions_give_the_matrices_of_one_by_one() -> None:
     q = np.random.default_rng(3).standard_normal((50, 4))
     q /= np.linalg.norm(q, axis=1)[:, None]
     np.testing.assert_array_equal(rotations(q), np.array([rotation(one) for one in q]))
+
+
+def test_the_cross_product_is_numpys_bit_for_bit() -> None:
+    a, b = np.random.default_rng(4).standard_normal((2, 200, 3))
+    np.testing.assert_array_equal([cross(u, v) for u, v in zip(a, b, strict=True)], np.cross(a, b))
+    assert cross([1, 0, 0], (0, 1, 0)).tolist() == [0.0, 0.0, 1.0]

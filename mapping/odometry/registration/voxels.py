@@ -20,7 +20,7 @@ def voxel_down_sample(points: NDArray[np.floating], size: float) -> Array:
 
 
 @njit(cache=True)
-def _home(key: int, mask: int) -> int:
+def _home(key, mask):  # pragma: no cover
     """Slot that KISS-ICP's hash gives a voxel."""
     x = np.uint32((key >> 42) - 1048576)
     y = np.uint32(((key >> 21) & 2097151) - 1048576)
@@ -30,7 +30,7 @@ def _home(key: int, mask: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _thin(points: Array, size: float, out: Array) -> int:
+def _thin(points, size, out):  # pragma: no cover
     """Keep the first point of each voxel, in the order in which they lie in a Robin Hood table of at least 2 n slots.
 
     Whoever is further from its home takes the place of whoever is nearer, who then looks for another (tsl::robin_map).

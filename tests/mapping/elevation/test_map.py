@@ -503,3 +503,19 @@ def test_a_map_too_large_to_be_read_as_a_whole_says_so() -> None:
     with pytest.raises(MapError, match="too large"):
         elevation.full()
     assert elevation.window(1500.0, 1500.0, 4.0).layers["elevation"].size > 100
+
+
+def test_what_a_map_says_does_not_hang_on_how_much_is_unseen_around_it() -> None:
+    """Reads go no further than the tiles reach: with tiles of nothing far around they go over all of it."""
+    near, far = ElevationMap(), ElevationMap()
+    for row in (-12, 12):
+        for col in (-12, 12):
+            far.store.allocate(row, col)
+    wide = [mirror.patch() for mirror in (drive(near, 7), drive(far, 7))]
+    for name, layer in wide[0].layers.items():
+        np.testing.assert_array_equal(layer, wide[1].layers[name])
+    for x, half in ((0.0, 2.8), (11.0, 2.8), (60.0, 0.5)):
+        one, other = near.window(x, 0.3, half), far.window(x, 0.3, half)
+        assert (one.origin, one.shape) == (other.origin, other.shape)
+        for name, layer in one.layers.items():
+            np.testing.assert_array_equal(layer, other.layers[name])

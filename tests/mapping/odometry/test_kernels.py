@@ -14,6 +14,7 @@ from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.inertial_kernels import propagate, update_velocity
 from mapping.odometry.registration.planes import VoxelPlanes
+from mapping.odometry.registration.voxels import voxel_down_sample
 from mapping.odometry.wheels import leg_velocity
 
 NOISE = np.array([1e-3, 3e-2, 2e-5, 5e-4])
@@ -295,3 +296,18 @@ def test_wheels_that_slip_are_believed_less_unless_the_scans_are_as_rough() -> N
         for _ in range(12):
             scale.learn(0.04, 0.04, 0.1, sigma)
         assert scale.noise < 0.1
+
+
+@pytest.mark.parametrize("size", [0.15, 0.5, 1.5])
+def test_a_thinned_cloud_is_that_of_kiss_icp_point_by_point(size: float) -> None:
+    """Rings on the ground and a wall: many points fall into one voxel, and many voxels want the same slot."""
+    from kiss_icp.voxelization import voxel_down_sample as theirs
+
+    rng = np.random.default_rng(5)
+    ground = rng.uniform(-20.0, 20.0, (6000, 3)) * (1.0, 1.0, 0.01)
+    wall = rng.uniform(-3.0, 3.0, (3000, 3)) * (0.01, 1.0, 0.3) + (4.0, 0.0, 0.5)
+    cloud = np.concatenate([ground, wall, ground[:500]]).astype(np.float32)
+    for n in (0, 1, 2, 4096, len(cloud)):
+        np.testing.assert_array_equal(
+            voxel_down_sample(cloud[:n], size), theirs(cloud[:n].astype(float), size)
+        )

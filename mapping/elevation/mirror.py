@@ -44,6 +44,11 @@ class CellWindow:
         cols = min(self.col + self.cols, other.col + other.cols) - col
         return CellWindow(row, col, max(0, rows), max(0, cols))
 
+    def seen_from(self, other: CellWindow) -> tuple[slice, slice]:
+        """Its rows and columns in an array of the cells of another one."""
+        row, col = self.row - other.row, self.col - other.col
+        return slice(row, row + self.rows), slice(col, col + self.cols)
+
     def and_all_of(self, other: CellWindow) -> CellWindow:
         """The smallest one that holds both."""
         row, col = min(self.row, other.row), min(self.col, other.col)
@@ -136,9 +141,10 @@ class MapMirror:
             self.shelf.clear()
         for key in window.tiles:
             here = CellWindow(key[0] * SIDE, key[1] * SIDE, SIDE, SIDE)
-            tile = self._own(key)
+            both, tile = window.within(here), self._own(key)
+            there, these = both.seen_from(here), both.seen_from(window)
             for layer, name in zip(tile, PATCH_LAYERS, strict=True):
-                copy(patch.layers[name], window, layer, here)
+                layer[there] = patch.layers[name][these]
         self.stamp = max(self.stamp, patch.stamp)
         return window
 
@@ -177,8 +183,10 @@ class MapMirror:
             tile = self.tile(key)
             assert tile is not None
             here = CellWindow(key[0] * SIDE, key[1] * SIDE, SIDE, SIDE)
+            both = here.within(window)
+            there, these = both.seen_from(window), both.seen_from(here)
             for name, k in zip(names, at, strict=True):
-                copy(tile[k], here, layers[name], window)
+                layers[name][there] = tile[k][these]
         origin = (window.col * self.resolution, window.row * self.resolution)
         return MapPatch(origin, self.resolution, self.stamp, self.epoch, layers)
 
@@ -249,8 +257,4 @@ def window_of(patch: MapPatch) -> CellWindow:
 def copy(source: NDArray, of: CellWindow, target: NDArray, to: CellWindow) -> None:
     """Write the cells of window `of` into those of window `to`, where both have them."""
     both = of.within(to)
-    target[
-        both.row - to.row : both.row - to.row + both.rows, both.col - to.col : both.col - to.col + both.cols
-    ] = source[
-        both.row - of.row : both.row - of.row + both.rows, both.col - of.col : both.col - of.col + both.cols
-    ]
+    target[both.seen_from(to)] = source[both.seen_from(of)]

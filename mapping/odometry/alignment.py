@@ -57,6 +57,7 @@ class LeastSquares:
         self._prior = np.diag(np.asarray(prior, np.float64) ** -2)
         self._a, self._b = np.zeros_like(self._prior), np.zeros(len(prior))
         self._c = self._n = 0.0
+        self._solved: tuple[Array, Array] | None = None
 
     def add(self, a: Array, b: Array, c: float, n: float) -> None:
         """Normal equations of `n` measurements r = J x with weight W: J^T W J (k, k), J^T W r (k,), r^T W r."""
@@ -68,6 +69,7 @@ class LeastSquares:
 
     def fade(self, share: float) -> None:
         """Keep this share of what was measured."""
+        self._solved = None
         self._a *= share
         self._b *= share
         self._c *= share
@@ -75,11 +77,14 @@ class LeastSquares:
 
     def solve(self) -> tuple[Array, Array]:
         """The unknowns (k,) and their standard deviations (k,); the scatter about the fit widens or narrows these."""
-        inverse = np.linalg.inv(self._a + self._prior)
-        x = inverse @ self._b
-        left = self._c - 2.0 * float(self._b @ x) + float(x @ self._a @ x)
-        scatter = (max(left, 0.0) + ASSUMED) / (self._n + ASSUMED)
-        return x, np.sqrt(scatter * np.diag(inverse))
+        if self._solved is None:
+            inverse = np.linalg.inv(self._a + self._prior)
+            x = inverse @ self._b
+            left = self._c - 2.0 * float(self._b @ x) + float(x @ self._a @ x)
+            scatter = (max(left, 0.0) + ASSUMED) / (self._n + ASSUMED)
+            self._solved = x, np.sqrt(scatter * np.diag(inverse))
+        x, sigma = self._solved
+        return x.copy(), sigma
 
 
 class GyroFit:

@@ -86,6 +86,13 @@ class SampleBuffer:
             return np.empty(0, np.int64), np.empty((0, self._width))
         return np.array(stamps), np.concatenate(rows).reshape(len(rows), self._width)
 
+    def any_between(self, after: int, until: int) -> bool:
+        """Whether there is a sample with after < stamp <= until."""
+        for stamp in reversed(self._stamps):
+            if stamp <= until:
+                return stamp > after
+        return False
+
     def forget(self, until: int) -> None:
         """Drop samples with stamp <= until."""
         while self._stamps and self._stamps[0] <= until:

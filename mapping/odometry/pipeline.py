@@ -244,8 +244,7 @@ class LidarInertialOdometry:
     def _predict(self, end: int) -> tuple[NDArray[np.int64], Array]:
         """Advance the filter to `end`; the track it took. Notes which data were missing."""
         for topic, name, buffer in (("joints", "joint", self._joints), ("imu", "IMU", self._imu)):
-            stamps, _ = buffer.between(max(self._filter.stamp, end - NS // 10), end)
-            if len(stamps):
+            if buffer.any_between(max(self._filter.stamp, end - NS // 10), end):
                 continue
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):

@@ -80,7 +80,10 @@ class TrackPath:
             dx, dy = xs[i + 1] - xs[i], ys[i + 1] - ys[i]
             squared = dx * dx + dy * dy
             f = ((x - xs[i]) * dx + (y - ys[i]) * dy) / squared if squared > 0.0 else 0.0
-            s = min(max((i + min(max(f, 0.0), 1.0)) * step, s_from), s_to)
+            # Plain comparisons: `min` and `max` take a third of the time, and this runs a thousand times a second.
+            s = (i + (0.0 if f < 0.0 else 1.0 if f > 1.0 else f)) * step
+            s = s_from if s < s_from else s
+            s = s_to if s > s_to else s
             f = s / step - i
             d = (x - xs[i] - f * dx) ** 2 + (y - ys[i] - f * dy) ** 2
             if d < best_d - 1e-12:

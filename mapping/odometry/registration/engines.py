@@ -22,6 +22,7 @@ CONVERGED = 1e-4
 """Smallest step [m, rad] that is followed by another."""
 DAMPING = 2e-3
 """Share of facing surface below which a direction is not registered: it stays as predicted."""
+_DAMPED = DAMPING * np.eye(6)
 WIDE = 0.6
 """Reach of correspondences of small_gicp [m]."""
 FEW_PLANES = 50
@@ -198,8 +199,9 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
         h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
         if inliers < FEW_PLANES:
             break
-        step = -np.linalg.solve(h / inliers + DAMPING * np.eye(6), b / inliers)
-        if not np.abs(step).max() < 0.2:
+        step = -np.linalg.solve(h / inliers + _DAMPED, b / inliers)
+        largest = np.abs(step).max()
+        if not largest < 0.2:
             break
         moved = np.eye(4)
         turned = np.array([0.0, 0.0, 0.0, 1.0])
@@ -207,7 +209,7 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
         moved[:3, :3] = rotation(turned) @ pose[:3, :3]
         moved[:3, 3] = pose[:3, 3] + step[:3]
         pose = moved
-        if np.abs(step).max() < CONVERGED:
+        if largest < CONVERGED:
             break
     return pose
 

@@ -176,7 +176,8 @@ class Simulation:
     @property
     def diverged(self) -> bool:
         """MuJoCo met NaN or huge values since the last reset and has put the robot back to the origin."""
-        return bool(self._warned[_BAD].any())
+        warned = self._warned.tolist()
+        return any(warned[k] > 0 for k in _BAD)
 
     # --- doing -----------------------------------------------------------------------------------------------------
     def reset(

@@ -16,9 +16,6 @@ AHEAD = 0.2
 HELD = 0.1
 """[rad/s] A turn that the guard lets go on no faster than this is held."""
 
-ASTRAY = 0.15
-"""[m] beside its path a robot is not where the planner looked: in 51 of 52 drives through the rescue scenes none was farther off, in the other it slid
-onto a hurdle backward and fell."""
 STANDS = 0.05
 """[m/s] A robot that the guard slows down to less than this is held."""
 
@@ -65,11 +62,11 @@ class Inputs:
         return error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
 
     @property
-    def astray(self) -> str:
-        """That the robot slid off the path that it follows, in words; empty while it is on it."""
-        if self.tracker is None or self.phase != "following" or abs(self.tracker.cross_track) <= ASTRAY:
-            return ""
-        return f"{abs(self.tracker.cross_track):.2f} m beside its way"
+    def beside(self) -> float:
+        """[m] beside the path that the robot follows; 0 while it follows none."""
+        return (
+            abs(self.tracker.cross_track) if self.tracker is not None and self.phase == "following" else 0.0
+        )
 
     @property
     def held(self) -> set[float]:

@@ -920,15 +920,18 @@ def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
 def test_a_robot_that_slid_off_its_path_stands_and_asks_anew(world: World, side: float) -> None:
     world.goal()
     world.answer()
-    world.cross_track = 0.14 * side
-    world.run(1.0)
     requests = world.count(t.PLAN_REQUEST)
-    world.cross_track = 0.16 * side
-    world.run(0.1)
+    for beside in (0.14, 0.14, 0.3, 0.25, 0.2, 0.16, 0.2, 0.14):  # it comes back to its path
+        world.cross_track = beside * side
+        world.run(0.4)
+    assert world.count(t.PLAN_REQUEST) == requests
+    for beside in (0.16, 0.17, 0.17, 0.18):
+        world.cross_track = beside * side
+        world.run(0.3)
     assert world.count(t.PLAN_REQUEST) == requests + 1
     assert len(world.last(t.PATH_COMMAND).x) == 0
     world.run(0.6)
-    assert world.status.detail == "0.16 m beside its way"
+    assert world.status.detail == "0.18 m beside its way"
     world.answer()
     world.cross_track = 0.0
     world.run(0.5)

@@ -51,7 +51,7 @@ class Alignment:
         self, turned: NDArray[np.float64], place: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotation (3,3) and position (3,) of a pose, corrected. The height is carried along the slopes to where the robot is."""
-        if self.slopes.any():
+        if self.active and self.slopes.any():
             self.height += float(self.slopes @ (place[:2] - self._at))
             turned = rotation_rpy(self.slopes[1], -self.slopes[0], 0.0) @ turned
         self._at = place[:2].copy()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,7 @@ class MapError(OperatorError):
     """Input the map cannot take; the message names it and what was expected."""
 
 
-@dataclass(frozen=True, slots=True)
-class FuseReport:
+class FuseReport(NamedTuple):
     """What became of one scan: points by reason, then cells by outcome."""
 
     points: int

@@ -17,6 +17,9 @@ PASSES = 2
 """The scatter before a face and the face itself."""
 SIDEWAYS = 0.02
 """Share of the view direction along an axis below which a cell has no front on it."""
+X, Y, RIM, FACE, FACE_X, ALL_X = 0, 1, 2, 3, 4, 6
+"""Columns of a face, one cache line: middle of its cell [m]; height below which a point lies on the face alone [m], their number; sums of x and y from the
+middle, of those and of the points on face and top."""
 
 
 @njit(cache=True)
@@ -46,8 +49,8 @@ def fill_faces(
     # the ground that a face stands on: seen in this scan, known in the cell, or in the cells before it
     ground = np.empty(k, np.float32)
     tall, open_ = np.empty(k, np.bool_), np.empty(k, np.bool_)
-    some, number = np.empty(k, np.int32), np.empty(k, np.int32)
-    n = 0
+    some, number = np.empty(k, np.uint32), np.empty(k, np.int32)
+    n = np.uint32(0)
     for t in range(np.uint64(k)):
         cell = cells[np.uint64(which[t])]
         bottom, height = sums[t, BOTTOM], cell.height
@@ -58,11 +61,11 @@ def fill_faces(
         tall[t] = sums[t, TOP] - low > 2.0 * band
         number[t] = -1
         some[n] = t
-        n += tall[t] | open_[t]
-    place, middle = np.empty((n, 2), np.int64), np.empty((n, 2))
-    faces = 0
-    for c in range(n):
-        t = some[c]
+        n += np.uint32(tall[t] | open_[t])
+    place, part = np.empty((n, 2), np.int64), np.zeros((n, 8))
+    faces = np.uint32(0)
+    for a in range(n):
+        t = some[a]
         i, j = _lattice(which[t], tiles, shift)
         y, x = i * resolution, j * resolution
         if open_[t]:
@@ -70,57 +73,59 @@ def fill_faces(
             dj = np.int64(1) if x > sensor[0] else np.int64(-1)
             for axis in range(2):
                 near = _beside(directory, first, shift, which[t], i, j, -di * axis, -dj * (1 - axis))
-                if near >= 0 and cells[near].source == 2:
-                    ground[t] = min(ground[t], cells[near].height)
+                if near >= 0 and cells[np.uint64(near)].source == 2:
+                    ground[t] = min(ground[t], cells[np.uint64(near)].height)
             tall[t] = sums[t, TOP] - ground[t] > 2.0 * band
         if tall[t]:
             some[faces], place[faces, 0], place[faces, 1] = t, i, j
-            middle[faces, 0], middle[faces, 1] = x, y
+            part[faces, X], part[faces, Y], part[faces, RIM] = x, y, sums[t, TOP] - band
             number[t] = faces
-            faces += 1
+            faces += np.uint32(1)
     if faces == 0:
         return k
     floor = np.empty(k)
-    for t in range(k):
+    for t in range(np.uint64(k)):
         floor[t] = ground[t] + band if number[t] >= 0 else np.inf
     mine = np.empty(m, np.uint32)
-    n = 0
+    n = np.uint32(0)
     for p in range(np.uint64(m)):
         mine[n] = p
-        n += z[p] > floor[np.uint32(slot[p])]
-    # Points on face and top of a row; of a face: those on the face alone, sums of x and y from the middle of the cell on the
-    # face, on face and top.
-    above, part = np.zeros(k, np.int32), np.zeros((faces, 5))
+        n += np.uint32(z[p] > floor[slot[p]])
+    above = np.zeros(k, np.int32)  # points on face and top of a row
     for a in range(n):
         p = mine[a]
-        t, c = slot[p], number[slot[p]]
-        x = np.float64(ends[ray[p], 0]) - middle[c, 0]
-        y = np.float64(ends[ray[p], 1]) - middle[c, 1]
-        on_face = 1.0 if z[p] < sums[t, TOP] - band else 0.0
+        t, r = slot[p], ray[p]
+        c = np.uint32(number[t])
+        x = np.float64(ends[r, 0]) - part[c, X]
+        y = np.float64(ends[r, 1]) - part[c, Y]
+        on_face = 1.0 if z[p] < part[c, RIM] else 0.0
         above[t] += 1
-        part[c, 0] += on_face
-        part[c, 1] += on_face * x
-        part[c, 2] += on_face * y
-        part[c, 3] += x
-        part[c, 4] += y
+        part[c, FACE] += on_face
+        part[c, FACE_X] += on_face * x
+        part[c, FACE_X + 1] += on_face * y
+        part[c, ALL_X] += x
+        part[c, ALL_X + 1] += y
     most = k + PASSES * faces
     handed, given = np.zeros(most, np.uint8), np.zeros(most, np.bool_)
-    todo = np.arange(faces)
+    todo = np.empty(faces, np.uint32)
+    for a in range(faces):
+        todo[a] = a
+    waiting = faces
     rows, gone = k, False
     for _ in range(PASSES):
         front = tall.copy()
-        left = 0
-        for a in range(len(todo)):
+        left = np.uint32(0)
+        for a in range(waiting):
             q = todo[a]
             t = some[q]
             if not front[t] or given[t] or above[t] == 0:
                 continue
             # points of a top fill their cell, those of a face alone stand where it is
-            on_face = part[q, 0] > 0.0
-            points = part[q, 0] if on_face else np.float64(above[t])
+            on_face = part[q, FACE] > 0.0
+            points = part[q, FACE] if on_face else np.float64(above[t])
             best, behind, before = 0.0 if on_face else 0.25 * resolution, np.int64(-1), np.int64(-1)
             here, i, j = which[t], place[q, 0], place[q, 1]
-            dx, dy = middle[q, 0] - sensor[0], middle[q, 1] - sensor[1]
+            dx, dy = part[q, X] - sensor[0], part[q, Y] - sensor[1]
             far = np.sqrt(dx * dx + dy * dy)
             hidden = False  # without a face before it nothing changes until the next pass
             for axis in range(2):
@@ -129,12 +134,12 @@ def fill_faces(
                     continue
                 d = np.int64(1) if along > 0.0 else np.int64(-1)
                 di, dj = (np.int64(0), d) if axis == 0 else (d, np.int64(0))
-                depth = d * (part[q, 1 + axis] if on_face else part[q, 3 + axis]) / points
+                depth = d * (part[q, FACE_X + axis] if on_face else part[q, ALL_X + axis]) / points
                 if not depth > best:
                     continue
                 near = _beside(directory, first, shift, here, i, j, -di, -dj)
                 s = _entry(mark, which, k, near)
-                if s >= 0 and front[s]:
+                if s >= 0 and front[np.uint64(s)]:
                     hidden = True
                     continue
                 wide, side = True, np.int64(-1)
@@ -143,7 +148,7 @@ def fill_faces(
                     for deep in range(2):
                         up, right = deep * di + side * dj, deep * dj + side * di
                         s = _entry(mark, which, k, _beside(directory, first, shift, here, i, j, up, right))
-                        if s >= 0 and 2 * above[s] >= above[t]:
+                        if s >= 0 and 2 * above[np.uint64(s)] >= above[t]:
                             wide = True
                             break
                     side += 2
@@ -151,7 +156,7 @@ def fill_faces(
                     best, before = depth, near
                     behind = _beside(directory, first, shift, here, i, j, di, dj)
             todo[left] = q
-            left += hidden
+            left += np.uint32(hidden)
             if behind < 0:
                 continue
             s = _entry(mark, which, rows, behind)
@@ -174,7 +179,7 @@ def fill_faces(
             level = before >= 0 and cells[before].source == 2 and abs(cells[before].height - foot) <= band
             level = level or (s >= 0 and abs(sums[s, TOP] - foot) <= band)
             handed[t] = 1 if level and foot <= ground[t] + band else 2
-        todo = todo[:left]
+        waiting = left
     if not gone:
         return k
     for t in range(k):
@@ -183,10 +188,10 @@ def fill_faces(
         if foot:
             sums[t, TOP] = sums[t, BOTTOM]
             sums[t, WEIGHT] = sums[t, DEPTH] = sums[t, POINTS] = sums[t, SHARED] = 0.0
-    n = 0
+    n = np.uint32(0)
     for p in range(np.uint64(m)):
         mine[n] = p
-        n += z[p] <= floor[np.uint32(slot[p])]
+        n += np.uint32(z[p] <= floor[slot[p]])
     for a in range(n):
         p = mine[a]
         t = slot[p]
@@ -195,14 +200,14 @@ def fill_faces(
         sums[t, DEPTH] += w * (z[p] - sums[t, TOP])
         sums[t, POINTS] += np.float32(1.0)
         sums[t, SHARED] += shared[p]
-    n = 0
+    kept = 0
     for t in range(rows):
         if handed[t] != 2:
-            if n < t:
-                which[n] = which[t]
-                _copy_row(sums, t, n)
-            n += 1
-    return n
+            if kept < t:
+                which[kept] = which[t]
+                _copy_row(sums, t, kept)
+            kept += 1
+    return kept
 
 
 @njit(cache=True)

@@ -24,21 +24,12 @@ def report_of(
     points: int, drops: NDArray[np.int64], cells: NDArray[np.int64], z_correction: float
 ) -> FuseReport:
     """The counters of `project` and `fuse` by name."""
+    invalid, out_of_range, body, ceiling, used = drops.tolist()[: USED + 1]
+    seen, agreed, new, conflict, replaced, overhang = cells.tolist()
     return FuseReport(
-        points=points,
-        used=int(drops[USED]),
-        invalid=int(drops[DROP_NAN]),
-        out_of_range=int(drops[DROP_RANGE]),
-        body=int(drops[DROP_BODY]),
-        ceiling=int(drops[DROP_CEILING]),
-        cells=int(cells[CELLS]),
-        agreed=int(cells[AGREED]),
-        new=int(cells[NEW]),
-        conflict=int(cells[CONFLICT]),
-        replaced=int(cells[REPLACED]),
-        overhang=int(cells[OVERHANG]),
-        z_correction=z_correction,
-    )
+        points, used, invalid, out_of_range, body, ceiling,
+        seen, agreed, new, conflict, replaced, overhang, z_correction,
+    )  # fmt: skip
 
 
 _NOWHERE = 1e12
@@ -58,13 +49,14 @@ def project(
     counts.
     body (6,): x0, x1, y0, y1, z0, z1 of the self-filter box, base_link.
     noise: range sigma, beam angle sigma, attitude sigma, height sigma. directory, first, shift: of the tile store.
-    Out, compacted (counts[USED]): cell i64 index into the pool; z f32 world height; weight f32, one over the variance
+    Out, compacted (counts[USED]): cell u32 index into the pool; z f32 world height; weight f32, one over the variance
     of z that is each point's own; shared f32, the variance that all points of a place share (attitude, pose), which does
     not average out; ray its row in `rays`. rays (q,3) f32, counts[RAYS]: world ends of all rays, dropped for their distance or height included:
     they still tell what is empty.
     """
-    m = counts[USED]
-    q = counts[RAYS]
+    # Unsigned indices spare the test for negative ones, here and below.
+    one = np.uint64(1)
+    m, q = np.uint64(counts[USED]), np.uint64(counts[RAYS])
     inv = 1.0 / resolution
     size = np.int64(1) << shift
     mask = size - 1
@@ -73,12 +65,18 @@ def project(
     near, far = limits[0] * limits[0], limits[1] * limits[1]
     along, across = noise[0] * noise[0], noise[1] * noise[1]
     tilt, lift = noise[2] * noise[2], noise[3] * noise[3]
+    # Copies: a compiler that cannot know that the outputs lie elsewhere reads these anew for each point.
+    ox, oy, oz = origin[0], origin[1], origin[2]
+    tx, ty, tz = position[0], position[1], position[2]
+    bx0, bx1, by0, by1, bz0, bz1 = body[0], body[1], body[2], body[3], body[4], body[5]
+    ceiling, rise = limits[2], limits[3]
+    x0, x1, y0, y1 = limits[4], limits[5], limits[6], limits[7]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
     r10, r11, r12 = rotation[1, 0], rotation[1, 1], rotation[1, 2]
     r20, r21, r22 = rotation[2, 0], rotation[2, 1], rotation[2, 2]
-    for k in range(counts[NEXT], points.shape[0]):
+    for k in range(np.uint64(counts[NEXT]), np.uint64(points.shape[0])):
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
-        dx, dy, dz = px - origin[0], py - origin[1], pz - origin[2]
+        dx, dy, dz = px - ox, py - oy, pz - oz
         rr = dx * dx + dy * dy + dz * dz
         if not rr < _NOWHERE:
             counts[DROP_NAN] += 1
@@ -86,22 +84,22 @@ def project(
         if rr < near:
             counts[DROP_RANGE] += 1
             continue
-        if body[0] < px < body[1] and body[2] < py < body[3] and body[4] < pz < body[5]:
+        if bx0 < px < bx1 and by0 < py < by1 and bz0 < pz < bz1:
             counts[DROP_BODY] += 1
             continue
         x = r00 * px + r01 * py + r02 * pz
         y = r10 * px + r11 * py + r12 * pz
         h = r20 * px + r21 * py + r22 * pz
-        wx, wy, wz = x + position[0], y + position[1], h + position[2]
+        wx, wy, wz = x + tx, y + ty, h + tz
         rays[q, 0], rays[q, 1], rays[q, 2] = wx, wy, wz
-        outside = not (limits[4] < px < limits[5] and limits[6] < py < limits[7])
+        outside = not (x0 < px < x1 and y0 < py < y1)
         if rr > far or outside:
-            q += 1
+            q += one
             counts[DROP_RANGE] += 1
             continue
         dd = x * x + y * y
-        if h > limits[2] and h > limits[2] + limits[3] * np.sqrt(dd):
-            q += 1
+        if h > ceiling and h > ceiling + rise * np.sqrt(dd):
+            q += one
             counts[DROP_CEILING] += 1
             continue
         i, j = np.int64(np.floor(wy * inv + 0.5)), np.int64(np.floor(wx * inv + 0.5))
@@ -114,14 +112,14 @@ def project(
             counts[USED], counts[RAYS], counts[NEXT] = m, q, k
             return False
         ray[m] = q
-        q += 1
+        q += one
         uz = r20 * dx + r21 * dy + r22 * dz
         uz2 = uz * uz
         weight[m] = rr / (along * uz2 + across * (rr - uz2) * rr)
         shared[m] = tilt * dd + lift
         z[m] = wz
         cell[m] = (slot << (2 * shift)) + ((i & mask) << shift) + (j & mask)
-        m += 1
+        m += one
     counts[USED], counts[RAYS], counts[NEXT] = m, q, points.shape[0]
     return True
 
@@ -134,8 +132,8 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
     cell are an overhang and ignored. `mark` is scratch over the pool (sparse set: no clearing needed), `slot` over the
     points. Out: which (k,) pool index; sums (k, 8) f32, see the columns. Returns k and the number of overhangs.
     """
-    # Unsigned indices spare the test for negative ones. Conditional expressions compile to selects, `max` to branches, and
-    # which of two noisy heights is the higher no processor can predict: `max` takes three times as long.
+    # Conditional expressions compile to selects, `max` to branches, and which of two noisy heights is the higher no processor
+    # can predict: `max` takes three times as long.
     k = np.uint32(0)
     zero, one = np.float32(0.0), np.float32(1.0)
     for p in range(np.uint64(m)):
@@ -145,11 +143,11 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
         w = weight[p]
         if not (s < k and np.uint64(which[s]) == c):
             s = k
-            mark[c] = s
-            which[s] = c
+            mark[c], which[s], slot[p] = s, c, s
             sums[s, TOP] = sums[s, BOTTOM] = sums[s, FIRST] = h
-            sums[s, WEIGHT] = sums[s, DEPTH] = sums[s, POINTS] = sums[s, SHARED] = zero
+            sums[s, WEIGHT], sums[s, DEPTH], sums[s, POINTS], sums[s, SHARED] = w, zero, one, shared[p]
             k += np.uint32(1)
+            continue
         slot[p] = s
         top, bottom = sums[s, TOP], sums[s, BOTTOM]
         sums[s, TOP] = top if top > h else h
@@ -172,22 +170,25 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
     n = np.uint32(0)
     for p in range(np.uint64(m)):
         again[n] = p
-        n += tall[np.uint32(slot[p])]
+        n += tall[slot[p]]
     overhangs = 0
     if highest > clearance:
-        low = np.full(k, -np.inf, dtype=np.float32)
-        above = np.full(k, np.inf, dtype=np.float32)
+        no = np.float32(np.inf)
+        # from the highest of the low points to the lowest of the others
+        gap = np.empty((k, 2), dtype=np.float32)
+        for t in range(k):
+            gap[t, 0], gap[t, 1] = -no, no
         for q in range(n):
             p = again[q]
-            s = np.uint32(slot[p])
+            s = slot[p]
             h = z[p]
-            if h < sums[s, BOTTOM] + np.float32(clearance):
-                low[s] = h if h > low[s] else low[s]
-            else:
-                above[s] = h if h < above[s] else above[s]
+            low = h < sums[s, BOTTOM] + np.float32(clearance)
+            under, over = h if low else -no, no if low else h
+            gap[s, 0] = under if under > gap[s, 0] else gap[s, 0]
+            gap[s, 1] = over if over < gap[s, 1] else gap[s, 1]
         for t in range(k):
-            if above[t] < np.inf and above[t] - low[t] > clearance:
-                sums[t, TOP] = low[t]
+            if gap[t, 1] < np.inf and gap[t, 1] - gap[t, 0] > clearance:
+                sums[t, TOP] = gap[t, 0]
                 overhangs += 1
     for t in range(k):
         if tall[t]:
@@ -195,12 +196,12 @@ def reduce_cells(cell, z, weight, shared, m, mark, band, clearance, which, slot,
     surface = np.uint32(0)
     for q in range(n):
         p = again[q]
-        d = z[p] - sums[np.uint32(slot[p]), TOP]
+        d = z[p] - sums[slot[p], TOP]
         again[surface] = p
         surface += np.uint32((d <= zero) & (d >= np.float32(-band)))
     for q in range(surface):
         p = again[q]
-        s = np.uint32(slot[p])
+        s = slot[p]
         w = weight[p]
         sums[s, WEIGHT] += w
         sums[s, DEPTH] += w * (z[p] - sums[s, TOP])

@@ -75,10 +75,10 @@ class ElevationMap:
         self._reader = MapReader(self.store, p)
 
     def _buffers(self, n: int) -> None:
-        self._cell, self._z = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.float32)
+        self._cell, self._z = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.float32)
         self._weight, self._shared = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.float32)
         self._which, self._sums = np.empty(n, dtype=np.int64), np.empty((n, 8), dtype=np.float32)
-        self._slot, self._ray = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
+        self._slot, self._ray = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
         self._ends = np.empty((n, 3), dtype=np.float32)
 
     def warm_up(self) -> None:
@@ -103,7 +103,7 @@ class ElevationMap:
 
     def _stay_near(self) -> None:
         side = self.params.tile_cells * self.params.resolution
-        row, col = (math.floor(self._sensor[k] / side) for k in (1, 0))
+        col, row = (math.floor(x / side) for x in self._sensor[:2].tolist())
         near = math.ceil(self.params.max_range / side) + 1
         self.store.stay_near(row, col, near, 2 * near)
 
@@ -183,9 +183,10 @@ class ElevationMap:
             self._which, self._sums, k, s.cells, now, self._fuse_rule, out, residuals,
             s.touched, 2 * s.shift,
         )  # fmt: skip
-        if sensor.levels and not self.alignment.active and residuals[1] >= p.drift_min_cells:
+        apart, agreeing = residuals.tolist()
+        if sensor.levels and not self.alignment.active and agreeing >= p.drift_min_cells:
             # a dead band, or the estimate would walk: the map follows the corrected scans
-            mean = float(residuals[0] / residuals[1])
+            mean = apart / agreeing
             most, free = min(max(mean, -0.05), 0.05), min(max(mean, -p.drift_free), p.drift_free)
             self.alignment.height -= p.drift_gain * (most - free)
         if self.scans % CLOUD_EVERY == 0:

@@ -22,11 +22,12 @@ def checked_pose(
     place = np.array(position, dtype=np.float64)
     q = np.asarray(orientation, dtype=np.float64)
     # plain numbers: on arrays this small numpy's calls cost more than the work
-    if place.shape != (3,) or q.shape != (4,) or not all(map(math.isfinite, (*place.tolist(), *q.tolist()))):
+    shaped = place.shape == (3,) and q.shape == (4,)
+    far, norm = (math.hypot(*place.tolist()), math.hypot(*q.tolist())) if shaped else (math.nan, math.nan)
+    if not math.isfinite(far + norm):
         raise MapError(f"pose must be finite (3,) and (4,), got {place} and {q}")
-    if max(map(abs, place.tolist())) > FARTHEST:
+    if far > FARTHEST:
         raise MapError(f"pose {place} is more than {FARTHEST / 1000:.0f} km from the origin of `map`")
-    norm = math.hypot(*q.tolist())
     if norm < 0.5:
         raise MapError(f"orientation must be a unit quaternion x, y, z, w, got {q}")
     return rotation(q / norm), place

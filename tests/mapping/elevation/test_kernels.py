@@ -59,9 +59,9 @@ def test_project_equals_numpy() -> None:
     noise = np.array([0.01, 0.002, 0.004, 0.005])
     n = len(points)
     store = TileStore(8)
-    cell, z = np.empty(n, np.int64), np.empty(n, np.float32)
+    cell, z = np.empty(n, np.uint32), np.empty(n, np.float32)
     weight, shared = np.empty(n, np.float32), np.empty(n, np.float32)
-    ray_of = np.empty(n, np.int32)
+    ray_of = np.empty(n, np.uint32)
     rays, counts, absent = np.empty((n, 3), np.float32), np.zeros(7, np.int64), np.zeros(2, np.int64)
 
     def project() -> bool:
@@ -125,11 +125,11 @@ def reduce_oracle(cell, z, weight, shared, band, clearance):
 def test_reduce_equals_numpy() -> None:
     rng = np.random.default_rng(1)
     n = 4000
-    cell = rng.integers(0, 300, n)
+    cell = rng.integers(0, 300, n).astype(np.uint32)
     z = (rng.choice([0.0, 0.3, 2.0], n, p=[0.9, 0.07, 0.03]) + rng.normal(0, 0.03, n)).astype(np.float32)
     weight, shared = (rng.uniform(*span, n).astype(np.float32) for span in ((1e3, 1e5), (1e-5, 1e-3)))
     mark = rng.integers(-5, 400, 300).astype(np.int32)  # scratch may hold anything
-    which, slot, sums = np.empty(n, np.int64), np.empty(n, np.int32), np.empty((n, 8), np.float32)
+    which, slot, sums = np.empty(n, np.int64), np.empty(n, np.uint32), np.empty((n, 8), np.float32)
     k, overhangs = kernels.reduce_cells(cell, z, weight, shared, n, mark, 0.05, 0.8, which, slot, sums)
     want = reduce_oracle(cell, z, weight, shared, 0.05, 0.8)
     assert k == len(want)

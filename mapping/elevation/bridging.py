@@ -4,6 +4,9 @@ A 16-ring LiDAR at 0.5 m height draws rings 0.3 m apart at 2 m and 0.6 m apart a
 live in a world of thin trusted circles. A gap along a row, a column or a diagonal is bridged when its two ends are
 trusted and fit one slope, and every cell in it carries a certificate: a ray passed low over it (so nothing tall stands
 there) and none passed below the bridge (that would be a hole). Shadows, which no ray crossed, stay unknown.
+
+A wall that one ring meets far away scatters into the cells before it, at the ring's height. Where their ground was never seen they look
+like ground. So nothing that ends at a wall is bridged from the cells before another one: in a corner that would be a floor in the air.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ WHEELS, OVER, BESIDE, ASSUMED = 1, 3, 4, 5
 what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
+WALL, BEFORE = 0.2, 2
+"""A cell with another one this much higher [m] within so many cells stands before a wall."""
 SPREAD = 3.0
 """Standard deviations by which a single point may be off."""
 
@@ -33,6 +38,28 @@ def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
         if source[a, b] != 0:
             return k if trusted[a, b] else 0
     return 0
+
+
+@njit(cache=True)
+def _before_wall(height, r, c):  # pragma: no cover
+    """Whether a wall stands beside cell (r, c)."""
+    rows, cols = height.shape
+    for a in range(max(r - BEFORE, 0), min(r + BEFORE + 1, rows)):
+        for b in range(max(c - BEFORE, 0), min(c + BEFORE + 1, cols)):
+            if height[a, b] > height[r, c] + WALL:
+                return True
+    return False
+
+
+@njit(cache=True)
+def _ends_at_wall(height, r, c, dr, dc):  # pragma: no cover
+    """Whether a wall stands beyond cell (r, c) along (dr, dc)."""
+    rows, cols = height.shape
+    for k in range(1, BEFORE + 1):
+        a, b = r + k * dr, c + k * dc
+        if 0 <= a < rows and 0 <= b < cols and height[a, b] > height[r, c] + WALL:
+            return True
+    return False
 
 
 @njit(cache=True)
@@ -82,7 +109,8 @@ def _span(
             fits = False
         elif not (small or blind or u <= z + rule[4]):
             fits = False
-    if not fits:
+    at_wall = _ends_at_wall(height, r, c, dr, dc) or _ends_at_wall(height, ra, ca, -dr, -dc)
+    if not fits or (at_wall and _before_wall(height, ra, ca) and _before_wall(height, r, c)):
         return
     for k in range(1, n):
         rk, ck = ra + k * dr, ca + k * dc

@@ -107,6 +107,18 @@ def test_no_bridge_leads_over_a_single_point_on_the_floor_of_a_pit() -> None:
     assert np.isfinite(bridged(height, np.full_like(height, 0.05))[7:14, 13:17]).all()
 
 
+@pytest.mark.parametrize(("wall", "floor"), [(0.4, False), (0.14, True)])
+def test_in_a_corner_of_walls_the_points_before_both_make_no_floor(wall: float, floor: bool) -> None:
+    """At 6.6 m one ring of the XT16 met both walls of a lane at 0.14 m: the cells before them, then those between."""
+    height = np.full((12, 12), np.nan, np.float32)
+    height[:2], height[:, 10:] = wall, wall
+    height[2, :10] = height[2:, 9] = 0.14
+    out = bridged(height, np.full_like(height, 0.15))
+    assert np.isfinite(out[3:8, 4:9]).any() == floor
+    one_wall = height[:, :10]
+    assert np.isfinite(bridged(one_wall, np.full_like(one_wall, 0.15))[3:8, 4:9]).any(), "up to a wall it is"
+
+
 def test_nothing_wider_than_the_limit_is_bridged() -> None:
     height = strips(np.zeros(60), [(10, 40)], rows=60)
     assert np.isnan(bridged(height, np.full_like(height, 0.05))).all()

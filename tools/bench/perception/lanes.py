@@ -186,7 +186,7 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
 
 def rows(report: Report, seeds: int, timeout: float) -> None:
     """Rows `lanes.*`: robots that start, trusted share of the strip 0.4 to 3 m ahead, all of it and the part that no crest hides,
-    cells called ground that are none."""
+    cells called ground that are none, and in which lanes."""
     lanes = [drive(f"lanes:{seed}", timeout) for seed in range(seeds)]
     report.rate("lanes.started", sum(lane.moved >= MOVED for lane in lanes), len(lanes), 1.0)
     seen = [share for lane in lanes for share in lane.seen] or [0.0]
@@ -196,4 +196,7 @@ def rows(report: Report, seeds: int, timeout: float) -> None:
         "lanes.trusted_open_pct", 100.0 * float(np.nanmean(lies_open)), "%", TRUSTED_LIMIT, at_least=True
     )
     report.add("lanes.false_ground_cells", max(lane.false for lane in lanes), "cells", FALSE_LIMIT)
+    for seed, lane in enumerate(lanes):
+        if lane.false:
+            report.add(f"lanes.false_ground_cells.{seed}", lane.false, "cells")
     report.rate("lanes.reached", sum(lane.state == "reached" for lane in lanes), len(lanes))

@@ -11,6 +11,7 @@ from hal.go2w import MOTORS
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.types import JointSample
 from mapping.elevation.map import ElevationMap
+from mapping.elevation.tiles import LIDAR
 from rbtrg_robot import topics as t
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.elevation import ElevationStage
@@ -46,8 +47,10 @@ class Fed:
         offset = transform_msg(0, MAP, ODOM, np.array([x, 0.0, 0.0]), LEVEL)
         self.stage.on(t.TF_STATIC, t.TF_STATIC.kind(transforms=[offset]))
 
-    def sweep(self, x: float, y: float, head: slice | None = None) -> list[tuple[Topic, Any]]:
-        """`head`: which points the head's LiDAR sees, where there is one."""
+    def sweep(
+        self, x: float, y: float, head: slice | None = None, covariance: np.ndarray | None = None
+    ) -> list[tuple[Topic, Any]]:
+        """`head`: which points the head's LiDAR sees, where there is one. covariance (6, 6): of the odometry."""
         self.now += SWEEP
         if head is not None:
             self.stage.on(t.CLOUDS["head"], cloud_msg(self.now, BASE, self.ground[head]))
@@ -55,7 +58,9 @@ class Fed:
         place = np.array([x, y, 0.4])
         self.stage.on(t.CLOUD, cloud_msg(self.now, BASE, self.ground))
         self.stage.on(t.JOINTS, joint_msg(JointSample(self.now, still, still, still)))
-        return self.stage.on(t.ODOM, odometry_msg(self.now, place, LEVEL, np.zeros(3), np.zeros(3)))
+        return self.stage.on(
+            t.ODOM, odometry_msg(self.now, place, LEVEL, np.zeros(3), np.zeros(3), covariance)
+        )
 
     @property
     def status(self) -> Any:
@@ -89,17 +94,19 @@ def test_the_robot_may_be_as_far_as_it_can_drive_and_no_further(silence: int, re
     assert fed.sweep(reach - 0.1, 0.0) != []
 
 
-def test_a_head_lidar_without_points_is_told_after_half_a_second() -> None:
+def test_a_head_lidar_without_points_is_told_after_half_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     fed = Fed(DEFAULT_LIDARS)
     for _ in range(3):
         fed.sweep(0.0, 0.0, slice(None))
-    warnings = []
+    warnings, granted = [], []
+    monkeypatch.setattr(fed.stage.map, "grant", granted.append)
     for _ in range(6):
         fed.sweep(0.0, 0.0, slice(0))
         warnings.append("nothing from the head LiDAR" in fed.status.warning)
     assert warnings == [False] * 4 + [True] * 2
     fed.sweep(0.0, 0.0, slice(None))
     assert "head" not in fed.status.warning
+    assert granted == [True] * 4 + [False] * 2 + [True], "what nobody looks at is ground no longer"
 
 
 @pytest.mark.parametrize("place", [40.0, -300.0])
@@ -124,3 +131,58 @@ def test_a_prior_map_with_a_damaged_cloud_is_refused(bad: float) -> None:
     assert fed.stage.on(t.MAP_PRIOR, prior) == []
     status = fed.status
     assert (status.refused, status.prior, status.epoch) == (1, "", still)
+
+
+@pytest.mark.parametrize(
+    ("lidars", "starts"), [(DEFAULT_LIDARS, [False, None]), ((LidarConfig(),), [None, None])]
+)
+def test_the_ground_around_the_start_is_entered_when_the_head_lidar_looks_at_it(
+    lidars: tuple[LidarConfig, ...], starts: list[bool | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fed, entered = Fed(lidars), []
+    monkeypatch.setattr(fed.stage.map, "fuse_ground", lambda *args: entered.append(args[-1]))
+    fed.sweep(0.0, 0.0, slice(0) if len(lidars) > 1 else None)
+    fed.sweep(0.0, 0.0, slice(None) if len(lidars) > 1 else None)
+    assert entered == starts
+
+
+@pytest.mark.parametrize(("axis", "sigma"), [(2, 0.1), (3, 0.05), (4, 0.05)])
+def test_cells_are_as_uncertain_as_the_pose(axis: int, sigma: float) -> None:
+    """Of an odometry that knows its height to 0.1 m, or roll or pitch to 0.05 rad; most cells are more than 4 m away."""
+    covariance = np.zeros((6, 6))
+    covariance[axis, axis] = sigma**2
+    variances = []
+    for known in (np.zeros((6, 6)), covariance):
+        fed = Fed()
+        fed.sweep(0.0, 0.0, covariance=known)
+        cells = fed.stage.map.store.cells
+        variances.append(np.median(cells["variance"][cells["source"] == LIDAR]))
+    assert variances[0] < 0.001
+    assert variances[1] > (sigma if axis == 2 else 4.0 * sigma) ** 2
+
+
+def test_every_third_sweep_cleans_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    fed, cleaned = Fed(), []
+    monkeypatch.setattr(fed.stage.map, "clean", lambda: cleaned.append(fed.now))
+    begin = fed.now
+    for _ in range(7):
+        fed.sweep(0.0, 0.0)
+    assert cleaned == [begin + 3 * SWEEP, begin + 6 * SWEEP]
+
+
+def test_the_status_comes_twice_a_second_also_where_the_clock_is_set_back() -> None:
+    fed = Fed()
+    told = [len(fed.stage.tick(round(now * 1e9))) for now in (100.0, 100.2, 100.5, 50.0, 50.2, 50.6)]
+    assert told == [1, 0, 1, 1, 0, 1]
+
+
+def test_a_repeat_of_a_prior_map_changes_nothing() -> None:
+    fed = Fed()
+    fed.sweep(0.0, 0.0)
+    block = patch_msg(fed.stage.map.full())
+    prior = t.MAP_PRIOR.kind(id="x", map=[block], cloud=cloud_msg(1, MAP, np.zeros((3, 3), np.float32)))
+    fed.stage._stands = True
+    assert fed.stage.on(t.MAP_PRIOR, prior) != []
+    epoch = fed.stage.map.epoch
+    assert fed.stage.on(t.MAP_PRIOR, prior) == []
+    assert fed.stage.map.epoch == epoch

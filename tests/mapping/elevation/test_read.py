@@ -84,6 +84,13 @@ def test_a_ramp_is_bridged_and_a_step_is_not() -> None:
     assert np.isnan(out[:, 17:24]).all()
 
 
+@pytest.mark.parametrize(("cells", "bridge"), [(2, True), (3, False), (6, False)])
+def test_two_cells_at_most_are_bridged_without_a_low_ray(cells: int, bridge: bool) -> None:
+    height = strips(np.zeros(30), [(10, 10 + cells)])
+    out = bridged(height, np.full_like(height, np.inf))
+    assert np.isfinite(out[:, 10 : 10 + cells]).any() == bridge
+
+
 def test_the_rim_of_a_hole_stays_unknown() -> None:
     height = np.zeros((60, 60), np.float32)
     height[20:40, 20:40] = np.nan

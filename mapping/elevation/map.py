@@ -28,7 +28,7 @@ from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import CONTACT, PRIOR, TileStore
+from mapping.elevation.tiles import AT_ONCE, CONTACT, PRIOR, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -101,11 +101,11 @@ class ElevationMap:
         """Put far tiles on this disk and bring them back, from before the first scan on. Nothing that is read out differs by that."""
         self.store.put_on(folder)
 
-    def _stay_near(self) -> None:
+    def _stay_near(self, most: int = AT_ONCE) -> None:
         side = self.params.tile_cells * self.params.resolution
         col, row = (math.floor(x / side) for x in self._sensor[:2].tolist())
         near = math.ceil(self.params.max_range / side) + 1
-        self.store.stay_near(row, col, near, 2 * near)
+        self.store.stay_near(row, col, near, 2 * near, most)
 
     def reset(self) -> None:
         """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
@@ -353,14 +353,16 @@ class ElevationMap:
     def read(self, box: Box) -> MapPatch:
         """One of `boxes`."""
         patch = self._reader.read(box, self.stamp, self.epoch)
-        self._stay_near()  # what was brought back for this goes again
+        self._stay_near(
+            self.store.used
+        )  # what was brought back for this goes again, or the pool grows by all that is read
         return patch
 
     def complete(self, box: Box) -> MapPatch:
         """One of `boxes` for people and their tools: with `age` and the layers of `MapPatch.with_terrain`."""
         patch = self._reader.read(box, self.stamp, self.epoch).with_terrain()
         seen = self.store.seen(box)
-        self._stay_near()
+        self._stay_near(self.store.used)
         age = np.where(seen == PRIOR, np.nan, 1e-3 * (self._clock(self.stamp) - seen))
         patch.layers["age"] = age.astype(np.float32)
         return patch

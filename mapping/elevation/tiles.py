@@ -141,16 +141,16 @@ class TileStore:
             self.level = _grown(self.level, cells)
         self.touched, self.tiles = _grown(self.touched, capacity), _grown(self.tiles, capacity)
 
-    def stay_near(self, row: int, col: int, near: int, far: int) -> None:
-        """Bring back the tiles up to `near` rows and columns from a tile, put away some of those beyond `far` of which all changes were read: at most
-        AT_ONCE, the rest in the next calls."""
+    def stay_near(self, row: int, col: int, near: int, far: int, most: int = AT_ONCE) -> None:
+        """Bring back the tiles up to `near` rows and columns from a tile, put away some of those beyond `far` of which all changes were read: so
+        many at most, the rest in the next calls."""
         if (not self.shelf.open and not len(self.shelf)) or self._middle == (row, col):
             return
         self.bring(row - near, col - near, row + near, col + near)
         away = np.abs(self.tiles[: self.used] - (row, col)).max(axis=1) > far
         slots = np.flatnonzero(away & (self.touched[: self.used] == 0))[::-1]
-        self._middle = (row, col) if len(slots) <= AT_ONCE else None
-        for slot in slots[:AT_ONCE].tolist():
+        self._middle = (row, col) if len(slots) <= most else None
+        for slot in slots[:most].tolist():
             if not self._put_away(slot):
                 return
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,17 @@ def test_a_bridge_into_a_tile_that_did_not_change_is_sent() -> None:
     assert whole.layers["trusted"][10 - row, 64 - col] == 1.0
     grid = mirror.patch().grid()
     assert grid.trusted[10 - round(grid.origin[1] / RES), 64 - round(grid.origin[0] / RES)]
+
+
+def test_a_map_on_the_disk_that_is_read_block_by_block_does_not_come_back_as_a_whole(tmp_path: Path) -> None:
+    elevation = ElevationMap()
+    elevation.put_on(tmp_path)
+    x, y = np.meshgrid(np.arange(-6.0, 6.1, 2.4), np.arange(-6.0, 6.1, 2.4))
+    points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -HEIGHT)]).astype(np.float32)
+    for k in range(60):
+        elevation.fuse(points, (3.0 * k, 0.0, HEIGHT), LEVEL, 1 + k)
+        elevation.take_patches()
+    used = elevation.store.used
+    for box in elevation.boxes():
+        elevation.read(box)
+    assert elevation.store.used <= used

@@ -353,9 +353,8 @@ class ElevationMap:
     def read(self, box: Box) -> MapPatch:
         """One of `boxes`."""
         patch = self._reader.read(box, self.stamp, self.epoch)
-        self._stay_near(
-            self.store.used
-        )  # what was brought back for this goes again, or the pool grows by all that is read
+        # What was brought back for this goes again, or the pool grows by all that is read.
+        self._stay_near(self.store.used)
         return patch
 
     def complete(self, box: Box) -> MapPatch:

@@ -179,7 +179,8 @@ class Robot:
         elif topic is t.TELEOP:
             twist = message.twist
             self.driven.append((time.monotonic(), twist.linear.x, twist.angular.z))
-            if not self.taken:
+            moves = twist.linear.x != 0.0 or twist.angular.z != 0.0
+            if moves and not self.taken:  # the last word of a page that closed, a zero, takes nothing
                 self.taken, self.latch = "teleop has the motion", time.monotonic_ns()
                 self.state = "paused" if self.state == "moving" else self.state
             self.x += 0.05 * twist.linear.x * math.cos(self.yaw)

@@ -37,8 +37,8 @@ class MapGraph:
         self._overlaid: Box | None = None
         """Part of the newest grid where the window lies over the mirror."""
         self._changed: list[Box] = []
-        self._tiles = 0
-        """Of the mirror at the last `sync`."""
+        self._synced = -1, 0
+        """Epoch and tiles of the mirror at the last `sync`."""
         self._first: tuple[float, float] | None = None
         """Start of the first graph: only around it unseen ground is assumed drivable."""
 
@@ -55,7 +55,9 @@ class MapGraph:
     @property
     def much_is_new(self) -> bool:
         """An answer would take long: `sync` and `prepare` do most of it before one is asked for."""
-        return len(self.mirror) > (self._tiles if self.graph is not None else 0) + MANY
+        epoch, tiles = self._synced
+        followed = self.graph is not None and epoch == self.mirror.epoch
+        return len(self.mirror) > (tiles if followed else 0) + MANY
 
     def apply(self, patch: MapPatch) -> None:
         """Take a block. Raises MapError."""
@@ -87,7 +89,7 @@ class MapGraph:
                 self.window, fits = None, False
         view = self.mirror.view(start, self.window)
         self.mirror.stay_within(view)
-        self._changed, self._tiles = [], len(self.mirror)
+        self._changed, self._synced = [], (self.mirror.epoch, len(self.mirror))
         if not (view.rows and view.cols):  # the robot stands far from all that was seen
             self.graph = self.grid = None
             return fits

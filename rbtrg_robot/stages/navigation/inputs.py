@@ -80,11 +80,11 @@ class Inputs:
 
         A robot that stands does not tell which way it is to be driven; where the tracker drives it, the guard holds one of them.
         """
-        if self.limits is None or self.robot is None or self.tracker is None or self.phase != "following":
+        if self.robot is None or self.tracker is None or self.phase != "following":
             return False
         if self.robot.vx == 0.0:
-            return not self.tracker.hold and min(self.limits.forward, self.limits.backward) < STANDS
-        return (self.limits.forward if self.robot.vx > 0.0 else self.limits.backward) < STANDS
+            return not self.tracker.hold and bool(self.held)
+        return self.way in self.held
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

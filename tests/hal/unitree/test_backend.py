@@ -533,13 +533,20 @@ class FakeGuardian:
         self.ready = True
 
 
-def test_nothing_moves_without_a_guardian_that_is_ready(monkeypatch: pytest.MonkeyPatch):
+@pytest.fixture
+def guarded(monkeypatch: pytest.MonkeyPatch) -> World:
+    """A robot that is ready, and whose guardian is the only one of `FakeGuardian.made`."""
     monkeypatch.setattr("hal.unitree.backend.Guardian", FakeGuardian)
     FakeGuardian.made.clear()
     world = World()
     world.backend._guarded = True
     world.backend.connect()
     world.until(Phase.READY, 5.0)
+    return world
+
+
+def test_nothing_moves_without_a_guardian_that_is_ready(guarded: World):
+    world = guarded
     world.until(Phase.MOVING, 2.0, vx=0.5)
     (first,) = FakeGuardian.made
     first.lives = False
@@ -554,14 +561,11 @@ def test_nothing_moves_without_a_guardian_that_is_ready(monkeypatch: pytest.Monk
     world.until(Phase.MOVING, 2.0, vx=0.5)
 
 
-def test_the_guardian_hears_of_a_motion_before_the_robot_does(monkeypatch: pytest.MonkeyPatch):
+def test_the_guardian_hears_of_a_motion_before_the_robot_does(
+    guarded: World, monkeypatch: pytest.MonkeyPatch
+):
     """A host that dies after the first Move must not leave a guardian that takes the robot to be at rest."""
-    monkeypatch.setattr("hal.unitree.backend.Guardian", FakeGuardian)
-    FakeGuardian.made.clear()
-    world = World()
-    world.backend._guarded = True
-    world.backend.connect()
-    world.until(Phase.READY, 5.0)
+    world = guarded
     (guardian,) = FakeGuardian.made
     assert not guardian.moving
     told: list[bool] = []

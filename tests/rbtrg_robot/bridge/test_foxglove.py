@@ -9,7 +9,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
@@ -27,6 +27,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg
 from rbtrg_robot.wire.messages import array, decode, encode, header
+from tests.rbtrg_robot.strangers import ended, until
 from tools.bench.ports import free_endpoint
 
 LIMIT = 20.0
@@ -126,22 +127,6 @@ class Client:
         channel = {"id": number, "topic": topic.name, "encoding": "cdr", "schemaName": topic.type} | other
         self.send(op="advertise", channels=[channel])
         self.connection.send(struct.pack("<BI", 1, number) + encode(message))
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + LIMIT
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def ended(stranger: socket.socket) -> bool:
-    try:
-        return stranger.recv(1000) == b""
-    except BlockingIOError:
-        return False
-    except ConnectionError:
-        return True
 
 
 @pytest.fixture

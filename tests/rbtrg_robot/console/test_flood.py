@@ -6,8 +6,6 @@ import contextlib
 import http.client
 import json
 import socket
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +13,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from rbtrg_robot.console import archive
+from tests.rbtrg_robot.strangers import ended, until
 from tools.bench.console.stack import Console
 
 
@@ -39,22 +38,6 @@ def who(console: Console) -> dict[str, str]:
 def page(who: dict[str, str]) -> ClientConnection:
     address = who["Origin"].replace("http", "ws") + "/live"
     return connect(address, origin=who["Origin"], additional_headers={"Cookie": who["Cookie"]})  # type: ignore[arg-type]
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
-def ended(stranger: socket.socket) -> bool:
-    try:
-        return stranger.recv(1000) == b""
-    except BlockingIOError:
-        return False
-    except ConnectionError:
-        return True
 
 
 @pytest.mark.parametrize(

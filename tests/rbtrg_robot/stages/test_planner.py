@@ -117,6 +117,18 @@ def test_much_new_ground_is_looked_at_before_a_goal_is_asked_for() -> None:
     assert np.array_equal(same.x, asked.x)
 
 
+def test_another_map_is_prepared_too() -> None:
+    stage, ground = planner(), np.zeros((660, 660))
+    for epoch in (1, 2):
+        stage.on(t.MAP_STATUS, t.MAP_STATUS.kind(epoch=epoch))
+        stage.on(t.MAP_UPDATE, patch(ground, stamp=epoch * NS))
+        stage.on(t.MAP_WINDOW, patch(np.zeros((75, 75)), cell=(300, 300)))
+        assert stage._map.much_is_new
+        stage.tick(10 * epoch * NS)
+        assert not stage._map.much_is_new
+        assert stage._map.graph is not None
+
+
 def test_a_map_that_comes_in_pieces_is_planned_on_as_far_as_it_goes() -> None:
     stage = planner()
     stage.on(t.MAP_UPDATE, patch(np.zeros((75, 75))))

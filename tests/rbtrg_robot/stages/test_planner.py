@@ -124,7 +124,8 @@ def test_another_map_is_prepared_too() -> None:
         stage.on(t.MAP_UPDATE, patch(ground, stamp=epoch * NS))
         stage.on(t.MAP_WINDOW, patch(np.zeros((75, 75)), cell=(300, 300)))
         assert stage._map.much_is_new
-        stage.tick(10 * epoch * NS)
+        for k in range(2):  # the graph, then its edges
+            stage.tick(10 * epoch * NS + k)
         assert not stage._map.much_is_new
         assert stage._map.graph is not None
 

@@ -293,7 +293,10 @@ class Foxglove:
         topic = client.published.get(number) if opcode == MESSAGE_DATA else None
         if topic is None:
             return _status(client, WARNING, "a message on a channel that was not advertised")
-        self._outbox.put((topic, messages.decode(data[5:], topic.kind)))
+        message = messages.decode(data[5:], topic.kind)
+        if topic not in STOP and not self._bus.publishers[topic].wanted:
+            return _status(client, ERROR, f"nobody takes {topic.name} now: see `rbtrg-robot status`")
+        self._outbox.put((topic, message))
         return self._bus.wake()
 
 

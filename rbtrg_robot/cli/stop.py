@@ -1,8 +1,8 @@
 """`stop`: the emergency stop on the bus as fast as a process can start.
 
-It imports the standard library and zenoh only (`access.identity` and `orders.limits` keep to that too): the command's key and bytes are made by hand here, and a test compares
+It imports the standard library and zenoh only (`access.identity`, `latch` and `orders.limits` keep to that too): the command's key and bytes are made by hand here, and a test compares
 them with those of `wire`. It needs no run folder: where there is none, or nobody answers there, it tries the default port. It sends
-until the robot says that it is stopped. With RBTRG_CONNECT it stops the robot of that computer and no other: another one's
+until the robot says that it stopped for this stop: a state of before, or of somebody else's stop, is no answer. With RBTRG_CONNECT it stops the robot of that computer and no other: another one's
 answer would be taken for this one's.
 """
 
@@ -19,6 +19,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from rbtrg_robot.access.identity import client_tls, problem, remote
+from rbtrg_robot.latch import confirms, new_name
 from rbtrg_robot.orders.limits import PATIENCE, REPEAT, USE_HARDWARE, WORRY
 from rbtrg_robot.scope import Scope, meant
 from rbtrg_robot.terminal import say
@@ -125,11 +126,12 @@ def _open(endpoint: str) -> zenoh.Session | None:
 def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
     confirmed = threading.Event()
     causes: list[str] = []
+    name = new_name()
 
     def heard(sample: zenoh.Sample) -> None:
-        cause = latch_in(sample.payload.to_bytes())
-        if cause is not None:
-            causes.append(cause)
+        latched = latch_in(sample.payload.to_bytes())
+        if latched is not None and confirms(latched[1], name):
+            causes.append(latched[0])
             confirmed.set()
 
     publisher = session.declare_publisher(
@@ -143,7 +145,7 @@ def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
     while time.monotonic() < deadline:
         sent += 1
         now = time.time_ns()
-        publisher.put(order(now), attachment=struct.pack("<qqB16s", sent, now, 16, sender))
+        publisher.put(order(now, name), attachment=struct.pack("<qqB16s", sent, now, 16, sender))
         if sent == 1:
             session.declare_subscriber(f"{prefix}/{STATE_KEY}", Callback(heard, indirect=False))
         if confirmed.wait(REPEAT):
@@ -159,17 +161,17 @@ def _send(session: zenoh.Session, prefix: str, deadline: float) -> int:
     return 1
 
 
-def order(stamp: int) -> bytes:
-    """CDR of the rbtrg_msgs/RobotCommand that stops; `stamp` in ns."""
+def order(stamp: int, name: int) -> bytes:
+    """CDR of the rbtrg_msgs/RobotCommand that stops; `stamp` in ns, `name` of this stop."""
     body = struct.pack("<iI", *divmod(stamp, 1_000_000_000))
     for text in (b"", b"stop", b"operator"):  # frame, mode, cause
         body += bytes(-len(body) % 4) + struct.pack("<I", len(text) + 1) + text + b"\0"
-    body += bytes(-len(body) % 8 + 8)  # latch: of no meaning to a stop
+    body += bytes(-len(body) % 8) + struct.pack("<q", name)
     return b"\0\1\0\0" + body
 
 
-def latch_in(payload: bytes) -> str | None:
-    """The cause of the emergency stop in a rbtrg_msgs/RobotState; None where it is not latched or the bytes are broken."""
+def latch_in(payload: bytes) -> tuple[str, int] | None:
+    """Cause and number of the emergency stop in a rbtrg_msgs/RobotState; None where it is not latched or the bytes are broken."""
     body = payload[4:]
     place = 8  # behind the stamp
 
@@ -188,6 +190,7 @@ def latch_in(payload: bytes) -> str | None:
         latched = body[place]
         place += 1
         cause = text()
+        (number,) = struct.unpack_from("<q", body, place + -place % 8)
     except (struct.error, ValueError, IndexError):
         return None
-    return cause if latched else None
+    return (cause, number) if latched else None

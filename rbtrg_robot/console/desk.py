@@ -100,7 +100,8 @@ class Desk:
         self._orders: dict[Order, Callable[[Outcome], None]] = {}
         self.lease = Lease()
         self._stop: Stop | None = None
-        self.stop_state = {"state": "none", "words": ""}
+        self.stop_state: dict[str, Any] = {"state": "none", "words": "", "press": 0}
+        """`press`: the newest stop of a page that it is about, counted from this process's start."""
         self._area = GoalArea.of(config)
         self._capabilities = config.capabilities()
         self.wishes: dict[str, Wish] = {
@@ -185,8 +186,10 @@ class Desk:
 
     def stop(self) -> None:
         """The emergency stop: needs no lease. Sent at once, and repeated until the robot says it."""
-        if self._stop is not None and self._stop.outcome is None:
-            return  # it is being repeated already
+        self.stop_state["press"] += 1
+        if self._stop is not None and self._stop.outcome is None:  # it is being repeated already
+            self._say_stop(self.stop_state["state"], self.stop_state["words"])
+            return
         order = self._stop = Stop("console")
         self._say_stop("sending", "STOP sent, waiting for the robot")
         self._begin(order, self._stopped)
@@ -203,7 +206,7 @@ class Desk:
             self._say_stop("unconfirmed", UNCONFIRMED)
 
     def _say_stop(self, state: str, text: str) -> None:
-        self.stop_state = {"state": state, "words": text}
+        self.stop_state |= {"state": state, "words": text}
         self._feed.tell("stop", self.stop_state)
 
     def place_of(self, wish: dict[str, Any]) -> tuple[float, float, float | None]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import time
 from typing import Any
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.latch import confirms, new_name
 from rbtrg_robot.orders.limits import ANSWER_LIMIT, PATIENCE, REPEAT, SETTLE, USE_HARDWARE, WORRY
 from rbtrg_robot.orders.order import Order, Outcome
 from rbtrg_robot.topics import Topic
@@ -28,7 +28,7 @@ def command(mode: str, latch: int = 0, cause: str = "operator") -> msg.RobotComm
 
 
 class Stop(Order):
-    """The emergency stop, sent until the robot says that it is latched."""
+    """The emergency stop, sent until the robot says that it latched at this one: a state of before is no answer."""
 
     hears = (t.ROBOT_STATE,)
     sends = (t.ROBOT_STOP,)
@@ -36,6 +36,7 @@ class Stop(Order):
     def __init__(self, cause: str = "operator") -> None:
         super().__init__(REPEAT, PATIENCE)
         self._cause = cause
+        self._name = new_name()
 
     def worried(self, now: float) -> bool:
         """It was sent for longer than WORRY without an answer; `now` in s of `tick`."""
@@ -43,11 +44,11 @@ class Stop(Order):
 
     def message(self) -> tuple[Topic, msg.Message]:
         """The stop."""
-        return t.ROBOT_STOP, command("stop", cause=self._cause)
+        return t.ROBOT_STOP, command("stop", self._name, self._cause)
 
     def take(self, topic: Topic, message: Any) -> None:
         """A RobotState."""
-        if message.estop and not math.isnan(self.began):
+        if message.estop and confirms(message.latch, self._name):
             self.outcome = Outcome(True, f"stopped: {message.estop_cause}")
 
     def silence(self) -> Outcome:

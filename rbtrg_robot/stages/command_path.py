@@ -9,6 +9,7 @@ from hal.safety.gate import SafetyGate, StopCause
 from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
 from hal.types import ModeRequest, PostureCommand, VelocityCommand
 from rbtrg_robot import msg
+from rbtrg_robot.latch import number
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ class CommandPath:
         if mode is ModeRequest.STOP:
             self._gate.stop(StopCause.OPERATOR, message.cause)
             self._latched = True
-            self._renew(now)
+            self._renew(now, message.latch)
         elif mode is ModeRequest.RESUME:
             latch = self.latch(now)
             if message.latch != latch:  # a late repeat, or one that did not hear of the newest stop
@@ -109,6 +110,6 @@ class CommandPath:
             return f"{name} has the motion"
         return f"{name} had the motion; `rbtrg-robot resume` gives it back"
 
-    def _renew(self, now: int) -> None:
-        """Something new to release: a `resume` that is under way must not."""
-        self._latch = max(self._latch + 1, now)
+    def _renew(self, now: int, stop: int = 0) -> None:
+        """Something new to release: a `resume` that is under way must not. `stop`: the name that its sender gave it."""
+        self._latch = number(max(self._latch + 1, now), stop)

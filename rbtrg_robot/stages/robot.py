@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from hal.contract import UP, Backend
@@ -154,9 +155,7 @@ class RobotStage:
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif t.ROBOT_STOP.carried(message, topic):
-            self._request(
-                msg.RobotCommand(header=message.header, mode=ModeRequest.STOP.value, cause=message.cause)
-            )
+            self._request(replace(message, mode=ModeRequest.STOP.value))
         elif t.ROBOT_STATE.carried(message, topic):
             self._commands.restore(message)
         return []

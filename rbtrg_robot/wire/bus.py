@@ -292,6 +292,11 @@ class Publisher:
         else:
             self._publisher = session.declare_publisher(name, **qos)
 
+    @property
+    def wanted(self) -> bool:
+        """This session knows of somebody who listens. While it knows of nobody, it sends nothing."""
+        return bool(self._publisher.matching_status.matching)
+
     def put(self, payload: bytes, stamp: int) -> None:
         """Send wire bytes."""
         self.count += 1

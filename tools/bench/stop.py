@@ -53,12 +53,12 @@ def run(args: list[str]) -> Report:
 def _once(bus: Bus) -> float:
     began = time.perf_counter()
     child = subprocess.Popen([sys.executable, "-m", "rbtrg_robot.cli", "stop"], stdout=subprocess.DEVNULL)
-    while not bus.take(0.5):
+    while not (heard := bus.take(0.5)):
         if child.poll() is not None:
             raise RuntimeError("stop ended without having sent anything")
     took = time.perf_counter() - began
     while child.poll() is None:
-        bus.publish(t.ROBOT_STATE, RobotState(estop=True), 0)
+        bus.publish(t.ROBOT_STATE, RobotState(estop=True, latch=heard[0].decode().latch), 0)
         bus.take(0.02)
     bus.take(0.0)
     return took

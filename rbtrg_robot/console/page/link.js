@@ -30,8 +30,8 @@ export function open() {
     ages = {},
     number = 0,
     pressed = 0,
-    confirmed = true,
-    delivered = false;
+    mine = 0, // the number that the console gave this page's newest STOP; 0: it has not taken it
+    confirmed = true;
 
   function on(kind, hear) {
     hears.set(kind, [...(hears.get(kind) ?? []), hear]);
@@ -45,9 +45,10 @@ export function open() {
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => take(data);
     socket.onopen = () => {
-      delivered = false;
+      mine = 0; // the server that took a stop may be gone
+      delete link.newest.stop;
       tell("open");
-    }; // the server that took a stop may be gone
+    };
     socket.onclose = () => {
       for (const { no } of waiting.values()) no(new Error("the console is gone"));
       waiting.clear();
@@ -72,9 +73,7 @@ export function open() {
       link.page = content.page;
       link.role = content.role;
     }
-    if (content.kind === "stop") stopSaid(content.state, content.words);
-    if (content.kind === "robot" && !link.replay && content.estop && pressed && !confirmed)
-      stopSaid("confirmed", `stopped: ${content.estop_cause}`);
+    if (content.kind === "stop") stopSaid(content);
     if (content.kind === "answer") {
       const { yes } = waiting.get(content.n) ?? {};
       waiting.delete(content.n);
@@ -107,8 +106,8 @@ export function open() {
   }
 
   // --- the stop -------------------------------------------------------------------------------------------
-  function stopSaid(state, words) {
-    if (pressed && state === "none") return; // a server that has just come back knows nothing of it yet
+  function stopSaid({ state, words, press }) {
+    if (pressed && !(mine && press >= mine)) return; // of a stop of before: no answer to this one
     confirmed = state === "confirmed";
     if (confirmed) pressed = 0;
     tell("halt", { state, words });
@@ -116,17 +115,18 @@ export function open() {
 
   function halt() {
     pressed = performance.now();
-    confirmed = delivered = false;
+    confirmed = false;
+    mine = 0;
     tell("halt", { state: "sending", words: "STOP sent, waiting for the robot" });
     send();
     const again = setInterval(() => {
       const waited = performance.now() - pressed;
       if (confirmed || !pressed || waited > STOP_PATIENCE) return clearInterval(again);
-      if (!delivered) send();
+      if (!mine) send();
       if (waited > STOP_WORRY)
         tell("halt", {
           state: "unconfirmed",
-          words: delivered
+          words: mine
             ? "STOP NOT CONFIRMED: use the hardware stop"
             : "STOP NOT CONFIRMED, the console does not answer: use the hardware stop",
         });
@@ -134,12 +134,15 @@ export function open() {
   }
   function send() {
     quick({ do: "stop" });
-    fetch("/stop", { method: "POST", keepalive: true, priority: "high" }).then(
-      (answer) => {
-        delivered ||= answer.ok;
-      },
-      () => {},
-    );
+    const press = pressed;
+    fetch("/stop", { method: "POST", keepalive: true, priority: "high" })
+      .then((answer) => (answer.ok ? answer.json() : Promise.reject()))
+      .then((taken) => {
+        if (press !== pressed || mine) return;
+        mine = taken.press;
+        stopSaid(link.newest.stop ?? taken); // its frame may have come before this answer
+      })
+      .catch(() => {});
   }
 
   setInterval(look, 100);

@@ -27,6 +27,7 @@ from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.cli.stop import stop
 from rbtrg_robot.config import load
+from rbtrg_robot.latch import number
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stages.navigation import navigator
 from rbtrg_robot.stages.robot import STEP, RobotStage
@@ -147,10 +148,12 @@ def stopped(place: Site, who: str, robot: str, monkeypatch: pytest.MonkeyPatch) 
     def run() -> None:
         with Bus(place.local, "robot", place.inside.scope) as bus:
             bus.subscribe([t.ROBOT_STOP])
-            heard = 0
+            heard: list[int] = []
             while not end.is_set():
-                heard += len(bus.take(0.05))
-                bus.publish(t.ROBOT_STATE, t.ROBOT_STATE.kind(estop=heard > 1, estop_cause="operator"), 0)
+                heard += [received.decode().latch for received in bus.take(0.05)]
+                latch = number(10**18, heard[-1]) if len(heard) > 1 else 0
+                state = t.ROBOT_STATE.kind(estop=latch > 0, estop_cause="operator", latch=latch)
+                bus.publish(t.ROBOT_STATE, state, 0)
 
     thread = threading.Thread(target=run)
     thread.start()

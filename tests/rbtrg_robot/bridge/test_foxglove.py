@@ -23,6 +23,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.bridge.foxglove import BACK, BridgeError, Foxglove
 from rbtrg_robot.bridge.foxglove import Client as Waiting
+from rbtrg_robot.latch import number
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import odometry_msg
@@ -79,6 +80,13 @@ class Door:
         stranger.sendall(says)
         stranger.setblocking(False)
         return stranger
+
+    def listen(self, *wanted: Topic) -> None:
+        """Subscribe, and wait until the server's session knows of it: Zenoh sends nothing for which it knows no listener."""
+        self.bus.subscribe(wanted)
+        for topic in wanted:
+            if topic in BACK:
+                until(lambda topic=topic: self._own.publishers[topic].wanted)  # type: ignore[misc]
 
     def heard(self, topic: Topic) -> Any:
         end = time.monotonic() + LIMIT
@@ -198,7 +206,7 @@ def test_who_comes_late_gets_what_is_told_once(door: Door) -> None:
 
 
 def test_a_goal_goes_back_and_what_drives_does_not(door: Door) -> None:
-    door.bus.subscribe([t.GOAL_POSE, t.CMD_VEL])
+    door.listen(t.GOAL_POSE, t.CMD_VEL)
     client = door.enter()
     pose = msg.PoseStamped(header=header(9, "map"))
     pose.pose.position.x = 3.5
@@ -217,15 +225,23 @@ def test_a_goal_goes_back_and_what_drives_does_not(door: Door) -> None:
     assert "not a geometry_msgs/msg/PoseStamped" in status["message"]
 
 
+def test_a_goal_that_nobody_takes_is_told(door: Door) -> None:
+    client = door.enter()
+    client.publish(1, t.GOAL_POSE, msg.PoseStamped())
+    assert "nobody takes /goal_pose" in client.control("status")["message"]
+
+
 def test_a_stop_is_sent_until_the_robot_confirms_it(door: Door) -> None:
     door.bus.subscribe([t.ROBOT_STOP])
     client = door.enter()
     client.publish(1, t.ROBOT_STOP, msg.RobotCommand(mode="stop", cause="Foxglove"))
     for _ in range(3):
-        assert door.heard(t.ROBOT_STOP).cause == "Foxglove"
+        stop = door.heard(t.ROBOT_STOP)
+        assert stop.cause == "Foxglove"
     end = time.monotonic() + LIMIT
+    latch = number(10**18, stop.latch)
     while not door.spoke.wait(0.05):
-        door.bus.publish(t.ROBOT_STATE, msg.RobotState(estop=True, estop_cause="Foxglove"), 1)
+        door.bus.publish(t.ROBOT_STATE, msg.RobotState(estop=True, estop_cause="Foxglove", latch=latch), 1)
         assert time.monotonic() < end
     assert door.said == ["stopped: Foxglove"]
 

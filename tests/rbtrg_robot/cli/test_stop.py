@@ -16,6 +16,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli import stop as module
 from rbtrg_robot.cli.stop import command, latch_in, order, places, stop
 from rbtrg_robot.config import load
+from rbtrg_robot.latch import number
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.scope import NAMED, ROBOT, Scope
 from rbtrg_robot.wire import keys
@@ -32,7 +33,8 @@ def test_key_and_bytes_are_those_of_the_wire() -> None:
     assert keys.key(t.ROBOT_STATE, Scope(7)).rpartition("/")[0] == f"7/{module.STATE_KEY}".rpartition("/")[0]
     stamp = 1_700_000_000_123_456_789
     message = msg.RobotCommand(header=header(stamp, ""), mode="stop", cause="operator")
-    assert order(stamp) == encode(message)
+    message.latch = 2**24 - 1
+    assert order(stamp, 2**24 - 1) == encode(message)
     config = load()
     assert (config.endpoint, config.domain) == (module.DEFAULT, 0)
 
@@ -41,9 +43,14 @@ def test_key_and_bytes_are_those_of_the_wire() -> None:
 @pytest.mark.parametrize("phase", ["stopped", "moving"])
 def test_the_latch_is_read_as_the_wire_reads_it(phase: str, cause: str) -> None:
     state = msg.RobotState(
-        header=header(5, "base_link"), phase=phase, cause=cause, estop=True, estop_cause=cause
+        header=header(5, "base_link"),
+        phase=phase,
+        cause=cause,
+        estop=True,
+        estop_cause=cause,
+        latch=2**60 + 7,
     )
-    assert latch_in(encode(state)) == cause
+    assert latch_in(encode(state)) == (cause, 2**60 + 7)
     state.estop = False
     assert latch_in(encode(state)) is None
     for length in range(len(encode(state)[:70])):
@@ -67,10 +74,11 @@ def test_nothing_heavy_is_imported_before_it_is_sent() -> None:
 
 
 class Robot:
-    """A robot that latches at the n-th stop it hears."""
+    """A robot that latches at the n-th stop it hears. Until then it tells of a stop that somebody else released long ago."""
 
     def __init__(self, endpoint: str, latches_at: int, name: str = ROBOT, *, router: bool = True) -> None:
         self.heard = 0
+        self._latch = 77
         self._latches_at = latches_at
         self._end = threading.Event()
         self._bus = Bus(endpoint, "robot", Scope.of(0, name), router=router)
@@ -83,8 +91,10 @@ class Robot:
             for received in self._bus.take(0.05):
                 message = received.decode()
                 self.heard += message.mode == "stop"
-            latched = self.heard >= self._latches_at
-            state = msg.RobotState(estop=latched, estop_cause="operator" if latched else "")
+                if self.heard >= self._latches_at:
+                    self._latch = number(self._latch + 1, message.latch)
+            whose = "operator" if self.heard >= self._latches_at else "somebody else"
+            state = msg.RobotState(estop=True, estop_cause=whose, latch=self._latch)
             self._bus.publish(t.ROBOT_STATE, state, 0)
 
     def close(self) -> None:

@@ -12,6 +12,7 @@ from hal.types import NS
 from hal.unitree.api import SPORT, Sport
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.orders.robot import Stop
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import header
@@ -65,6 +66,17 @@ class Rig:
             command = msg.TrunkCommand(header=header(self.world.now, "base_link"), pitch=0.2)
             self.stage.on(topic, command, endpoint(who, topic))
             self.run(0.02)
+
+    def stop(self) -> Stop:
+        """One that was heard."""
+        order = Stop("Anna")
+        self.hear(order)
+        return order
+
+    def hear(self, order: Stop) -> None:
+        """It comes to the robot, which tells its state."""
+        self.stage.on(*order.message())
+        self.run(0.01)
 
     def order(self, mode: str, latch: int = 0) -> None:
         self.stage.on(t.ROBOT_COMMAND, msg.RobotCommand(mode=mode, latch=latch, cause="test"))
@@ -132,6 +144,23 @@ def test_resume_releases_the_stop_it_names_and_no_newer_one(rig: Rig) -> None:
     rig.run(0.5)
     assert rig.state.estop
     assert rig.speed == 0.0
+
+
+def test_each_of_two_senders_hears_of_his_own_stop_and_of_no_other(rig: Rig) -> None:
+    anna, bob = Stop("Anna"), rig.stop()
+    anna.take(t.ROBOT_STATE, rig.state)
+    assert anna.outcome is None, "hers was lost"
+    bob.take(t.ROBOT_STATE, rig.state)
+    assert bob.outcome is not None
+    first = rig.state.latch
+    for _ in range(3):
+        rig.hear(anna)
+    anna.take(t.ROBOT_STATE, rig.state)
+    assert anna.outcome is not None
+    rig.order("resume", first)
+    assert rig.state.estop
+    rig.order("resume", rig.state.latch)
+    assert not rig.state.estop
 
 
 def test_a_stop_on_a_robot_that_stands_already_needs_its_own_resume(rig: Rig) -> None:

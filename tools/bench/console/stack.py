@@ -16,6 +16,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.console.server import Serving, serving
+from rbtrg_robot.latch import number
 from rbtrg_robot.process.runfiles import console_address
 from rbtrg_robot.stages.mission.executor import MissionStage
 from rbtrg_robot.stages.stage import Outputs
@@ -158,7 +159,8 @@ class Robot:
         if topic is t.ROBOT_STOP:
             self.stops += 1
             if not self.deaf:
-                self.latch, self.cause = self.latch or time.monotonic_ns(), message.cause
+                self.latch = number(max(self.latch + 1, time.monotonic_ns()), message.latch)
+                self.cause = message.cause
                 if self.state == "moving":
                     self.state = "aborted"
         elif topic is t.ROBOT_COMMAND and message.mode == "resume" and message.latch == self.latch:

@@ -1,0 +1,27 @@
+"""Numbers of latches: what a `resume` must name, and which stop a latch confirms. The standard library only: `stop` starts with it.
+
+RobotState.latch rises with every stop that the robot takes, repeats too. A sender gives his stop a name, and the number that the robot
+latches with ends in it. So a state of before, or of somebody else's stop, is no answer to one that was lost.
+"""
+
+from __future__ import annotations
+
+import secrets
+
+NAMES = 1 << 24
+"""Names of stops are 1 to NAMES - 1; 0 names none. A latch is at most so much [ns] ahead of the clock."""
+
+
+def new_name() -> int:
+    """Of a stop that is about to be sent."""
+    return 1 + secrets.randbelow(NAMES - 1)
+
+
+def number(least: int, name: int) -> int:
+    """The next number of a latch, `least` or above, that ends in the name of the stop; `least` where it names none."""
+    return least + (name - least) % NAMES if name else least
+
+
+def confirms(latch: int, name: int) -> bool:
+    """A robot that latched with this number has heard the stop of this name."""
+    return latch % NAMES == name

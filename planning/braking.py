@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -16,7 +17,8 @@ def bend_speed(curvature: Array, lateral_accel: float, max_yaw_rate: float) -> A
     return np.minimum(np.sqrt(lateral_accel / bend), max_yaw_rate / bend)
 
 
-def brake(speed: Array, ds: Array, decel: float) -> None:
+@njit(cache=True)
+def brake(speed: np.ndarray, ds: np.ndarray, decel: float) -> None:
     """Lower `speed` (n,) [m/s] in place, so that `decel` [m/s^2] suffices for every lower speed ahead.
 
     `ds` (n - 1,) [m]: distance from each point to the next.

@@ -22,6 +22,9 @@ from planning.risk.terrain import Sampler
 from planning.search.bounds import Asked, ToGo, begin_to_go
 
 KEPT, LOST = 1, 2
+ROUNDS = 2
+"""Searches that are kept of a query: the one over all turns, and the last one over those that the guard does not hold. The next query goes through
+the same rounds; with one of them alone each round would search again whatever leads over a turn that the guard holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,24 +41,27 @@ class Search:
     go: ToGo
 
 
-def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked) -> ToGo:
+def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, times: int = 0) -> ToGo:
     """What is known of the way to the ends of `asked`, as far as `table` has kept a search to them with the weights of `body`.
 
-    The table keeps it for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
+    `times`: how often turns were taken out of the graph in this query. The table keeps it for the next query. For more than one end (frontiers,
+    which change with each map) nothing is kept.
     """
-    arcs, old, w = table.arcs, table.searched, weights_of(body)
+    arcs, w, place = table.arcs, weights_of(body), min(times, ROUNDS - 1)
     _, is_end, exit_cost, _, *rest = asked
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost)
     weights = body.weight_mean, body.weight_tail
     key = np.array([*weights, *rest, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
-    if isinstance(old, Search) and old.key == key:
+    same = (old for old in table.searched[place::-1] if isinstance(old, Search) and old.key == key)
+    if (old := next(same, None)) is not None:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:
         go = begin_to_go(arcs, is_end, exit_cost)
-    table.searched = Search(key, table.graph.node_ids, arcs, tables.edge, go)
+    now = Search(key, table.graph.node_ids, arcs, tables.edge, go)
+    table.searched = (*table.searched[:place], now, *table.searched[place + 1 :])
     return go
 
 

@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planning.risk.body import weights_of
 from planning.search.attach import SAME
@@ -18,6 +19,9 @@ from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
 from planning.search.request import Plan, PlanRequest
 from planning.search.straight import has_room
+
+STRIP = 0.5
+"""[m] A point of a route has a node nearer than this, but where the graph has lost its ground."""
 
 
 def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
@@ -52,7 +56,7 @@ def _rest(
     risk = ground.risks(xy)
     if risk[-1] < 0.0:
         return None
-    near = [int(np.argmin(np.hypot(*(nodes[:, :2] - p).T))) for p in xy[1:-1]]
+    near = nearest(nodes[:, :2], xy[1:-1])
     count = len(legs)
     turn_rate, only = ground.under_wheels(xy)
     route = Route(
@@ -72,3 +76,20 @@ def _rest(
         return None
     route.evaluate(at.table.sampler, weights_of(at.table.body), 0, count)
     return route
+
+
+def nearest(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> list[int]:
+    """Index of the node (n, 2) nearest to each place (k, 2), the lowest of equal ones. On a large map nearly all nodes are far from all places, so
+    only those are looked at that lie within `STRIP` along x.
+    """
+    order = np.argsort(nodes[:, 0], kind="stable")
+    low, high = (np.searchsorted(nodes[:, 0], places[:, 0] + d, sorter=order) for d in (-STRIP, STRIP))
+    out = []
+    for place, a, b in zip(places, low, high, strict=True):
+        some = np.sort(order[a:b])
+        away = np.hypot(*(nodes[some] - place).T)
+        if away.min(initial=np.inf) < STRIP:
+            out.append(int(some[np.argmin(away)]))
+        else:
+            out.append(int(np.argmin(np.hypot(*(nodes - place).T))))
+    return out

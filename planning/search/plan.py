@@ -241,8 +241,8 @@ def _search(
     body = at.table.body
     if request.variant == "mean-only":
         body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
-    for _ in range(HELD_TURNS):
-        found, expanded = _cheapest(at, request, body, ends, exit_cost, xy, start_yaw, goal_yaw)
+    for times in range(HELD_TURNS):
+        found, expanded = _cheapest(at, request, body, ends, exit_cost, xy, start_yaw, goal_yaw, times)
         if found is None:
             return None
         if not _take_out_held(at, found):
@@ -281,8 +281,9 @@ def _cheapest(
     xy: tuple[float, float],
     start_yaw: float,
     goal_yaw: float,
+    times: int,
 ) -> tuple[Route | None, int]:
-    """The route of `_search`, weighed as `body` does, and the number of states that were looked at."""
+    """The route of `_search`, weighed as `body` does, and the number of states that were looked at; `times` turns were taken out before."""
     table, start = at.table, at.start
     w = weights_of(body)
     if ends[start]:
@@ -304,7 +305,7 @@ def _cheapest(
             request.rules.backward if sweeps else np.inf,
             request.rules.turning,
         )
-        go = go_on(table, tables, body, asked)
+        go = go_on(table, tables, body, asked, times)
         cost, route, expanded, turns = search_pairs(table.sampler, w, table.arcs, tables, asked, *xy, go)
         table.keep(body, tables._replace(turns=turns))
     if not np.isfinite(cost):

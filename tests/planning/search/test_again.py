@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
 from planning.search.again import go_on
 from planning.search.bounds import Asked, ToGo, cost_to_go, reached
+from planning.search.keep import nearest
 from planning.search.plan import DriveRules, Plan, PlanRequest, plan
 
 BODY = BodyModel()
@@ -96,6 +100,49 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
         np.testing.assert_array_equal(got.settled, want.settled)
         kept = max(kept, known / max(1, int(want.settled.sum())))
     assert kept > 0.5
+
+
+def test_searches_without_the_turns_that_the_guard_holds_are_kept_as_well(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Posts on rough ground. The same query again settles little more than what leads out of the start, in each of its searches."""
+    module = sys.modules["planning.search.plan"]
+    original, searches = vars(module)["go_on"], list[tuple[int, ToGo]]()
+
+    def noted(*args: object) -> ToGo:
+        go: ToGo = original(*args)
+        searches.append((int(go.settled.sum()), go))
+        return go
+
+    monkeypatch.setattr(module, "go_on", noted)
+    rules = replace(RULES, guarded=True)
+    for seed in (0, 5):
+        rng = np.random.default_rng(seed)
+        y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
+        height = 0.03 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
+        for r, c in rng.integers(0, CELLS - 4, (28, 2)):
+            height[r : r + 4, c : c + 4] = 0.6
+        height[:30, :30] = height[90:, 90:] = 0.0
+        grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
+        graph = TraversalGraph.build(grid, (0.7, 0.7), GraphParams(), seed)
+        table = RiskTable(graph, grid, BODY)
+        request = PlanRequest((0.7, 0.7), (5.2, 5.2), 3.0, 0.5, rules=rules)
+        first = found(graph, grid, request, table)
+        searches.clear()
+        again = found(graph, grid, request, table)
+        assert first is not None
+        assert again is not None
+        assert (again.nodes, again.cost) == (first.nodes, first.cost)
+        more = [int(go.settled.sum()) - before for before, go in searches]
+        assert len(searches) == 2, "the guard holds a turn of the cheapest route"
+        assert max(more) <= 40
+
+
+def test_the_nearest_node_of_a_place_is_that_of_all_nodes() -> None:
+    rng = np.random.default_rng(5)
+    nodes = np.round(rng.uniform(0.0, 9.0, (400, 2)), 1)  # many at the same distance
+    places = np.round(rng.uniform(-2.0, 11.0, (300, 2)), 1)
+    assert nearest(nodes, places) == [int(np.argmin(np.hypot(*(nodes - p).T))) for p in places]
 
 
 def settled(table: RiskTable, is_end: np.ndarray) -> tuple[ToGo, int]:

@@ -12,19 +12,23 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path.path import make_path
+from planning.path import PathLimits
 from planning.risk import reference
 from planning.risk.body import BodyModel, terrain_of
 from planning.risk.footprint import poses_features
 from planning.risk.table import RiskTable
-from planning.search.plan import DriveRules, PlanRequest, plan
+from planning.search.plan import PlanRequest, plan
+from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
+from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.way import WaySearch
 from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
 
@@ -131,39 +135,66 @@ def rows(report: Report, large: RiskTable) -> None:
 
 
 def stack_rows(report: Report, large: RiskTable) -> None:
-    """What the planner stage does for one answer on the large map, from poses, by its rules: query and path with all edges evaluated, as it has done
-    before the first goal; table, query and path from nothing, as for a goal that comes with the map; the same after updates."""
+    """What the planner stage does for one answer on the large map, by its own code (`WaySearch.find`): table, query with turns that the guard asks,
+    path, and the part of it that is driven. The map has been taken already and the kernels are compiled.
+
+    `prepared`: the first goal of a new process that has prepared for the map (`MapGraph.prepare`), as it does before one comes. `cold`: the same
+    where the goal comes with the map, and no edge is evaluated. `warm`: the next answers to this goal, the robot at the same place, each after an
+    update of 2 x 2 m; the update of the graph has a row of its own. `moving`: the robot 1 m on along its path each time, and the updates within 4 m of it.
+    """
     grid, graph = large.grid, large.graph
     x0, y0, x1, y1 = grid.extent
     ends = [
         graph.nodes[int(np.argmin(np.hypot(*(graph.nodes[:, :2] - corner).T))), :2]
         for corner in ((x0, y0), (x1, y1))
     ]
-    start, goal = ((float(x) + 0.06, float(y)) for x, y in ends)
-    stage = PlannerConfig()
-    rules = DriveRules(stage.backward, stage.turning, straight=True)
-    request = PlanRequest(start, goal, 0.0, allow_frontier=True, rules=rules)
-    table: RiskTable | None = None
+    (x, y), goal = (float(v) for v in ends[0]), ends[1]
+    message = msg.PlanRequest(
+        start_x=x + 0.06, start_y=y, goal_x=float(goal[0]) + 0.06, goal_y=float(goal[1]), goal_id="across"
+    )
+    terrain, ways, driven = MapGraph(graph.params, BODY, graph.seed), _ways(), None
 
     def answer() -> None:
-        nonlocal table
-        table = RiskTable(graph, grid, BODY, table)
-        make_path(plan(graph, grid, request, BODY, table), grid, BODY, terrain=table.terrain)
+        nonlocal driven
+        driven = ways.find(terrain, message, driven, 0).whole
 
-    def prepared() -> None:
-        make_path(plan(graph, grid, request, BODY, large), grid, BODY, terrain=large.terrain)
+    terrain.grid, terrain.graph, terrain.table = grid, graph, large
+    report.add("large.stack_prepared_s", _timed(answer), "s", limit=0.5)
+    terrain.table, driven, ways = None, None, _ways()
+    report.add("large.stack_cold_s", _timed(answer), "s")
+    rng = np.random.default_rng(3)
+    for key, moves in (("warm", False), ("moving", True)):
+        times, updates = [], []
+        for _ in range(5):
+            r, c = (int(v) for v in rng.integers(0, grid.shape[0] - 40, 2))
+            if moves:
+                assert driven is not None
+                at = int(np.searchsorted(driven.s, 1.0))
+                (message.start_x, message.start_y), message.start_yaw = (
+                    driven.points[at, :2].tolist(),
+                    float(driven.yaw[at]),
+                )
+                col, row = (
+                    (v - o) / grid.resolution for v, o in zip(driven.points[at], grid.origin, strict=False)
+                )
+                r, c = (
+                    int(np.clip(v + rng.integers(-80, 40), 0, n - 40))
+                    for v, n in zip((row, col), grid.shape, strict=True)
+                )
+            height = grid.height.copy()
+            height[r : r + 40, c : c + 40] += np.float32(0.02)
+            grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
+            window = (r, c, r + 40, c + 40)
+            updates.append(
+                _timed(partial(terrain.refresh, (message.start_x, message.start_y), grid, [window]))
+            )
+            times.append(_timed(answer))
+        report.add(f"large.stack_{key}_s", float(np.median(times)), "s", limit=0.1)
+        report.add(f"large.stack_{key}_update_s", float(np.median(updates)), "s")
 
-    report.add("large.stack_prepared_s", _timed(prepared), "s", limit=0.5)
-    report.add("large.stack_cold_s", _timed(answer), "s", limit=0.5)
-    rng, warm = np.random.default_rng(3), []
-    for _ in range(5):
-        r, c = (int(v) for v in rng.integers(0, grid.shape[0] - 40, 2))
-        height = grid.height.copy()
-        height[r : r + 40, c : c + 40] += np.float32(0.02)
-        grid = ElevationGrid(height, grid.trusted, grid.origin, grid.resolution)
-        graph.update(grid, [(r, c, r + 40, c + 40)], start)
-        warm.append(_timed(answer))
-    report.add("large.stack_warm_s", float(np.median(warm)), "s", limit=0.1)
+
+def _ways() -> WaySearch:
+    return WaySearch(PlannerConfig(), BODY, PathLimits())
 
 
 def _timed(work: Callable[[], object]) -> float:

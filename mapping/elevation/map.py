@@ -298,7 +298,10 @@ class ElevationMap:
 
     def begin_on(self, patches: Iterable[MapPatch], cloud: NDArray[np.float32]) -> int:
         """Start anew from a prior map that came as patches and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
+        patches = list(patches)
         store = TileStore(self.params.tile_cells, self.store.folder)
+        tiles = sum(patch.layers["elevation"].size for patch in patches) // store.size**2
+        store.reserve(min(tiles, MAX_TILES))  # to grow by and by copies what is there each time
         known = sum(restore_store(store, patch, self.params, PRIOR, sent=False) for patch in patches)
         self._start_on(store, cloud)
         return known

@@ -14,6 +14,8 @@ from rbtrg_robot.latch import number
 log = logging.getLogger(__name__)
 
 UNKNOWN = "unknown request"
+MOST = 1 << 62
+"""No latch that was told is numbered so high: what rises from there has no room in a message, and the next stop would end this process."""
 
 
 class CommandPath:
@@ -83,7 +85,7 @@ class CommandPath:
 
     def restore(self, message: msg.RobotState) -> None:
         """Take back what was latched before a restart: a stop outlives a crash."""
-        self._latch = message.latch
+        self._latch = message.latch if 0 <= message.latch < MOST else 0
         if message.estop:
             self._gate.stop(StopCause.OPERATOR, message.estop_cause.removeprefix(f"{StopCause.OPERATOR}: "))
             self._latched = True

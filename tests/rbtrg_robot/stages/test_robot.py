@@ -15,7 +15,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.orders.robot import Stop
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import decode, encode, header
 from tests.hal.unitree.world import World
 from tests.rbtrg_robot.hearsay import all_clear
 
@@ -205,6 +205,16 @@ def test_a_hand_needs_the_guard_and_nobody_else(rig: Rig) -> None:
     rig.stage.alive("guard", False)
     rig.run(0.1)
     assert rig.speed == 0.0
+
+
+@pytest.mark.parametrize("latch", [2**63 - 1, -5])
+def test_a_restored_latch_of_no_possible_number_keeps_no_stop_from_being_told(rig: Rig, latch: int) -> None:
+    rig.stage.on(t.ROBOT_STATE, msg.RobotState(estop=True, estop_cause="of before", latch=latch))
+    order = rig.stop()
+    order.take(t.ROBOT_STATE, decode(encode(rig.state), msg.RobotState))
+    assert order.outcome is not None
+    assert order.outcome.ok
+    assert rig.state.latch > 0
 
 
 @pytest.mark.parametrize("taken", [False, True])

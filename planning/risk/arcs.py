@@ -67,7 +67,7 @@ def arcs_of(graph: TraversalGraph, old: Arcs | None = None, was: NDArray[np.int6
         heading,
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
-        turn_rates(graph.turn_edge, graph.params.max_turn_step),
+        turn_rates(graph.turn_edge, graph.params),
         forward_only(graph.turn_edge, graph.params),
     )
 

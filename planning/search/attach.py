@@ -146,7 +146,7 @@ class Ground:
     def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """`turn_rate` [m/rad] and `forward_only` of `Arcs` at places (n, 2), each (n,)."""
         edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self._graph.params
-        return turn_rates(edge, params.max_turn_step), forward_only(edge, params)
+        return turn_rates(edge, params), forward_only(edge, params)
 
     def may_join(self, places: NDArray[np.float64]) -> bool:
         """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to be avoided."""

@@ -13,7 +13,7 @@ from planning.risk.cost import Weights, transition_cost
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
-from planning.risk.turns import FORWARD_ONLY, FREE_TURN, STEEP_COST
+from planning.risk.turns import FORWARD_ONLY, turn_cost
 from planning.search.request import SETS, DriveRules, Plan, PlanRequest, Transition
 
 
@@ -102,10 +102,11 @@ class Route:
 
     def turn_cost(self, first: int, last: int) -> NDArray[np.float64]:
         """(last - first,) [m] for each transition's turns, more with edges under the wheels and on steep ground."""
-        turn = np.abs(wrap(np.diff(self.yaws(first, last))))  # NaN where no heading was asked for
+        turn = np.nan_to_num(wrap(np.diff(self.yaws(first, last))))  # NaN where no heading was asked for
         under = self.turn_rate[first : last + 1]
-        rate = self.rules.turning + np.where((turn > FREE_TURN) | (under == STEEP_COST), under, 0.0)
-        cost = rate * np.nan_to_num(turn)
+        cost = np.array(
+            [turn_cost(*each, self.rules.turning) for each in zip(under.tolist(), turn.tolist(), strict=True)]
+        )
         if 0 < last == len(self.risk):
             cost[-2] += cost[-1]
         return cost[:-1]

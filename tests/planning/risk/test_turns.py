@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hal.rotation import wrap
 from hal.safety.swept import FLAT, Surroundings, reach_of, turn_step, turn_tracks
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
@@ -17,7 +18,16 @@ from planning.path import make_path
 from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
-from planning.risk.turns import FREE_TURN, STEEP_COST, TURN_COST, may_turn_to, turn_cost
+from planning.risk.turns import (
+    FREE_HIGH,
+    FREE_TURN,
+    HIGH_EDGES,
+    STEEP_COST,
+    TURN_COST,
+    may_turn_to,
+    turn_cost,
+    turn_rates,
+)
 from planning.search.guarded import SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
@@ -255,10 +265,36 @@ def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:
 
 
 def test_bends_are_free_over_edges_and_not_on_steep_ground() -> None:
-    for rate, free in ((0.0, 4.0), (TURN_COST, FREE_TURN), (STEEP_COST, 0.0)):
-        for turn in (0.1, -0.5, 0.6, -3.0):
+    high = HIGH_EDGES[-1][1]
+    for rate, free in ((0.0, 4.0), (TURN_COST, FREE_TURN), (high, FREE_HIGH), (STEEP_COST, 0.0)):
+        for turn in (0.1, 0.2, -0.4, -0.5, 0.6, -3.0):
             wanted = 0.3 * abs(turn) + (rate * abs(turn) if abs(turn) > free else 0.0)
             assert turn_cost(rate, turn, 0.3) == pytest.approx(wanted)
+
+
+def test_a_turn_costs_more_the_higher_the_edge_under_the_wheels() -> None:
+    params = GraphParams(max_step=0.2)
+    edges = np.array([0.0, 0.5 * params.max_turn_step, 0.08, 0.12, 0.19, 0.5, np.inf], np.float32)
+    wanted = [0.0, 0.0, TURN_COST, 13.0, 50.0, TURN_COST, STEEP_COST]
+    assert turn_rates(edges, params).tolist() == wanted, "walls stand beside the robot"
+    paper = params.model_copy(update={"max_turn_step": np.inf})
+    assert not turn_rates(edges, paper).any(), "the paper knows no edges"
+
+
+def test_a_robot_askew_before_a_kerb_that_goes_down_backs_off_to_turn() -> None:
+    _, x = np.mgrid[0:200, 0:200] * 0.025
+    height = np.where(x < 2.5, 0.19, 0.0).astype(np.float32)
+    grid = ElevationGrid(height, np.ones(x.shape, bool), (0.0, 0.0), 0.025)
+    graph = TraversalGraph.build(grid, (1.0, 2.5), GraphParams(max_step=0.2, blind_radius=0.0), 1)
+    yaw, rules = np.radians(-80), DriveRules(backward=1.3, turning=0.3, straight=True)
+    found = plan(graph, grid, PlanRequest((2.32, 2.0), (4.0, 2.0), yaw, rules=rules), BODY)
+    course = np.arctan2(*np.diff(found.points[:, :2], axis=0).T[::-1])
+    heading = course + np.pi * np.array([t.backward for t in found.transitions])
+    turn = np.abs(wrap(np.diff(np.append(yaw, heading))))
+    beside = np.abs(found.points[:-1, 0] - 2.5) < 0.3
+    assert beside.any()
+    assert (turn[beside] <= FREE_TURN).all(), "it turned by 64 deg right behind the kerb before"
+    assert turn[~beside].max() > np.radians(60)
 
 
 def test_a_robot_turns_round_before_a_ramp_and_not_on_it() -> None:

@@ -331,6 +331,10 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
     # A process that hangs is ended when its heartbeat is that old.
     report.add(f"back_s.{label}", back, "s", 5.0 + (row.hang if hang else 0.0))
     if whole != 0.0:
+        print(
+            f"{label}: {watch.map.known_cells} of {kept.known_cells} cells after {whole:.1f} s; {watch.map.detail}",
+            flush=True,
+        )
         report.add(f"whole_map_s.{label}", whole, "s", 5.0 + (row.hang if hang else 0.0))
     reached = watch.goal.state == "reached"
     ended = reached or (watch.goal.state == "aborted" and watch.goal.reason != "")

@@ -24,6 +24,7 @@ WHOLE = 6_250_000
 """Cells of a map that people and their tools get in one patch: 100 x 100 m of 4 cm."""
 PART = 600_000
 """The same for our own processes, which put patches together again. No stage stands still for longer than 0.1 s."""
+EMPTY = "no map yet: no patch was received"
 _UNSEEN = np.array([np.nan, np.nan, 0.0, np.nan, 0.0], np.float32)
 """A fresh cell, in the order of PATCH_LAYERS."""
 
@@ -161,14 +162,22 @@ class MapMirror:
         return _window(self._keys(), SIDE)
 
     def view(self, xy: tuple[float, float], over: MapPatch | None = None) -> CellWindow:
-        """The part of the map (and of `over`) around x, y [m] that is planned on: at most 5 x 5 steps of 512 cells. Raises MapError as `bounds`."""
-        whole = self.bounds()
+        """The part of the map (and of `over`) around x, y [m] that is planned on: what was seen of 5 x 5 steps of 512 cells; without rows or
+        columns where nothing of them was. Raises MapError before the first patch."""
+        if not self.known:
+            raise MapError(EMPTY)
         if not all(map(math.isfinite, xy)):
-            return CellWindow(whole.row, whole.col, 0, 0)
-        if over is not None:
-            whole = whole.and_all_of(window_of(over).on_tiles())
+            return CellWindow(0, 0, 0, 0)
         row, col = (round(v / self.resolution) // STEP - 2 for v in (xy[1], xy[0]))
-        return whole.within(CellWindow(row * STEP, col * STEP, 5 * STEP, 5 * STEP))
+        around = CellWindow(row * STEP, col * STEP, 5 * STEP, 5 * STEP)
+        # What was seen elsewhere must not widen it: in a street with corners all of the square would be planned on.
+        keys = list(self._within(around))
+        seen = _window(np.array(keys, np.int64), SIDE) if keys else None
+        if over is not None:
+            on_top = window_of(over).on_tiles().within(around)
+            if on_top.rows and on_top.cols:
+                seen = on_top if seen is None else seen.and_all_of(on_top)
+        return CellWindow(0, 0, 0, 0) if seen is None else seen
 
     def read(self, window: CellWindow, names: Sequence[str] = PATCH_LAYERS) -> MapPatch:
         """Layers of the cells of a window. Raises MapError where it is too large for one patch."""
@@ -232,7 +241,7 @@ class MapMirror:
 
     def _keys(self) -> NDArray[np.int64]:
         if not self.known:
-            raise MapError("no map yet: no patch was received")
+            raise MapError(EMPTY)
         return np.array(sorted([*self._tiles, *self.shelf.keys]), np.int64)
 
     def _within(self, window: CellWindow) -> Iterator[Key]:

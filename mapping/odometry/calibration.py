@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import cross
 from hal.types import NS, Array, Extrinsics, LidarName
-from mapping.odometry.alignment import GATE, SCALE, GyroFit, MapFit
+from mapping.odometry.alignment import GATE, KEPT, SCALE, GyroFit, MapFit
 from mapping.odometry.ground_fit import GroundFit
 from mapping.odometry.registration.engines import Engine
 
@@ -89,6 +89,9 @@ class Calibration:
         noise = pose[:3, :3].T @ covariance[3:, 3:] @ pose[:3, :3]
         self._gyro.add(stamp, turned, (stamp - since) / NS, pose, noise, self.shift["main"] / NS)
         if self._settle("main", self._gyro):
+            # The sweeps in the map were bent by the wrong time. Its settled surfaces take no more points: they would stay so for good.
+            if self._corrects("main"):
+                engine.planes.fade(KEPT)
             for fit in self._beside.values():
                 fit.shifted()
 
@@ -126,8 +129,12 @@ class Calibration:
         if not sure or off <= max(beyond * float(sigma[0]), least):
             return False
         self.shift[name] = wanted
-        fit.shifted(wholly=abs(wanted) < round(self._max * NS))
+        fit.shifted(wholly=self._corrects(name))
         return True
+
+    def _corrects(self, name: LidarName) -> bool:
+        """Whether the shift is all that the stamps are off: with the largest one the sweeps stay bent."""
+        return abs(self.shift[name]) < round(self._max * NS)
 
     def fits(self) -> tuple[LidarFit, ...]:
         """What is known, the main LiDAR first."""

@@ -250,6 +250,13 @@ class VoxelPlanes:
             self._keys, self._anchor, self._stats, self._plane, points[:room], pose, self.size
         )
 
+    def fade(self, share: float) -> None:
+        """Let what was inserted count for this share, at least for a plane: points that come now move settled surfaces again."""
+        n = self._stats[:, 0]
+        kept = np.maximum(share * n, np.minimum(n, PLANE))
+        self._stats[:, 1:] *= (kept / np.maximum(n, 1.0))[:, None]
+        self._stats[:, 0] = kept
+
     def fit(
         self, points: Array, pose: Array, gate: float, scale: float
     ) -> tuple[Array, Array, int, int, int, float]:

@@ -61,12 +61,26 @@ def test_a_view_is_the_whole_of_a_small_map_and_stays_small_on_a_large_one() -> 
     mirror.apply(patch_of(rng, -30, -30, 200, 100))
     assert mirror.view((0.0, 0.0)) == mirror.bounds() == CellWindow(-64, -64, 256, 192)
     mirror.apply(patch_of(rng, 25_000, 25_000, 10, 10))
-    assert mirror.view((0.5, 0.5)) == CellWindow(-64, -64, 1536 + 64, 1536 + 64)
-    assert mirror.view((1000.1, 1000.1)) == CellWindow(23_552, 23_552, 1472, 1472)
-    assert not mirror.grid(mirror.view((500.0, 500.0))).trusted.any()
+    assert mirror.view((0.5, 0.5)) == CellWindow(-64, -64, 256, 192)
+    assert mirror.view((1000.1, 1000.1)) == CellWindow(24_960, 24_960, 64, 64)
+    mirror.apply(patch_of(rng, 1500, 20, 500, 10))
+    assert mirror.view((0.5, 0.5)) == CellWindow(-64, -64, 1536 + 64, 192)
+    assert mirror.view((500.0, 500.0)).rows == 0
     assert mirror.view((-200.0, 0.0)).cols == 0
     assert mirror.view((float("nan"), 0.0)).rows == 0
     assert mirror.nbytes < 2_000_000
+
+
+def test_a_view_of_a_street_is_as_wide_as_the_street_after_a_corner_too() -> None:
+    """The box around a map with a corner is wide everywhere: grid and graph took half as long again there."""
+    mirror, ground = MapMirror(), np.ones((64, 64), np.float32)
+    for k in range(100):
+        row, col = (0, 64 * k) if k < 50 else (64 * (k - 49), 64 * 49)
+        layers = dict.fromkeys(PATCH_LAYERS, ground)
+        mirror.apply(MapPatch((col * RES, row * RES), RES, k, 0, layers))
+    before, after = mirror.view((60.0, 1.0)), mirror.view((126.0, 100.0))
+    assert (before.rows, after.cols) == (64, 64)
+    assert min(before.cols, after.rows) > 1000
 
 
 def test_a_patch_over_a_grid_lies_on_top_of_the_map_and_changes_nothing_of_it() -> None:

@@ -13,7 +13,7 @@ from hal.go2w import L1_MOUNT, XT16_MOUNT
 from hal.lidar import LIDARS
 from hal.rotation import rotation_rpy, rotation_vector, rpy_of
 from hal.types import NS, Extrinsics, GroundTruth, LidarName, LidarScan, Sample
-from mapping.odometry.alignment import GyroFit, LeastSquares
+from mapping.odometry.alignment import KEPT, GyroFit, LeastSquares
 from mapping.odometry.calibration import Calibration
 from mapping.odometry.health import Health
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
@@ -141,7 +141,10 @@ def test_a_clock_is_corrected_only_where_more_than_the_error_of_the_method_is_le
     solved = np.array([1e-3 * offset, 0.0, 0.0, 0.0]), np.array([6e-4, 1e-3, 1e-3, 1e-3])
     monkeypatch.setattr(GyroFit, "solve", lambda _: solved)
     found, here = Calibration({"main": XT16_MOUNT}, 0.05), np.eye(4)
-    found.registered(NS, here, here, 0, here, 1e-6 * np.eye(6), SimpleNamespace(scans=30))  # type: ignore[arg-type]
+    faded: list[float] = []
+    engine = SimpleNamespace(scans=30, planes=SimpleNamespace(fade=faded.append))
+    found.registered(NS, here, here, 0, here, 1e-6 * np.eye(6), engine)  # type: ignore[arg-type]
+    assert faded == [KEPT] * corrected, "what was mapped by the wrong clock counts little"
     (fit,) = found.fits()
     assert fit.applied == (1e-3 * offset if corrected else 0.0)
     assert fit.offset_sigma > 0.001, "as told"

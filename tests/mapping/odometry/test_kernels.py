@@ -264,6 +264,30 @@ def test_planes_stay_within_their_memory_and_forget_the_far() -> None:
     assert planes.fit(rng.uniform(-9, 9, (3000, 3)), first, 0.15, 0.05)[2] == 0
 
 
+def test_a_faded_surface_is_moved_by_what_comes_now_and_stays_a_surface() -> None:
+    random = np.random.default_rng(3)
+
+    def floor(height: float) -> np.ndarray:
+        return np.column_stack([random.uniform(0.0, 4.0, (20_000, 2)), np.full(20_000, height)])
+
+    def beside(planes: VoxelPlanes) -> tuple[float, int]:
+        _, b, _, planar, inliers, _ = planes.fit(floor(0.1), np.eye(4), 0.15, 1e3)
+        return b[2] / max(inliers, 1), planar
+
+    planes, settled = VoxelPlanes(0.4, 20.0), VoxelPlanes(0.4, 20.0)
+    for both in (planes, settled):
+        both.insert(floor(0.13), np.eye(4))
+        assert beside(both) == (pytest.approx(-0.03, abs=1e-3), 20_000)
+    planes.fade(0.1)
+    assert beside(planes) == (pytest.approx(-0.03, abs=1e-3), 20_000)
+    for both in (planes, settled):
+        both.insert(floor(0.1), np.eye(4))
+    assert beside(planes)[0] == pytest.approx(-0.003, abs=1e-3)
+    assert beside(settled)[0] == pytest.approx(-0.03, abs=1e-3), "a settled surface takes no more points"
+    planes.fade(0.01)
+    assert beside(planes)[1] == 20_000
+
+
 def test_wheel_scale_learns_slip_and_ignores_spinning_wheels() -> None:
     from mapping.odometry.wheel_scale import WheelScale
 

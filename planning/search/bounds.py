@@ -21,7 +21,7 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
-from planning.search.heap import grown, pop, pop_pair, push, push_pair
+from planning.search.heap import grown, pop, push
 
 
 @njit(cache=True)
@@ -126,7 +126,8 @@ class Heap(NamedTuple):
     """States by what a route over them costs at least [m]: the arrays of `planning.search.heap`."""
 
     f: NDArray[np.float64]
-    s: NDArray[np.int32]
+    s: NDArray[np.int64]
+    e: NDArray[np.int64]
     n: int
 
 
@@ -152,7 +153,7 @@ def reached(
     """
     _, _, _, source, target, _, length, _, risk, _, _, forward_only = arcs
     edge = tables.edge
-    f, s = np.empty(256), np.empty(256, np.int32)
+    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
     n = 0
     for state in range(go.h.size):
         if go.h[state] == np.inf:
@@ -164,9 +165,9 @@ def reached(
             go.settled[state] = False
         drive = _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
         if n == f.size:
-            f, s = grown(f), grown(s)
-        n = push_pair(f, s, n, go.h[state] + come[source[out]] + drive, state)
-    return Heap(f, s, n)
+            f, s, e = grown(f), grown(s), grown(e)
+        n = push(f, s, e, n, go.h[state] + come[source[out]] + drive, state, 0)
+    return Heap(f, s, e, n)
 
 
 @njit(cache=True)
@@ -193,11 +194,11 @@ def cost_to_go(
     start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
     ways = 1 if np.isinf(backward) else 2
     h, settled, after = go
-    f, s, n = heap
+    f, s, e, n = heap
     least = np.inf
     while n > 0 and (f[0] <= limit if limit < np.inf else f[0] < least):
         bound, state = f[0], s[0]
-        n = pop_pair(f, s, n)
+        n = pop(f, s, e, n)
         if settled[state]:
             continue
         out, way = state // 2, state % 2
@@ -210,7 +211,7 @@ def cost_to_go(
                 + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
             )
             if dearer > bound:
-                n = push_pair(f, s, n, dearer, state)
+                n = push(f, s, e, n, dearer, state, 0)
                 continue
         settled[state] = True
         cost = h[state] + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
@@ -237,14 +238,14 @@ def cost_to_go(
                     continue
                 h[to], after[to], settled[to] = new, state, False
                 if n == f.size:
-                    f, s = grown(f), grown(s)
+                    f, s, e = grown(f), grown(s), grown(e)
                 bound = (
                     new
                     + come[source[into]]
                     + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
                 )
-                n = push_pair(f, s, n, bound, to)
-    return least, Heap(f, s, n)
+                n = push(f, s, e, n, bound, to, 0)
+    return least, Heap(f, s, e, n)
 
 
 @njit(cache=True)

@@ -22,7 +22,7 @@ HIGH_EDGES = ((0.09, 13.0), (0.16, 50.0))
 """[m] above which an edge costs so much [m/rad] instead of TURN_COST."""
 FREE_TURN, FREE_HIGH = np.radians(30.0), np.radians(15.0)
 """Turns over an edge, and over a high one, up to here [rad] are driven as a bend and cost nothing more: while the robot drove down a kerb of 19 cm
-1 of 40 fell in bends of 20 and 30 deg, 7 of 40 in those of 35 and 45 deg, none of 60 that drove straight."""
+1 of 40 fell in bends of 20 and 30 deg, 7 of 40 in those of 35 and 45 deg, none of 100 that drove straight."""
 FACE_NOISE = 0.03
 """[m] by which a face on the map may be higher than the true one."""
 FORWARD_ONLY = 10.0

@@ -11,7 +11,7 @@ Same calls, same bytes: no clock, no randomness.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -296,9 +296,8 @@ class ElevationMap:
         self._start_on(store, read_cloud(path))
         return known
 
-    def begin_on(self, patches: Iterable[MapPatch], cloud: NDArray[np.float32]) -> int:
+    def begin_on(self, patches: Sequence[MapPatch], cloud: NDArray[np.float32]) -> int:
         """Start anew from a prior map that came as patches and its cloud (n, 3); see `load_prior`. Raises MapError for another resolution."""
-        patches = list(patches)
         store = TileStore(self.params.tile_cells, self.store.folder)
         tiles = sum(patch.layers["elevation"].size for patch in patches) // store.size**2
         store.reserve(min(tiles, MAX_TILES))  # to grow by and by copies what is there each time

@@ -281,19 +281,19 @@ def test_a_turn_costs_more_the_higher_the_edge_under_the_wheels() -> None:
     assert not turn_rates(edges, paper).any(), "the paper knows no edges"
 
 
-def test_a_robot_askew_before_a_kerb_that_goes_down_backs_off_to_turn() -> None:
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_robot_askew_before_a_kerb_that_goes_down_turns_away_from_it(seed: int) -> None:
     _, x = np.mgrid[0:200, 0:200] * 0.025
     height = np.where(x < 2.5, 0.19, 0.0).astype(np.float32)
     grid = ElevationGrid(height, np.ones(x.shape, bool), (0.0, 0.0), 0.025)
-    graph = TraversalGraph.build(grid, (1.0, 2.5), GraphParams(max_step=0.2, blind_radius=0.0), 1)
+    graph = TraversalGraph.build(grid, (1.0, 2.5), GraphParams(max_step=0.2, blind_radius=0.0), seed)
     yaw, rules = np.radians(-80), DriveRules(backward=1.3, turning=0.3, straight=True)
     found = plan(graph, grid, PlanRequest((2.32, 2.0), (4.0, 2.0), yaw, rules=rules), BODY)
     course = np.arctan2(*np.diff(found.points[:, :2], axis=0).T[::-1])
     heading = course + np.pi * np.array([t.backward for t in found.transitions])
     turn = np.abs(wrap(np.diff(np.append(yaw, heading))))
     beside = np.abs(found.points[:-1, 0] - 2.5) < 0.3
-    assert beside.any()
-    assert (turn[beside] <= FREE_TURN).all(), "it turned by 64 deg right behind the kerb before"
+    assert turn[beside].max() <= FREE_HIGH, "26 and 28 deg while such a turn cost as much as one on a bar"
     assert turn[~beside].max() > np.radians(60)
 
 

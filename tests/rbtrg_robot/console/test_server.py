@@ -7,7 +7,6 @@ import json
 import ssl
 import struct
 import time
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -34,6 +33,7 @@ from rbtrg_robot.stages.planner import build
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import patch_msg
 from rbtrg_robot.wire.messages import decode, encode
+from tests.rbtrg_robot.strangers import until
 from tools.bench.console.stack import Console, ground
 
 
@@ -153,13 +153,6 @@ def test_an_observer_changes_nothing_on_the_disk(console: Console) -> None:
     who = {"Cookie": cookie(console, "observer"), "Origin": f"http://{console.address().split('/')[2]}"}
     assert get(console, "/maps/yard", "POST", **who)[0] == 403
     assert get(console, "/stop", "POST", **who)[0] == 202
-
-
-def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 20.0
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def test_an_observer_is_refused_whatever_moves_the_robot_and_may_stop_it(console: Console) -> None:

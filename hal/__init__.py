@@ -1,1 +1,12 @@
 """The robot: contract, value types, Go2-W facts, safety gate; simulators and hardware behind it."""
+
+import os
+import sys
+
+# A kept kernel counts only while everything it was compiled from is the same, see `hal/kernel_cache.py`. Numba's own classes are for notebooks.
+os.environ.setdefault(
+    "NUMBA_CACHE_LOCATOR_CLASSES",
+    "hal.kernel_cache.UserProvided,hal.kernel_cache.InTree,hal.kernel_cache.UserWide,IPythonCacheLocator,ZipCacheLocator",
+)
+if "numba" in sys.modules:  # somebody imported it first
+    sys.modules["numba"].core.config.reload_config()

@@ -38,8 +38,8 @@ class RiskTable:
         self.sampler: Sampler = self.terrain.sampler(body.length, body.width)
         self._ids = graph.node_ids
         self._tables: dict[tuple[float, float], Tables] = {}
-        self.searched: tuple[object, ...] = ()
-        """What `planning.search.again` keeps of the last searches, for the next ones."""
+        self.searched: object = None
+        """What `planning.search.again` keeps of the last search, for the next one."""
         if previous is None:
             self.arcs: Arcs = arcs_of(graph)
             return

@@ -22,9 +22,6 @@ from planning.risk.terrain import Sampler
 from planning.search.bounds import Asked, ToGo, begin_to_go
 
 KEPT, LOST = 1, 2
-ROUNDS = 2
-"""Searches that are kept of a query: the one over all turns, and the last one over those that the guard does not hold. The next query goes through
-the same rounds; with one of them alone each round would search again whatever leads over a turn that the guard holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,27 +38,25 @@ class Search:
     go: ToGo
 
 
-def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, times: int = 0) -> ToGo:
-    """What is known of the way to the ends of `asked`, as far as `table` has kept a search to them with the weights of `body`.
+def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep: bool = True) -> ToGo:
+    """What is known of the way to the ends of `asked`, if `table` has kept a search to them with the weights of `body`.
 
-    `times`: how often turns were taken out of the graph in this query. The table keeps it for the next query. For more than one end (frontiers,
-    which change with each map) nothing is kept.
+    keep: for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
     """
-    arcs, w, place = table.arcs, weights_of(body), min(times, ROUNDS - 1)
+    arcs, w = table.arcs, weights_of(body)
     _, is_end, exit_cost, _, *rest = asked
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost)
     weights = body.weight_mean, body.weight_tail
     key = np.array([*weights, *rest, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
-    same = (old for old in table.searched[place::-1] if isinstance(old, Search) and old.key == key)
-    if (old := next(same, None)) is not None:
+    if isinstance(old := table.searched, Search) and old.key == key:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:
         go = begin_to_go(arcs, is_end, exit_cost)
-    now = Search(key, table.graph.node_ids, arcs, tables.edge, go)
-    table.searched = (*table.searched[:place], now, *table.searched[place + 1 :])
+    if keep:
+        table.searched = Search(key, table.graph.node_ids, arcs, tables.edge, go)
     return go
 
 

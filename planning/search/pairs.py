@@ -10,8 +10,11 @@ eq. 3-5.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
@@ -22,6 +25,7 @@ from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor
 from planning.search.bounds import (
     Asked,
+    Heap,
     ToGo,
     cost_to_come,
     cost_to_go,
@@ -33,32 +37,58 @@ from planning.search.bounds import (
 from planning.search.heap import grown, pop, push
 
 
-@njit(cache=True)
-def search_pairs(
-    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, gx: float, gy: float, go: ToGo
-) -> tuple[float, np.ndarray, int, np.ndarray]:
-    """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`, none of which is less than the way to (gx, gy) is long.
+class Guide(NamedTuple):
+    """The bounds of one query. A search without some of the turns may be led by those of the search with them: they are never above its costs."""
 
-    The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or
-    with the other. `go` is what is known of the way to the ends (`begin_to_go` at least); it comes to know more.
-    Returns the cost of the route (inf: none), its states, the number of expanded states, and `tables.turns`, which may have grown.
+    arcs: Arcs
+    come: NDArray[np.float64]
+    """See `cost_to_come`."""
+    go: ToGo
+    heap: Heap
+    least: float
+    """[m] A route costs at least so much, and each state that may be on one that costs no more is settled; inf: there is none."""
+
+
+@njit(cache=True)
+def guide_to(
+    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, gx: float, gy: float, go: ToGo
+) -> Guide:
+    """The bounds for `asked`, no `Asked.exit_cost` of which is less than the way to (gx, gy) is long. `go` is what is known of the way to the ends
+    (`begin_to_go` at least); it comes to know more.
     """
-    none = np.empty(0, np.int64)
     total, come = cost_to_come(sampler, w, arcs, tables, asked.start, asked.is_end, asked.exit_cost, gx, gy)
     if np.isinf(total):
-        return np.inf, none, 0, tables.turns
+        return Guide(
+            arcs, come, go, Heap(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), 0), np.inf
+        )
     heap = reached(w, arcs, tables, asked.start, come, asked.backward, go)
+    least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, np.inf)
+    return Guide(arcs, come, go, heap, least)
+
+
+@njit(cache=True)
+def search_pairs(
+    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, guide: Guide, most: int
+) -> tuple[float, np.ndarray, int, np.ndarray, Guide]:
+    """Route over ordered pairs to the end node with the least cost plus `Asked.exit_cost`. `guide` may be of arcs with more room to turn.
+
+    The footprint is the same turned by half a turn, so an edge has one evaluation and a turn two: with the same end of the body ahead after it, or
+    with the other.
+    Returns the cost of the route (inf: none over the states that `guide` settled, or more than `most` looked at), its states, the number of expanded states, `tables.turns`, which may
+    have grown, and the guide, which knows more.
+    """
     # The best route over what the search for any route settles is one of all routes: no state matters that cannot be on a cheaper one.
-    limit, cost, route, expanded, turns = np.inf, np.inf, none, 0, tables.turns
+    before, come, go, heap, least = guide
+    limit, cost, route, expanded, turns = np.inf, np.inf, np.empty(0, np.int64), 0, tables.turns
     for _ in range(2):
-        least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, limit)
-        if np.isinf(limit) and np.isinf(least):
+        if np.isinf(least):
             break
-        cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit)
+        cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit, most)
         limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
-        if heap.n == 0 or heap.f[0] > limit:
+        if np.isinf(cost) or heap.n == 0 or heap.f[0] > limit:
             break
-    return cost, route, expanded, turns
+        _, heap = cost_to_go(sampler, w, before, tables, asked, come, go, heap, limit)
+    return cost, route, expanded, turns, Guide(before, come, go, heap, least)
 
 
 @njit(cache=True)
@@ -71,6 +101,7 @@ def _forward(
     asked: Asked,
     go: ToGo,
     limit: float,
+    most: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
     start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
@@ -195,7 +226,7 @@ def _forward(
                 best[to] = cost
                 parent[to] = origin
             n = push(f, s, e, n, cost + h[to], to, entry)
-        if state < 0:
+        if state < 0 or expanded >= most:
             return np.inf, none, expanded, turns
         closed[state] = True
         at = target[state // 2]

@@ -102,40 +102,50 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
     assert kept > 0.5
 
 
-def test_searches_without_the_turns_that_the_guard_holds_are_kept_as_well(
-    monkeypatch: pytest.MonkeyPatch,
+HELD = PlanRequest((0.7, 0.7), (5.2, 5.2), 3.0, 0.5, rules=replace(RULES, guarded=True))
+"""The guard holds turns of its cheapest route `among_posts`."""
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_the_same_query_again_settles_little_also_where_the_guard_holds_turns(
+    monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
-    """Posts on rough ground. The same query again settles little more than what leads out of the start, in each of its searches."""
-    module = sys.modules["planning.search.plan"]
-    original, searches = vars(module)["go_on"], list[tuple[int, ToGo]]()
+    """It settles what leads out of the start, and one search backward serves all searches of the query."""
+    searches = list[tuple[int, ToGo]]()
 
     def noted(*args: object) -> ToGo:
-        go: ToGo = original(*args)
+        go: ToGo = go_on(*args)  # type: ignore[arg-type]
         searches.append((int(go.settled.sum()), go))
         return go
 
-    monkeypatch.setattr(module, "go_on", noted)
-    rules = replace(RULES, guarded=True)
-    for seed in (0, 5):
-        rng = np.random.default_rng(seed)
-        y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
-        height = 0.03 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
-        for r, c in rng.integers(0, CELLS - 4, (28, 2)):
-            height[r : r + 4, c : c + 4] = 0.6
-        height[:30, :30] = height[90:, 90:] = 0.0
-        grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
-        graph = TraversalGraph.build(grid, (0.7, 0.7), GraphParams(), seed)
-        table = RiskTable(graph, grid, BODY)
-        request = PlanRequest((0.7, 0.7), (5.2, 5.2), 3.0, 0.5, rules=rules)
-        first = found(graph, grid, request, table)
-        searches.clear()
-        again = found(graph, grid, request, table)
-        assert first is not None
-        assert again is not None
-        assert (again.nodes, again.cost) == (first.nodes, first.cost)
-        more = [int(go.settled.sum()) - before for before, go in searches]
-        assert len(searches) == 2, "the guard holds a turn of the cheapest route"
-        assert max(more) <= 40
+    monkeypatch.setattr(sys.modules["planning.search.plan"], "go_on", noted)
+    graph, grid = among_posts(seed)
+    table = RiskTable(graph, grid, BODY)
+    first = found(graph, grid, HELD, table)
+    searches.clear()
+    again = found(graph, grid, HELD, table)
+    assert first is not None
+    assert again is not None
+    assert (again.nodes, again.cost) == (first.nodes, first.cost)
+    [(before, go)] = searches
+    assert int(go.settled.sum()) - before <= 40
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_a_search_led_by_bounds_that_know_of_held_turns_finds_the_same(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    graph, grid = among_posts(seed)
+    got = found(graph, grid, HELD, RiskTable(graph, grid, BODY))
+    module = sys.modules["planning.search.plan"]
+    guides, guide_to = [], vars(module)["guide_to"]
+    monkeypatch.setattr(module, "MOST", 0)
+    monkeypatch.setattr(module, "guide_to", lambda *args: guides.append(guide_to(*args)) or guides[-1])
+    want = found(graph, grid, HELD, RiskTable(graph, grid, BODY))
+    assert (got is None) is (want is None)
+    if got is not None and want is not None:
+        assert (got.nodes, got.cost) == (want.nodes, want.cost)
+    assert len(guides) > 1, "the guard holds a turn of the cheapest route"
 
 
 def test_the_nearest_node_of_a_place_is_that_of_all_nodes() -> None:
@@ -143,6 +153,18 @@ def test_the_nearest_node_of_a_place_is_that_of_all_nodes() -> None:
     nodes = np.round(rng.uniform(0.0, 9.0, (400, 2)), 1)  # many at the same distance
     places = np.round(rng.uniform(-2.0, 11.0, (300, 2)), 1)
     assert nearest(nodes, places) == [int(np.argmin(np.hypot(*(nodes - p).T))) for p in places]
+
+
+def among_posts(seed: int) -> tuple[TraversalGraph, ElevationGrid]:
+    """Posts on rough ground."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
+    height = 0.03 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
+    for r, c in rng.integers(0, CELLS - 4, (28, 2)):
+        height[r : r + 4, c : c + 4] = 0.6
+    height[:30, :30] = height[90:, 90:] = 0.0
+    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
+    return TraversalGraph.build(grid, (0.7, 0.7), GraphParams(), seed), grid
 
 
 def settled(table: RiskTable, is_end: np.ndarray) -> tuple[ToGo, int]:

@@ -77,21 +77,25 @@ class MapReader:
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         return out
 
-    def take_changes(self, stamp: int, epoch: int) -> list[MapPatch]:
-        """Patches of what reads differently from what the last ones said; at most one per row of tiles and block."""
+    def take_changes(self, stamp: int, epoch: int, most: int) -> list[MapPatch]:
+        """Patches of what reads differently from what the last ones said; at most one per row of tiles and block. No further block is begun after
+        `most` cells: what it holds still counts as changed."""
         s = self.store
         slots = np.flatnonzero(s.touched[: s.used])
         if slots.size == 0:
             return []
-        s.touched[:] = 0
         pad = self._pad  # bridging carries a change that far
-        patches = []
+        patches: list[MapPatch] = []
         tiles = s.tiles[slots].astype(np.int64)
         bounds = s.bounds()
         assert bounds is not None
         block = (tiles - tiles.min(axis=0)) // _BLOCK
         for place in np.unique(block, axis=0):
-            inside = tiles[(block == place).all(axis=1)]
+            if sum(patch.layers["elevation"].size for patch in patches) >= most:
+                break
+            here = (block == place).all(axis=1)
+            inside = tiles[here]
+            s.touched[slots[here]] = 0
             row, col = inside.min(axis=0) * s.size - pad
             end = (inside.max(axis=0) + 1) * s.size + pad
             # Where there are no tiles nothing reads differently. Rows are left out by whole bands, or other cells would share a patch.

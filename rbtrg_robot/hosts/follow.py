@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hal.types import NS
+from rbtrg_robot.hosts.gaps import Gaps
 from rbtrg_robot.hosts.journal import Step
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import BY_NAME, Topic
@@ -56,6 +57,7 @@ class Follower:
         self._stages = {name: stage for name, (stage, _) in stages.items()}
         self._steps = {name: steps[name] for name in stages}
         self._inboxes = {name: Inbox() for name in stages}
+        self._gaps = {name: Gaps(stage) for name, stage in self._stages.items()}
         self._made = made
         self._numbers: Counter[Topic] = Counter()
         self.missing: Counter[str] = Counter()
@@ -111,6 +113,7 @@ class Follower:
             message = messages.decode(payload, kind.kind)
         except messages.MessageError:  # the process refused it, too
             return True
+        self._gaps[name].look(kind, sequence)
         self._publish(stage.on(kind, message), self.now)
         return True
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rbtrg_robot import topics
+from rbtrg_robot.hosts.gaps import Gaps
 from rbtrg_robot.hosts.journal import Journal
 from rbtrg_robot.processes import Process
 from rbtrg_robot.stages.stage import KeepsMap, Outputs, Stage
@@ -31,6 +32,7 @@ class Node:
         self._tick = -1
         self._heart = Heart(bus, process.name)
         self._journal = Journal(bus, process.name, stage.inputs)
+        self._gaps = Gaps(stage)
         for topic in stage.outputs:
             bus.advertise(topic)
         bus.subscribe(stage.inputs)
@@ -56,6 +58,7 @@ class Node:
                     self.advance(messages.stamp_of(message))
                 else:
                     self._journal.took(received)
+                    self._gaps.look(received.topic, received.sequence)
                     self._publish(self._stage.on(received.topic, message))
             if not self._simulated:
                 self.advance(self._bus.clock())

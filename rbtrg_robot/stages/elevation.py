@@ -14,7 +14,7 @@ from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
 from mapping.elevation.exchange import MapError
 from mapping.elevation.files import checked_cloud
-from mapping.elevation.map import ElevationMap
+from mapping.elevation.map import AT_A_TIME, ElevationMap
 from mapping.elevation.mirror import WHOLE
 from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
@@ -114,6 +114,8 @@ class ElevationStage:
         self._returned: set[int] = set()
         """Parts of that copy that have come."""
         self._sending = MapBlocks()
+        self._more = False
+        """More has changed than is told at once."""
 
     def warm_up(self) -> None:
         """Compile the kernels, and those of the messages' way to them on a throw-away stage."""
@@ -206,8 +208,10 @@ class ElevationStage:
         if self._locate(odom, seen, joints):
             return self._begin("the robot was found")
         outputs: Outputs = []
-        if self._scans % self._params.publish_every == 1:
-            outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in self.map.take_patches()]
+        if self._scans % self._params.publish_every == 1 or self._more:
+            patches = self.map.take_patches()
+            self._more = sum(p.layers["elevation"].size for p in patches) >= AT_A_TIME
+            outputs += [(t.MAP_UPDATE, patch_msg(p)) for p in patches]
         window = self.map.window(position[0], position[1], self._params.window)
         return [*outputs, (t.MAP_WINDOW, patch_msg(window))]
 

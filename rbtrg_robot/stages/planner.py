@@ -36,14 +36,14 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.stages.way import WaySearch
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import header, stamp_of
 
 BACK = 4
 """Parts of the map that a restarted elevation process gets in one tick: 100 x 100 m come back in a second."""
 SETTLED = 300_000_000
 """[ns] without a block of the map: the whole of a prior map has come. While the robot maps, blocks come every 0.5 s."""
 AGAIN = 1_500_000_000
-"""From the last part until all are sent once more [ns]; shorter than it waits for one."""
+"""From the last part until all are sent, or asked for, once more [ns]; shorter than a restarted elevation process waits for one."""
 
 
 class PlannerStage:
@@ -54,8 +54,10 @@ class PlannerStage:
     commands motion.
     """
 
-    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_FULL, t.MAP_STATUS, t.PLAN_REQUEST, t.ROUTE_QUESTION)
+    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_PARTS, t.MAP_STATUS, t.PLAN_REQUEST, t.ROUTE_QUESTION)
     outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
+    needs_all = (t.MAP_UPDATE, t.MAP_STATUS)
+    """Without a block the copy of the map is wrong for good, without the status that tells of a new epoch the blocks before the next one go."""
 
     def __init__(
         self,
@@ -88,6 +90,14 @@ class PlannerStage:
         self._fields = np.zeros(0, np.bool_)
         """Of the poses that are watched on `_path`: those in stepfields that were known when it was made."""
         self._malformed = 0
+        self._incomplete = False
+        """Something of the map was lost on its way: all of it is asked for."""
+        self._sending = 0
+        """Stamp of the parts that come [ns]."""
+        self._came: set[int] = set()
+        """Those that have come."""
+        self._heard = -AGAIN
+        """When the newest one came [ns]."""
         self._returning = MapBlocks()
         self._returned = -AGAIN
         """When its newest part was sent [ns]."""
@@ -119,8 +129,10 @@ class PlannerStage:
 
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
-        if t.MAP_UPDATE.carried(message, topic) or t.MAP_FULL.carried(message, topic):
+        if t.MAP_UPDATE.carried(message, topic):
             self._take_patch(message)
+        elif t.MAP_PARTS.carried(message, topic):
+            self._take_part(message)
         elif t.MAP_WINDOW.carried(message, topic):
             return self._watch(message)
         elif t.MAP_STATUS.carried(message, topic):
@@ -149,12 +161,33 @@ class PlannerStage:
         self._returned = self._now if parts else self._returned
         return parts
 
-    def _take_patch(self, message: msg.GridMap) -> None:
+    def _take_patch(self, message: msg.GridMap) -> bool:
+        """False where it is none."""
         self._patched = self._now
         try:
             self._map.apply(map_patch(message, max(self._epoch, self._map.mirror.epoch)))
         except (LayoutError, MapError):
             self._malformed += 1
+            return False
+        return True
+
+    def missed(self, topic: Topic) -> None:
+        """A block of the map, or its status, was lost."""
+        self._incomplete = True
+        self._came.clear()
+
+    def _take_part(self, message: msg.MapPart) -> None:
+        """One of all, where they were asked for; others ask for them, too."""
+        if not self._incomplete and self._map.known:
+            return
+        if (stamp := stamp_of(message)) != self._sending:
+            self._sending = stamp
+            self._came.clear()
+        self._heard = self._now
+        self._incomplete = True
+        if message.part < message.parts and self._take_patch(message.map):
+            self._came.add(message.part)
+            self._incomplete = len(self._came) < message.parts
 
     def _watch(self, message: msg.GridMap) -> Outputs:
         """Look whether something came into the way of the path, at the rate of the scans."""
@@ -195,8 +228,9 @@ class PlannerStage:
             return outputs
         self._status_due = now + NS // 2
         outputs.append((t.ROUTE_STATUS, self._status(now)))
-        if not self._map.known:  # just started: what was published before must be asked for
-            outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="full")))
+        # Just started, it asks for what was published before.
+        if (self._incomplete or not self._map.known) and not 0 <= now - self._heard < AGAIN:
+            outputs.append((t.MAP_REQUEST, msg.MapRequest(header=header(now, MAP), action="parts")))
         return outputs
 
     def _prepare(self, due: bool) -> None:

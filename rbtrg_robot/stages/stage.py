@@ -46,3 +46,15 @@ class KeepsMap(Protocol):
     def put_on(self, folder: Path) -> None:
         """Let the map put tiles far from the robot on this disk. The host calls it once, before the first message; without it everything
         stays in memory. What the stage publishes does not differ by it."""
+
+
+@runtime_checkable
+class NeedsAll(Protocol):
+    """A stage that keeps a copy of something and is told of its changes alone."""
+
+    @property
+    def needs_all(self) -> tuple[Topic, ...]:
+        """Inputs, each of one publisher, of which it needs every message."""
+
+    def missed(self, topic: Topic) -> None:
+        """A message of one of these was lost before the next one that `on` is given."""

@@ -403,7 +403,7 @@ def test_ground_risk_is_the_share_of_what_the_robot_drives_over() -> None:
 def planner() -> Any:
     stage = build(load())
     stage.on(t.MAP_STATUS, msg.MapStatus(epoch=1))
-    stage.on(t.MAP_FULL, patch_msg(ground()))
+    stage.on(t.MAP_UPDATE, patch_msg(ground()))
     return stage
 
 

@@ -56,7 +56,7 @@ def drive(seconds: float) -> tuple[list[tuple[float, float]], Any]:
                     send(*out)
 
     send(t.TF_STATIC, map_offset())
-    send(t.MAP_FULL, ramp())
+    send(t.MAP_UPDATE, ramp())
     for step in range(round(seconds * 50)):
         now += NS // 50
         q = rpy_quaternion((0.0, 0.0, yaw))  # level: the tracker's own care on slopes has nothing to go by

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
-from mapping.elevation.map import ElevationMap
+from mapping.elevation.map import AT_A_TIME, ElevationMap
 from mapping.elevation.mirror import MapMirror
 from planning.risk.body import BodyModel
 from rbtrg_robot import msg
@@ -82,6 +82,30 @@ def test_viewers_get_all_blocks_of_a_large_map() -> None:
         mirror.apply(patch)
     for x in PLACES:
         assert mirror.grid(mirror.view((x + 1.0, x + 1.0))).trusted.sum() >= 100 * 100
+
+
+def test_a_large_prior_map_is_told_over_several_scans_and_comes_whole() -> None:
+    """100 x 100 m at once, 125 MB, came in half to planner and recorder."""
+    fed, mirror, side = Fed(), MapMirror(), 600
+    one = np.ones((side, side), np.float32)
+    layers = dict.fromkeys(PATCH_LAYERS, one) | {
+        "elevation": 0.02 * one,
+        "source": 2.0 * one,
+        "variance": 1e-4 * one,
+    }
+    prior = [MapPatch((x, 100.0), 0.04, 7, 0, layers) for x in (100.0, 200.0, 300.0)]
+    known = fed.stage.map.begin_on(prior, np.zeros((1, 3), np.float32))
+    told = []
+    for _ in range(6):
+        told.append(0)
+        for topic, message in fed.sweep(0.0, 0.0):
+            if topic is t.MAP_UPDATE:
+                mirror.apply(map_patch(message, 0))
+                told[-1] += message.data[0].data.size
+    assert sum(n > 0 for n in told) >= 3
+    assert max(told) < AT_A_TIME + 2 * side * side
+    for x in (100.0, 200.0, 300.0):
+        assert mirror.grid(mirror.view((x + 12.0, 112.0))).trusted.sum() >= known / 3
 
 
 def test_a_restarted_elevation_process_gets_all_parts_back() -> None:

@@ -12,11 +12,13 @@ from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from mapping.grid import ElevationGrid
 from planning.graph import GraphParams
 from planning.risk import BodyModel
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.stages.map_graph import MapGraph
-from rbtrg_robot.stages.planner import PlannerStage, build
+from rbtrg_robot.stages.planner import AGAIN, PlannerStage, build
 from rbtrg_robot.wire.convert import patch_msg
+from rbtrg_robot.wire.messages import header
 
 RES = 0.04
 
@@ -90,6 +92,54 @@ def test_before_any_map_a_request_is_answered_with_what_is_missing() -> None:
     assert answer.reason == "start_not_on_graph"
     assert "no ground around the robot is known yet" in answer.detail
     assert t.MAP_REQUEST in dict(stage.tick(4 * NS)), "it asks for the map"
+
+
+def tell(stage: PlannerStage, now: int) -> list[str]:
+    """What it asks elevation for."""
+    return [message.action for topic, message in stage.tick(now) if topic is t.MAP_REQUEST]
+
+
+def parts(stamp: int = 1) -> list[msg.MapPart]:
+    """The whole map, three tiles."""
+    return [
+        msg.MapPart(
+            header=header(stamp, "map"), part=k, parts=3, map=patch(np.zeros((64, 64)), cell=(0, 64 * k))
+        )
+        for k in range(3)
+    ]
+
+
+def test_a_planner_that_lost_a_block_asks_for_the_whole_map_until_all_of_it_has_come() -> None:
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(np.zeros((64, 64))))
+    assert tell(stage, NS) == []
+    for part in parts():  # somebody saves the map
+        stage.on(t.MAP_PARTS, part)
+    assert len(stage._map.mirror) == 1, "nothing was missing"
+    stage.missed(t.MAP_UPDATE)
+    assert tell(stage, 2 * NS) == ["parts"]
+    first, second, third = parts()
+    stage.on(t.MAP_PARTS, first)
+    stage.on(t.MAP_PARTS, third)
+    assert tell(stage, 3 * NS) == [], "the rest is on its way"
+    assert tell(stage, 3 * NS + AGAIN) == ["parts"]
+    stage.on(t.MAP_PARTS, second)
+    assert tell(stage, 10 * NS) == []
+    assert len(stage._map.mirror) == 3
+
+
+def test_what_is_lost_while_the_whole_map_comes_makes_it_come_again() -> None:
+    stage = planner()
+    assert tell(stage, NS) == ["parts"]
+    first, second, third = parts()
+    stage.on(t.MAP_PARTS, first)
+    stage.missed(t.MAP_UPDATE)
+    for part in (second, third):
+        stage.on(t.MAP_PARTS, part)
+    assert tell(stage, 10 * NS) == ["parts"]
+    for part in parts(stamp=2):
+        stage.on(t.MAP_PARTS, part)
+    assert tell(stage, 20 * NS) == []
 
 
 def test_much_new_ground_is_looked_at_before_a_goal_is_asked_for() -> None:

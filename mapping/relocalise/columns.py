@@ -45,6 +45,23 @@ def occupy(points, x0, y0, base, cell, columns):  # pragma: no cover - compiled
 
 
 @njit(cache=True)
+def settle(height, trusted, x, y, resolution, x0, y0, base, cell, levels):  # pragma: no cover - compiled
+    """Set the slice nearest to the height of each trusted cell of a block of ground (rows, cols) [m], whose cell [0, 0] is centred on x, y.
+
+    levels (rows, cols) uint64; cell [0, 0] is centred on x0, y0.
+    """
+    for i in range(height.shape[0]):
+        r = np.int64(np.rint((y + i * resolution - y0) / cell))
+        for j in range(height.shape[1]):
+            if trusted[i, j]:
+                k = np.int64(np.rint((np.float64(height[i, j]) - base) / SLICE))
+                if 0 <= k < SLICES:
+                    levels[r, np.int64(np.rint((x + j * resolution - x0) / cell))] |= np.uint64(
+                        1
+                    ) << np.uint64(k)
+
+
+@njit(cache=True)
 def pool(fine, step):  # pragma: no cover - compiled
     """OR of each cell with those `step` further along rows, columns and both: windows twice as wide from windows of `step`."""
     rows, cols = fine.shape

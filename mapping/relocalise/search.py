@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from hal.types import Array
 from mapping.grid import ElevationGrid
-from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, pool
+from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, pool, settle
 
 CELL = 0.125
 """Distance of the places that are tried [m]."""
@@ -56,22 +56,21 @@ class Columns:
     @staticmethod
     def of(cloud: NDArray[np.float32], ground: Sequence[ElevationGrid]) -> Columns:
         """From the cloud (n, 3) [m] of a map and its known ground, block by block."""
-        stand = np.concatenate([_places(block) for block in ground])
-        both = np.concatenate([cloud, stand]) if len(stand) else np.zeros((1, 3))
+        known = [block for block in ground if block.trusted.any()]
+        corners = [cloud[:, :2].astype(np.float64), *map(_corners, known)] if known else [np.zeros((1, 2))]
+        both = np.concatenate(corners)
         low, high = both.min(axis=0), both.max(axis=0)
         cell = CELL
-        while np.prod((high[:2] - low[:2]) / cell + 3) > CELLS:
+        while np.prod((high - low) / cell + 3) > CELLS:
             cell *= 2.0
-        x0, y0 = low[:2] - cell
-        cols, rows = (int(n) for n in np.ceil((high[:2] - low[:2]) / cell) + 3)
-        base = float(stand[:, 2].min() if len(stand) else 0.0) - BELOW
+        x0, y0 = low - cell
+        cols, rows = (int(n) for n in np.ceil((high - low) / cell) + 3)
+        base = min((float(block.height[block.trusted].min()) for block in known), default=0.0) - BELOW
         occupied = np.zeros((rows, cols), np.uint64)
         occupy(np.asarray(cloud, np.float64), x0, y0, base, cell, occupied)
-        level = np.rint((stand[:, 2] - base) / SLICE).astype(np.int64)
-        on = (level >= 0) & (level < SLICES)
         places = np.zeros((rows, cols), np.uint64)
-        at = np.rint((stand[:, 1] - y0) / cell).astype(int), np.rint((stand[:, 0] - x0) / cell).astype(int)
-        np.bitwise_or.at(places, (at[0][on], at[1][on]), np.uint64(1) << level[on].astype(np.uint64))
+        for block in known:
+            settle(block.height, block.trusted, *block.origin, block.resolution, x0, y0, base, cell, places)
         for axis in (0, 1):
             places = _spread(places, axis, STAND_NEAR)
         pooled = [occupied], [places]
@@ -81,11 +80,13 @@ class Columns:
         return Columns((float(x0), float(y0)), base, cell, tuple(pooled[0]), tuple(pooled[1]))
 
 
-def _places(ground: ElevationGrid) -> NDArray[np.float64]:
-    """(n, 3) middle of the trusted cells [m]."""
-    r, c = np.nonzero(ground.trusted)
-    x, y = ground.origin[0] + c * ground.resolution, ground.origin[1] + r * ground.resolution
-    return np.column_stack([x, y, ground.height[r, c]])
+def _corners(ground: ElevationGrid) -> NDArray[np.float64]:
+    """(2, 2) lowest and highest x, y of the middles of the trusted cells [m]."""
+    lines = np.flatnonzero(ground.trusted.any(axis=0)), np.flatnonzero(ground.trusted.any(axis=1))
+    return np.stack(
+        [start + line[[0, -1]] * ground.resolution for start, line in zip(ground.origin, lines, strict=True)],
+        axis=1,
+    )
 
 
 def _spread(words: NDArray[np.uint64], axis: int, cells: int) -> NDArray[np.uint64]:

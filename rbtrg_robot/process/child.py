@@ -53,12 +53,14 @@ def run(spec: dict[str, Any]) -> int:
     try:
         config = load(base=spec["config"])
         module, function = row.entry.split(":")
-        entry = getattr(importlib.import_module(module), function)
+        part = importlib.import_module(module)
+        entry = getattr(part, function)
         if not row.hosted:
             with Bus(config.endpoint, name, config.scope, **ours) as bus:
                 entry(config, bus, stop.is_set, restored)
             return 0
-        stage = entry(config)
+        again = getattr(part, "build_again", entry) if restored else entry
+        stage = again(config)
         stage.warm_up()
         with Bus(config.endpoint, name, config.scope, **ours) as bus:
             node = Node(row, stage, bus, simulated=config.simulated, folder=config.log_dir)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
-from mapping.elevation.exchange import MapError
+from mapping.elevation.exchange import MapError, MapPatch
 from mapping.elevation.files import checked_cloud
 from mapping.elevation.map import AT_A_TIME, ElevationMap
 from mapping.elevation.mirror import WHOLE
@@ -27,6 +28,7 @@ from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
+from rbtrg_robot.stages.navigation.reasons import LOCATED
 from rbtrg_robot.stages.scans import Scan, Scans, rehearsal
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -49,7 +51,9 @@ SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 NOTHING = np.empty((0, 3), np.float32)
 RESTORE_PATIENCE = 3_000_000_000
-"""Longest wait of a restarted process for the planner's copy of the map [ns]."""
+"""A planner that says something so long after it was asked, or after the last part of its copy of the map came, has no more of it [ns]."""
+SILENT_PLANNER = 35_000_000_000
+"""Longest wait for one that says nothing [ns]: it may search all that time, and the supervisor ends it after 30 s."""
 MOST_EPOCHS = 2**31
 """No restarted map goes on from a higher one: readers drop what is older, and the wire has 32 bits for it."""
 STATUS_PERIOD = 500_000_000
@@ -73,14 +77,16 @@ class ElevationStage:
         prior: str = "",
         start: Planar = (0.0, 0.0, 0.0),
         name: str = "",
+        later: Callable[[], ElevationMap] | None = None,
     ) -> None:
         """`prior`: hash of the file of the prior map that `elevation` holds, `name` its name; empty where it holds none. start: x, y [m], yaw [rad]
-        of the robot in `map` as configured.
+        of the robot in `map` as configured. `later`: reads the prior map, which `elevation` does not hold yet, for a process that was started anew:
+        it gets its map from the planner, the prior one in it, and needs no other.
         """
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
             *(t.ODOM, *clouds, t.JOINTS, t.TF_STATIC),
-            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.INITIAL_POSE),
+            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.ROUTE_STATUS, t.INITIAL_POSE),
         )
         self.map = elevation
         self._params = params
@@ -92,12 +98,15 @@ class ElevationStage:
         self._waiting = Scans(self._sensors)
         self._frame = MapFrame()
         self._course = Course()
-        self._prior = prior
-        self._prior_map = tuple(map(elevation.read, elevation.boxes())) if prior else ()
+        self._prior, self._name, self._start = prior, name, start
+        self._prior_map: tuple[MapPatch, ...] = ()
         """Blocks of the prior map; none without one."""
-        self._prior_cloud = elevation.cloud.points
+        self._prior_cloud = NOTHING
         self._location = Location()
-        if self._prior_map:
+        self._later = later
+        if prior and later is None:
+            self._prior_map = tuple(map(elevation.read, elevation.boxes()))
+            self._prior_cloud = elevation.cloud.points
             self._location = Location.begin(name, self._prior_map, self._prior_cloud, start)
             if not self._location.state.known:
                 elevation.reset()  # nothing of it holds before the robot is found in it
@@ -105,12 +114,14 @@ class ElevationStage:
         self._stands = False
         self._odom: msg.Odometry | None = None
         self._scans = 0
+        self._now = 0
         self._detail = ""
         self._status_due = 0
         self._refused = 0
         self._restoring = False
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
-        self._patience = 0
+        self._asked = 0
+        """When the wait for it, or for its next part, began [ns]."""
         self._returned: set[int] = set()
         """Parts of that copy that have come."""
         self._sending = MapBlocks()
@@ -156,21 +167,13 @@ class ElevationStage:
             elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
-                if message.epoch > MOST_EPOCHS:
-                    raise LayoutError(f"no map began anew {message.epoch} times")
-                self._restoring = message.known_cells > 0 or message.restoring
-                if (
-                    message.prior != self._prior
-                ):  # another one was loaded meanwhile; what was made of it comes back
-                    self.map.reset()
-                    self._prior, self._prior_map = message.prior, ()
-                    self._location = Location()
-                self._location.restore(message)
-                self.map.epoch = max(self.map.epoch, message.epoch)
-                if math.isfinite(message.height_correction):
-                    self.map.alignment.height = message.height_correction
+                self._take_over(message)
             elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
                 self._restore(message)
+            elif t.ROUTE_STATUS.carried(message, topic):
+                spoke_after = stamp_of(message) - self._asked
+                if self._asked and spoke_after > RESTORE_PATIENCE:
+                    return self._give_up()
             return self._join()
         except (LayoutError, MapError):
             self._refused += 1
@@ -271,6 +274,10 @@ class ElevationStage:
     def _begin(self, why: str) -> Outputs:
         """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""
         known = 0
+        try:
+            self._read_prior()
+        except MapError as error:  # it was there when the stack was started
+            why = f"{why}; {error}"
         if not self._prior_map:
             self._prior = ""
         if not self._prior_map or not self._location.state.known:
@@ -304,25 +311,62 @@ class ElevationStage:
             return ((t.MAP_FULL, patch_msg(self.map.complete(box))) for box in self.map.boxes(WHOLE))
         return ((t.MAP_PARTS, part) for part in map_parts(self.map.boxes(), self.map.read, self.map.stamp))
 
+    def _take_over(self, status: msg.MapStatus) -> None:
+        """What the process before this one said last. Raises LayoutError where it cannot have."""
+        possible = status.epoch <= MOST_EPOCHS
+        restoring = possible and (status.known_cells > 0 or status.restoring)
+        if self._later and not (restoring and (status.location in LOCATED or status.prior != self._prior)):
+            self._read_prior()
+            self._location = Location.begin(self._name, self._prior_map, self._prior_cloud, self._start)
+            if self._location.state.known and not restoring:
+                self.map.begin_on(self._prior_map, self._prior_cloud)
+        if not possible:
+            raise LayoutError(f"no map began anew {status.epoch} times")
+        self._restoring = restoring
+        if status.prior != self._prior:  # another one was loaded meanwhile; what was made of it comes back
+            self.map.reset()
+            self._prior, self._prior_map, self._later = status.prior, (), None
+            self._location = Location()
+        self._location.restore(status)
+        self.map.epoch = max(self.map.epoch, status.epoch)
+        if math.isfinite(status.height_correction):
+            self.map.alignment.height = status.height_correction
+
+    def _read_prior(self) -> None:
+        """The prior map, now that it is needed. Raises MapError."""
+        if self._later is not None:
+            read, self._later = self._later, None
+            prior = read()
+            self._prior_map, self._prior_cloud = tuple(map(prior.read, prior.boxes())), prior.cloud.points
+
+    def _give_up(self) -> Outputs:
+        """Nobody has the map of before: begin anew, on the prior map where there is one."""
+        self._restoring, self._asked = False, 0
+        lost = "a part of the map" if self._returned else "the map"
+        words = f"restarted; {lost} of before is lost: the planner did not answer"
+        if self._prior and self._location.state.known:
+            return self._begin(words)
+        self._detail, self._status_due = words, 0
+        return []
+
     def _restore(self, mirror: msg.MapPart) -> None:
         self.map.expect(mirror.parts)
         self.map.restore(map_patch(mirror.map, self.map.epoch))
         self._returned.add(mirror.part)
-        self._patience = 0
+        self._asked = self._now
         if len(self._returned) < mirror.parts:
             return
-        self._restoring = False
+        self._restoring, self._asked = False, 0
         self._detail = f"restarted; {self.map.store.counts()[1]} cells came back from the planner"
         self._status_due = 0
 
     def tick(self, now: int) -> Outputs:
         """Status twice a second."""
+        self._now = now
         if self._restoring:
-            self._patience = self._patience or now + RESTORE_PATIENCE
-            if now > self._patience:
-                self._restoring = False
-                lost = "a part of the map" if self._returned else "the map"
-                self._detail = f"restarted; {lost} of before is lost: the planner did not answer"
+            self._asked = self._asked or now
+            if now - self._asked > SILENT_PLANNER:
+                return self._give_up()
         sent = self._sending.due()
         if now < self._status_due <= now + STATUS_PERIOD:  # a clock that was set back must not silence it
             return sent
@@ -349,15 +393,31 @@ class ElevationStage:
 
 def build(config: StackConfig) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
+    return _build(config, _prior(config) if config.map_file else ElevationMap(config.elevation))
+
+
+def build_again(config: StackConfig) -> ElevationStage:
+    """The same for a process that was started anew and is handed the last status of the one before: to read a large prior map takes seconds."""
+    return _build(
+        config, ElevationMap(config.elevation), partial(_prior, config) if config.map_file else None
+    )
+
+
+def _prior(config: StackConfig) -> ElevationMap:
     elevation = ElevationMap(config.elevation)
-    if config.map_file:
-        elevation.load_prior(Path(config.map_file))
-    lidars = config.mounted_lidars()
+    elevation.load_prior(Path(config.map_file))
+    return elevation
+
+
+def _build(
+    config: StackConfig, elevation: ElevationMap, later: Callable[[], ElevationMap] | None = None
+) -> ElevationStage:
     return ElevationStage(
         elevation,
         config.elevation_stage,
-        lidars,
+        config.mounted_lidars(),
         fingerprint(config.map_file),
         config.start_pose(),
         Path(config.map_file).name,
+        later,
     )

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, ones, pool
+from mapping.relocalise.columns import SLICE, SLICES, matched, occupy, ones, pool, settle
 from mapping.relocalise.search import Columns, as_columns, branch_and_bound, find_places
 from tests.mapping.relocalise.rooms import corner_room, ground_of, seen_from
 
@@ -28,6 +28,22 @@ def test_points_occupy_the_slices_and_cells_around_them() -> None:
     expected = np.zeros((9, 9), np.uint64)
     expected[1:4, 3:6] = 0b11  # 0.3 m reaches from 0.175 to 0.425
     assert (columns == expected).all()
+
+
+def test_ground_sets_the_slice_of_its_height_in_the_cell_that_it_lies_in() -> None:
+    random = np.random.default_rng(4)
+    height = random.uniform(-3.0, 20.0, (30, 40)).astype(np.float32)
+    trusted = random.random(height.shape) < 0.3
+    levels = random_words(random, 12, 14, share=0.01)
+    expected = levels.copy()
+    settle(height, trusted, 1.0, -2.0, 0.04, 0.9, -2.1, -1.0, 0.125, levels)
+    r, c = np.nonzero(trusted)
+    level = np.rint((height[r, c].astype(float) + 1.0) / SLICE).astype(np.int64)
+    on = (level >= 0) & (level < SLICES)
+    at = np.rint((r * 0.04 + 0.1) / 0.125).astype(int)[on], np.rint((c * 0.04 + 0.1) / 0.125).astype(int)[on]
+    np.bitwise_or.at(expected, at, np.uint64(1) << level[on].astype(np.uint64))
+    assert 0 < on.sum() < on.size
+    assert (levels == expected).all()
 
 
 def test_a_pooled_map_holds_what_any_cell_of_the_window_holds() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
@@ -12,15 +13,18 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
 from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
-from planning.risk.tables import Tables, evaluate_edges
+from planning.risk.tables import Tables, carry_turns, evaluate_edges
 from planning.risk.terrain import Sampler
+
+MOST_TURNS = 1_000_000
+"""Rows of turns that are kept for the next query: 16 MB."""
 
 
 class RiskTable:
     """What queries on one graph, map and body share. Pass it to `plan`; it fills itself and never changes a result.
 
-    When graph or map change, make a new one with the old as `previous`: edges under which no cell changed keep their
-    evaluations.
+    When graph or map change, make a new one with the old as `previous`: edges and turns under which no cell changed keep
+    their evaluations.
     """
 
     def __init__(
@@ -52,7 +56,7 @@ class RiskTable:
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
 
-        Edge evaluations go both ways: `take_back` brings home what the query added.
+        Evaluations go both ways: `take_back` brings home what the query added.
         """
         out = copy.copy(self)
         was = np.full(len(graph.indices), -1, np.int64)
@@ -63,17 +67,20 @@ class RiskTable:
             {},
             graph.node_ids,
         )
-        for key, tables in self._tables.items():
-            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+        for body, tables in self._each():
             out.tables(body).edge[kept] = tables.edge
+            out._take_turns(body, self.arcs, tables, kept)
         return out
 
     def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
-        """Edge evaluations of a table that `for_query` made, and its search."""
+        """What a table that `for_query` made evaluated, and its search."""
         self.searched = query.searched
-        for key, tables in query._tables.items():
-            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+        now = np.full(len(query.arcs.target), -1, np.int64)
+        now[kept] = np.arange(len(kept))
+        self._tables = {}
+        for body, tables in query._each():
             self.tables(body).edge[:] = tables.edge[kept]
+            self._take_turns(body, query.arcs, tables, now)
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
         """True while the table belongs to these inputs."""
@@ -88,7 +95,7 @@ class RiskTable:
             slots = self.arcs.target.size
             self._tables[key] = Tables(
                 np.full((slots, 2), np.nan),
-                np.full(slots, -1, np.int64),
+                np.full(slots, -1, np.int32),
                 np.full((256, 2), np.nan),
                 np.zeros(1, np.int64),
             )
@@ -120,9 +127,22 @@ class RiskTable:
             old.sampler.height, old.sampler.trusted, old.sampler.stride, dr, dc,
         )  # fmt: skip
         same = (was >= 0) & _untouched(self.arcs, self.sampler, changed)
-        for key, tables in old._tables.items():
-            body = self.body.model_copy(update={"weight_mean": key[0], "weight_tail": key[1]})
+        now = np.full(len(old.arcs.target), -1, np.int64)
+        now[was[same]] = np.flatnonzero(same)
+        for body, tables in old._each():
             self.tables(body).edge[same] = tables.edge[was[same]]
+            self._take_turns(body, old.arcs, tables, now)
+
+    def _take_turns(self, body: BodyModel, arcs: Arcs, old: Tables, now: NDArray[np.int64]) -> None:
+        """As `carry_turns`, unless there are so many that they are to be evaluated anew."""
+        if old.used[0] <= MOST_TURNS:
+            tables = self.tables(body)
+            self.keep(body, tables._replace(turns=carry_turns(now, arcs, old, self.arcs, tables)))
+
+    def _each(self) -> Iterator[tuple[BodyModel, Tables]]:
+        """The body with each of the weights that were asked for, and the evaluations under them."""
+        for (mean, tail), tables in self._tables.items():
+            yield self.body.model_copy(update={"weight_mean": mean, "weight_tail": tail}), tables
 
 
 def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
@@ -140,6 +160,7 @@ def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> ND
 def _same_slots(indptr: np.ndarray, target: np.ndarray, old: Arcs, node: np.ndarray) -> np.ndarray:
     """(slots,) slot of the same edge in `old`, -1 = none; `node` is each node's index there."""
     out = np.full(target.size, -1, np.int64)
+    old_indptr, old_target = old.indptr, old.target
     for at in range(indptr.size - 1):
         i = node[at]
         if i < 0:
@@ -148,8 +169,8 @@ def _same_slots(indptr: np.ndarray, target: np.ndarray, old: Arcs, node: np.ndar
             j = node[target[slot]]
             if j < 0:
                 continue
-            for k in range(old.indptr[i], old.indptr[i + 1]):
-                if old.target[k] == j:
+            for k in range(old_indptr[i], old_indptr[i + 1]):
+                if old_target[k] == j:
                     out[slot] = k
                     break
     return out
@@ -186,15 +207,17 @@ def _changed(
 def _untouched(arcs: Arcs, sampler: Sampler, changed: np.ndarray) -> np.ndarray:
     """(slots,) edges with no changed cell in the box that the footprint does not leave on its way."""
     rows, cols = changed.shape[0] - 1, changed.shape[1] - 1
-    out = np.zeros(arcs.target.size, np.bool_)
-    for slot in range(arcs.target.size):
-        i, j = arcs.source[slot], arcs.target[slot]
-        x0, x1 = min(arcs.x[i], arcs.x[j]), max(arcs.x[i], arcs.x[j])
-        y0, y1 = min(arcs.y[i], arcs.y[j]), max(arcs.y[i], arcs.y[j])
-        c0, c1 = int(np.floor((x0 - sampler.ox) * sampler.inv)), int(np.ceil((x1 - sampler.ox) * sampler.inv))
-        r0, r1 = int(np.floor((y0 - sampler.oy) * sampler.inv)), int(np.ceil((y1 - sampler.oy) * sampler.inv))
-        c0, c1 = c0 - sampler.reach - 1, c1 + sampler.reach + 2
-        r0, r1 = r0 - sampler.reach - 1, r1 + sampler.reach + 2
+    x, y, source, target = arcs.x, arcs.y, arcs.source, arcs.target
+    ox, oy, inv, reach = sampler.ox, sampler.oy, sampler.inv, sampler.reach
+    out = np.zeros(target.size, np.bool_)
+    for slot in range(target.size):
+        i, j = source[slot], target[slot]
+        x0, x1 = min(x[i], x[j]), max(x[i], x[j])
+        y0, y1 = min(y[i], y[j]), max(y[i], y[j])
+        c0, c1 = int(np.floor((x0 - ox) * inv)), int(np.ceil((x1 - ox) * inv))
+        r0, r1 = int(np.floor((y0 - oy) * inv)), int(np.ceil((y1 - oy) * inv))
+        c0, c1 = c0 - reach - 1, c1 + reach + 2
+        r0, r1 = r0 - reach - 1, r1 + reach + 2
         if c0 < 0 or r0 < 0 or c1 > cols or r1 > rows:
             continue
         out[slot] = changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0

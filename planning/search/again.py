@@ -79,7 +79,8 @@ def carried(
     """
     now = _unchanged(sampler, w, arcs, edge, old_arcs, old_edge, was)
     source, target = arcs.source, arcs.target
-    kept = _kept(now, is_end, target, old)
+    kept = _kept(now, is_end, target, old.h, old.after)
+    old_h, old_settled, old_after = old
     h, settled, after = begin_to_go(arcs, is_end, exit_cost)
     again = np.zeros(arcs.x.size, np.bool_)
     for slot in range(was.size):
@@ -90,8 +91,8 @@ def carried(
         for way in range(2):
             to, state = 2 * slot + way, 2 * k + way
             if kept[state] == KEPT:
-                h[to], settled[to] = old.h[state], old.settled[state]
-                follows = old.after[state]
+                h[to], settled[to] = old_h[state], old_settled[state]
+                follows = old_after[state]
                 if follows >= 0:
                     after[to] = 2 * now[follows >> 1] + (follows & 1)
             elif kept[state] == LOST:
@@ -142,15 +143,17 @@ def _unchanged(
 
 
 @njit(cache=True)
-def _kept(now: np.ndarray, is_end: np.ndarray, target: np.ndarray, old: ToGo) -> np.ndarray:
+def _kept(
+    now: np.ndarray, is_end: np.ndarray, target: np.ndarray, h: np.ndarray, after: np.ndarray
+) -> np.ndarray:
     """(old states,) KEPT where the whole way from a state that was reached is as it was, LOST where it is not, 0 for the others."""
-    out = np.zeros(old.h.size, np.int8)
-    for state in range(old.h.size):
-        if old.h[state] == np.inf or out[state] > 0:
+    out = np.zeros(h.size, np.int8)
+    for state in range(h.size):
+        if h[state] == np.inf or out[state] > 0:
             continue
         last = state
-        while out[last] == 0 and now[last >> 1] >= 0 and old.after[last] >= 0:
-            last = old.after[last]
+        while out[last] == 0 and now[last >> 1] >= 0 and after[last] >= 0:
+            last = after[last]
         verdict = out[last]
         if verdict == 0:
             there = now[last >> 1]
@@ -160,5 +163,5 @@ def _kept(now: np.ndarray, is_end: np.ndarray, target: np.ndarray, old: ToGo) ->
             out[at] = verdict
             if at == last:
                 break
-            at = old.after[at]
+            at = after[at]
     return out

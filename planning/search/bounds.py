@@ -21,7 +21,7 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
-from planning.search.heap import grown, pop, push
+from planning.search.heap import grown, most_out, pop, push
 
 
 @njit(cache=True)
@@ -50,42 +50,41 @@ def cost_to_come(
     f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
     g[start] = 0.0
     n = push(f, s, e, 0, np.hypot(gx - x[start], gy - y[start]), start, -1)
-    total = np.inf
-    while n > 0:
-        bound, i, via = f[0], s[0], e[0]
-        n = pop(f, s, e, n)
-        if i < 0:
-            total = bound
-            break
-        if closed[i]:
-            continue
-        if via >= 0:  # an edge not evaluated when it was pushed
-            if np.isnan(edge[via, 0]):
-                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, via)
-            cost = g[source[via]] + transition_cost(w, length[via], risk[via], edge[via, 0], edge[via, 1])
-            if cost < g[i]:
-                g[i] = cost
-                n = push(f, s, e, n, cost + np.hypot(gx - x[i], gy - y[i]), i, -1)
-            continue
-        closed[i] = True
-        if is_end[i]:
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, g[i] + exit_cost[i], -1, -1)
-        for out in range(indptr[i], indptr[i + 1]):
-            k = target[out]
-            if closed[k]:
+    total, most = np.inf, most_out(indptr) + 1
+    while n > 0 and np.isinf(total):
+        if n + most > f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        while 0 < n <= f.size - most:
+            bound, i, via = f[0], s[0], e[0]
+            n = pop(f, s, e, n)
+            if i < 0:
+                total = bound
+                break
+            if closed[i]:
                 continue
-            known = not np.isnan(edge[out, 0])
-            b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-            cost = g[i] + transition_cost(w, length[out], risk[out], b, u)
-            if cost >= g[k]:
+            if via >= 0:  # an edge not evaluated when it was pushed
+                if np.isnan(edge[via, 0]):
+                    evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, via)
+                cost = g[source[via]] + transition_cost(w, length[via], risk[via], edge[via, 0], edge[via, 1])
+                if cost < g[i]:
+                    g[i] = cost
+                    n = push(f, s, e, n, cost + np.hypot(gx - x[i], gy - y[i]), i, -1)
                 continue
-            if known:
-                g[k] = cost
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), k, -1 if known else out)
+            closed[i] = True
+            if is_end[i]:
+                n = push(f, s, e, n, g[i] + exit_cost[i], -1, -1)
+            for out in range(indptr[i], indptr[i + 1]):
+                k = target[out]
+                if closed[k]:
+                    continue
+                known = not np.isnan(edge[out, 0])
+                b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+                cost = g[i] + transition_cost(w, length[out], risk[out], b, u)
+                if cost >= g[k]:
+                    continue
+                if known:
+                    g[k] = cost
+                n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), k, -1 if known else out)
     for i in range(count):
         if not closed[i]:
             g[i] = max(0.0, total - np.hypot(gx - x[i], gy - y[i]))
@@ -134,10 +133,11 @@ class Heap(NamedTuple):
 @njit(cache=True)
 def begin_to_go(arcs: Arcs, is_end: np.ndarray, exit_cost: np.ndarray) -> ToGo:
     """The states that end at an end, none settled yet. Arguments as in `cost_to_go`."""
-    states = 2 * arcs.target.size
+    target = arcs.target
+    states = 2 * target.size
     h = np.full(states, np.inf)
-    for slot in range(arcs.target.size):
-        k = arcs.target[slot]
+    for slot in range(target.size):
+        k = target[slot]
         if is_end[k]:
             h[2 * slot] = h[2 * slot + 1] = exit_cost[k]
     return ToGo(h, np.zeros(states, np.bool_), np.full(states, -1, np.int32))
@@ -153,20 +153,20 @@ def reached(
     """
     _, _, _, source, target, _, length, _, risk, _, _, forward_only = arcs
     edge = tables.edge
-    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
+    h, settled = go.h, go.settled  # an access to a tuple in a loop counts references
+    for out in range(arcs.indptr[start], arcs.indptr[start + 1]):
+        settled[2 * out] = settled[2 * out + 1] = False
+    count = 0
+    for state in range(h.size):
+        count += h[state] < np.inf and not settled[state]
+    f, s, e = np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64)
     n = 0
-    for state in range(go.h.size):
-        if go.h[state] == np.inf:
+    for state in range(h.size):
+        if settled[state] or h[state] == np.inf:
             continue
         out, way = state // 2, state % 2
-        if go.settled[state]:
-            if source[out] != start:
-                continue
-            go.settled[state] = False
         drive = _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
-        if n == f.size:
-            f, s, e = grown(f), grown(s), grown(e)
-        n = push(f, s, e, n, go.h[state] + come[source[out]] + drive, state, 0)
+        n = push(f, s, e, n, h[state] + come[source[out]] + drive, state, 0)
     return Heap(f, s, e, n)
 
 
@@ -195,57 +195,65 @@ def cost_to_go(
     ways = 1 if np.isinf(backward) else 2
     h, settled, after = go
     f, s, e, n = heap
-    least = np.inf
-    while n > 0 and (f[0] <= limit if limit < np.inf else f[0] < least):
-        bound, state = f[0], s[0]
-        n = pop(f, s, e, n)
-        if settled[state]:
-            continue
-        out, way = state // 2, state % 2
-        at, k = source[out], target[out]
-        if np.isnan(edge[out, 0]):
-            evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
-            dearer = (
-                h[state]
-                + come[at]
-                + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
-            )
-            if dearer > bound:
-                n = push(f, s, e, n, dearer, state, 0)
+    least, most = np.inf, ways * most_out(indptr) + 1
+    while n > 0 and _due(f[0], limit, least):
+        if n + most > f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        while 0 < n <= f.size - most and _due(f[0], limit, least):
+            bound, state = f[0], s[0]
+            n = pop(f, s, e, n)
+            if settled[state]:
                 continue
-        settled[state] = True
-        cost = h[state] + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
-        yaw = heading[out] + (np.pi if way else 0.0)
-        if sweeps and is_end[k]:
-            cost += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
-        if at == start:
-            whole = cost
-            if sweeps:
-                whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
-            least = min(least, whole)
-            if once:
-                continue
-        for back in range(indptr[at], indptr[at + 1]):
-            into = reverse[back]
-            for before in range(ways):
-                to = 2 * into + before
-                if cost >= h[to]:
-                    continue
-                new = cost
-                if sweeps:
-                    new += turn_between(room[at], turn_rate[at], heading, into, out, way != before, turning)
-                if new >= h[to]:
-                    continue
-                h[to], after[to], settled[to] = new, state, False
-                if n == f.size:
-                    f, s, e = grown(f), grown(s), grown(e)
-                bound = (
-                    new
-                    + come[source[into]]
-                    + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
+            out, way = state // 2, state % 2
+            at, k = source[out], target[out]
+            if np.isnan(edge[out, 0]):
+                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
+                dearer = (
+                    h[state]
+                    + come[at]
+                    + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
                 )
-                n = push(f, s, e, n, bound, to, 0)
+                if dearer > bound:
+                    n = push(f, s, e, n, dearer, state, 0)
+                    continue
+            settled[state] = True
+            cost = h[state] + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
+            yaw = heading[out] + (np.pi if way else 0.0)
+            if sweeps and is_end[k]:
+                cost += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
+            if at == start:
+                whole = cost
+                if sweeps:
+                    whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                least = min(least, whole)
+                if once:
+                    continue
+            for back in range(indptr[at], indptr[at + 1]):
+                into = reverse[back]
+                for before in range(ways):
+                    to = 2 * into + before
+                    if cost >= h[to]:
+                        continue
+                    new = cost
+                    if sweeps:
+                        new += turn_between(
+                            room[at], turn_rate[at], heading, into, out, way != before, turning
+                        )
+                    if new >= h[to]:
+                        continue
+                    h[to], after[to], settled[to] = new, state, False
+                    bound = (
+                        new
+                        + come[source[into]]
+                        + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
+                    )
+                    n = push(f, s, e, n, bound, to, 0)
     return least, Heap(f, s, e, n)
+
+
+@njit(cache=True)
+def _due(bound: float, limit: float, least: float) -> bool:
+    return bound <= limit if limit < np.inf else bound < least
 
 
 @njit(cache=True)

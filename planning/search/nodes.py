@@ -7,7 +7,7 @@ from numba import njit
 
 from planning.risk.arcs import Arcs
 from planning.risk.cost import Weights, transition_cost
-from planning.search.heap import grown, pop, push
+from planning.search.heap import grown, most_out, pop, push
 
 
 @njit(cache=True)
@@ -18,7 +18,8 @@ def search_nodes(
 
     No exit costs less than the way to (gx, gy) is long. Returns what `search_pairs` does.
     """
-    count = arcs.x.size
+    x, y, indptr, source, target, _, length, _, risk, _, _, _ = arcs
+    count = x.size
     g = np.full(count, np.inf)
     parent = np.full(count, -1, np.int64)
     closed = np.zeros(count, np.bool_)
@@ -26,41 +27,40 @@ def search_nodes(
     goal = -1
     g[start] = 0.0
     n = push(f, s, e, 0, 0.0, start, 0)
-    expanded = 0
-    while n > 0:
-        i = s[0]
-        leave = e[0] == 1
-        n = pop(f, s, e, n)
-        if leave:
-            goal = i
-            break
-        if closed[i]:
-            continue
-        closed[i] = True
-        expanded += 1
-        if is_end[i]:
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, g[i] + exit_cost[i], i, 1)
-        for out in range(arcs.indptr[i], arcs.indptr[i + 1]):
-            k = arcs.target[out]
-            cost = g[i] + transition_cost(w, arcs.length[out], arcs.risk[out], 0.0, 0.0)
-            if not closed[k] and cost < g[k]:
-                g[k] = cost
-                parent[k] = out
-                if n == f.size:
-                    f, s, e = grown(f), grown(s), grown(e)
-                n = push(f, s, e, n, cost + np.hypot(gx - arcs.x[k], gy - arcs.y[k]), k, 0)
+    expanded, most = 0, most_out(indptr) + 1
+    while n > 0 and goal < 0:
+        if n + most > f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        while 0 < n <= f.size - most:
+            i = s[0]
+            leave = e[0] == 1
+            n = pop(f, s, e, n)
+            if leave:
+                goal = i
+                break
+            if closed[i]:
+                continue
+            closed[i] = True
+            expanded += 1
+            if is_end[i]:
+                n = push(f, s, e, n, g[i] + exit_cost[i], i, 1)
+            for out in range(indptr[i], indptr[i + 1]):
+                k = target[out]
+                cost = g[i] + transition_cost(w, length[out], risk[out], 0.0, 0.0)
+                if not closed[k] and cost < g[k]:
+                    g[k] = cost
+                    parent[k] = out
+                    n = push(f, s, e, n, cost + np.hypot(gx - x[k], gy - y[k]), k, 0)
     if goal < 0:
         return np.inf, np.empty(0, np.int64), expanded
     steps = 0
     i = goal
     while i != start:
         steps += 1
-        i = arcs.source[parent[i]]
+        i = source[parent[i]]
     route = np.empty(steps, np.int64)
     i = goal
     for k in range(steps - 1, -1, -1):
         route[k] = parent[i]
-        i = arcs.source[parent[i]]
+        i = source[parent[i]]
     return g[goal], route, expanded

@@ -34,7 +34,7 @@ from planning.search.bounds import (
     reached,
     turn_between,
 )
-from planning.search.heap import grown, pop, push
+from planning.search.heap import grown, most_out, pop, push
 
 
 class Guide(NamedTuple):
@@ -63,7 +63,14 @@ def guide_to(
         )
     heap = reached(w, arcs, tables, asked.start, come, asked.backward, go)
     least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, np.inf)
+    if least < np.inf:  # sums in another order: states on the cheapest route may seem dearer than it
+        _, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, _nearly(least))
     return Guide(arcs, come, go, heap, least)
+
+
+@njit(cache=True)
+def _nearly(cost: float) -> float:
+    return cost + 1e-9 * max(1.0, cost)
 
 
 @njit(cache=True)
@@ -84,7 +91,7 @@ def search_pairs(
         if np.isinf(least):
             break
         cost, route, expanded, turns = _forward(sampler, w, arcs, tables, turns, asked, go, limit, most)
-        limit = cost + 1e-9 * max(1.0, cost)  # sums in another order
+        limit = _nearly(cost)
         if np.isinf(cost) or heap.n == 0 or heap.f[0] > limit:
             break
         _, heap = cost_to_go(sampler, w, before, tables, asked, come, go, heap, limit)
@@ -101,7 +108,7 @@ def _forward(
     asked: Asked,
     go: ToGo,
     limit: float,
-    most: int,
+    limited: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
     start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
@@ -130,110 +137,118 @@ def _forward(
     if once:
         for out in range(indptr[start], indptr[start + 1]):
             closed[2 * reverse[out]] = closed[2 * reverse[out] + 1] = True
+    most = 2 * most_out(indptr) + 1
+    picking = False
     while True:
-        g = 0.0 if state < 0 else best[state]
-        expanded += 1
-        for out in range(indptr[at], indptr[at + 1]):
-            k = target[out]
-            known = not np.isnan(edge[out, 0])
-            b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-            step = transition_cost(w, length[out], risk[out], b, u)
-            for way in range(ways):
-                to = 2 * out + way
-                if closed[to] or not settled[to]:
+        if entries + most > came.size:
+            came, base, stage, extra = grown(came), grown(base), grown(stage), grown(extra)
+        if n + most > f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        if used + most > len(turns):
+            turns = _more(turns)
+        while entries + most <= came.size and n + most <= f.size and used + most <= len(turns):
+            if not picking:
+                g = 0.0 if state < 0 else best[state]
+                expanded += 1
+                for out in range(indptr[at], indptr[at + 1]):
+                    k = target[out]
+                    known = not np.isnan(edge[out, 0])
+                    b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+                    step = transition_cost(w, length[out], risk[out], b, u)
+                    for way in range(ways):
+                        to = 2 * out + way
+                        if closed[to] or not settled[to]:
+                            continue
+                        cost = g + step
+                        if way:
+                            cost = g + back_factor(backward, forward_only[at], forward_only[k]) * step
+                        if cost >= best[to]:
+                            continue
+                        turned = 0.0
+                        if sweeps:
+                            # What turning costs is known without a look at the ground: it is part of the bound from the beginning.
+                            yaw = heading[out] + (np.pi if way else 0.0)
+                            if state >= 0:
+                                change = way != state % 2
+                                turned = turn_between(
+                                    room[at], turn_rate[at], heading, state // 2, out, change, turning
+                                )
+                            else:
+                                turned = first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                            if is_end[k]:
+                                turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
+                            cost += turned
+                        if cost >= best[to] or cost + h[to] > limit:
+                            continue
+                        came[entries], base[entries], stage[entries], extra[entries] = state, g, known, turned
+                        n = push(f, s, e, n, cost + h[to], to, entries)
+                        entries += 1
+                picking, state = True, -1
+            # Take the most promising state and evaluate what its cost still lacks, until one is certain.
+            while n > 0 and used + most <= len(turns):
+                bound, to, entry = f[0], s[0], e[0]
+                n = pop(f, s, e, n)
+                if to < 0:  # the way on from an end: nothing in the queue can be cheaper
+                    return best[entry], walk_back(parent, entry), expanded, turns
+                if closed[to]:
                     continue
-                cost = g + step
-                if way:
-                    cost = g + back_factor(backward, forward_only[at], forward_only[k]) * step
-                if cost >= best[to]:
-                    continue
-                turned = 0.0
-                if sweeps:
-                    # What turning costs is known without a look at the ground: it is part of the bound from the beginning.
-                    yaw = heading[out] + (np.pi if way else 0.0)
-                    if state >= 0:
-                        change = way != state % 2
-                        turned = turn_between(
-                            room[at], turn_rate[at], heading, state // 2, out, change, turning
-                        )
-                    else:
-                        turned = first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
-                    if is_end[k]:
-                        turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
-                    cost += turned
-                if cost >= best[to] or cost + h[to] > limit:
-                    continue
-                if entries == came.size:
-                    came, base, stage, extra = grown(came), grown(base), grown(stage), grown(extra)
-                if n == f.size:
-                    f, s, e = grown(f), grown(s), grown(e)
-                came[entries], base[entries], stage[entries], extra[entries] = state, g, known, turned
-                n = push(f, s, e, n, cost + h[to], to, entries)
-                entries += 1
-        # Take the most promising state and evaluate what its cost still lacks, until one is certain.
-        state = -1
-        while n > 0:
-            bound, to, entry = f[0], s[0], e[0]
-            n = pop(f, s, e, n)
-            if to < 0:  # the way on from an end: nothing in the queue can be cheaper
-                return best[entry], walk_back(parent, entry), expanded, turns
-            if closed[to]:
-                continue
-            origin = came[entry]
-            if stage[entry] == 2:
-                if parent[to] != origin:
-                    continue  # reached more cheaply in the meantime
-                state = to
-                break
-            out, way = to // 2, to % 2
-            at, k = source[out], target[out]
-            factor = back_factor(backward, forward_only[at], forward_only[k]) if way else 1.0
-            if np.isnan(edge[out, 0]):
-                evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
-            b, u = edge[out, 0], edge[out, 1]
-            cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
-            stage[entry] += 1
-            if sweeps and (stage[entry] == 2 or cost + h[to] <= bound):
-                stage[entry] = 2
-                yaw = heading[out] + (np.pi if way else 0.0)
-                if origin >= 0:
-                    came_by = origin // 2
-                    if turn_at[came_by] < 0:
-                        rows = 2 * (indptr[at + 1] - indptr[at])
-                        while used + rows > len(turns):
-                            turns = _more(turns)
-                        turn_at[came_by] = used
-                        used += rows
-                        tables.used[0] = used
-                    change = way != origin % 2
-                    row = turn_at[came_by] + 2 * (out - indptr[at]) + change
-                    if np.isnan(turns[row, 0]):
-                        d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
-                        turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[came_by], d)
-                    b, u = max(b, turns[row, 0]), max(u, turns[row, 1])
-                elif not np.isnan(start_yaw):
-                    b2, u2 = turn_risk(sampler, work, w, x[at], y[at], start_yaw, turn_angle(start_yaw, yaw))
-                    b, u = max(b, b2), max(u, u2)
-                if is_end[k] and not np.isnan(goal_yaw):
-                    b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, turn_angle(yaw, goal_yaw))
-                    b, u = max(b, b2), max(u, u2)
+                origin = came[entry]
+                if stage[entry] == 2:
+                    if parent[to] != origin:
+                        continue  # reached more cheaply in the meantime
+                    state = to
+                    break
+                out, way = to // 2, to % 2
+                at, k = source[out], target[out]
+                factor = back_factor(backward, forward_only[at], forward_only[k]) if way else 1.0
+                if np.isnan(edge[out, 0]):
+                    evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
+                b, u = edge[out, 0], edge[out, 1]
                 cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
-            elif not sweeps:
-                stage[entry] = 2
-            if not cost < best[to]:
-                continue
-            if stage[entry] == 2:
-                best[to] = cost
-                parent[to] = origin
-            n = push(f, s, e, n, cost + h[to], to, entry)
-        if state < 0 or expanded >= most:
-            return np.inf, none, expanded, turns
-        closed[state] = True
-        at = target[state // 2]
-        if is_end[at]:
-            if n == f.size:
-                f, s, e = grown(f), grown(s), grown(e)
-            n = push(f, s, e, n, best[state] + exit_cost[at], -1, state)
+                stage[entry] += 1
+                if sweeps and (stage[entry] == 2 or cost + h[to] <= bound):
+                    stage[entry] = 2
+                    yaw = heading[out] + (np.pi if way else 0.0)
+                    if origin >= 0:
+                        came_by = origin // 2
+                        if turn_at[came_by] < 0:
+                            rows = 2 * (indptr[at + 1] - indptr[at])
+                            turn_at[came_by] = used
+                            used += rows
+                            tables.used[0] = used
+                        change = way != origin % 2
+                        row = turn_at[came_by] + 2 * (out - indptr[at]) + change
+                        if np.isnan(turns[row, 0]):
+                            d = turn_angle(heading[came_by], heading[out] + (np.pi if change else 0.0))
+                            turns[row] = turn_risk(sampler, work, w, x[at], y[at], heading[came_by], d)
+                        b, u = max(b, turns[row, 0]), max(u, turns[row, 1])
+                    elif not np.isnan(start_yaw):
+                        b2, u2 = turn_risk(
+                            sampler, work, w, x[at], y[at], start_yaw, turn_angle(start_yaw, yaw)
+                        )
+                        b, u = max(b, b2), max(u, u2)
+                    if is_end[k] and not np.isnan(goal_yaw):
+                        b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, turn_angle(yaw, goal_yaw))
+                        b, u = max(b, b2), max(u, u2)
+                    cost = (
+                        base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
+                    )
+                elif not sweeps:
+                    stage[entry] = 2
+                if not cost < best[to]:
+                    continue
+                if stage[entry] == 2:
+                    best[to] = cost
+                    parent[to] = origin
+                n = push(f, s, e, n, cost + h[to], to, entry)
+            if state < 0 and n > 0:
+                break  # it goes on with picking
+            if state < 0 or expanded >= limited:
+                return np.inf, none, expanded, turns
+            closed[state] = True
+            at, picking = target[state // 2], False
+            if is_end[at]:
+                n = push(f, s, e, n, best[state] + exit_cost[at], -1, state)
 
 
 @njit(cache=True)

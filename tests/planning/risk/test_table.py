@@ -8,13 +8,16 @@ import pytest
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.arcs import arcs_of
-from planning.risk.body import BodyModel
+from planning.risk.body import BodyModel, weights_of
+from planning.risk.footprint import scratch
+from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.table import RiskTable
 from planning.search.endpoints import endpoints
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import lattice, rough
 
 BODY = BodyModel()
+W = weights_of(BODY)
 
 
 def ground(seed: int, shape: tuple[int, int] = (110, 120)) -> np.ndarray:
@@ -57,6 +60,37 @@ def test_after_map_updates_carried_evaluations_equal_fresh_ones(seed: int) -> No
         with_it, without = plan(graph, grid, request, BODY, table), plan(graph, grid, request, BODY)
         assert (with_it.nodes, with_it.cost) == (without.nodes, without.cost)
     assert kept > 4 * len(graph.indices), "most edges are far from what changed"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_turns_are_kept_where_nothing_changed_under_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    grid = ElevationGrid(ground(seed), np.ones(ground(seed).shape, bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    table, kept = RiskTable(graph, grid, BODY), 0
+    for k in range(6):
+        # Between nodes, and from and to places that are nodes of this query alone.
+        request = PlanRequest(0, len(graph.nodes) - 1) if k % 2 else PlanRequest((1.0, 1.0), (4.6, 4.8), 0.3)
+        plan(graph, grid, request, BODY, table)
+        height = grid.height.copy()
+        r, c = (int(v) for v in rng.integers(0, 90, 2))
+        height[r : r + 10, c : c + 10] += 0.02
+        grid = ElevationGrid(height, grid.trusted, (0.0, 0.0), 0.05)
+        graph.update(grid, [(r, c, r + 10, c + 10)])
+        table = RiskTable(graph, grid, BODY, table)
+        arcs, tables = table.arcs, table.tables(BODY)
+        for slot in np.flatnonzero(tables.turn_at >= 0).tolist():
+            at = arcs.target[slot]
+            for out in range(arcs.indptr[at], arcs.indptr[at + 1]):
+                for change in range(2):
+                    got = tables.turns[tables.turn_at[slot] + 2 * (out - arcs.indptr[at]) + change]
+                    if np.isnan(got[0]):
+                        continue
+                    turn = turn_angle(arcs.heading[slot], arcs.heading[out] + change * np.pi)
+                    where = arcs.x[at], arcs.y[at], arcs.heading[slot], turn
+                    assert tuple(got) == turn_risk(table.sampler, scratch(table.sampler), W, *where)
+                    kept += 1
+    assert kept > 50
 
 
 def test_a_map_that_grows_keeps_what_was_known_inside() -> None:

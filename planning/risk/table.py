@@ -68,7 +68,7 @@ class RiskTable:
             graph.node_ids,
         )
         for body, tables in self._each():
-            out.tables(body).edge[kept] = tables.edge
+            _copy_edges(kept, tables.edge, out.tables(body).edge)
             out._take_turns(body, self.arcs, tables, kept)
         return out
 
@@ -79,7 +79,7 @@ class RiskTable:
         now[kept] = np.arange(len(kept))
         self._tables = {}
         for body, tables in query._each():
-            self.tables(body).edge[:] = tables.edge[kept]
+            _copy_edges(now, tables.edge, self.tables(body).edge)
             self._take_turns(body, query.arcs, tables, now)
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
@@ -122,15 +122,11 @@ class RiskTable:
         dc, dr = (int(v) for v in np.round(offset))
         if np.abs(offset - (dc, dr)).max() > 1e-6:  # other cells
             return
-        changed = _changed(
-            self.sampler.height, self.sampler.trusted, self.sampler.stride,
-            old.sampler.height, old.sampler.trusted, old.sampler.stride, dr, dc,
-        )  # fmt: skip
-        same = (was >= 0) & _untouched(self.arcs, self.sampler, changed)
-        now = np.full(len(old.arcs.target), -1, np.int64)
-        now[was[same]] = np.flatnonzero(same)
+        s, o = self.sampler, old.sampler
+        box, changed = _changed(s.height, s.trusted, s.stride, o.height, o.trusted, o.stride, dr, dc)
+        now = _unchanged(was, len(old.arcs.target), self.arcs, s, box, changed)
         for body, tables in old._each():
-            self.tables(body).edge[same] = tables.edge[was[same]]
+            _copy_edges(now, tables.edge, self.tables(body).edge)
             self._take_turns(body, old.arcs, tables, now)
 
     def _take_turns(self, body: BodyModel, arcs: Arcs, old: Tables, now: NDArray[np.int64]) -> None:
@@ -186,31 +182,65 @@ def _changed(
     old_stride: int,
     dr: int,
     dc: int,
-) -> np.ndarray:
-    """(rows + 1, stride + 1) summed-area table of cells that are not what they were; dr, dc: cell [0, 0] in the old."""
+) -> tuple[tuple[int, int, int, int], np.ndarray]:
+    """Where cells are not what they were: the box around them, first row, first column, row and column after the last, and the summed-area table of
+    them in it; dr, dc: cell [0, 0] in the old."""
     rows, old_rows = height.size // stride, old_height.size // old_stride
-    out = np.zeros((rows + 1, stride + 1), np.int32)
+    r0, c0, r1, c1 = rows, stride, 0, 0
     for r in range(rows):
+        first, last, a = stride, -1, r + dr
+        # The columns that both have, without a branch.
+        begin, end = max(0, -dc), min(stride, old_stride - dc)
+        if not 0 <= a < old_rows or end <= begin:
+            first, last = 0, stride - 1
+        else:
+            i, j = r * stride, a * old_stride + dc
+            here, there = height[i + begin : i + end], old_height[j + begin : j + end]
+            known, knew = trusted[i + begin : i + end], old_trusted[j + begin : j + end]
+            differ = 0
+            for c in range(here.size):
+                differ += (here[c] != there[c]) | (known[c] != knew[c])
+            if differ > 0:
+                for c in range(here.size):
+                    if here[c] != there[c] or known[c] != knew[c]:
+                        first, last = min(first, c + begin), c + begin
+            if begin > 0:
+                first, last = 0, max(last, begin - 1)
+            if end < stride:
+                first, last = min(first, end), stride - 1
+        if last >= 0:
+            r0, r1, c0, c1 = min(r0, r), r + 1, min(c0, first), max(c1, last + 1)
+    table = np.zeros((max(r1 - r0, 0) + 1, max(c1 - c0, 0) + 1), np.int32)
+    for r in range(r0, r1):
         total = 0
-        for c in range(stride):
+        for c in range(c0, c1):
             a, b = r + dr, c + dc
             same = False
             if 0 <= a < old_rows and 0 <= b < old_stride:
                 i, j = r * stride + c, a * old_stride + b
                 same = height[i] == old_height[j] and trusted[i] == old_trusted[j]
             total += not same
-            out[r + 1, c + 1] = out[r, c + 1] + total
-    return out
+            table[r - r0 + 1, c - c0 + 1] = table[r - r0, c - c0 + 1] + total
+    return (r0, c0, r1, c1), table
 
 
 @njit(cache=True)
-def _untouched(arcs: Arcs, sampler: Sampler, changed: np.ndarray) -> np.ndarray:
-    """(slots,) edges with no changed cell in the box that the footprint does not leave on its way."""
-    rows, cols = changed.shape[0] - 1, changed.shape[1] - 1
+def _unchanged(
+    was: np.ndarray,
+    old_slots: int,
+    arcs: Arcs,
+    sampler: Sampler,
+    box: tuple[int, int, int, int],
+    changed: np.ndarray,
+) -> np.ndarray:
+    """(old slots,) the slot of now of each edge that is the same, with no changed cell in the box that the footprint does not leave on its way; else -1."""
+    rows, cols = sampler.seen.shape[0] - 1, sampler.stride
     x, y, source, target = arcs.x, arcs.y, arcs.source, arcs.target
     ox, oy, inv, reach = sampler.ox, sampler.oy, sampler.inv, sampler.reach
-    out = np.zeros(target.size, np.bool_)
+    out = np.full(old_slots, -1, np.int64)
     for slot in range(target.size):
+        if was[slot] < 0:
+            continue
         i, j = source[slot], target[slot]
         x0, x1 = min(x[i], x[j]), max(x[i], x[j])
         y0, y1 = min(y[i], y[j]), max(y[i], y[j])
@@ -220,5 +250,15 @@ def _untouched(arcs: Arcs, sampler: Sampler, changed: np.ndarray) -> np.ndarray:
         r0, r1 = r0 - reach - 1, r1 + reach + 2
         if c0 < 0 or r0 < 0 or c1 > cols or r1 > rows:
             continue
-        out[slot] = changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0
+        r0, c0 = max(r0, box[0]) - box[0], max(c0, box[1]) - box[1]
+        r1, c1 = min(r1, box[2]) - box[0], min(c1, box[3]) - box[1]
+        if r0 >= r1 or c0 >= c1 or changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0:
+            out[was[slot]] = slot
     return out
+
+
+@njit(cache=True)
+def _copy_edges(now: np.ndarray, old: np.ndarray, edge: np.ndarray) -> None:
+    for k in range(now.size):
+        if now[k] >= 0:
+            edge[now[k], 0], edge[now[k], 1] = old[k, 0], old[k, 1]

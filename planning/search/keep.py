@@ -10,6 +10,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from planning.risk.body import weights_of
@@ -79,17 +80,27 @@ def _rest(
 
 
 def nearest(nodes: NDArray[np.float64], places: NDArray[np.float64]) -> list[int]:
-    """Index of the node (n, 2) nearest to each place (k, 2), the lowest of equal ones. On a large map nearly all nodes are far from all places, so
-    only those are looked at that lie within `STRIP` along x.
-    """
-    order = np.argsort(nodes[:, 0], kind="stable")
-    low, high = (np.searchsorted(nodes[:, 0], places[:, 0] + d, sorter=order) for d in (-STRIP, STRIP))
-    out = []
-    for place, a, b in zip(places, low, high, strict=True):
-        some = np.sort(order[a:b])
-        away = np.hypot(*(nodes[some] - place).T)
-        if away.min(initial=np.inf) < STRIP:
-            out.append(int(some[np.argmin(away)]))
-        else:
-            out.append(int(np.argmin(np.hypot(*(nodes - place).T))))
+    """Index of the node (n, 2) nearest to each place (k, 2), the lowest of equal ones."""
+    order = np.argsort(places[:, 0], kind="stable")
+    found = np.full(len(places), -1, np.int64)
+    found[order] = _within(nodes, places[order], STRIP)
+    return [
+        k if k >= 0 else int(np.argmin(np.hypot(*(nodes - place).T)))
+        for k, place in zip(found.tolist(), places, strict=True)
+    ]
+
+
+@njit(cache=True)
+def _within(nodes: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
+    """The same of the nodes nearer than `reach` [m], -1 where there is none. `places` rise with x: on a large map nearly all nodes are far from all of them."""
+    out = np.full(len(places), -1, np.int64)
+    least = np.full(len(places), reach)
+    for k in range(len(nodes)):
+        first = np.searchsorted(places[:, 0], nodes[k, 0] - reach)
+        for i in range(first, len(places)):
+            if places[i, 0] > nodes[k, 0] + reach:
+                break
+            away = np.hypot(nodes[k, 0] - places[i, 0], nodes[k, 1] - places[i, 1])
+            if away < least[i]:
+                out[i], least[i] = k, away
     return out

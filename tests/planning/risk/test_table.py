@@ -11,7 +11,7 @@ from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
-from planning.risk.table import RiskTable
+from planning.risk.table import RiskTable, _changed
 from planning.search.endpoints import endpoints
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import lattice, rough
@@ -91,6 +91,31 @@ def test_turns_are_kept_where_nothing_changed_under_them(seed: int) -> None:
                     assert tuple(got) == turn_risk(table.sampler, scratch(table.sampler), W, *where)
                     kept += 1
     assert kept > 50
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_box_of_changed_cells_is_that_of_a_comparison_cell_by_cell(seed: int) -> None:
+    """Of two windows of one map, the cells of one changed here and there."""
+    rng = np.random.default_rng(seed)
+    z, known = rng.normal(size=(30, 30)).astype(np.float32), rng.random((30, 30)) < 0.8
+    (r0, c0), (b0, d0) = rng.integers(0, 8, (2, 2)) if seed % 4 else np.zeros((2, 2), np.int64)
+    (r1, c1), (b1, d1) = rng.integers(15, 30, (2, 2)) if seed % 4 else np.full((2, 2), 30)
+    old = np.ascontiguousarray(z[b0:b1, d0:d1]), np.ascontiguousarray(known[b0:b1, d0:d1]).astype(np.uint8)
+    changed = rng.random(z.shape) < rng.choice([0.0, 0.01, 0.1])
+    z, known = np.where(changed & (z > 0), z + 1, z), known ^ (changed & (z <= 0))
+    new = np.ascontiguousarray(z[r0:r1, c0:c1]), np.ascontiguousarray(known[r0:r1, c0:c1]).astype(np.uint8)
+    there = np.zeros(z.shape, bool)
+    there[b0:b1, d0:d1] = True
+    want = (changed | ~there)[r0:r1, c0:c1]
+    flat = (new[0].ravel(), new[1].ravel(), c1 - c0, old[0].ravel(), old[1].ravel(), d1 - d0)
+    box, table = _changed(*flat, int(r0 - b0), int(c0 - d0))
+    if not want.any():
+        assert table.max() == 0
+        return
+    rows, cols = np.flatnonzero(want.any(axis=1)), np.flatnonzero(want.any(axis=0))
+    assert box == (rows[0], cols[0], rows[-1] + 1, cols[-1] + 1)
+    inside = want[box[0] : box[2], box[1] : box[3]]
+    np.testing.assert_array_equal(table[1:, 1:], inside.cumsum(axis=0).cumsum(axis=1))
 
 
 def test_a_map_that_grows_keeps_what_was_known_inside() -> None:

@@ -26,8 +26,10 @@ from planning.risk.footprint import poses_features
 from planning.risk.table import RiskTable
 from planning.search.plan import PlanRequest, plan
 from rbtrg_robot import msg
+from rbtrg_robot.config import load
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.planner import build
 from rbtrg_robot.stages.way import WaySearch
 from tools.bench.planning.worlds import dense_map
 from tools.bench.report import Report
@@ -158,6 +160,7 @@ def stack_rows(report: Report, large: RiskTable) -> None:
         nonlocal driven
         driven = ways.find(terrain, message, driven, 0).whole
 
+    build(load(None, [])).warm_up()
     terrain.grid, terrain.graph, terrain.table = grid, graph, large
     report.add("large.stack_prepared_s", _timed(answer), "s", limit=0.5)
     terrain.table, driven, ways = None, None, _ways()

@@ -67,6 +67,8 @@ class CrowdedSocket(socket.socket):
         else:
             raise BlockingIOError
         with self._lock:
+            if len(self._strangers) >= self.strangers:
+                self._strangers = _open(self._strangers)
             while len(self._strangers) >= self.strangers:
                 _send_away(self._strangers.pop(next(iter(self._strangers))))
             self._strangers[address[:2]] = found

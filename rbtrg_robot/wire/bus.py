@@ -14,7 +14,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Generic, Self
 
@@ -28,6 +28,7 @@ from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
+from rbtrg_robot.wire.front import Front
 from rbtrg_robot.wire.session import Security, open_router, session_config
 
 log = logging.getLogger(__name__)
@@ -78,14 +79,21 @@ class Bus:
         self.scope = scope
         zenoh.init_log_from_env_or("off")
         self._stack = stack
-        config = session_config(endpoint, router=router, stack=stack, security=security)
+        self._front: Front | None = None
+        outside = security.listen if security is not None else ()
         try:
+            if router and security is not None and security.listen:
+                self._front = Front(security.listen)
+                security = replace(security, listen=self._front.doors)
+            config = session_config(endpoint, router=router, stack=stack, security=security)
             self.session = open_router(config) if router else zenoh.open(config)
-        except zenoh.ZError as error:
+        except (zenoh.ZError, OSError) as error:
+            if self._front is not None:
+                self._front.close()
             if "shm" in str(error):
                 what = "no shared memory for Zenoh: is /dev/shm full, or `mlock` forbidden (`ulimit -l`, a container's filter)?"
             elif router:
-                where = " or ".join((endpoint, *(security.listen if security else ())))
+                where = " or ".join((endpoint, *outside))
                 what = f"cannot listen on {where}: is another program using the port? Choose one with --port"
             elif security is not None:
                 what = (
@@ -94,6 +102,8 @@ class Bus:
             else:
                 what = f"nothing answers on {endpoint}: is the stack up? Start it with `rbtrg-robot up`"
             raise BusError(what, retry=not router) from error
+        if self._front is not None:
+            self._front.open()
         self._zid = str(self.session.zid())
         self._held: list[Any] = [
             self.session.liveliness().declare_token(wire.node_token(scope, self._zid, node))
@@ -118,6 +128,8 @@ class Bus:
 
     def close(self) -> None:
         """Leave the bus; tokens go at once."""
+        if self._front is not None:
+            self._front.close()
         if not self.session.is_closed():
             self.session.close()
 

@@ -45,6 +45,14 @@ def test_the_oldest_stranger_gives_way_to_the_newest_and_guests_stay(held: conte
     assert door.admit(guest.address), "it shows who it is with each request"
 
 
+def test_strangers_that_have_left_keep_their_places_from_nobody(held: contextlib.ExitStack) -> None:
+    door = held.enter_context(CrowdedSocket("127.0.0.1", 0, strangers=3, guests=2))
+    stays = Visitor(door, held)
+    for _ in range(7):
+        Visitor(door, held).inside.close()
+    assert not stays.sent_away
+
+
 def test_no_more_guests_are_admitted_than_there_is_room_for_until_one_leaves(
     held: contextlib.ExitStack,
 ) -> None:

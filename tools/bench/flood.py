@@ -52,7 +52,11 @@ def run(args: list[str]) -> Report:
     )
     parser.add_argument("--seconds", type=float, default=10.0, help="of each")
     parser.add_argument(
-        "--broken", type=float, default=5.0, help="connections that break off at the router [1/s]"
+        "--broken",
+        type=float,
+        nargs="*",
+        default=[50.0, 200.0],
+        help="connections that break off at the router [1/s]",
     )
     options = parser.parse_args(args)
     report = Report("flood")
@@ -71,7 +75,7 @@ def run(args: list[str]) -> Report:
     return report
 
 
-def _router(report: Report, seconds: float, broken: float) -> None:
+def _router(report: Report, seconds: float, broken: list[float]) -> None:
     """Each flood at a router of its own: what is left of one slows the next."""
     with site() as place, Inside(place) as inside, place.enter("operator") as before:
         address = _address(place.endpoint)
@@ -90,10 +94,15 @@ def _router(report: Report, seconds: float, broken: float) -> None:
             for _ in range(SILENT):
                 held.enter_context(tls.wrap_socket(socket.create_connection(address, timeout=5.0)))
             inside.measure(report, "router.removed", before, TIMEOUT + 6.0)
-    with site() as place, Inside(place) as inside, place.enter("operator") as before:
-        address = _address(place.endpoint)
-        with _breaking_off(address, broken):
-            inside.measure(report, "router.broken", before, seconds)
+    for rate in broken:
+        for kind, says in {"junk": b"junk" * 20, "hello": client_hello()}.items():
+            with (
+                site() as place,
+                Inside(place) as inside,
+                place.enter("operator") as before,
+                breaking_off(_address(place.endpoint), rate, says),
+            ):
+                inside.measure(report, f"router.broken_{rate:.0f}.{kind}", before, seconds)
 
 
 class Inside:
@@ -172,9 +181,18 @@ def _context(folder: Path) -> ssl.SSLContext:
     return tls
 
 
+def client_hello() -> bytes:
+    """What every TLS handshake begins with."""
+    ours, theirs = ssl.MemoryBIO(), ssl.MemoryBIO()
+    tls = ssl.create_default_context().wrap_bio(ours, theirs, server_hostname="robot")
+    with contextlib.suppress(ssl.SSLWantReadError):
+        tls.do_handshake()
+    return theirs.read()
+
+
 @contextlib.contextmanager
-def _breaking_off(address: tuple[str, int], rate: float) -> Iterator[None]:
-    """Connections that say nothing TLS understands and go."""
+def breaking_off(address: tuple[str, int], rate: float, says: bytes) -> Iterator[None]:
+    """Connections that say this and go, so many a second."""
     end = threading.Event()
 
     def go() -> None:
@@ -182,7 +200,7 @@ def _breaking_off(address: tuple[str, int], rate: float) -> Iterator[None]:
         while not end.wait(max(0.0, due - time.monotonic())):
             due += 1.0 / rate
             with contextlib.suppress(OSError), socket.create_connection(address, timeout=5.0) as one:
-                one.sendall(b"junk" * 20)
+                one.sendall(says)
 
     thread = threading.Thread(target=go)
     thread.start()

@@ -1,0 +1,230 @@
+"""The front of the router's TLS doors: it carries bytes and reads none of them, but sees who is about to begin a TLS handshake.
+
+Zenoh (1.10, eclipse-zenoh/zenoh#2685) lets nobody into a listener for 0.1 s after each handshake that failed on it: 10 visitors a second who break
+off keep everybody else out. So Zenoh listens on many ports of this computer, and this spreads visitors over them, each after it has said all that
+begins a handshake (ClientHello). Certificates are checked by Zenoh, end to end, as without it; nothing is decrypted here.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+import threading
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+from rbtrg_robot.crowd import CrowdedSocket
+
+DOORS = 32
+"""Ports of Zenoh."""
+REST = 0.12
+"""[s] after a failed handshake in which nobody else is sent to a port: about 270 of them a second close all."""
+STRANGERS, GUESTS = 100, 160
+"""Connections that have not come through a handshake, of which the oldest gives way to a newer one, and that have. Each takes three of the 1024
+open files of a process."""
+HELD = 1 << 20
+"""Bytes on their way to one who reads slowly before the other end is not read any more."""
+HANDSHAKE, CLIENT_HELLO = 22, 1
+LARGEST = 16_384 + 5
+"""Bytes of a record of TLS (RFC 8446, 5.1)."""
+INSIDE = 3
+"""The visitor speaks so often in turn with Zenoh before it counts as inside: ClientHello, its certificate, and what only a session says."""
+
+
+def greets(data: bytes) -> bool | None:
+    """Whether a visitor begins a TLS handshake; None while its ClientHello is not complete."""
+    if data[:1] not in (b"", bytes([HANDSHAKE])) or data[5:6] not in (b"", bytes([CLIENT_HELLO])):
+        return False
+    if len(data) < 6:
+        return None
+    size = 5 + int.from_bytes(data[3:5], "big")
+    return False if size > LARGEST else len(data) >= size or None
+
+
+def free_doors(count: int = DOORS) -> tuple[str, ...]:
+    """Endpoints on this computer that nobody listens on."""
+    with contextlib.ExitStack() as held:
+        ports = [
+            held.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1] for _ in range(count)
+        ]
+    return tuple(f"tls/127.0.0.1:{port}" for port in ports)
+
+
+class Front:
+    """Visitors wait in its sockets from the moment that it is made, and come in once it is opened."""
+
+    def __init__(self, listen: Sequence[str]) -> None:
+        """listen: `tls/ADDRESS:PORT` each. Raises OSError where one is taken, or is none of this computer."""
+        self.doors = free_doors()
+        self._sockets: list[CrowdedSocket] = []
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="front", daemon=True)
+        try:
+            for endpoint in listen:
+                host, _, port = endpoint.partition("/")[2].rpartition(":")
+                limits = {"strangers": STRANGERS, "guests": GUESTS}
+                door = CrowdedSocket(
+                    host.strip("[]"), int(port), **limits, asks=lambda data: bool(greets(data))
+                )
+                self._sockets.append(door)
+        except OSError:
+            self.close()
+            raise
+
+    def open(self) -> None:
+        """Zenoh listens on `doors` now."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """Nobody comes in any more, and who is in is sent away."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+        for door in self._sockets:
+            door.close()
+        if not self._loop.is_closed():
+            self._loop.close()
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        doors = Doors(self._loop, [int(door.rpartition(":")[2]) for door in self.doors])
+        inside: set[Visitor] = set()
+        for door in self._sockets:
+            self._loop.run_until_complete(
+                self._loop.create_server(partial(Visitor, doors, door, inside), sock=door)
+            )
+        self._loop.run_forever()
+        for visitor in list(inside):
+            visitor.leave()
+        self._loop.run_until_complete(asyncio.sleep(0))  # transports close in the loop
+
+
+class Doors:
+    """Which of Zenoh's ports is next."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, ports: list[int]) -> None:
+        self.loop = loop
+        self._rests = dict.fromkeys(ports, 0.0)
+        """Until when [s]."""
+        self._turn = asyncio.Lock()
+
+    async def next(self) -> int:
+        """Waits while all rest; who came first goes first."""
+        async with self._turn:
+            while (wait := min(self._rests.values()) - self.loop.time()) > 0.0:
+                await asyncio.sleep(wait)
+            port = min(self._rests, key=lambda port: self._rests[port])
+            self.failed(port)  # most that come in a flood break off at once
+            return port
+
+    def failed(self, port: int) -> None:
+        """A handshake there has failed, or may fail at once."""
+        self._rests[port] = self.loop.time() + REST
+
+
+class End(asyncio.Protocol):
+    """One end of a connection: what comes goes to the other one."""
+
+    def __init__(self) -> None:
+        self.transport: Any = None
+        self.other: End | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.transport = transport
+        self.transport.set_write_buffer_limits(HELD)
+
+    def data_received(self, data: bytes) -> None:
+        if self.other is not None:
+            self.other.transport.write(data)
+
+    def pause_writing(self) -> None:
+        if self.other is not None:
+            self.other.transport.pause_reading()
+
+    def resume_writing(self) -> None:
+        if self.other is not None:
+            self.other.transport.resume_reading()
+
+    def connection_lost(self, error: Exception | None) -> None:
+        if self.other is not None:
+            self.other.transport.close()
+
+    def leave(self) -> None:
+        """Close both at once."""
+        for end in (self, self.other):
+            if end is not None and end.transport is not None:
+                end.transport.abort()
+
+
+class Zenoh(End):
+    """The end at one of Zenoh's doors."""
+
+    def __init__(self, visitor: Visitor) -> None:
+        super().__init__()
+        self.other: Visitor = visitor
+
+    def data_received(self, data: bytes) -> None:
+        self.other.answered()
+        super().data_received(data)
+
+
+class Visitor(End):
+    """The end outside."""
+
+    def __init__(self, doors: Doors, crowd: CrowdedSocket, inside: set[Visitor]) -> None:
+        super().__init__()
+        self._doors = doors
+        self._crowd = crowd
+        self._inside = inside
+        self._door = 0
+        self._said = b""
+        self._spoke = 0
+        """How often in turn with Zenoh; INSIDE: no stranger any more."""
+        self._listens = True
+        self._joining: asyncio.Task[None] | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._inside.add(self)
+
+    def connection_lost(self, error: Exception | None) -> None:
+        self._inside.discard(self)
+        if self._door and self._spoke < INSIDE:
+            self._doors.failed(self._door)
+        if self._joining is not None:
+            self._joining.cancel()
+        super().connection_lost(error)
+
+    def answered(self) -> None:
+        """Zenoh has said something."""
+        self._listens = True
+
+    def data_received(self, data: bytes) -> None:
+        if self._listens and self._spoke < INSIDE:
+            self._listens = False
+            self._spoke += 1
+            if self._spoke == INSIDE and not self._crowd.admit(self.transport.get_extra_info("peername")[:2]):
+                self.leave()
+                return
+        if self.other is not None:
+            super().data_received(data)
+            return
+        self._said += data
+        greeting = greets(self._said)
+        if greeting is False or len(self._said) > 2 * LARGEST:
+            self.leave()
+        elif greeting and self._joining is None:  # it is read on meanwhile, or its end would not be noticed
+            self._joining = self._doors.loop.create_task(self._join())
+
+    async def _join(self) -> None:
+        door = await self._doors.next()
+        try:
+            _, there = await self._doors.loop.create_connection(partial(Zenoh, self), "127.0.0.1", door)
+        except OSError:  # it ends, or has no descriptors left
+            self.leave()
+            return
+        self._door, self.other = door, there
+        there.transport.write(self._said)
+        self._said = b""

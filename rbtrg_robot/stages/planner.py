@@ -38,8 +38,8 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
 from rbtrg_robot.wire.messages import header, stamp_of
 
-BACK = 4
-"""Parts of the map that a restarted elevation process gets in one tick: 100 x 100 m come back in a second."""
+BACK = 2
+"""Parts of the map that a restarted elevation process gets in one tick."""
 SETTLED = 300_000_000
 """[ns] without a block of the map: the whole of a prior map has come. While the robot maps, blocks come every 0.5 s."""
 AGAIN = 1_500_000_000

@@ -21,8 +21,8 @@ from planning.risk.body import (
     sweep_poses,
     terrain_features,
 )
-from planning.risk.footprint import steps_under
 from planning.risk.pose_sets import turn_angle
+from planning.risk.steps import steps_under
 from planning.risk.terrain import Terrain, heights_at
 from planning.search.plan import Plan
 

@@ -11,7 +11,7 @@ from planning.graph.graph import TraversalGraph
 from planning.path.confirmed import at_places
 from planning.path.types import Path
 from planning.risk.body import BodyModel, terrain_of
-from planning.risk.footprint import steps_under
+from planning.risk.steps import steps_under
 from planning.risk.terrain import Terrain
 
 Array = NDArray[np.float64]

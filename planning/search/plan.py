@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.graph import TraversalGraph
-from planning.risk.body import BodyModel, weights_of
+from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search.again import go_on
 from planning.search.attach import NEAREST
-from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
@@ -29,10 +27,9 @@ from planning.search.frontier import (
 )
 from planning.search.guarded import without
 from planning.search.keep import kept
-from planning.search.nodes import search_nodes
-from planning.search.pairs import Guide, guide_to, search_pairs
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
+from planning.search.route_search import RouteSearch
 from planning.search.straight import free_at, straighten, turn_at
 
 __all__ = [
@@ -54,8 +51,6 @@ NEARER = 0.5
 the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
 HELD_TURNS = 12
 """Searches for a way of whose turns the guard holds none."""
-MOST, ALL = 20_000, 2**62
-"""States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that it gets bounds of its own. 3,217 were the most that was seen."""
 FIELD_STEP, LONG = 0.1, 0.5
 """A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
 
@@ -243,9 +238,9 @@ def _search(
     body = at.table.body
     if request.variant == "mean-only":
         body = body.model_copy(update={"weight_mean": 1.0, "weight_tail": 0.0})
-    guide: Guide | None = None
+    search = RouteSearch(at, request, body, ends, exit_cost, xy, start_yaw, goal_yaw)
     for _ in range(HELD_TURNS):
-        found, expanded, guide = _cheapest(at, request, body, ends, exit_cost, xy, start_yaw, goal_yaw, guide)
+        found = search.cheapest()
         if found is None:
             return None
         if not _take_out_held(at, found):
@@ -256,7 +251,7 @@ def _search(
         straighten(at.ground, at.table, found)
     if request.variant == "refined":
         found = refine(at.table, found)
-    return replace(describe(at.table, request, body, found, expanded), exact=at.exact)
+    return replace(describe(at.table, request, body, found, search.expanded), exact=at.exact)
 
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:
@@ -273,51 +268,3 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
     if held:
         at.table.arcs = at.table.arcs._replace(room=room)
     return held
-
-
-def _cheapest(
-    at: Endpoints,
-    request: PlanRequest,
-    body: BodyModel,
-    ends: NDArray[np.bool_],
-    exit_cost: NDArray[np.float64],
-    xy: tuple[float, float],
-    start_yaw: float,
-    goal_yaw: float,
-    guide: Guide | None,
-) -> tuple[Route | None, int, Guide | None]:
-    """The route of `_search`, weighed as `body` does, the number of states that were looked at, and what guided the search; `guide` is that of the
-    same search before turns were taken out."""
-    table, start = at.table, at.start
-    w = weights_of(body)
-    if ends[start]:
-        route, cost, expanded = np.empty(0, np.int64), 0.0, 0
-    elif request.variant == "native":
-        cost, slots, expanded = search_nodes(w, table.arcs, start, ends, exit_cost, *xy)
-        route = 2 * slots
-    else:
-        sweeps = request.variant != "edge-only"
-        tables = table.tables(body)
-        asked = Asked(
-            start,
-            ends,
-            exit_cost,
-            start_yaw,
-            goal_yaw,
-            sweeps,
-            at.exact,
-            request.rules.backward if sweeps else np.inf,
-            request.rules.turning,
-        )
-        on = table.sampler, w, table.arcs, tables
-        known = guide is None
-        if guide is None:
-            guide = guide_to(*on, asked, *xy, go_on(table, tables, body, asked))
-        cost, route, expanded, turns, guide = search_pairs(*on, asked, guide, ALL if known else MOST)
-        if np.isinf(cost) and not known:
-            guide = guide_to(*on, asked, *xy, go_on(table, tables, body, asked, keep=False))
-            cost, route, expanded, turns, guide = search_pairs(*on, asked, guide, ALL)
-        table.keep(body, tables._replace(turns=turns))
-    if not np.isfinite(cost):
-        return None, expanded, guide
-    return Route.along(table, start, route, start_yaw, goal_yaw, request.rules), expanded, guide

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from planning.risk.body import edge_poses, sweep_poses, weights_of
-from planning.risk.footprint import steps_beneath
+from planning.risk.steps import steps_beneath
 from planning.risk.table import RiskTable
 from planning.search.explain import Route
 

@@ -11,7 +11,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import face_in_the_way, in_fields, make_path, new_field, still_safe
 from planning.risk.body import BodyModel, terrain_of
-from planning.risk.footprint import steps_under
+from planning.risk.steps import steps_under
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import flat, rough
 

@@ -118,7 +118,7 @@ def test_the_same_query_again_settles_little_also_where_the_guard_holds_turns(
         searches.append((int(go.settled.sum()), go))
         return go
 
-    monkeypatch.setattr(sys.modules["planning.search.plan"], "go_on", noted)
+    monkeypatch.setattr(sys.modules["planning.search.route_search"], "go_on", noted)
     graph, grid = among_posts(seed)
     table = RiskTable(graph, grid, BODY)
     first = found(graph, grid, HELD, table)
@@ -137,7 +137,7 @@ def test_a_search_led_by_bounds_that_know_of_held_turns_finds_the_same(
 ) -> None:
     graph, grid = among_posts(seed)
     got = found(graph, grid, HELD, RiskTable(graph, grid, BODY))
-    module = sys.modules["planning.search.plan"]
+    module = sys.modules["planning.search.route_search"]
     guides, guide_to = [], vars(module)["guide_to"]
     monkeypatch.setattr(module, "MOST", 0)
     monkeypatch.setattr(module, "guide_to", lambda *args: guides.append(guide_to(*args)) or guides[-1])

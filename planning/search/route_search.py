@@ -1,0 +1,84 @@
+"""The cheapest route between the ends of a query, again and again while turns are taken out of the graph."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planning.risk.body import BodyModel, weights_of
+from planning.search.again import go_on
+from planning.search.bounds import Asked
+from planning.search.endpoints import Endpoints
+from planning.search.explain import Route
+from planning.search.nodes import search_nodes
+from planning.search.pairs import Guide, guide_to, search_pairs
+from planning.search.request import PlanRequest
+
+MOST, ALL = 20_000, 2**62
+"""States that a search looks at while it is led by bounds that know nothing of the turns the guard holds: beyond that it gets bounds of its own. 3,217 were the most that was seen."""
+
+
+class RouteSearch:
+    """What the searches of one query share. Turns that are missing in `at.table.arcs` since the last one only make routes dearer, so the bounds of the
+    first lead them all."""
+
+    def __init__(
+        self,
+        at: Endpoints,
+        request: PlanRequest,
+        body: BodyModel,
+        ends: NDArray[np.bool_],
+        exit_cost: NDArray[np.float64],
+        xy: tuple[float, float],
+        start_yaw: float,
+        goal_yaw: float,
+    ) -> None:
+        """To the end node (nodes,) with the least cost plus `exit_cost` (nodes,), none of which is less than the way to `xy` is long. Weighed as `body` does."""
+        self.expanded = 0
+        """States that the last search looked at."""
+        self._at, self._request, self._body, self._xy = at, request, body, xy
+        sweeps = request.variant != "edge-only"
+        self._asked = Asked(
+            at.start,
+            ends,
+            exit_cost,
+            start_yaw,
+            goal_yaw,
+            sweeps,
+            at.exact,
+            request.rules.backward if sweeps else np.inf,
+            request.rules.turning,
+        )
+        self._guide: Guide | None = None
+
+    def cheapest(self) -> Route | None:
+        """The route over the turns that there are now."""
+        asked, table = self._asked, self._at.table
+        if asked.is_end[asked.start]:
+            cost, route, self.expanded = 0.0, np.empty(0, np.int64), 0
+        elif self._request.variant == "native":
+            ends = asked.start, asked.is_end, asked.exit_cost
+            cost, slots, self.expanded = search_nodes(weights_of(self._body), table.arcs, *ends, *self._xy)
+            route = 2 * slots
+        else:
+            cost, route = self._over_pairs()
+        if not np.isfinite(cost):
+            return None
+        return Route.along(table, asked.start, route, asked.start_yaw, asked.goal_yaw, self._request.rules)
+
+    def _over_pairs(self) -> tuple[float, NDArray[np.int64]]:
+        """Cost and states of the best route over pairs of nodes."""
+        asked, table, body = self._asked, self._at.table, self._body
+        tables = table.tables(body)
+        on = table.sampler, weights_of(body), table.arcs, tables
+        first = self._guide is None
+        if self._guide is None:
+            self._guide = guide_to(*on, asked, *self._xy, go_on(table, tables, body, asked))
+        cost, route, self.expanded, turns, self._guide = search_pairs(
+            *on, asked, self._guide, ALL if first else MOST
+        )
+        if np.isinf(cost) and not first:
+            self._guide = guide_to(*on, asked, *self._xy, go_on(table, tables, body, asked, keep=False))
+            cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL)
+        table.keep(body, tables._replace(turns=turns))
+        return cost, route

@@ -160,7 +160,7 @@ class Response:
         """`data`; an empty text is an empty object. Raises WireError."""
         try:
             value = json.loads(self.data) if self.data else {}
-        except json.JSONDecodeError as error:
+        except (ValueError, RecursionError) as error:  # a number of 5000 digits is no JSONDecodeError
             raise WireError(f"answer {self.data[:40]!r} is not JSON") from error
         if not isinstance(value, dict):
             raise WireError(f"answer {self.data[:40]!r} is not an object")

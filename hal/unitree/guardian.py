@@ -178,7 +178,7 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     try:
         link = DdsLink(interface, domain, [], (api.SPORT, api.OBSTACLES_AVOID) if avoid else (api.SPORT,))
     except BackendError as error:
-        print(f"guardian: {error}", file=sys.stderr)
+        _say(str(error))
         return 1
     try:
         watch(link, avoid, 0, 1)
@@ -210,9 +210,10 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
             else:
                 gone = True
         elif moving and not ended and now - heard > SILENCE:
-            print(f"guardian: no heartbeat for {now - heard:.2f} s, stopping the robot", file=sys.stderr)
             moving = False
             order.give(api.Sport.STOP_MOVE)
+            order.pump()
+            _say(f"no heartbeat for {now - heard:.2f} s, stopping the robot")
         if not (ended or gone) and now - sign >= 0.1:
             sign = now
             ready = ready or link.reachable(api.SPORT)
@@ -223,8 +224,15 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
         if gone:
             ended = True
             if moving:
-                print("guardian: the driver is gone, stopping the robot", file=sys.stderr)
                 order.give(api.Sport.STOP_MOVE)
+                order.pump()
+                _say("the driver is gone, stopping the robot")
+
+
+def _say(words: str) -> None:
+    """After what matters, and on a full disk or a closed terminal not at all."""
+    with contextlib.suppress(OSError):
+        print(f"guardian: {words}", file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,14 @@ from hal.unitree.guardian import SILENCE, Order
 log = logging.getLogger(__name__)
 
 TOPICS = {service: f"rt/api/{service}/request" for service in (api.SPORT, api.OBSTACLES_AVOID)}
+ENDS = (
+    api.Sport.STOP_MOVE,
+    api.Sport.DAMP,
+    api.Sport.STAND_UP,
+    api.Sport.STAND_DOWN,
+    api.Sport.RECOVERY_STAND,
+)
+"""What ends a Move. The rest may come from programs that set something else, or ask: a StopMove too many does no harm."""
 POLL = 0.01
 """[s]"""
 
@@ -41,8 +49,8 @@ def velocity(service: str, request: Request) -> float | None:
     try:
         values = json.loads(request.parameter)
         return max(abs(float(values.get(name, 0.0))) for name in ("x", "y", "z", "yaw"))
-    except (ValueError, TypeError, AttributeError) as error:
-        raise WireError(f"Move with parameter {request.parameter!r}") from error
+    except (ValueError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise WireError(f"Move with parameter {request.parameter[:40]!r}") from error
 
 
 class Sentry:
@@ -64,8 +72,8 @@ class Sentry:
             if speed is not None:
                 self._heard = None if speed == 0.0 else now
                 self._order.avoid = service == api.OBSTACLES_AVOID
-            elif service == api.SPORT and request.api != api.Sport.EULER:
-                self._heard = None  # a stop, a posture: each ends a Move
+            elif service == api.SPORT and request.api in ENDS:
+                self._heard = None
         if self._heard is not None and now - self._heard > SILENCE:
             log.warning("Moves ceased for %.2f s without a stop: stopping the robot", now - self._heard)
             self._heard = None

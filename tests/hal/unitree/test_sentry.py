@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +64,16 @@ def test_silent_while_moves_come_and_after_a_stop(sentry: Sentry, link: Link) ->
     assert link.sent == []
 
 
+@pytest.mark.parametrize("number", [0, 1007, 1015, 1027, 1034, 2048])
+def test_what_another_program_asks_the_sport_service_ends_no_move(
+    sentry: Sentry, link: Link, number: int
+) -> None:
+    """Speed levels, gaits, questions: one that came last before the driver died had the robot roll on for its second."""
+    sentry.step(1.0, [move(0.5), (api.SPORT, Request(2, number))])
+    sentry.step(2.0, [])
+    assert [(s, r.api) for s, r in link.sent] == [(api.SPORT, Sport.STOP_MOVE)]
+
+
 def test_stops_the_robot_when_moves_cease_and_insists_until_confirmed(sentry: Sentry, link: Link) -> None:
     sentry.step(1.0, [move(-0.2)])
     sentry.step(1.0 + 0.9 * SILENCE, [])
@@ -83,7 +95,11 @@ def test_stops_the_obstacle_avoidance_as_well_where_it_drives(sentry: Sentry, li
     ]
 
 
-@pytest.mark.parametrize("parameter", ["", "[]", "{", '{"x": "fast"}', '{"x": null}'])
+@pytest.mark.parametrize(
+    "parameter",
+    ["", "[]", "{", '{"x": "fast"}', '{"x": null}', '{"x": 1' + 400 * "0" + "}", 10**5 * "["],
+    ids=len,
+)
 def test_a_move_that_cannot_be_read_neither_ends_nor_begins_anything(
     sentry: Sentry, link: Link, parameter: str
 ) -> None:
@@ -120,6 +136,35 @@ def test_a_guardian_whose_driver_dies_as_it_gives_its_sign_stops_the_robot(link:
             os.close(end)
     assert {(s, r.api) for s, r in link.sent} == {(api.SPORT, Sport.STOP_MOVE)}
     assert len(link.sent) > 1, "it insists until it is confirmed"
+
+
+@pytest.mark.parametrize("how", ["dies", "hangs"])
+def test_a_guardian_that_can_say_nothing_stops_the_robot(
+    link: Link, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its words go into a log on a full disk, or to a terminal that was closed: it ended by that before its first StopMove."""
+
+    class Full:
+        def write(self, _text: str) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def flush(self) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sys, "stderr", Full())
+    orders, tell = os.pipe()
+    read, signs = os.pipe()
+    os.write(tell, b"m")
+    if how == "dies":
+        os.close(tell)
+    else:
+        threading.Timer(2 * SILENCE, os.close, [tell]).start()
+    try:
+        watch(link, False, orders, signs)
+    finally:
+        for end in (orders, read, signs):
+            os.close(end)
+    assert {(s, r.api) for s, r in link.sent} == {(api.SPORT, Sport.STOP_MOVE)}
 
 
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: str) -> None:

@@ -391,3 +391,9 @@ def test_slow_drift_is_followed():
         clock.observe(round(host * (1 + 50e-6)) + 77 * NS, host + 1_000_000)  # 50 ppm fast
     error = clock.convert(round(host * (1 + 50e-6)) + 77 * NS, host + 1_000_000) - host
     assert abs(error) < 2_000_000
+
+
+@pytest.mark.parametrize("data", ["{", 5000 * "1", 10**5 * "[", "[]"], ids=len)
+def test_an_answer_that_holds_no_object_is_refused_in_words(data: str) -> None:
+    with pytest.raises(api.WireError, match="answer"):
+        api.Response(1, 1, 0, data).json()

@@ -117,6 +117,7 @@ export function open() {
     pressed = performance.now();
     confirmed = false;
     mine = 0;
+    delete link.newest.stop; // of a stop of before, perhaps of a server that is gone: a new one counts from 1
     tell("halt", { state: "sending", words: "STOP sent, waiting for the robot" });
     send();
     const again = setInterval(() => {

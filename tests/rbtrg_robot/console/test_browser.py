@@ -295,6 +295,55 @@ def test_a_server_that_is_gone_is_seen_and_comes_back(browser: Browser, robot: R
         context.close()
 
 
+BREAKABLE = """(() => {
+    const Real = WebSocket;
+    let last;
+    window.away = false;
+    window.WebSocket = function (address) { return (last = window.away ? { readyState: 0 } : new Real(address)); };
+    window.breakOff = () => { window.away = true; last.close(); };
+    window.comeBack = () => { window.away = false; last.onclose(); };
+})();"""
+"""A page whose connection breaks and comes back when it is told to."""
+STOPPED = "document.querySelector('#stop-said').textContent.includes('stopped: console')"
+NOT_CONFIRMED = "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')"
+
+
+@pytest.mark.parametrize("server", ["the same", "anew"])
+def test_a_page_that_comes_back_takes_no_state_of_before_for_an_answer_to_its_stop(
+    visit: Callable[..., Page], robot: Robot, server: str
+) -> None:
+    """The stop of before was confirmed and released; the next one is pressed during a break. `anew`: the console was started again, counts
+    stops from 1 and takes this one before the page's connection is back.
+    """
+    page = visit(wait=False)
+    page.add_init_script(BREAKABLE)
+    page.reload()
+    until(page, "document.body.dataset.fresh === 'live'")
+    page.keyboard.press("Escape")
+    until(page, STOPPED)
+    robot.reset()
+    robot.deaf = True
+    until(page, "!document.querySelector('#live').textContent.includes('Emergency stop')")
+    answer = '{"state": "sending", "words": "STOP sent, waiting for the robot", "press": 1}'
+    page.route(
+        "**/stop",
+        lambda route: route.abort() if server == "the same" else route.fulfill(status=200, body=answer),
+    )
+    page.evaluate("breakOff()")
+    page.keyboard.press("Escape")
+    until(page, NOT_CONFIRMED)
+    if server == "the same":
+        page.evaluate("comeBack()")
+        until(page, "document.body.dataset.fresh === 'live'")
+        until(page, NOT_CONFIRMED)
+    page.unroute("**/stop")
+    robot.deaf = False
+    if server == "anew":
+        page.evaluate("comeBack()")
+    soon(page, lambda: bool(robot.cause))
+    until(page, STOPPED)
+
+
 # --- who operates -------------------------------------------------------------------------------------------
 
 

@@ -20,6 +20,8 @@ from rbtrg_robot.wire.messages import stamp_of
 
 RATE_SHARE = 0.8
 """A topic is well at this share of its nominal rate."""
+BUSY = 1.0
+"""[s] without a heartbeat, of two a second."""
 WINDOW = 2.0
 """Rates are measured over about this long [s]."""
 SIMULATED_RATE_FLOOR = 0.5
@@ -105,6 +107,11 @@ class Health:
         """Seconds since the last heartbeat; None before the first."""
         beat = self.beats.get(process)
         return None if beat is None else time.monotonic() - beat[0]
+
+    def busy(self, process: str) -> bool:
+        """It is at work on something long: no heartbeat for a second, after others."""
+        age = self.beat_age(process)
+        return age is not None and age > BUSY
 
     @property
     def source_now(self) -> int:

@@ -102,8 +102,8 @@ def test_a_prior_map_that_does_not_fit_is_in_the_status_line() -> None:
         assert ("MAP: the prior map does not fit" in robot_line(health.robot_row())) == bool(warning)
 
 
-@pytest.mark.parametrize("phase", ["ready", "sitting", "standing", "disconnected", "fault"])
-def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(phase: str) -> None:
+def running(phase: str = "ready") -> Supervisor:
+    """All processes live; no topic is expected."""
     supervisor = Supervisor(load(None, []), None, lambda _line: None)  # type: ignore[arg-type]
     supervisor._expected = ()
     for name, child in supervisor._children.items():
@@ -111,7 +111,51 @@ def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(pha
         alive = t.HEARTBEAT.kind(header=header(1, ""), process=name, state="ready")
         take(supervisor._health, t.HEARTBEAT, alive)
     take(supervisor._health, t.ROBOT_STATE, t.ROBOT_STATE.kind(header=header(1, ""), phase=phase))
-    assert supervisor._well() == (phase in ("ready", "sitting"))
+    return supervisor
+
+
+@pytest.mark.parametrize("phase", ["ready", "sitting", "standing", "disconnected", "fault"])
+def test_a_stack_whose_robot_lies_is_up_one_whose_robot_is_in_trouble_is_not(phase: str) -> None:
+    assert running(phase)._well() == (phase in ("ready", "sitting"))
+
+
+@pytest.mark.parametrize(
+    ("topic", "before", "silent", "well"),
+    [
+        (t.ROUTE_STATUS, True, 5.0, True),
+        (t.ROUTE_STATUS, True, 0.5, False),
+        (t.ROUTE_STATUS, False, 5.0, False),
+        (t.MAP_WINDOW, True, 5.0, False),
+    ],
+    ids=["at work", "alive and silent", "never well", "another's"],
+)
+def test_a_planner_that_looks_at_a_large_map_keeps_no_stack_from_being_ready(
+    topic: t.Topic, before: bool, silent: float, well: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It prepared a prior map of 100 x 100 m for 6 s, and the start waited for it."""
+    supervisor, now = running(), 100.0
+    monkeypatch.setattr(module.time, "monotonic", lambda: now)
+    supervisor._expected = (topic,)
+
+    def beat_of_owner(count: int) -> None:
+        published = {
+            "topic": [topic.name],
+            "published": array([count], "uint64"),
+            "newest": array([1], "int64"),
+        }
+        alive = t.HEARTBEAT.kind(header=header(1, ""), process=topic.owner, state="ready", **published)
+        take(supervisor._health, t.HEARTBEAT, alive)
+
+    for turn in range(8):
+        beat_of_owner(round(1 + before * turn * topic.rate / 2))
+        now += 0.5
+    assert supervisor._well() is before
+    for _ in range(10):
+        beat_of_owner(99)
+        now += 0.5
+    assert not supervisor._well()
+    now += silent - 0.5
+    assert supervisor._well() is well
 
 
 def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:

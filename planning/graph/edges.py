@@ -7,12 +7,16 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.faces import BASE, OBLIQUE_RISK, is_oblique
+from planning.graph.faces import BASE, OBLIQUE_RISK, askew
 from planning.graph.flags import ASSUMED, FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
+SIDE = 0.08
+"""Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
+WALL = 0.03
+"""What is this much higher than the robot climbs [m] is a wall."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -89,6 +93,7 @@ def corridor(
     max_step,
     max_oblique,
     sums,
+    stood=False,
 ):
     """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for the
     share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), for the
@@ -98,7 +103,7 @@ def corridor(
     Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
     steeper than `max_tan` over a wheelbase, pitch and roll together. Ground outside the map is not seen.
-    `sums` is scratch, (sections, 9) float64.
+    `sums` is scratch, (sections, 9) float64. `stood`: the robot stands at a along u, so the ground under it there is not too steep, whatever the map says.
     """
     rows, cols = height.shape
     dx = xb - xa
@@ -126,7 +131,7 @@ def corridor(
     if met & FACE == FACE or met & (TIP | POSTS):
         return -1.0
     strip = half / 3.0
-    oblique = field = 0
+    field = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -135,10 +140,6 @@ def corridor(
         for c in range(c_lo, c_hi + 1):
             flag = flags[r, np.uint64(c)]
             field += flag & FIELD > 0
-            face_x = faces[r, np.uint64(c), 0]
-            face_y = faces[r, np.uint64(c), 1]
-            if (face_x != 0 or face_y != 0) and is_oblique(face_x, face_y, ux, uy, max_step, max_oblique):
-                oblique += 1
             ex = x0 + c * res - xa
             ey = y - ya
             k = int((ex * ux + ey * uy + front) / SECTION)
@@ -172,10 +173,43 @@ def corridor(
         virtual += sums[k, 8] > (1.0 - min_coverage) * sums[k, 0]
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
         return -1.0
-    if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip):
+    under = int(2.0 * front / SECTION) if stood else 0
+    if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
         return -1.0
-    share = min(1.0, oblique * res * res / (BASE * width))
-    return OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n + FIELD_RISK * field / area
+    faced, weight = _faced(faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique)
+    share = min(1.0, faced * res * res / (BASE * width))
+    return OBLIQUE_RISK * share * weight + VIRTUAL_RISK * virtual / n + FIELD_RISK * field / area
+
+
+@njit(cache=True, error_model="numpy")
+def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
+    """How many cells hold a face that is met too obliquely, and how much one of them counts (`askew`): under the corridor, as in `_covered`, and up to
+    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along."""
+    rows, cols, _ = faces.shape
+    wide = half + SIDE
+    reach = abs(uy) * front + abs(ux) * wide
+    yb = ya + (end - front) * uy
+    count = 0
+    total = 0.0
+    r_lo = max(0, math.ceil((min(ya, yb) - reach - y0) / res))
+    r_hi = min(rows - 1, math.floor((max(ya, yb) + reach - y0) / res))
+    for r in range(r_lo, r_hi + 1):
+        y = y0 + r * res
+        low, high = row_span(y, xa, ya, ux, uy, -front, end, wide)
+        c_lo = max(0, math.ceil((low - x0) / res))
+        c_hi = min(cols - 1, math.floor((high - x0) / res))
+        for c in range(c_lo, c_hi + 1):
+            face_x = faces[r, np.uint64(c), 0]
+            face_y = faces[r, np.uint64(c), 1]
+            if face_x == 0 and face_y == 0:
+                continue
+            across = (y - ya) * ux - (x0 + c * res - xa) * uy
+            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + WALL:
+                continue
+            weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
+            count += weight > 0.0
+            total += weight
+    return count, total / max(count, 1)
 
 
 @njit(cache=True)
@@ -203,12 +237,15 @@ def _falls_in(flags, x0, y0, res, xa, ya, ux, uy, low, high, half, max_gap):
 
 
 @njit(cache=True)
-def _not_steep(sums, n, limit, track):
-    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips."""
+def _not_steep(sums, n, limit, track, under):
+    """Pitch and roll of the swept profile stay under `limit`; `track` is the distance of the two wheel strips. What lies within the first `under`
+    sections is not judged."""
     ahead = round(SLOPE_BASE / SECTION)
     reach = round(0.5 * SMOOTH / SECTION)
     for i in range(max(1, n - ahead)):
         j = i + ahead
+        if j < under:
+            continue
         back = 0.0
         back_n = 0.0
         fore = 0.0

@@ -16,7 +16,7 @@ from mapping.grid import ElevationGrid
 from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
-from planning.graph.edges import MARGIN, SECTION, connect
+from planning.graph.edges import MARGIN, SECTION, SIDE, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
 from planning.graph.flags import halo, update_flags
@@ -144,7 +144,10 @@ class Lattice:
     def _around(self) -> float:
         """[m] from a node or an edge's end within which terrain matters to it."""
         p = self.params
-        return max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, p.robot_size) + self.cells.res
+        return (
+            max(0.5 * math.hypot(p.length, p.width + 2.0 * SIDE) + 2.0 * MARGIN, p.robot_size)
+            + self.cells.res
+        )
 
 
 def _axes(grid: ElevationGrid) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -44,7 +44,7 @@ def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep:
     keep: for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
     """
     arcs, w = table.arcs, weights_of(body)
-    _, is_end, exit_cost, _, *rest = asked
+    _, is_end, exit_cost, _, *rest, _ = asked
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost)

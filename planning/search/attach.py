@@ -23,14 +23,20 @@ from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import forward_only, turn_rates
-from planning.search.guarded import guarded_turn
+from planning.risk.turns import FACE_NOISE, forward_only, turn_rates
+from planning.search.guarded import guarded_turn, known_around
+from planning.search.wheels import climbs_back
 
 XY = tuple[float, float]
 STAND = 0.05
 """Beside the robot's own footprint [m] that counts as free: it stands there, whatever the noise of the map says."""
 SAME = 0.05
 """A node this near to a place [m] is that place: a move this short has no direction worth turning to."""
+ALONG = math.radians(20.0)
+"""The robot stands along a move that leads so little aside [rad]."""
+BACK_OFF = 20.0
+"""[m] Of robots that backed off a kerb of about 20 cm, whose front wheels had come down already, two fell and one was wedged (lanes 518, 535, 574); a fall weighs as much
+as 100 m of driving (`planning.risk.turns`)."""
 NEAREST = 8
 """Nodes around a goal that cannot be reached from which the way nearest to it is looked for."""
 
@@ -66,6 +72,7 @@ class Ground:
         self._ys = (grid.origin[1] + np.arange(rows) * grid.resolution).astype(np.float32)
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, 9))
+        self._stand = stand
         if stand is not None:
             self._flags, self._faces = self._flags.copy(), self._faces.copy()
             self._free(*stand)
@@ -94,7 +101,24 @@ class Ground:
         (x0, y0), where = c.origin, (*a, *b)
         ground = (grid.height, self._flags, x0, y0, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage)
-        return float(corridor(*ground, *where, *limits, self._faces, p.max_step, p.max_oblique, self._sums))
+        return float(
+            corridor(
+                *ground,
+                *where,
+                *limits,
+                self._faces,
+                p.max_step,
+                p.max_oblique,
+                self._sums,
+                self._stood(a, b),
+            )
+        )
+
+    def _stood(self, a: XY, b: XY) -> bool:
+        """Whether the robot stands at a along the move to b, or the other way round."""
+        if self._stand is None or a != self._stand[:2]:
+            return False
+        return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG)
 
     def risk(self, a: XY, b: XY) -> np.float32:
         """Native risk of that move, as of an edge; negative where it cannot be driven."""
@@ -106,7 +130,10 @@ class Ground:
         p, c = self._graph.params, self._cells
         ground = (self._grid.height, self._xs, self._ys, self._flags, self._faces, *c.origin, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
-        return _risks(*ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums)
+        a, b = (tuple(place) for place in places[:2].tolist())
+        return _risks(
+            *ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums, self._stood(a, b)
+        )
 
     def headings(self, xy: XY) -> np.uint64:
         """`TraversalGraph.free_headings` at x, y."""
@@ -116,6 +143,14 @@ class Ground:
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
         """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
         return guarded_turn(self._grid, self._graph.params, xy, yaw, turn, spare)
+
+    def back_cost(self, xy: XY, yaw: float) -> float:
+        """What it costs more [m] to begin backward from a pose: `BACK_OFF` where the front wheels came down a face too high to be climbed backward."""
+        p = self._graph.params
+        if p.max_step_back is None or math.isnan(yaw):
+            return 0.0
+        around = known_around(self._grid, xy, 0.6)
+        return BACK_OFF if climbs_back(around, (*xy, yaw), p.max_step_back + FACE_NOISE, p.max_slope) else 0.0
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
@@ -204,12 +239,13 @@ def _risks(
     max_oblique,
     radius,
     sums,
+    stood,
 ):
     out = np.full(len(places) - 1, np.float32(-1.0))
     for k in range(len(out)):
         xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
         added = corridor(
-            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums,
+            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums, stood and k == 0,
         )  # fmt: skip
         if added < 0.0:
             break

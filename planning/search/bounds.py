@@ -109,6 +109,8 @@ class Asked(NamedTuple):
     backward: float
     """An edge driven backward costs so many times as much, more over faces that are climbed forward only; inf: none is."""
     turning: float
+    start_back: float
+    """[m] more for a route that begins backward."""
 
 
 class ToGo(NamedTuple):
@@ -191,7 +193,7 @@ def cost_to_go(
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge = tables.edge
-    start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
+    start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning, start_back = asked
     ways = 1 if np.isinf(backward) else 2
     h, settled, after = go
     f, s, e, n = heap
@@ -224,7 +226,7 @@ def cost_to_go(
             if at == start:
                 whole = cost
                 if sweeps:
-                    whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                    whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning) + way * start_back
                 least = min(least, whole)
                 if once:
                     continue

@@ -37,6 +37,8 @@ class Endpoints:
     """The goal without a node lies on seen ground and in no obstacle."""
     exact: bool = False
     """The start is the pose itself, not the node next to it."""
+    start_back: float = 0.0
+    """[m] more for a route that begins backward."""
     ground: Ground | None = None
     """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: tuple[RiskTable, NDArray[np.int64]] | None = None
@@ -101,6 +103,7 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         short,
         seen,
         not is_node(request.start),
+        0.0 if is_node(request.start) else ground.back_cost(start_xy, yaw),
         ground,
         (table, kept),
     )

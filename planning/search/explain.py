@@ -40,6 +40,8 @@ class Route:
     """(n,) faces at each point are too high to be climbed backward."""
     moments: NDArray[np.float64]
     """(n - 1, 3, 3, 4), see `route_moments`."""
+    start_back: float = 0.0
+    """[m] more where it begins backward."""
 
     @classmethod
     def along(
@@ -50,6 +52,7 @@ class Route:
         start_yaw: float,
         goal_yaw: float,
         rules: DriveRules = DriveRules(),
+        start_back: float = 0.0,
     ) -> Route:
         """The route over these states (`planning.search.pairs`) from node `start`."""
         arcs = table.arcs
@@ -69,6 +72,7 @@ class Route:
             arcs.turn_rate[list(nodes)],
             arcs.forward_only[list(nodes)],
             np.empty((len(slots), 3, 3, 4)),
+            start_back,
         )
         out.evaluate(table.sampler, weights_of(table.body), 0, len(slots))
         return out
@@ -109,6 +113,8 @@ class Route:
         )
         if 0 < last == len(self.risk):
             cost[-2] += cost[-1]
+        if first == 0 < last and self.back[0]:
+            cost[0] += self.start_back
         return cost[:-1]
 
     def terms(self, w: Weights, first: int, last: int, sweeps: bool = True) -> NDArray[np.float64]:

@@ -72,6 +72,7 @@ def _rest(
         turn_rate,
         only,
         np.empty((count, 3, 3, 4)),
+        at.start_back,
     )
     if not all(has_room(ground, route, k) for k in range(len(xy))):
         return None

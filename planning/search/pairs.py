@@ -111,7 +111,7 @@ def _forward(
     limited: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
-    start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
+    start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning, start_back = asked
     ways = 1 if np.isinf(backward) else 2
     none = np.empty(0, np.int64)
     h, settled = go.h, go.settled
@@ -174,7 +174,10 @@ def _forward(
                                     room[at], turn_rate[at], heading, state // 2, out, change, turning
                                 )
                             else:
-                                turned = first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                                turned = (
+                                    first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
+                                    + way * start_back
+                                )
                             if is_end[k]:
                                 turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
                             cost += turned

@@ -48,6 +48,7 @@ class RouteSearch:
             at.exact,
             request.rules.backward if sweeps else np.inf,
             request.rules.turning,
+            at.start_back,
         )
         self._guide: Guide | None = None
 
@@ -64,7 +65,10 @@ class RouteSearch:
             cost, route = self._over_pairs()
         if not np.isfinite(cost):
             return None
-        return Route.along(table, asked.start, route, asked.start_yaw, asked.goal_yaw, self._request.rules)
+        rules = self._request.rules
+        return Route.along(
+            table, asked.start, route, asked.start_yaw, asked.goal_yaw, rules, asked.start_back
+        )
 
     def _over_pairs(self) -> tuple[float, NDArray[np.int64]]:
         """Cost and states of the best route over pairs of nodes."""

@@ -1,4 +1,4 @@
-"""Turns on the spot as the wheels feel them: one that turns climbs no face, whatever the guard lets the body turn through."""
+"""What the wheels feel: one that turns on the spot climbs no face, whatever the guard lets the body turn through, and one that is driven backward climbs less."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from hal.safety.swept import Surroundings, turn_step
 
 AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
 """Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
+BEHIND = 0.20
+"""[m] Who begins backward goes this far at least."""
 TURN_FACE = 0.09
 """[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar (`docs/simulated_robot.md`); 3 cm are the noise
 of the map."""
@@ -37,6 +39,29 @@ def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float)
         math.tan(max_slope),
     )
     return min(at * turn_step(), abs(turn))
+
+
+def climbs_back(around: Surroundings, pose: Pose, limit: float, max_slope: float) -> bool:
+    """Whether a face higher than `limit` [m] rises behind a wheel of a body at `pose`: between its axles, or as far behind it as it goes backward at least.
+    Ground may rise as steeply as `max_slope` [rad] besides."""
+    x, y, yaw = (float(v) for v in pose)
+    s = np.arange(AXLE, -AXLE - BEHIND, -0.5 * around.resolution)
+    grade, reach = math.tan(max_slope) * 0.5 * around.resolution, 4
+    for v in (
+        side * TREAD + edge for side in (1.0, -1.0) for edge in (-0.5 * TREAD_WIDTH, 0.0, 0.5 * TREAD_WIDTH)
+    ):
+        px, py = x + s * math.cos(yaw) - v * math.sin(yaw), y + s * math.sin(yaw) + v * math.cos(yaw)
+        col, row = (
+            np.floor((p - o) / around.resolution + 0.5).astype(int)
+            for p, o in zip((px, py), around.origin, strict=True)
+        )
+        rows, cols = around.height.shape
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        ground = np.where(inside, around.height[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], np.nan)
+        for k in range(1, reach + 1):
+            if (ground[k:] - ground[:-k] - grade * k > limit).any():
+                return True
+    return False
 
 
 @njit(cache=True)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.graph.faces import is_oblique, max_angle, update_faces
+from planning.graph.faces import askew, max_angle, update_faces
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
+from planning.search.attach import Ground
 from planning.search.plan import PlanRequest, plan
 
 RES = 0.04
@@ -76,9 +77,9 @@ def test_the_angle_allowed_falls_with_the_height() -> None:
         (180, False),
     ):
         u = np.cos(np.radians(travel)), np.sin(np.radians(travel))
-        assert is_oblique(100, 0, *u, 0.10, np.radians(30)) is oblique
-        assert not is_oblique(39, 0, *u, 0.10, np.radians(30))
-        assert not is_oblique(100, 0, *u, 0.10, np.radians(90))
+        assert (askew(100, 0, *u, 0.10, np.radians(30)) > 0.0) is oblique
+        assert askew(39, 0, *u, 0.10, np.radians(30)) == 0.0
+        assert askew(100, 0, *u, 0.10, np.radians(90)) == 0.0
 
 
 def worst_angle(points: np.ndarray, normal: np.ndarray, kerb: float) -> float:
@@ -110,3 +111,34 @@ def test_a_kerb_across_a_wide_lane_is_crossed_head_on_and_no_route_is_lost() -> 
     assert angles[0] > 45.0
     assert angles[1] < 35.0
     assert lengths[1] < 1.2 * lengths[0]
+
+
+def test_a_face_counts_the_more_the_more_obliquely_it_is_met() -> None:
+    travel = np.radians(np.arange(0, 91, 5))
+    weights = np.array([askew(200, 0, np.cos(a), np.sin(a), 0.20, np.radians(15)) for a in travel])
+    assert (np.diff(weights) >= 0.0).all()
+    assert weights[:4] == pytest.approx(0.0)
+    assert 0.0 < weights[6] < 0.25
+    assert weights[-4:] == pytest.approx(1.0)
+    low = [askew(120, 0, np.cos(a), np.sin(a), 0.20, np.radians(15)) for a in travel]
+    assert (np.array(low) <= weights).all()
+    assert max(low) < 0.6
+
+
+def beside(aside: float, height: float) -> float:
+    """What is added to the risk of a move along an edge of `height` that lies `aside` of its middle [m]."""
+    y, _ = np.mgrid[0:80, 0:100] * RES
+    z = np.where(y > 1.58 + aside, height, 0.0).astype(np.float32)
+    grid = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)
+    params = GraphParams(max_step=0.20, max_oblique=np.radians(15), blind_radius=0.0)
+    return Ground(TraversalGraph.build(grid, (1.0, 1.0), params, 0), grid).added_risk(
+        (1.6, 1.58), (2.0, 1.58)
+    )
+
+
+def test_an_edge_close_beside_the_robot_counts_and_a_wall_there_does_not() -> None:
+    assert beside(0.36, 0.20) > 0.2
+    assert beside(0.36, -0.20) > 0.2
+    assert beside(0.48, 0.20) == 0.0
+    assert beside(0.36, 0.05) == 0.0, "low enough for any angle"
+    assert beside(0.36, 0.60) == 0.0

@@ -170,7 +170,7 @@ def among_posts(seed: int) -> tuple[TraversalGraph, ElevationGrid]:
 def settled(table: RiskTable, is_end: np.ndarray) -> tuple[ToGo, int]:
     """The search backward over everything, and how many states it had settled before it began."""
     w, arcs, tables, come = weights_of(BODY), table.arcs, table.tables(BODY), np.zeros(len(is_end))
-    asked = Asked(0, is_end, np.zeros(len(is_end)), np.nan, np.nan, True, False, 1.3, 0.3)
+    asked = Asked(0, is_end, np.zeros(len(is_end)), np.nan, np.nan, True, False, 1.3, 0.3, 0.0)
     go = go_on(table, tables, BODY, asked)
     before = int(go.settled.sum())
     heap = reached(w, arcs, tables, 0, come, 1.3, go)

@@ -104,7 +104,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
         before = want.copy()
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
     tables, come = table.tables(BODY), np.zeros(len(a.x))
-    asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning)
+    asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning, 0.0)
     go = begin_to_go(a, is_end, beyond)
     heap = reached(W, a, tables, start, come, RULES.backward, go)
     least, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, np.inf)

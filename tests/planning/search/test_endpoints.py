@@ -207,3 +207,37 @@ def test_a_closed_narrow_lane_is_left_backward():
         assert abs(path.initial_turn) < 0.3
         return
     pytest.fail("no graph holds the lane")
+
+
+CLIMBER = GraphParams(
+    max_step=0.20, max_step_back=0.10, max_oblique=np.radians(15), max_slope=np.radians(30), blind_radius=0.0
+)
+RULES = DriveRules(backward=1.3, turning=0.3)
+
+
+def test_a_robot_whose_front_wheels_are_down_a_high_kerb_does_not_begin_backward() -> None:
+    _, x = np.mgrid[0:100, 0:120] * 0.04
+    height = np.where(x > 2.4, 0.0, 0.18).astype(np.float32)
+    grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
+    graph = TraversalGraph.build(grid, (2.45, 2.0), CLIMBER, 0)
+    off = plan(graph, grid, PlanRequest((2.45, 2.0), (2.3, 2.0), 0.0, 0.0, rules=RULES))
+    assert not off.transitions[0].backward
+    low = ElevationGrid(0.4 * height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
+    back = plan(
+        TraversalGraph.build(low, (2.45, 2.0), CLIMBER, 0),
+        low,
+        PlanRequest((2.45, 2.0), (1.4, 2.0), 0.0, rules=RULES),
+    )
+    assert back.transitions[0].backward
+
+
+def test_a_robot_half_down_a_kerb_that_it_met_askew_drives_on() -> None:
+    """Its left wheels are down and its right ones up: it rolls more than the limit of slopes, and stands there all the same."""
+    y, x = np.mgrid[0:100, 0:150] * 0.04
+    a = np.radians(52.0)
+    height = np.where((x - 3.0) * np.cos(a) + (y - 2.0) * np.sin(a) > 0.0, 0.0, 0.21).astype(np.float32)
+    grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
+    graph = TraversalGraph.build(grid, (1.0, 2.0), CLIMBER, 0)
+    found = plan(graph, grid, PlanRequest((2.97, 2.09), (4.6, 2.35), np.radians(9.0), rules=RULES))
+    assert not any(t.backward for t in found.transitions)
+    assert found.cost < 5.0, "no turn beside the edge"

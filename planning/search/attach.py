@@ -35,8 +35,8 @@ SAME = 0.05
 ALONG = math.radians(20.0)
 """The robot stands along a move that leads so little aside [rad]."""
 BACK_OFF = 20.0
-"""[m] Of robots that backed off a kerb of about 20 cm, whose front wheels had come down already, two fell and one was wedged (lanes 518, 535, 574); a fall weighs as much
-as 100 m of driving (`planning.risk.turns`)."""
+"""[m] Of two robots that backed onto a kerb of 20 cm, down which their front wheels had come already, one fell and one was wedged (lanes 518, 574); a fall weighs as much as
+100 m of driving (`planning.risk.turns`)."""
 NEAREST = 8
 """Nodes around a goal that cannot be reached from which the way nearest to it is looked for."""
 

@@ -91,6 +91,8 @@ class GuardStage:
         self._stamp = 0
         self._laid = True
         """Nothing came since the newest sweep was laid over the window."""
+        self._dark = False
+        """The window has no known ground, by whose height is told what stands on it."""
         self._malformed = 0
         self._ahead = round(params.pose_timeout * NS)
         p = params
@@ -159,6 +161,7 @@ class GuardStage:
         height, upper = patch.layers["elevation"], patch.layers["upper_bound"]
         source = patch.layers["source"]
         unknown = np.isnan(height)
+        self._dark = bool(unknown.all())
         self._filled = fill_unknown(height, upper)
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
@@ -252,6 +255,8 @@ class GuardStage:
             if abs(age) > limit:
                 return f"{topic.name} is {age:.1f} s old"
         assert self._around is not None
+        if self._dark:
+            return "the map knows no ground around the robot"
         here, orientation = self._place()
         if not np.isfinite((*here, *orientation)).all() or not self._around.holds(*here[:2]):
             # Beyond the window nothing is known, and ground that nobody saw does not stop a robot that drives forward.

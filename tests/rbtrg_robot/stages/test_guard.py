@@ -123,6 +123,25 @@ def test_ground_that_the_map_does_not_trust_is_ground_nobody_saw() -> None:
     assert limits.forward == 1.0
 
 
+def test_where_the_map_knows_no_ground_at_all_nothing_moves() -> None:
+    """What a sweep sees is told by its height above the ground: without any, a wall before the robot was taken for something high above it."""
+    around = Around()
+    around.position = (0.0, 0.0, 5.4)
+    wall = [[0.6, y, z] for y in np.linspace(-0.3, 0.3, 20) for z in (-0.1, 0.0, 0.1)]
+
+    def unseen(forward: Any, _: Any) -> Any:
+        return np.full_like(forward, np.nan)
+
+    limits = around.tick(unseen, points=wall, upper_bound=unseen)
+    assert four(limits) == (0.0, 0.0, 0.0, 0.0)
+    assert limits.reason == "the map knows no ground around the robot"
+    known = around.tick(
+        lambda forward, _: np.where(forward < 0.5, 5.0, np.nan), points=wall, upper_bound=unseen
+    )
+    assert known.forward < 0.8
+    assert "something the last sweep saw" in known.reason
+
+
 def test_a_drop_that_only_rays_have_shown_limits_the_way_ahead() -> None:
     """Nobody saw its ground, but it lies lower than this."""
 

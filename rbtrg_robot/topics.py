@@ -102,7 +102,7 @@ DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LA
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     8, "elevation", "whole elevation map, on request; a large one in blocks", recorded="full")
-MAP_PARTS      = Topic("/elevation_map/part",    msg.MapPart,          0, Qos.STATE,     8, "elevation", "the same to be saved, or for a planner that lost something: parts that tell how many they are", recorded="full")
+MAP_PARTS      = Topic("/elevation_map/part",    msg.MapPart,          0, Qos.STATE,    64, "elevation", "the same to be saved, or for a planner that lost something: parts that tell how many they are", recorded="")
 MAP_CLOUD      = Topic("/elevation_map/cloud",   msg.PointCloud2,      0, Qos.STATE,     2, "elevation", "what the map keeps of walls, one point per 0.25 m, on request, before the whole map", recorded="full")
 MAP_MIRROR     = Topic("/elevation_map/mirror",  msg.MapPart,          0, Qos.STATE,    32, "planner",   "the planner's copy of the map, in parts, for a restarted elevation process", recorded="")
 MAP_REQUEST    = Topic("/elevation_map/request", msg.MapRequest,       0, Qos.STATE,     4, "",          "full, parts: send the whole map and its cloud", publish_by=Role.OPERATOR)

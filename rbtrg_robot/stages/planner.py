@@ -36,7 +36,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.stages.way import WaySearch
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, map_parts, map_patch
-from rbtrg_robot.wire.messages import header, stamp_of
+from rbtrg_robot.wire.messages import header
 
 BACK = 2
 """Parts of the map that a restarted elevation process gets in one tick."""
@@ -92,8 +92,8 @@ class PlannerStage:
         self._malformed = 0
         self._incomplete = False
         """Something of the map was lost on its way: all of it is asked for."""
-        self._sending = 0
-        """Stamp of the parts that come [ns]."""
+        self._parts = 0
+        """How many parts come."""
         self._came: set[int] = set()
         """Those that have come."""
         self._heard = -AGAIN
@@ -180,12 +180,13 @@ class PlannerStage:
         """One of all, where they were asked for; others ask for them, too."""
         if not self._incomplete and self._map.known:
             return
-        if (stamp := stamp_of(message)) != self._sending:
-            self._sending = stamp
+        if message.parts != self._parts:  # the map has grown: they are others
+            self._parts = message.parts
             self._came.clear()
         self._heard = self._now
         self._incomplete = True
-        if message.part < message.parts and self._take_patch(message.map):
+        # What has come stays: on a busy computer one of each sending was lost, and all of it was never there at once.
+        if message.part in self._came or (message.part < message.parts and self._take_patch(message.map)):
             self._came.add(message.part)
             self._incomplete = len(self._came) < message.parts
 

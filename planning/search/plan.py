@@ -220,7 +220,8 @@ def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan |
         if found is None:
             continue
         if node == at.start:
-            return replace(found, short=float(np.hypot(x - goal[0], y - goal[1])))
+            left = way_to_go(at.table.grid, nodes[[node]], goal)
+            return replace(found, short=float(left[0]))
         return replace(found, reaches_goal=False, frontier=(x, y), to_go=float(to_go[node]))
     return None
 

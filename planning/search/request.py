@@ -121,7 +121,7 @@ class Plan:
     exact: bool = False
     """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0
-    """[m] from the plan's end to the goal asked for, where that is too near to something to stand there."""
+    """[m] from the plan's end to the goal asked for, where that is too near to something to stand there; around walls, where nothing leads to it."""
     kept: bool = False
     """This is what was left of the route driven so far."""
     expanded: int = 0

@@ -169,7 +169,7 @@ class WaySearch:
             return found, self.path_of(terrain, found)
         found = terrain.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
         if found.short > NEAR and not found.transitions:
-            why = f"no way leads nearer to the goal than here, {found.short:.2f} m from it: choose another goal, or clear the way"
+            why = "no way leads nearer to the goal than here: choose another goal, or clear the way"
             raise NoRoute(NoRouteReason.NO_ROUTE, why)
         if found.kept and driven is not None:
             pose = (message.start_x, message.start_y, message.start_yaw)

@@ -157,6 +157,17 @@ def test_what_blocks_the_way_to_a_goal_behind_a_wall_is_judged_from_near() -> No
     assert plan(graph, grid, there, BODY).length < 0.6
 
 
+def test_a_goal_close_behind_a_wall_is_not_near() -> None:
+    """A robot that drove past it on its way around lost the way for a moment, and ended its goal with `the last 0.98 m are not drivable` (lane 623)."""
+    y, x = np.mgrid[0:60, 0:120] * 0.05
+    ring = np.maximum(np.abs(x - 1.5), np.abs(y - 1.5))
+    grid, graph = world(np.where(np.abs(ring - 1.0) < 0.06, 1.0, 0.0))
+    graph.frontier[:] = False
+    found = plan(graph, grid, PlanRequest((2.0, 1.5), (2.95, 1.5), 0.0, allow_frontier=True), BODY)
+    assert not found.transitions
+    assert found.short > 1.0
+
+
 def test_ground_that_nothing_leads_to_is_told_from_ground_that_cannot_be_driven_on() -> None:
     _, x = np.mgrid[0:60, 0:120] * 0.05
     grid, graph = world(np.where(np.abs(x - 3.0) < 0.1, 1.0, 0.0))

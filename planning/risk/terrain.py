@@ -90,8 +90,9 @@ class Terrain:
         trusted cell: no sample ever needs a bounds check.
         """
         pad = 2 * int(np.ceil(margin / grid.resolution)) + 3
-        trusted = grid.trusted & np.isfinite(grid.height)
-        height, padded, seen = _pad(fill_unknown(grid.height), trusted, pad)
+        known = np.isfinite(grid.height)
+        filled = grid.height if known.all() else fill_unknown(grid.height)
+        height, padded, seen = _pad(filled, grid.trusted & known, pad)
         step = pad * grid.resolution
         x, y = grid.origin
         return cls(height, padded, seen, (x - step, y - step), grid.resolution, pad)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.faces import BASE, OBLIQUE_RISK, askew
+from planning.graph.faces import BASE, FACE_NOISE, OBLIQUE_RISK, askew
 from planning.graph.flags import ASSUMED, FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
@@ -15,8 +15,6 @@ MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SIDE = 0.08
 """Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
-WALL = 0.03
-"""What is this much higher than the robot climbs [m] is a wall."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -204,7 +202,7 @@ def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_o
             if face_x == 0 and face_y == 0:
                 continue
             across = (y - ya) * ux - (x0 + c * res - xa) * uy
-            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + WALL:
+            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE:
                 continue
             weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
             count += weight > 0.0

@@ -18,12 +18,14 @@ BASE = 0.12
 EVEN, STEEPEST = 0.7, 0.7
 """A slope goes on where the next rise is this share of the one here or more, the other way round too, unless it is steeper than this [m/m]: stairs
 rise evenly as well."""
+FACE_NOISE = 0.03
+"""[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs is a wall."""
 LEAST = 0.4
 """Faces below this share of the step limit are crossed at any angle alike."""
 OBLIQUE_RISK = 1.0
 """Added to the native risk of an edge that meets a face over the whole width of the body `ASKEW` more obliquely than allowed. About three edges meet
 one face, 0.4 m long each: with sigma = 3 about 4 m, as for turning by a radian on such a face (`planning.risk.turns`)."""
-ASKEW, MOST_ASKEW = math.radians(35.0), 1.0
+ASKEW = math.radians(35.0)
 """The hybrid controller drove straight up a face of 20 cm at 0 to 45 deg 48 times of 48, at 48 and 51 deg 29 of 32 and at 55 deg 2 of 12 (3 falls); 16 cm at 60 deg 8 of
 12, 12 cm at 60 deg 12 of 12 (physics alone, start and friction varied)."""
 
@@ -76,11 +78,11 @@ def max_angle(height, max_step, max_oblique):
 @njit(cache=True)
 def askew(face_x, face_y, ux, uy, max_step, max_oblique):
     """How much a face [mm] that is met by a move along the unit vector ux, uy counts: 0 within `max_angle` of its normal, 1 `ASKEW` beyond it, growing with
-    the square up to `MOST_ASKEW`."""
+    the square up to there."""
     height = 0.001 * max(abs(face_x), abs(face_y))
     if height <= LEAST * max_step:
         return 0.0
     size = math.hypot(float(face_x), float(face_y))
     angle = math.acos(min(abs(face_x * ux + face_y * uy) / size, 1.0))
     beyond = max(angle - max_angle(height, max_step, max_oblique), 0.0) / ASKEW
-    return min(beyond * beyond, MOST_ASKEW)
+    return min(beyond * beyond, 1.0)

@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.describe import HEADINGS, turn_is_free
+from planning.graph.faces import FACE_NOISE
 from planning.graph.params import GraphParams
 
 TURN_COST, STEEP_COST = 4.0, 8.0
@@ -23,8 +24,6 @@ HIGH_EDGES = ((0.09, 13.0), (0.16, 50.0))
 FREE_TURN, FREE_HIGH = np.radians(30.0), np.radians(15.0)
 """Turns over an edge, and over a high one, up to here [rad] are driven as a bend and cost nothing more: while the robot drove down a kerb of 19 cm
 1 of 40 fell in bends of 20 and 30 deg, 7 of 40 in those of 35 and 45 deg, none of 100 that drove straight."""
-FACE_NOISE = 0.03
-"""[m] by which a face on the map may be higher than the true one."""
 FORWARD_ONLY = 10.0
 """What a metre driven backward costs more often over a face that is climbed forward only: 15 of 18 drives of the hybrid controller backward over bars of 15 and 20 cm were stuck."""
 _STEP = np.pi / HEADINGS

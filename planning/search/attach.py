@@ -19,11 +19,13 @@ from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_edge
 from planning.graph.edges import MARGIN, SECTION, corridor
+from planning.graph.faces import FACE_NOISE
 from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import FACE_NOISE, forward_only, turn_rates
+from planning.risk.turns import forward_only, turn_rates
+from planning.search.guarded import REACH as GUARDED
 from planning.search.guarded import guarded_turn, known_around
 from planning.search.wheels import climbs_back
 
@@ -149,7 +151,7 @@ class Ground:
         p = self._graph.params
         if p.max_step_back is None or math.isnan(yaw):
             return 0.0
-        around = known_around(self._grid, xy, 0.6)
+        around = known_around(self._grid, xy, GUARDED)
         return BACK_OFF if climbs_back(around, (*xy, yaw), p.max_step_back + FACE_NOISE, p.max_slope) else 0.0
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:

@@ -45,23 +45,19 @@ def climbs_back(around: Surroundings, pose: Pose, limit: float, max_slope: float
     """Whether a face higher than `limit` [m] rises behind a wheel of a body at `pose`: between its axles, or as far behind it as it goes backward at least.
     Ground may rise as steeply as `max_slope` [rad] besides."""
     x, y, yaw = (float(v) for v in pose)
-    s = np.arange(AXLE, -AXLE - BEHIND, -0.5 * around.resolution)
-    grade, reach = math.tan(max_slope) * 0.5 * around.resolution, 4
-    for v in (
-        side * TREAD + edge for side in (1.0, -1.0) for edge in (-0.5 * TREAD_WIDTH, 0.0, 0.5 * TREAD_WIDTH)
-    ):
-        px, py = x + s * math.cos(yaw) - v * math.sin(yaw), y + s * math.sin(yaw) + v * math.cos(yaw)
-        col, row = (
-            np.floor((p - o) / around.resolution + 0.5).astype(int)
-            for p, o in zip((px, py), around.origin, strict=True)
-        )
-        rows, cols = around.height.shape
-        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-        ground = np.where(inside, around.height[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], np.nan)
-        for k in range(1, reach + 1):
-            if (ground[k:] - ground[:-k] - grade * k > limit).any():
-                return True
-    return False
+    step, rows, cols = 0.5 * around.resolution, *around.height.shape
+    u = np.arange(AXLE, -AXLE - BEHIND, -step)
+    v = np.array([[side * TREAD + k * TREAD_WIDTH] for side in (1.0, -1.0) for k in (-0.5, 0.0, 0.5)])
+    col = np.floor((x + u * math.cos(yaw) - v * math.sin(yaw) - around.origin[0]) / around.resolution + 0.5)
+    row = np.floor((y + u * math.sin(yaw) + v * math.cos(yaw) - around.origin[1]) / around.resolution + 0.5)
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    ground = np.full(inside.shape, np.nan)
+    ground[inside] = around.height[row[inside].astype(int), col[inside].astype(int)]
+    # a face rises within two cells, which are four steps
+    return any(
+        bool((ground[:, k:] - ground[:, :-k] - math.tan(max_slope) * step * k > limit).any())
+        for k in range(1, 5)
+    )
 
 
 @njit(cache=True)

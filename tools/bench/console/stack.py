@@ -33,6 +33,8 @@ from rbtrg_robot.wire.convert import (
 )
 from rbtrg_robot.wire.messages import header
 
+PACE = 0.05
+"""[m] that the robot drives between two words."""
 PERIOD = 0.1
 """[s]"""
 
@@ -100,6 +102,8 @@ class Robot:
             self.x = self.y = self.yaw = 0.0
             self.deaf = self.frozen = False
             """It hears no stop; it says nothing."""
+            self.pace = PACE
+            """[m] from word to word."""
             self.latch = 0
             self.cause = ""
             self.taken = ""
@@ -210,7 +214,7 @@ class Robot:
                 self.state = "reached"
             else:
                 self.yaw = math.atan2(dy, dx)
-                step = min(0.05, left)
+                step = min(self.pace, left)
                 self.x, self.y = self.x + step * dx / left, self.y + step * dy / left
         quaternion = rpy_quaternion((0.0, 0.0, self.yaw))
         speed = (0.5 if self.state == "moving" else 0.0, 0.0, 0.0)

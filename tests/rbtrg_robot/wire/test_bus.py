@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 import zenoh
@@ -11,7 +16,7 @@ import zenoh
 from rbtrg_robot import topics as t
 from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus, BusError, Received
-from rbtrg_robot.wire.messages import header, stamp_of
+from rbtrg_robot.wire.messages import encode, header, stamp_of
 from rbtrg_robot.wire.session import stack_id
 from tools.bench.ports import free_endpoint
 
@@ -78,6 +83,41 @@ def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:
         while not {(t.GOAL_STATUS, 2), (t.CMD_VEL, 49)} <= {(r.topic, r.stamp) for r in seen}:
             seen += b.take(1.0)
     assert [r.stamp for r in seen if r.topic is t.CMD_VEL][-1] == 49
+
+
+ROUTER = """
+import sys
+from rbtrg_robot.wire.bus import Bus
+with Bus(sys.argv[1], "supervisor", router=True):
+    print(flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_commands_wait_for_a_router_that_does_not_run_for_a_moment(endpoint: str) -> None:
+    """A busy computer lost velocities and the guard's limits: two waited, the others were dropped."""
+    words = t.HEARTBEAT.kind(detail="x" * 2900)  # short enough to go through the socket, which is full soon
+    with subprocess.Popen(
+        [sys.executable, "-c", ROUTER, endpoint], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as router:
+        assert router.stdout is not None
+        router.stdout.readline()
+        with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
+            b.subscribe([replace(t.CMD_VEL, depth=100), t.HEARTBEAT])
+            a.publish(t.CMD_VEL, t.CMD_VEL.kind(), 0)
+            a.publish(t.HEARTBEAT, words, 0)
+            collect(b, 2)
+            os.kill(router.pid, signal.SIGSTOP)
+            for _ in range(5000):
+                a.publishers[t.HEARTBEAT].put(encode(words), 0)
+            for i in range(1, 13):
+                a.publish(t.CMD_VEL, t.CMD_VEL.kind(header=header(i, "base_link")), i)
+            os.kill(router.pid, signal.SIGCONT)
+            got: list[Received] = []
+            while (came := b.take(2.0)) and len(got) < 12:
+                got += [r for r in came if r.topic.name == t.CMD_VEL.name]
+        router.communicate(b"")
+    assert [r.stamp for r in got] == list(range(1, 13))
 
 
 def test_a_late_joiner_gets_the_latched_message(router: Bus, endpoint: str) -> None:

@@ -129,10 +129,13 @@ class MapGraph:
         return self.table.terrain if self.table is not None and self.table.grid is self.grid else None
 
     def search(self, request: PlanRequest, avoid: np.ndarray | None = None) -> Plan:
-        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]. Raises PlanningError."""
+        """The route of RB-TRG. `avoid`: (n, 3) x, y, radius [m]; where the robot stands in one of them already, it counts no more: no way would lead out
+        of it. Raises PlanningError."""
         grid = self.ground()
         assert self.graph is not None
-        graph = self.graph if avoid is None or not len(avoid) else self.graph.avoiding(avoid)
+        discs = np.empty((0, 3)) if avoid is None else avoid
+        discs = discs[np.hypot(*(discs[:, :2] - request.start).T) > discs[:, 2]]
+        graph = self.graph.avoiding(discs) if len(discs) else self.graph
         return plan(graph, grid, request, self._body, self._table_on(graph, grid))
 
     def prepare(self) -> None:

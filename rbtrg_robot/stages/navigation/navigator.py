@@ -16,7 +16,7 @@ from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
-from rbtrg_robot.stages.navigation.progress import Pose2, ProgressMonitor, RouteWatch, Slide, Trail
+from rbtrg_robot.stages.navigation.progress import STRAY, Pose2, ProgressMonitor, RouteWatch, Slide, Trail
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance, unlocated
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
@@ -255,8 +255,9 @@ class NavigatorStage:
         broken = self._route.broken(now, self._plan, self._pose) if goal.state is GoalState.MOVING else ""
         if not broken and self._inputs.planner_silent(now, self._params.plan_retry):
             broken = PLANNER_SILENT
-        beside = self._inputs.beside if on_path and goal.state is GoalState.MOVING else 0.0
-        if self._slide.off(now, beside) and not broken:
+        beside = self._inputs.beside if on_path else 0.0
+        strayed = goal.state is GoalState.RECOVERING and beside > STRAY
+        if (self._slide.off(now, beside) or strayed) and not broken:
             broken = f"{beside:.2f} m beside its way"
         if broken:
             self._stand(goal, broken)

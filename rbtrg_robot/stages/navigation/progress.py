@@ -26,6 +26,9 @@ STUCK_ANGLE = 0.5
 """[rad]."""
 BESIDE = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
+STRAY = 0.10
+"""[m] beside the line of a recovery a robot is off the ground that it covered on its way: it stands and asks for a path. One that backed out of the edge of a
+bridge slid 0.22 m aside within a second and fell."""
 TRAIL_SPACING = 0.05
 TRAIL_LENGTH = 100
 TRAIL_ANGLE = 0.1

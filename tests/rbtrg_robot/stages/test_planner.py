@@ -262,6 +262,16 @@ def test_what_the_navigator_wants_avoided_is_driven_around() -> None:
     assert straight.length < answer.length
 
 
+def test_a_place_to_avoid_in_which_the_robot_stands_does_not_hold_it() -> None:
+    # A robot that got stuck three times beside a wall slid into a disc around one of these places, and found no way for 5 s.
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(np.zeros((100, 150))))
+    avoid = np.array([1.6, 1.8, 0.3, 3.0, 2.0, 0.5])
+    answer = ask(stage, (1.5, 2.0), (4.5, 2.0), avoid=avoid)
+    assert answer.ok
+    assert np.hypot(np.array(answer.x) - 3.0, np.array(answer.y) - 2.0).min() > 0.4, "the other one counts"
+
+
 def test_a_passage_that_one_sample_misses_is_found_in_another_at_once() -> None:
     stages = found = elsewhere = 0
     for seed in range(40):

@@ -917,6 +917,29 @@ def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_recovery_that_leaves_the_ground_it_covered_stands_and_asks_anew(world: World, side: float) -> None:
+    world.come_along()
+    world.goal()
+    world.answer()
+    world.tracker_phase = "aligning"
+    world.send(t.MOTION_LIMITS, forward=0.1, backward=1.0, left=1.0)
+    world.run(5.5)
+    assert world.status.detail == "backing out"
+    world.tracker_phase = "following"
+    requests = world.count(t.PLAN_REQUEST)
+    world.cross_track = 0.08 * side
+    world.run(0.3)
+    assert world.status.state == "recovering"
+    assert world.count(t.PLAN_REQUEST) == requests
+    world.cross_track = 0.12 * side
+    world.run(0.2)
+    assert len(world.last(t.PATH_COMMAND).x) == 0
+    assert world.count(t.PLAN_REQUEST) == requests + 1
+    world.run(0.6)
+    assert (world.status.state, world.status.detail) == ("planning", "0.12 m beside its way")
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_robot_that_slid_off_its_path_stands_and_asks_anew(world: World, side: float) -> None:
     world.goal()
     world.answer()

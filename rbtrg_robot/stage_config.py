@@ -165,7 +165,9 @@ class RecorderConfig(BaseModel):
         "full",
         description="full: everything; standard: what odometry and map can be made from again, sweeps packed; lean: no clouds, no re-run",
     )
-    flush_period: float = Field(1.0, gt=0, description="most that a killed recorder loses [s]")
+    flush_period: float = Field(
+        0.25, gt=0, description="most that a killed recorder loses, beside what comes until it is back [s]"
+    )
     rotate_seconds: float = Field(300.0, gt=0, description="begin a new file after [s]")
     rotate_megabytes: int = Field(1000, gt=0, description="or after [MB]")
     keep_gb: float = Field(

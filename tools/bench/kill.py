@@ -1,5 +1,5 @@
 """`kill -9` of every process in turn while the robot drives, or a signal that makes it hang: when the robot stands, when the process
-is back, what the goal does.
+is back, what the goal does, and how much the log lacks.
 
 Rest is judged by the simulator's truth and clock; it is asked of the processes whose loss matters for motion.
 The killed robot process is the simulator itself here, so its body is gone until it is back. `supervisor` and `zygote` are no rows of the
@@ -25,6 +25,7 @@ import psutil
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.log.stats import summarize
 from rbtrg_robot.processes import BY_NAME, PROCESSES, Process
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.wire.bus import Bus
@@ -41,7 +42,7 @@ STEADY = 1.0
 AHEAD = 4.0
 """Distance [m] of the goals."""
 ENDED = ("reached", "rejected", "aborted")
-ZYGOTE, SUPERVISOR = "zygote", "supervisor"
+ZYGOTE, SUPERVISOR, RECORDER = "zygote", "supervisor", "recorder"
 HELD = (5.0, 15.0)
 """[s] for which the supervisor hangs: both longer than the lease of a Zenoh session (2 s); the second is longer than most limits of the supervisor."""
 GONE = 10.0
@@ -98,6 +99,10 @@ def _live(
                         _kill(watch, row, f"{row.name}.{turn}", options.hang, report)
                 if ZYGOTE in options.only:
                     _kill_zygote(watch, f"{ZYGOTE}.{turn}", options.hang, report)
+        if RECORDER in options.only:  # one that dies twice within 30 s waits longer before it is started anew
+            run = max(logs.iterdir())  # its name begins with the date
+            gap = summarize(run).topics[t.IMU.name].longest_gap
+            report.add("log_gap_s.worst", gap, "s", 1.0 + (BY_NAME[RECORDER].hang if options.hang else 0.0))
     for turn in range(options.rounds if SUPERVISOR in options.only else 0):
         with running(report, scratch, logs, *settings, ended=not options.hang) as bus:
             if options.hang:

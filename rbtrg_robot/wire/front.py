@@ -17,10 +17,10 @@ from typing import Any
 
 from rbtrg_robot.crowd import CrowdedSocket
 
-DOORS = 32
+DOORS = 96
 """Ports of Zenoh."""
 REST = 0.12
-"""[s] after a failed handshake in which nobody else is sent to a port: about 270 of them a second close all."""
+"""[s] after a failed handshake in which nobody else is sent to a port: about 800 of them a second close all."""
 STRANGERS, GUESTS = 100, 160
 """Connections that have not come through a handshake, of which the oldest gives way to a newer one, and that have. Each takes three of the 1024
 open files of a process."""

@@ -38,6 +38,7 @@ from tools.bench.report import Report
 SILENT = 300
 HELD = 5000
 """Connections that a flood keeps open; the oldest is closed."""
+HOLDS = "holds"
 LONGEST = 60.0
 """[s] a new session is waited for."""
 TIMEOUT = 10.0
@@ -95,12 +96,13 @@ def _router(report: Report, seconds: float, broken: list[float]) -> None:
                 held.enter_context(tls.wrap_socket(socket.create_connection(address, timeout=5.0)))
             inside.measure(report, "router.removed", before, TIMEOUT + 6.0)
     for rate in broken:
-        for kind, says in {"junk": b"junk" * 20, "hello": client_hello()}.items():
+        kinds = {"junk": b"junk" * 20, "hello": client_hello(), HOLDS: client_hello()}
+        for kind, says in kinds.items():
             with (
                 site() as place,
                 Inside(place) as inside,
                 place.enter("operator") as before,
-                breaking_off(_address(place.endpoint), rate, says),
+                breaking_off(_address(place.endpoint), rate, says, hold=kind == HOLDS),
             ):
                 inside.measure(report, f"router.broken_{rate:.0f}.{kind}", before, seconds)
 
@@ -191,16 +193,21 @@ def client_hello() -> bytes:
 
 
 @contextlib.contextmanager
-def breaking_off(address: tuple[str, int], rate: float, says: bytes) -> Iterator[None]:
-    """Connections that say this and go, so many a second."""
+def breaking_off(address: tuple[str, int], rate: float, says: bytes, *, hold: bool = False) -> Iterator[None]:
+    """Connections that say this and go, so many a second. hold: that stay, and are closed by the other end."""
     end = threading.Event()
+    held: deque[socket.socket] = deque()
 
     def go() -> None:
         due = time.monotonic()
         while not end.wait(max(0.0, due - time.monotonic())):
             due += 1.0 / rate
-            with contextlib.suppress(OSError), socket.create_connection(address, timeout=5.0) as one:
+            with contextlib.suppress(OSError):
+                one = socket.create_connection(address, timeout=5.0)
+                held.append(one)
                 one.sendall(says)
+            while len(held) > (SILENT if hold else 0):
+                held.popleft().close()
 
     thread = threading.Thread(target=go)
     thread.start()
@@ -209,6 +216,8 @@ def breaking_off(address: tuple[str, int], rate: float, says: bytes) -> Iterator
     finally:
         end.set()
         thread.join()
+        for one in held:
+            one.close()
 
 
 def _address(endpoint: str) -> tuple[str, int]:

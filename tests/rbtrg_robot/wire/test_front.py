@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import random
 import socket
@@ -11,7 +12,7 @@ from collections.abc import Iterator
 import pytest
 
 from rbtrg_robot.wire import front
-from rbtrg_robot.wire.front import Front, greets
+from rbtrg_robot.wire.front import DOORS, Doors, Front, greets
 from tools.bench.access import site
 from tools.bench.flood import breaking_off, client_hello
 from tools.bench.ports import free_port
@@ -46,6 +47,31 @@ def test_fifty_broken_handshakes_a_second_keep_no_new_session_out(says: bytes) -
         with breaking_off((host, int(port)), 50.0, says):
             for _ in range(3):
                 place.enter("operator").close()
+
+
+def test_four_hundred_visitors_a_second_find_a_port_that_does_not_rest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Half of what a port is closed for: who holds on until he gives way to newer ones closes it a second time."""
+
+    class Clock:
+        now = 0.0
+
+        def time(self) -> float:
+            return self.now
+
+        async def sleep(self, seconds: float) -> None:
+            self.now += seconds
+
+    async def visit() -> None:
+        for _ in range(400):
+            doors.failed(await doors.next())
+
+    clock = Clock()
+    monkeypatch.setattr(front.asyncio, "sleep", clock.sleep)
+    doors = Doors(clock, list(range(DOORS)))  # type: ignore[arg-type]
+    asyncio.run(visit())
+    assert clock.now < 0.5
 
 
 @contextlib.contextmanager

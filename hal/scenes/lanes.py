@@ -6,8 +6,8 @@ a dead end (`fork`). Forty seeds in a row hold every layout with every kind of e
 controller's envelope, level 4 for all of it. In level 5 one element of the way is beyond what the controller's capabilities allow:
 such a lane must be refused.
 
-Seeds 0 to 199 are for work. Seeds from 200 on are set aside for results: they are neither run nor drawn nor looked at before the
-result is taken, and no test uses them.
+docs/results.md names the first seeds that nobody has driven: they are neither run nor drawn nor looked at before a result is taken, and no test
+uses seeds from 200 on.
 """
 
 from __future__ import annotations

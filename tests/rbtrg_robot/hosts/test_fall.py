@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+
+import numpy as np
+import pytest
 
 from hal.mujoco.config import Push
+from hal.scenes import load_scene
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
@@ -13,8 +18,15 @@ GOAL = (2.0, 3.0)
 """x, y [m]."""
 
 
-def test_a_robot_that_fell_gets_up_and_reaches_the_goal_when_it_is_sent_again() -> None:
-    config = load(None, ["sim.lidar_step=8"], scene="flat")
+@pytest.mark.parametrize("prior", [False, True])
+def test_a_robot_that_fell_gets_up_and_reaches_the_goal_when_it_is_sent_again(
+    tmp_path: Path, prior: bool
+) -> None:
+    map_file = ""
+    if prior:
+        scene, map_file = load_scene("flat"), str(tmp_path / "map.npz")
+        np.savez(map_file, height=scene.height, resolution=scene.resolution, origin=scene.origin)
+    config = load(None, ["sim.lidar_step=8"], scene="flat", map_file=map_file)
     push = Push(
         time=3.5, force=(0.0, 600.0, 0.0), duration=0.3
     )  # it is thrown 6 m, onto ground it has not seen

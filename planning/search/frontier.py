@@ -26,6 +26,8 @@ from planning.search.request import PlanRequest
 
 SAME_FRONTIER = 1.0
 """Frontier nodes within this distance [m] of the one chosen before count as the same frontier."""
+BACK = 0.3
+"""A frontier moves on as ground is seen: one that lies this much farther from the goal [m of the way to go] than the one chosen before is another."""
 SWITCH_SHARE = 0.10
 SWITCH_LEAST = 0.5
 """Another frontier must be better by this share of the kept one's worth and by at least this much [m]."""
@@ -199,6 +201,15 @@ def _far(
     for place in seen:
         out &= away(place) > LOOKED
     return out & nodes
+
+
+def same_frontier(
+    nodes: NDArray[np.float64], to_go: NDArray[np.float64], previous: tuple[float, float]
+) -> NDArray[np.bool_]:
+    """(n,) which nodes (n, 2) may be the frontier at `previous` as it is now; `to_go` (n,) is the way from each [m]. From the mouth of a flat lane a robot went
+    back to the rim of the stepfield beside it, 0.65 m away, as if that were the same frontier, and then into the field."""
+    away = np.hypot(*(nodes - np.array(previous)).T)
+    return (away <= SAME_FRONTIER) & (to_go <= to_go[int(away.argmin())] + BACK)
 
 
 def worth_keeping(kept: float, best: float) -> bool:

@@ -17,11 +17,11 @@ from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
-    SAME_FRONTIER,
     beside_virtual,
     fields_of,
     in_field,
     open_frontiers,
+    same_frontier,
     way_to_go,
     worth_keeping,
 )
@@ -183,8 +183,8 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
         ends |= beside_virtual(graph, at.start, request) & ~in_field(graph, nodes)
         best = _search(at, request, ends, to_go, goal, start_yaw, np.nan) or best
     if request.previous_frontier is not None:
-        near = np.hypot(*(nodes - np.array(request.previous_frontier)).T) <= SAME_FRONTIER
-        kept = _search(at, request, ends & near, to_go, goal, start_yaw, np.nan)
+        same = same_frontier(nodes, to_go, request.previous_frontier)
+        kept = _search(at, request, ends & same, to_go, goal, start_yaw, np.nan)
         if kept is not None and worth_keeping(
             kept.cost + to_go[kept.nodes[-1]], best.cost + to_go[best.nodes[-1]]
         ):

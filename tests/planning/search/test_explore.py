@@ -19,6 +19,7 @@ from planning.search.frontier import (
     virtual_around,
     way_to_go,
 )
+from planning.search.plan import plan
 from planning.search.request import PlanRequest
 from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
 from tests.planning.worlds import flat
@@ -239,3 +240,19 @@ def test_a_robot_before_a_crest_looks_behind_it_before_it_turns_away_to_a_far_fr
     assert np.flatnonzero(open_frontiers(graph, start, request)).tolist() == sorted((far, close))
     graph.frontier[:] = False
     np.testing.assert_array_equal(open_frontiers(graph, start, request), beside)
+
+
+def test_a_frontier_that_moved_on_is_kept_and_one_beside_it_that_lies_back_is_another() -> None:
+    # From the mouth of a lane a robot went back to the rim of the stepfield beside it, and then into the field.
+    grid = flat(6.0, 3.0)
+    graph = TraversalGraph.build(grid, (1.0, 1.5))
+    on, back = (int(np.hypot(*(graph.nodes[:, :2] - xy).T).argmin()) for xy in ((3.2, 1.5), (2.5, 1.9)))
+    graph.frontier[:] = False
+    graph.frontier[[on, back]] = True
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    graph.risk[(source == on) | (graph.indices == on)] += 0.6
+    x, y = graph.nodes[on, :2].tolist()
+    request = PlanRequest((1.0, 1.5), (9.0, 1.5), 0.0, allow_frontier=True, been=None)
+    assert plan(graph, grid, request).nodes[-1] == back, "it costs less"
+    driven_to = replace(request, previous_frontier=(x - 0.1, y))
+    assert plan(graph, grid, driven_to).nodes[-1] == on

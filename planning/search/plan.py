@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.edges import VIRTUAL_RISK
 from planning.graph.graph import TraversalGraph
-from planning.risk.body import BodyModel
+from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST
 from planning.search.endpoints import Endpoints, Place, endpoints, position
@@ -51,6 +52,8 @@ NEARER = 0.5
 the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
 HELD_TURNS = 12
 """Searches for a way of whose turns the guard holds none."""
+UNSEEN = 0.5
+"""A way to the goal of which more leads over ground that nobody saw [m] is not known to be one: frontiers are asked as well."""
 FIELD_STEP, LONG = 0.1, 0.5
 """A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
 
@@ -95,9 +98,11 @@ def _best(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float
     """The plan to the goal, or where that is the better or the only one to a frontier or towards the goal."""
     graph = at.table.graph
     found = None if at.goal is None else _to_goal(at, request, start_yaw, goal_yaw)
-    if request.allow_frontier and (found is None or _enters_field(graph, found)):
+    if request.allow_frontier and (
+        found is None or _enters_field(graph, found) or _over_unseen(found) > UNSEEN
+    ):
         other = _to_frontier(at, request, start_yaw)
-        if found is None or (other is not None and not worth_keeping(found.worth, other.worth)):
+        if found is None or (other is not None and not worth_keeping(_at_best(at, found), other.worth)):
             found = other
         if found is None and at.seen:
             found = _to_nearest(at, request, start_yaw)
@@ -192,6 +197,18 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     x, y, _ = best.points[-1]
     left = float(to_go[best.nodes[-1]])
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=left)
+
+
+def _over_unseen(plan: Plan) -> float:
+    """[m] of a plan that at most lead over ground that nobody saw: each transition counts with the unseen share of its worst pose."""
+    return sum(t.length * t.unknown for t in plan.transitions)
+
+
+def _at_best(at: Endpoints, plan: Plan) -> float:
+    """Cost [m] of a plan if its unseen ground is as good as that beyond a frontier, which counts as free: only so the two can be compared."""
+    w = weights_of(at.table.body)
+    price = w.native * VIRTUAL_RISK + w.unknown
+    return sum(max(t.cost - price * t.length * t.unknown, t.length + t.turn_cost) for t in plan.transitions)
 
 
 def _enters_field(graph: TraversalGraph, plan: Plan) -> bool:

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mapping.grid import ElevationGrid
 from planning.graph.flags import HIGH, LOW, VIRTUAL
-from planning.graph.graph import TraversalGraph
+from planning.graph.graph import GraphParams, TraversalGraph
 from planning.search.frontier import (
     ARRIVED,
     CLOSED,
@@ -256,3 +257,35 @@ def test_a_frontier_that_moved_on_is_kept_and_one_beside_it_that_lies_back_is_an
     assert plan(graph, grid, request).nodes[-1] == back, "it costs less"
     driven_to = replace(request, previous_frontier=(x - 0.1, y))
     assert plan(graph, grid, driven_to).nodes[-1] == on
+
+
+def unseen_between(detour: bool) -> ElevationGrid:
+    """8 x 4 m of level ground. Between x = 4 and 6 m rays passed low everywhere, or only behind a wall along the middle: the straight way is dark there."""
+    y, x = np.mgrid[0:100, 0:200] * 0.04
+    gap = (x > 4.0) & (x < 6.0)
+    z = np.zeros(x.shape, np.float32)
+    dark = gap & (y < 2.0) if detour else np.zeros(x.shape, bool)
+    if detour:
+        z[(np.abs(y - 2.0) < 0.1) & (x > 1.6) & (x < 7.0)] = 0.5
+    z[dark] = np.nan
+    return ElevationGrid(z, ~gap, (0.0, 0.0), 0.04, virtual=gap & ~dark)
+
+
+def test_a_far_way_over_ground_that_nobody_saw_is_no_reason_to_leave_a_near_frontier() -> None:
+    # Robots before the end of a lane turned round and drove all the way back, because hidden ground on another way joined the goal to the graph.
+    request = PlanRequest((1.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
+    grid = unseen_between(detour=True)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(blind_radius=0.0))
+    around = plan(graph, grid, replace(request, allow_frontier=False))
+    assert around.cost > 15.0
+    found = plan(graph, grid, request)
+    assert not found.reaches_goal
+    assert found.worth < 10.0
+    assert found.points[:, 1].max() < 2.0
+
+
+def test_a_way_ahead_over_ground_that_nobody_saw_leads_to_the_goal() -> None:
+    grid = unseen_between(detour=False)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(blind_radius=0.0))
+    request = PlanRequest((1.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
+    assert plan(graph, grid, request).reaches_goal

@@ -295,9 +295,10 @@ def _lives(process: psutil.Process) -> bool:
 
 
 def _has_all(status: Any, kept: Any) -> bool:
-    """The map of a restarted elevation process, whose scans count from 0, is what the one before had; half a percent may be seen anew."""
+    """The map of a restarted elevation process, whose scans count from 0, is what the one before had told; half a percent may be seen
+    anew. Stray cells are never told to the planner, and are not expected back: on ground that is being mapped a third of all."""
     anew = status.scans < kept.scans and not status.restoring
-    return bool(anew and status.known_cells >= 0.995 * kept.known_cells)
+    return bool(anew and status.trusted_cells >= 0.995 * kept.trusted_cells)
 
 
 def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) -> None:
@@ -337,7 +338,7 @@ def _kill(watch: Watch, row: Process, label: str, hang: bool, report: Report) ->
     report.add(f"back_s.{label}", back, "s", 5.0 + (row.hang if hang else 0.0))
     if whole != 0.0:
         print(
-            f"{label}: {watch.map.known_cells} of {kept.known_cells} cells after {whole:.1f} s; {watch.map.detail}",
+            f"{label}: {watch.map.trusted_cells} of {kept.trusted_cells} trusted cells after {whole:.1f} s; {watch.map.detail}",
             flush=True,
         )
         report.add(f"whole_map_s.{label}", whole, "s", 5.0 + (row.hang if hang else 0.0))

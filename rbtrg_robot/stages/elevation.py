@@ -26,6 +26,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.stage_config import ElevationStageConfig
+from rbtrg_robot.stages.handover import Handover, possible
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.navigation.reasons import LOCATED
@@ -50,12 +51,6 @@ from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
 NOTHING = np.empty((0, 3), np.float32)
-RESTORE_PATIENCE = 3_000_000_000
-"""A planner that says something so long after it was asked, or after the last part of its copy of the map came, has no more of it [ns]."""
-SILENT_PLANNER = 35_000_000_000
-"""Longest wait for one that says nothing [ns]: it may search all that time, and the supervisor ends it after 30 s."""
-MOST_EPOCHS = 2**31
-"""No restarted map goes on from a higher one: readers drop what is older, and the wire has 32 bits for it."""
 STATUS_PERIOD = 500_000_000
 """[ns]"""
 
@@ -118,12 +113,8 @@ class ElevationStage:
         self._detail = ""
         self._status_due = 0
         self._refused = 0
-        self._restoring = False
+        self._handover = Handover(elevation)
         """This process was restarted: nothing is mapped before the planner's copy of the map has come back."""
-        self._asked = 0
-        """When the wait for it, or for its next part, began [ns]."""
-        self._returned: set[int] = set()
-        """Parts of that copy that have come."""
         self._sending = MapBlocks()
         self._more = False
         """More has changed than is told at once."""
@@ -168,12 +159,11 @@ class ElevationStage:
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
                 self._take_over(message)
-            elif t.MAP_MIRROR.carried(message, topic) and self._restoring:
-                self._restore(message)
-            elif t.ROUTE_STATUS.carried(message, topic):
-                spoke_after = stamp_of(message) - self._asked
-                if self._asked and spoke_after > RESTORE_PATIENCE:
-                    return self._give_up()
+            elif t.MAP_MIRROR.carried(message, topic) and self._handover.under_way:
+                if whole := self._handover.take(message, self._now):
+                    self._detail, self._status_due = whole, 0
+            elif t.ROUTE_STATUS.carried(message, topic) and self._handover.spoken(stamp_of(message)):
+                return self._give_up()
             return self._join()
         except (LayoutError, MapError):
             self._refused += 1
@@ -181,7 +171,7 @@ class ElevationStage:
 
     def _join(self) -> Outputs:
         # Where the robot started must be known before anything is mapped.
-        if self._restoring or not self._frame.known:
+        if self._handover.under_way or not self._frame.known:
             return []
         return [output for scan in self._waiting.take() for output in self._fuse(scan)]
 
@@ -313,16 +303,15 @@ class ElevationStage:
 
     def _take_over(self, status: msg.MapStatus) -> None:
         """What the process before this one said last. Raises LayoutError where it cannot have."""
-        possible = status.epoch <= MOST_EPOCHS
-        restoring = possible and (status.known_cells > 0 or status.restoring)
+        restoring = possible(status) and (status.known_cells > 0 or status.restoring)
         if self._later and not (restoring and (status.location in LOCATED or status.prior != self._prior)):
             self._read_prior()
             self._location = Location.begin(self._name, self._prior_map, self._prior_cloud, self._start)
             if self._location.state.known and not restoring:
                 self.map.begin_on(self._prior_map, self._prior_cloud)
-        if not possible:
+        if not possible(status):
             raise LayoutError(f"no map began anew {status.epoch} times")
-        self._restoring = restoring
+        self._handover.under_way = restoring
         if status.prior != self._prior:  # another one was loaded meanwhile; what was made of it comes back
             self.map.reset()
             self._prior, self._prior_map, self._later = status.prior, (), None
@@ -341,32 +330,17 @@ class ElevationStage:
 
     def _give_up(self) -> Outputs:
         """Nobody has the map of before: begin anew, on the prior map where there is one."""
-        self._restoring, self._asked = False, 0
-        lost = "a part of the map" if self._returned else "the map"
-        words = f"restarted; {lost} of before is lost: the planner did not answer"
+        words = self._handover.give_up()
         if self._prior and self._location.state.known:
             return self._begin(words)
         self._detail, self._status_due = words, 0
         return []
 
-    def _restore(self, mirror: msg.MapPart) -> None:
-        self.map.expect(mirror.parts)
-        self.map.restore(map_patch(mirror.map, self.map.epoch))
-        self._returned.add(mirror.part)
-        self._asked = self._now
-        if len(self._returned) < mirror.parts:
-            return
-        self._restoring, self._asked = False, 0
-        self._detail = f"restarted; {self.map.store.counts()[1]} cells came back from the planner"
-        self._status_due = 0
-
     def tick(self, now: int) -> Outputs:
         """Status twice a second."""
         self._now = now
-        if self._restoring:
-            self._asked = self._asked or now
-            if now - self._asked > SILENT_PLANNER:
-                return self._give_up()
+        if self._handover.overdue(now):
+            return self._give_up()
         sent = self._sending.due()
         if now < self._status_due <= now + STATUS_PERIOD:  # a clock that was set back must not silence it
             return sent
@@ -381,7 +355,7 @@ class ElevationStage:
             trusted_cells=trusted,
             resolution=self.map.params.resolution,
             height_correction=self.map.alignment.height,
-            restoring=self._restoring,
+            restoring=self._handover.under_way,
             prior=self._prior,
             warning="; ".join(filter(None, (self._course.warning, self._blind(), self.map.warning))),
             refused=self._refused,

@@ -140,7 +140,7 @@ def test_a_planner_that_is_busy_for_half_a_minute_still_gives_the_map_back() -> 
     for topic, part in giver.on(t.MAP_STATUS, t.MAP_STATUS.kind(restoring=True)):
         assert topic is t.MAP_MIRROR
         stage.on(topic, part)
-    assert not stage._restoring
+    assert not stage._handover.under_way
     assert "came back from the planner" in stage._detail
 
 

@@ -16,7 +16,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.orders.map import FetchMap, read, save
 from rbtrg_robot.stages import planner
-from rbtrg_robot.stages.elevation import RESTORE_PATIENCE
+from rbtrg_robot.stages.handover import RESTORE_PATIENCE
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.wire.convert import map_patch, patch_msg
 from tests.rbtrg_robot.stages.test_elevation import Fed
@@ -120,7 +120,7 @@ def test_a_restarted_elevation_process_gets_all_parts_back() -> None:
     for k in range(20):
         for topic, message in outputs:
             if topic is t.MAP_MIRROR:
-                assert fed.stage._restoring == (parts < message.parts)
+                assert fed.stage._handover.under_way == (parts < message.parts)
                 fed.stage.on(topic, message)
                 room = room or fed.stage.map.store.touched.size
                 parts += 1
@@ -128,7 +128,7 @@ def test_a_restarted_elevation_process_gets_all_parts_back() -> None:
     assert parts == 3
     assert fed.stage.map.store.touched.size == room, "what came first was copied when more came"
     assert t.MAP_MIRROR.depth > planner.BACK
-    assert not fed.stage._restoring
+    assert not fed.stage._handover.under_way
     assert fed.stage.map.store.counts()[1] == 3 * 100 * 100
     assert "came back from the planner" in fed.status.detail
 

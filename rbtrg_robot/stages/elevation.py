@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import stand_height
 from hal.types import JointSample, MountedLidar
-from mapping.elevation.exchange import MapError, MapPatch
+from mapping.elevation.exchange import MapError
 from mapping.elevation.files import checked_cloud
 from mapping.elevation.map import AT_A_TIME, ElevationMap
 from mapping.elevation.mirror import WHOLE
@@ -30,6 +30,7 @@ from rbtrg_robot.stages.handover import Handover, possible
 from rbtrg_robot.stages.location import Location, State
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.navigation.reasons import LOCATED
+from rbtrg_robot.stages.prior import NOTHING, Prior
 from rbtrg_robot.stages.scans import Scan, Scans, rehearsal
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
@@ -50,7 +51,6 @@ from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
 
 SILENT_SCANS = 5
 """Scans without a point of a LiDAR after which it counts as silent."""
-NOTHING = np.empty((0, 3), np.float32)
 STATUS_PERIOD = 500_000_000
 """[ns]"""
 
@@ -93,19 +93,13 @@ class ElevationStage:
         self._waiting = Scans(self._sensors)
         self._frame = MapFrame()
         self._course = Course()
-        self._prior, self._name, self._start = prior, name, start
-        self._prior_map: tuple[MapPatch, ...] = ()
-        """Blocks of the prior map; none without one."""
-        self._prior_cloud = NOTHING
+        self._prior = Prior(prior, name, start, later=later)
         self._location = Location()
-        self._later = later
         if prior and later is None:
-            self._prior_map = tuple(map(elevation.read, elevation.boxes()))
-            self._prior_cloud = elevation.cloud.points
-            self._location = Location.begin(name, self._prior_map, self._prior_cloud, start)
+            self._prior.take(elevation)
+            self._location = self._prior.search()
             if not self._location.state.known:
                 elevation.reset()  # nothing of it holds before the robot is found in it
-        self._prior_stamp = 0
         self._stands = False
         self._odom: msg.Odometry | None = None
         self._scans = 0
@@ -248,32 +242,31 @@ class ElevationStage:
         patches = tuple(map_patch(block, self.map.epoch) for block in message.map)
         if not patches:
             raise LayoutError("a prior map without a block")
-        if patches[0].stamp == self._prior_stamp:
+        if patches[0].stamp == self._prior.stamp:
             return []  # a repeat
         if not self._stands:
             self._detail, self._status_due = "the map was not loaded: the robot moves", 0
             return []
         cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
         cloud = checked_cloud(cloud, "the loaded map")
-        self._prior, self._prior_map, self._prior_stamp = message.id, patches, patches[0].stamp
-        self._prior_cloud = cloud
-        frame = self._frame
-        self._location = Location.begin("the loaded map", patches, cloud, (frame.x, frame.y, frame.yaw))
+        start = (self._frame.x, self._frame.y, self._frame.yaw)
+        self._prior = Prior(message.id, "the loaded map", start, patches, cloud, patches[0].stamp)
+        self._location = self._prior.search()
         return self._begin("the map was loaded")
 
     def _begin(self, why: str) -> Outputs:
         """Start anew from the prior map: what was mapped stands elsewhere now. Readers hear of the new epoch first."""
         known = 0
         try:
-            self._read_prior()
+            self._prior.read()
         except MapError as error:  # it was there when the stack was started
             why = f"{why}; {error}"
-        if not self._prior_map:
-            self._prior = ""
-        if not self._prior_map or not self._location.state.known:
+        if not self._prior.patches:
+            self._prior.id = ""
+        if not self._prior.patches or not self._location.state.known:
             self.map.reset()
         else:
-            known = self.map.begin_on(self._prior_map, self._prior_cloud)
+            known = self.map.begin_on(self._prior.patches, self._prior.cloud)
         self._sending.stop()
         self._course.forget()
         self._waiting.forget()
@@ -304,34 +297,28 @@ class ElevationStage:
     def _take_over(self, status: msg.MapStatus) -> None:
         """What the process before this one said last. Raises LayoutError where it cannot have."""
         restoring = possible(status) and (status.known_cells > 0 or status.restoring)
-        if self._later and not (restoring and (status.location in LOCATED or status.prior != self._prior)):
-            self._read_prior()
-            self._location = Location.begin(self._name, self._prior_map, self._prior_cloud, self._start)
+        another = status.prior != self._prior.id
+        if self._prior.later and not (restoring and (status.location in LOCATED or another)):
+            self._prior.read()
+            self._location = self._prior.search()
             if self._location.state.known and not restoring:
-                self.map.begin_on(self._prior_map, self._prior_cloud)
+                self.map.begin_on(self._prior.patches, self._prior.cloud)
         if not possible(status):
             raise LayoutError(f"no map began anew {status.epoch} times")
         self._handover.under_way = restoring
-        if status.prior != self._prior:  # another one was loaded meanwhile; what was made of it comes back
+        if another:  # one was loaded meanwhile; what was made of it comes back
             self.map.reset()
-            self._prior, self._prior_map, self._later = status.prior, (), None
+            self._prior = Prior(status.prior)
             self._location = Location()
         self._location.restore(status)
         self.map.epoch = max(self.map.epoch, status.epoch)
         if math.isfinite(status.height_correction):
             self.map.alignment.height = status.height_correction
 
-    def _read_prior(self) -> None:
-        """The prior map, now that it is needed. Raises MapError."""
-        if self._later is not None:
-            read, self._later = self._later, None
-            prior = read()
-            self._prior_map, self._prior_cloud = tuple(map(prior.read, prior.boxes())), prior.cloud.points
-
     def _give_up(self) -> Outputs:
         """Nobody has the map of before: begin anew, on the prior map where there is one."""
         words = self._handover.give_up()
-        if self._prior and self._location.state.known:
+        if self._prior.id and self._location.state.known:
             return self._begin(words)
         self._detail, self._status_due = words, 0
         return []
@@ -356,7 +343,7 @@ class ElevationStage:
             resolution=self.map.params.resolution,
             height_correction=self.map.alignment.height,
             restoring=self._handover.under_way,
-            prior=self._prior,
+            prior=self._prior.id,
             warning="; ".join(filter(None, (self._course.warning, self._blind(), self.map.warning))),
             refused=self._refused,
             detail=self._detail,

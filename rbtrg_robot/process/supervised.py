@@ -11,8 +11,16 @@ from typing import Any
 import psutil
 
 from rbtrg_robot.process.health import Health
+from rbtrg_robot.process.leftovers import rotate
 from rbtrg_robot.process.zygote import Forked
 from rbtrg_robot.processes import Process
+
+BACKOFF = (0.2, 0.5, 1.0, 2.0, 5.0)
+"""Seconds before the n-th restart in a row."""
+SETTLED = 30.0
+"""A process that ran this long [s] starts over in BACKOFF."""
+PROCESS_LOG = 5_000_000
+"""Bytes after which a process log is rotated: twice that stays on the disk."""
 
 
 @dataclass(slots=True)
@@ -38,6 +46,26 @@ class Child:
     def alive(self) -> bool:
         """The process exists."""
         return self.forked is not None and self.forked.poll() is None
+
+    def ended(self, now: float) -> float:
+        """It has ended at `now`; returns the seconds after which it is due to be started anew."""
+        self.in_a_row = 0 if now - self.started > SETTLED else self.in_a_row
+        wait = BACKOFF[min(self.in_a_row, len(BACKOFF) - 1)]
+        self.in_a_row += 1
+        self.restarts += 1
+        self.due = now + wait
+        return wait
+
+    def measure(self) -> None:
+        """CPU since the last time, memory, and the length of what it printed."""
+        if self.forked is not None:
+            rotate(self.log_path, PROCESS_LOG)
+        if self.alive and self.usage is not None:
+            try:
+                self.cpu = self.usage.cpu_percent()
+                self.memory = self.usage.memory_info().rss / 1e6
+            except psutil.Error:
+                self.cpu = self.memory = 0.0
 
     def status(self, health: Health) -> dict[str, Any]:
         """Its row in `status --json`."""

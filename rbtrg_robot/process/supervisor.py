@@ -27,13 +27,13 @@ from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.latch import LatchFile
-from rbtrg_robot.process.leftovers import last_words, rotate, shared_segments
+from rbtrg_robot.process.leftovers import last_words, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
-from rbtrg_robot.process.supervised import Child, end
+from rbtrg_robot.process.supervised import BACKOFF, Child, end
 from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
@@ -42,18 +42,12 @@ from rbtrg_robot.wire.session import stack_id
 
 log = logging.getLogger(__name__)
 
-BACKOFF = (0.2, 0.5, 1.0, 2.0, 5.0)
-"""Seconds before the n-th restart in a row."""
-SETTLED = 30.0
-"""A process that ran this long [s] starts over in BACKOFF."""
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
 LEASE = 2.0
 """A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), and sessions with its router may have ended."""
 REJOIN = 6.0
 """[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended for silence."""
-PROCESS_LOG = 5_000_000
-"""Bytes after which a process log is rotated: twice that stays on the disk."""
 PLANNER = "planner"
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
@@ -277,11 +271,7 @@ class Supervisor:
                 child.fatal = words
                 self._say(f"{name} gave up: {words}")
                 continue
-            child.in_a_row = 0 if now - child.started > SETTLED else child.in_a_row
-            wait = BACKOFF[min(child.in_a_row, len(BACKOFF) - 1)]
-            child.in_a_row += 1
-            child.restarts += 1
-            child.due = now + wait
+            wait = child.ended(now)
             how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             why = words if code == PASSING else how
             if code != PASSING or why != child.words:  # a robot that is away for an hour is said once
@@ -327,14 +317,7 @@ class Supervisor:
             self._say("the process that starts the others ended; there is a new one, and the robot drives on")
         self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
         for child in self._children.values():
-            if child.forked is not None:
-                rotate(child.log_path, PROCESS_LOG)
-            if child.alive and child.usage is not None:
-                try:
-                    child.cpu = child.usage.cpu_percent()
-                    child.memory = child.usage.memory_info().rss / 1e6
-                except psutil.Error:
-                    child.cpu = child.memory = 0.0
+            child.measure()
 
     def _summary(self) -> str:
         """One line for the service manager."""

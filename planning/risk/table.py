@@ -41,35 +41,51 @@ class RiskTable:
         self.terrain = terrain_of(grid, body)
         self.sampler: Sampler = self.terrain.sampler(body.length, body.width)
         self._ids = graph.node_ids
+        self._arcs: Arcs | None = None
         self._tables: dict[tuple[float, float], Tables] = {}
         self.searched: object = None
         """What `planning.search.again` keeps of the last search, for the next one."""
-        if previous is None:
-            self.arcs: Arcs = arcs_of(graph)
-            return
-        was = slots_before(graph, previous._ids, previous.arcs)
-        self.arcs = arcs_of(graph, previous.arcs, was)
-        if previous.body == body and previous.grid.resolution == grid.resolution:
-            self._carry(previous, was)
+        if previous is not None and previous._arcs is None:  # nobody asked it for an edge
+            previous = previous._previous
+        self._previous: RiskTable | None = previous
+        if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
             self.searched = previous.searched
+
+    @property
+    def arcs(self) -> Arcs:
+        """The graph's edges; made when they are first asked for."""
+        if self._arcs is None:
+            old, self._previous = self._previous, None
+            if old is None:
+                self._arcs = arcs_of(self.graph)
+            else:
+                was = slots_before(self.graph, old._ids, old.arcs)
+                self._arcs = arcs_of(self.graph, old.arcs, was)
+                if old.body == self.body and old.grid.resolution == self.grid.resolution:
+                    self._carry(old, was)
+        return self._arcs
+
+    @arcs.setter
+    def arcs(self, arcs: Arcs) -> None:
+        self._arcs = arcs
 
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
 
         Evaluations go both ways: `take_back` brings home what the query added.
         """
-        out = copy.copy(self)
-        was = np.full(len(graph.indices), -1, np.int64)
+        arcs, was = self.arcs, np.full(len(graph.indices), -1, np.int64)
         was[kept] = np.arange(len(kept))
+        out = copy.copy(self)
         out.graph, out.arcs, out._tables, out._ids = (
             graph,
-            arcs_of(graph, self.arcs, was),
+            arcs_of(graph, arcs, was),
             {},
             graph.node_ids,
         )
         for body, tables in self._each():
             _copy_edges(kept, tables.edge, out.tables(body).edge)
-            out._take_turns(body, self.arcs, tables, kept)
+            out._take_turns(body, arcs, tables, kept)
         return out
 
     def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
@@ -90,9 +106,8 @@ class RiskTable:
 
     def tables(self, body: BodyModel) -> Tables:
         """Evaluations under the weights of `body`, which differs from the table's own only in them."""
-        key = (body.weight_mean, body.weight_tail)
+        slots, key = self.arcs.target.size, (body.weight_mean, body.weight_tail)
         if key not in self._tables:
-            slots = self.arcs.target.size
             self._tables[key] = Tables(
                 np.full((slots, 2), np.nan),
                 np.full(slots, -1, np.int32),
@@ -111,6 +126,7 @@ class RiskTable:
 
     def evaluated(self) -> tuple[int, int]:
         """Directed edges and turns evaluated so far, over all weights."""
+        self.tables(self.body)  # what was known before is carried over
         edges = sum(int((~np.isnan(t.edge[:, 0])).sum()) for t in self._tables.values())
         return edges, sum(int((~np.isnan(t.turns[:, 0])).sum()) for t in self._tables.values())
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from planning.graph.graph import TraversalGraph
 from planning.risk.arcs import Arcs
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.cost import Weights
@@ -22,6 +23,22 @@ from planning.risk.terrain import Sampler
 from planning.search.bounds import Asked, ToGo, begin_to_go
 
 KEPT, LOST = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a search knows beside the costs to the goal, for `planning.search.unbeaten`."""
+
+    graph: TraversalGraph
+    """Without the nodes of the query."""
+    version: int
+    """Of that graph then."""
+    come: NDArray[np.float64]
+    """(nodes,) see `cost_to_come`."""
+    beyond: float
+    """[m] A route over a state that is not settled costs at least so much."""
+    straight: float
+    """What the route that was found cost after it was made straight, as a share of what it cost before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +53,24 @@ class Search:
     edge: NDArray[np.float64]
     """`Tables.edge`"""
     go: ToGo
+    found: Found | None = None
+    """None where nothing was found, or not by this search alone."""
+
+
+def key_of(
+    body: BodyModel,
+    x: float,
+    y: float,
+    exit_cost: float,
+    goal_yaw: float,
+    sweeps: bool,
+    once: bool,
+    backward: float,
+    turning: float,
+) -> bytes:
+    """`Search.key` of a search to one end at x, y [m]; the rest as in `Asked`."""
+    weights = body.weight_mean, body.weight_tail
+    return np.array([*weights, goal_yaw, sweeps, once, backward, turning, x, y, exit_cost]).tobytes()
 
 
 def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep: bool = True) -> ToGo:
@@ -44,12 +79,13 @@ def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep:
     keep: for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
     """
     arcs, w = table.arcs, weights_of(body)
-    _, is_end, exit_cost, _, *rest, _ = asked
+    is_end, exit_cost = asked.is_end, asked.exit_cost
     ends = np.flatnonzero(is_end)
     if len(ends) != 1:
         return begin_to_go(arcs, is_end, exit_cost)
-    weights = body.weight_mean, body.weight_tail
-    key = np.array([*weights, *rest, arcs.x[ends[0]], arcs.y[ends[0]], exit_cost[ends[0]]]).tobytes()
+    end = int(ends[0])
+    how = asked.goal_yaw, asked.sweeps, asked.once, asked.backward, asked.turning
+    key = key_of(body, float(arcs.x[end]), float(arcs.y[end]), float(exit_cost[end]), *how)
     if isinstance(old := table.searched, Search) and old.key == key:
         was = slots_before(table.graph, old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)

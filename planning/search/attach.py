@@ -65,7 +65,7 @@ class Ground:
         self, graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float, float, float] | None = None
     ) -> None:
         assert graph.cells is not None
-        self._graph, self._grid = graph, grid
+        self.graph, self._grid = graph, grid
         self._cells: Cells = graph.cells
         self._flags, self._faces = self._cells.flags, self._cells.faces
         self.reach = REACH * self._cells.side + SAME
@@ -81,7 +81,7 @@ class Ground:
 
     def _free(self, x: float, y: float, yaw: float) -> None:
         """Clear what lies under the robot at this pose; at any heading (NaN) under its inner circle."""
-        p, res = self._graph.params, self._cells.res
+        p, res = self.graph.params, self._cells.res
         length, width = (p.width, p.width) if math.isnan(yaw) else (p.length, p.width)
         reach = 0.5 * math.hypot(length, width) + 2.0 * STAND
         (x0, y0), (rows, cols) = self._cells.origin, self._cells.shape
@@ -99,7 +99,7 @@ class Ground:
     def added_risk(self, a: XY, b: XY) -> float:
         """`corridor` of a straight move from a to b, at most `reach` apart: negative where it cannot be driven, else what it adds to the
         native risk."""
-        p, c, grid = self._graph.params, self._cells, self._grid
+        p, c, grid = self.graph.params, self._cells, self._grid
         (x0, y0), where = c.origin, (*a, *b)
         ground = (grid.height, self._flags, x0, y0, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage)
@@ -130,7 +130,7 @@ class Ground:
     def risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
         """(n - 1,) `risk` of the moves between places (n, 2), each at most `reach` from the next; all after the first that cannot be driven
         are negative as well."""
-        p, c = self._graph.params, self._cells
+        p, c = self.graph.params, self._cells
         ground = (self._grid.height, self._xs, self._ys, self._flags, self._faces, *c.origin, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
         a, b = (tuple(place) for place in places[:2].tolist())
@@ -140,16 +140,16 @@ class Ground:
 
     def headings(self, xy: XY) -> np.uint64:
         """`TraversalGraph.free_headings` at x, y."""
-        p, c = self._graph.params, self._cells
+        p, c = self.graph.params, self._cells
         return np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
         """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
-        return guarded_turn(self._grid, self._graph.params, xy, yaw, turn, spare)
+        return guarded_turn(self._grid, self.graph.params, xy, yaw, turn, spare)
 
     def back_cost(self, xy: XY, yaw: float) -> float:
         """What it costs more [m] to begin backward from a pose: `BACK_OFF` where the front wheels came down a face too high to be climbed backward."""
-        p = self._graph.params
+        p = self.graph.params
         if p.max_step_back is None or math.isnan(yaw):
             return 0.0
         around = known_around(self._grid, xy, GUARDED)
@@ -157,7 +157,7 @@ class Ground:
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
-        d = np.hypot(self._graph.nodes[:, 0] - xy[0], self._graph.nodes[:, 1] - xy[1])
+        d = np.hypot(self.graph.nodes[:, 0] - xy[0], self.graph.nodes[:, 1] - xy[1])
         found = np.flatnonzero((d <= reach) & (d > SAME))
         return found[np.argsort(d[found], kind="stable")]
 
@@ -183,13 +183,13 @@ class Ground:
 
     def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """`turn_rate` [m/rad] and `forward_only` of `Arcs` at places (n, 2), each (n,)."""
-        edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self._graph.params
+        edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self.graph.params
         return turn_rates(edge, params), forward_only(edge, params)
 
     def may_join(self, places: NDArray[np.float64]) -> bool:
         """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to be avoided."""
         length = np.hypot(*np.diff(places, axis=0).T)
-        return bool(((length > SAME) & (length <= self.reach)).all()) and self._graph.allows(places)
+        return bool(((length > SAME) & (length <= self.reach)).all()) and self.graph.allows(places)
 
     def joined(self, a: XY, b: XY) -> bool:
         """Whether one straight move leads from a to b."""
@@ -205,7 +205,7 @@ class Ground:
         best: XY | None = None
         nodes = self.near(xy, reach)[:NEAREST]
         c = self._cells
-        seen = in_sight(self._flags, *c.origin, c.res, *xy, self._graph.nodes[nodes, :2], reach)
+        seen = in_sight(self._flags, *c.origin, c.res, *xy, self.graph.nodes[nodes, :2], reach)
         for k in nodes[seen].tolist():
             a = self._at(k)
             low, high = 0.0, 1.0
@@ -218,7 +218,7 @@ class Ground:
         return best
 
     def _at(self, node: int) -> XY:
-        x, y = self._graph.nodes[node, :2].tolist()
+        x, y = self.graph.nodes[node, :2].tolist()
         return x, y
 
 
@@ -264,6 +264,14 @@ def _along(a: XY, b: XY, t: float) -> XY:
     return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
 
 
+def with_places(graph: TraversalGraph, grid: ElevationGrid, places: list[XY]) -> NDArray[np.float64]:
+    """(n + k, 3) x, y, z [m] of the graph's nodes and of k places after them."""
+    c = graph.cells
+    assert c is not None
+    rows = [(*xy, float(height_near(grid.height, *c.origin, c.res, *xy))) for xy in places]
+    return np.concatenate([graph.nodes, np.array(rows, np.float64).reshape(-1, 3)])
+
+
 def attached(
     graph: TraversalGraph, grid: ElevationGrid, places: list[Spot], between: np.float32 | None
 ) -> tuple[TraversalGraph, NDArray[np.int64]]:
@@ -293,10 +301,7 @@ def attached(
     kept = np.repeat(np.concatenate([[0], np.cumsum(added)])[:n], np.diff(graph.indptr)) + np.arange(
         len(graph.indices)
     )
-    c = graph.cells
-    assert c is not None
-    rows = [(*p.xy, float(height_near(grid.height, *c.origin, c.res, *p.xy))) for p in places]
-    out.nodes = np.concatenate([graph.nodes, np.array(rows, np.float64).reshape(-1, 3)])
+    out.nodes = with_places(graph, grid, [p.xy for p in places])
     out.frontier = np.append(graph.frontier, np.zeros(len(places), np.bool_))
     out.turn_edge = np.append(graph.turn_edge, np.array([p.turn_edge for p in places], np.float32))
     out.free_headings = np.append(graph.free_headings, np.array([p.headings for p in places], np.uint64))

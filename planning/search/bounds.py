@@ -167,7 +167,7 @@ def reached(
         if settled[state] or h[state] == np.inf:
             continue
         out, way = state // 2, state % 2
-        drive = _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
+        drive = drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
         n = push(f, s, e, n, h[state] + come[source[out]] + drive, state, 0)
     return Heap(f, s, e, n)
 
@@ -213,13 +213,15 @@ def cost_to_go(
                 dearer = (
                     h[state]
                     + come[at]
-                    + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
+                    + drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
                 )
                 if dearer > bound:
                     n = push(f, s, e, n, dearer, state, 0)
                     continue
             settled[state] = True
-            cost = h[state] + _drive(w, length, risk, source, target, forward_only, edge, out, way, backward)
+            cost = h[state] + drive_cost(
+                w, length, risk, source, target, forward_only, edge, out, way, backward
+            )
             yaw = heading[out] + (np.pi if way else 0.0)
             if sweeps and is_end[k]:
                 cost += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
@@ -247,7 +249,9 @@ def cost_to_go(
                     bound = (
                         new
                         + come[source[into]]
-                        + _drive(w, length, risk, source, target, forward_only, edge, into, before, backward)
+                        + drive_cost(
+                            w, length, risk, source, target, forward_only, edge, into, before, backward
+                        )
                     )
                     n = push(f, s, e, n, bound, to, 0)
     return least, Heap(f, s, e, n)
@@ -259,7 +263,7 @@ def _due(bound: float, limit: float, least: float) -> bool:
 
 
 @njit(cache=True)
-def _drive(w, length, risk, source, target, forward_only, edge, out, way, backward) -> float:
+def drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward) -> float:
     """Cost of slot `out` without turns [m], in the best case where it is not evaluated yet."""
     known = not np.isnan(edge[out, 0])
     b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)

@@ -43,6 +43,11 @@ class Endpoints:
     """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: tuple[RiskTable, NDArray[np.int64]] | None = None
 
+    @property
+    def origin(self) -> TraversalGraph | None:
+        """The graph without the nodes of this query, if it got any."""
+        return None if self._origin is None else self._origin[0].graph
+
     def close(self) -> None:
         """Keep what the query evaluated."""
         if self._origin is not None:

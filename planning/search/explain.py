@@ -140,8 +140,10 @@ class Route:
         return np.where(self.back[first:last], dearer, 1.0)
 
 
-def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Route, expanded: int) -> Plan:
-    """The plan of a route under the weights of `body`."""
+def describe(
+    nodes: NDArray[np.float64], request: PlanRequest, body: BodyModel, route: Route, expanded: int
+) -> Plan:
+    """The plan of a route over `nodes` (n, 3) under the weights of `body`."""
     w = weights_of(body)
     count = len(route.risk)
     length = route.length(0, count)
@@ -179,7 +181,7 @@ def describe(table: RiskTable, request: PlanRequest, body: BodyModel, route: Rou
                 peak,
             )
         )
-    points = table.graph.nodes[list(route.nodes)].copy()
+    points = nodes[list(route.nodes)].copy()
     points[:, :2] = route.xy
     return Plan(
         route.nodes,

@@ -22,7 +22,7 @@ from planning.graph.describe import RAYS
 from planning.graph.fields import SPREAD
 from planning.graph.flags import FACE, FIELD, VIRTUAL
 from planning.graph.graph import TraversalGraph
-from planning.search.request import PlanRequest
+from planning.search.request import Plan, PlanRequest
 
 SAME_FRONTIER = 1.0
 """Frontier nodes within this distance [m] of the one chosen before count as the same frontier."""
@@ -55,6 +55,12 @@ CLOSED = 1e3
 """Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
 IN_FIELD = 11.0
 """What a metre of the way to go counts in a stepfield with high posts, as the metre of an edge (`planning.graph.edges.FIELD_RISK`)."""
+
+FIELD_STEP, LONG = 0.1, 0.5
+"""A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
+
+UNSEEN = 0.5
+"""A way to the goal of which more leads over ground that nobody saw [m] is not known to be one: frontiers are asked as well."""
 
 
 class FrontierMemory:
@@ -308,3 +314,22 @@ def _flood(blocked, way, free, dear):
                     way[a, b] = new
                     heapq.heappush(heap, (new, a, b))
     return way
+
+
+def enters_field(graph: TraversalGraph, points: NDArray[np.float64]) -> bool:
+    """Whether a route over these points (n, >= 2) leads a robot outside of stepfields with high posts into one."""
+    x, y = points[:, 0], points[:, 1]
+    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    along = np.linspace(0.0, s[-1], int(s[-1] / FIELD_STEP) + 2)
+    inside = in_field(graph, np.column_stack([np.interp(along, s, x), np.interp(along, s, y)]))
+    return bool(not inside[0] and inside.sum() * FIELD_STEP > LONG)
+
+
+def over_unseen(plan: Plan) -> float:
+    """[m] of a plan that at most lead over ground that nobody saw: each transition counts with the unseen share of its worst pose."""
+    return sum(t.length * t.unknown for t in plan.transitions)
+
+
+def in_doubt(graph: TraversalGraph, plan: Plan) -> bool:
+    """Whether a plan to the goal is to be compared with frontiers."""
+    return enters_field(graph, plan.points) or over_unseen(plan) > UNSEEN

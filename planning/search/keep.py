@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from planning.risk.body import weights_of
-from planning.search.attach import SAME
+from planning.risk.body import BodyModel, weights_of
+from planning.risk.terrain import Sampler
+from planning.search.attach import SAME, XY, Ground
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
@@ -27,32 +28,49 @@ STRIP = 0.5
 
 def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
     """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more; else `found`."""
-    route = _rest(at, request, found, start_yaw, goal_yaw)
-    if route is None or not worth_keeping(float(route.cost(weights_of(at.table.body)).sum()), found.cost):
+    if at.ground is None or not len(found.transitions):
+        return found
+    nodes, body = at.table.graph.nodes, at.table.body
+    ends, places = (found.nodes[0], found.nodes[-1]), (_xy(found.points[0]), _xy(found.points[-1]))
+    route = rest(
+        at.ground, at.table.sampler, body, nodes, request, ends, places, start_yaw, goal_yaw, at.start_back
+    )
+    if route is None or not worth_keeping(float(route.cost(weights_of(body)).sum()), found.cost):
         return found
     same = {
         name: getattr(found, name)
         for name in ("reaches_goal", "frontier", "to_go", "exact", "short", "expanded")
     }
-    return replace(describe(at.table, request, at.table.body, route, 0), **same, kept=True)
+    return replace(describe(nodes, request, body, route, 0), **same, kept=True)
 
 
-def _rest(
-    at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float
+def _xy(point: NDArray[np.float64]) -> XY:
+    return float(point[0]), float(point[1])
+
+
+def rest(
+    ground: Ground,
+    sampler: Sampler,
+    body: BodyModel,
+    nodes: NDArray[np.float64],
+    request: PlanRequest,
+    ends: tuple[int, int],
+    places: tuple[XY, XY],
+    start_yaw: float,
+    goal_yaw: float,
+    start_back: float,
 ) -> Route | None:
-    """The rest as a route that was tested and evaluated on the map of now; None where it cannot be driven or ends elsewhere."""
-    ground, driven, nodes = at.ground, request.driven, at.table.graph.nodes
-    if ground is None or driven is None or not len(found.transitions):
+    """The rest of `request.driven` as a route between two of the `nodes` (n, 3), `ends` at `places` [m], tested and evaluated on the map of now; None where it cannot be driven or ends
+    elsewhere."""
+    driven = request.driven
+    if driven is None:
         return None
-    here = (float(found.points[0, 0]), float(found.points[0, 1]))
+    here, end = places
     legs = [((float(x), float(y)), bool(b)) for (x, y), b in zip(driven.points, driven.back, strict=True)]
     if len(legs) > 1 and math.dist(here, legs[0][0]) <= SAME:
         legs = legs[1:]
-    places = [here, *(place for place, _ in legs)]
-    if math.dist(places[-1], found.points[-1, :2]) > SAME:
-        return None
-    xy = np.array(places)
-    if not ground.may_join(xy):
+    xy = np.array([here, *(place for place, _ in legs)])
+    if math.dist(legs[-1][0], end) > SAME or not ground.may_join(xy):
         return None
     risk = ground.risks(xy)
     if risk[-1] < 0.0:
@@ -61,7 +79,7 @@ def _rest(
     count = len(legs)
     turn_rate, only = ground.under_wheels(xy)
     route = Route(
-        (found.nodes[0], *near, found.nodes[-1]),
+        (ends[0], *near, ends[1]),
         xy,
         risk.astype(np.float64),
         np.zeros(count, np.bool_),
@@ -72,11 +90,11 @@ def _rest(
         turn_rate,
         only,
         np.empty((count, 3, 3, 4)),
-        at.start_back,
+        start_back,
     )
     if not all(has_room(ground, route, k) for k in range(len(xy))):
         return None
-    route.evaluate(at.table.sampler, weights_of(at.table.body), 0, count)
+    route.evaluate(sampler, weights_of(body), 0, count)
     return route
 
 

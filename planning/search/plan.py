@@ -19,7 +19,9 @@ from planning.search.endpoints import Endpoints, Place, endpoints, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
     beside_virtual,
+    enters_field,
     fields_of,
+    in_doubt,
     in_field,
     open_frontiers,
     same_frontier,
@@ -32,6 +34,7 @@ from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import free_at, straighten, turn_at
+from planning.search.unbeaten import unbeaten
 
 __all__ = [
     "SETS",
@@ -52,10 +55,6 @@ NEARER = 0.5
 the way is judged from so far. With less the robot drove to and fro before a slope, and against it."""
 HELD_TURNS = 12
 """Searches for a way of whose turns the guard holds none."""
-UNSEEN = 0.5
-"""A way to the goal of which more leads over ground that nobody saw [m] is not known to be one: frontiers are asked as well."""
-FIELD_STEP, LONG = 0.1, 0.5
-"""A route is sampled so densely [m] for stepfields; so much of it [m] in one is reason to look for another way before."""
 
 
 def plan(
@@ -73,6 +72,8 @@ def plan(
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
+    if (driven := unbeaten(table, request, start_yaw, goal_yaw)) is not None:
+        return driven
     ends = endpoints(table, request)
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
@@ -98,9 +99,7 @@ def _best(at: Endpoints, request: PlanRequest, start_yaw: float, goal_yaw: float
     """The plan to the goal, or where that is the better or the only one to a frontier or towards the goal."""
     graph = at.table.graph
     found = None if at.goal is None else _to_goal(at, request, start_yaw, goal_yaw)
-    if request.allow_frontier and (
-        found is None or _enters_field(graph, found) or _over_unseen(found) > UNSEEN
-    ):
+    if request.allow_frontier and (found is None or in_doubt(graph, found)):
         other = _to_frontier(at, request, start_yaw)
         if found is None or (other is not None and not worth_keeping(_at_best(at, found), other.worth)):
             found = other
@@ -183,7 +182,7 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     best = _search(at, request, ends, to_go, goal, start_yaw, np.nan)
     if best is None:
         return None
-    if _enters_field(graph, best):
+    if enters_field(graph, best.points):
         # What may lead around the field is looked at before.
         ends |= beside_virtual(graph, at.start, request) & ~in_field(graph, nodes)
         best = _search(at, request, ends, to_go, goal, start_yaw, np.nan) or best
@@ -199,25 +198,11 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=left)
 
 
-def _over_unseen(plan: Plan) -> float:
-    """[m] of a plan that at most lead over ground that nobody saw: each transition counts with the unseen share of its worst pose."""
-    return sum(t.length * t.unknown for t in plan.transitions)
-
-
 def _at_best(at: Endpoints, plan: Plan) -> float:
     """Cost [m] of a plan if its unseen ground is as good as that beyond a frontier, which counts as free: only so the two can be compared."""
     w = weights_of(at.table.body)
     price = w.native * VIRTUAL_RISK + w.unknown
     return sum(max(t.cost - price * t.length * t.unknown, t.length + t.turn_cost) for t in plan.transitions)
-
-
-def _enters_field(graph: TraversalGraph, plan: Plan) -> bool:
-    """Whether a plan of a robot outside of stepfields with high posts leads into one."""
-    x, y = (plan.points[:, k] for k in (0, 1))
-    s = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    along = np.linspace(0.0, s[-1], int(s[-1] / FIELD_STEP) + 2)
-    inside = in_field(graph, np.column_stack([np.interp(along, s, x), np.interp(along, s, y)]))
-    return bool(not inside[0] and inside.sum() * FIELD_STEP > LONG)
 
 
 def _to_nearest(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan | None:
@@ -265,11 +250,14 @@ def _search(
             break
     else:
         return None
+    cost = float(found.cost(weights_of(body)).sum())
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, at.table, found)
     if request.variant == "refined":
         found = refine(at.table, found)
-    return replace(describe(at.table, request, body, found, search.expanded), exact=at.exact)
+    out = replace(describe(at.table.graph.nodes, request, body, found, search.expanded), exact=at.exact)
+    search.remember(cost, out.cost)
+    return out
 
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from planning.risk.body import BodyModel, weights_of
-from planning.search.again import go_on
+from planning.search.again import Found, Search, go_on
 from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route
@@ -51,6 +53,19 @@ class RouteSearch:
             at.start_back,
         )
         self._guide: Guide | None = None
+
+    def remember(self, cost: float, straightened: float) -> None:
+        """Keep what the search knows for the next query: what its route costs, and what that costs straightened."""
+        guide, known, origin = self._guide, self._at.table.searched, self._at.origin
+        if (
+            guide is not None
+            and isinstance(known, Search)
+            and known.go.h is guide.go.h
+            and origin is not None
+        ):
+            beyond = float(guide.heap.f[0]) if guide.heap.n > 0 else np.inf
+            found = Found(origin, origin.version, guide.come, beyond, straightened / max(cost, 1e-9))
+            self._at.table.searched = replace(known, found=found)
 
     def cheapest(self) -> Route | None:
         """The route over the turns that there are now."""

@@ -111,9 +111,11 @@ class PlannerStage:
         height = x[:, None] * x[None, :]
         layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
         grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
-        # A goal on the map, again, then one off it: the second carries evaluations and search over, the last looks for a frontier.
-        for changed, goal in (((40, 40, 50, 50), 3.0), ((45, 45, 50, 50), 3.0), ((45, 45, 50, 50), 9.0)):
-            stage._map.refresh((2.0, 2.0), grid, [changed])
+        # A goal on the map, again with what is driven and without, then one off it: the second needs no search, the third carries evaluations and search
+        # over, the last looks for a frontier.
+        for goal, driven in ((3.0, False), (3.0, True), (3.0, False), (9.0, False)):
+            stage._map.refresh((2.0, 2.0), grid, [(5, 5, 10, 10)])
+            stage._whole = stage._whole if driven else None
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
         around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)

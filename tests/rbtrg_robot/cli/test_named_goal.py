@@ -1,0 +1,15 @@
+"""A named goal of a scene asks for the heading that the scene gives it, and for none where it gives none."""
+
+from __future__ import annotations
+
+import pytest
+
+from rbtrg_robot.cli.drive import _target
+from rbtrg_robot.stages.navigation.goal import goal_request
+
+
+@pytest.mark.parametrize(("name", "asks"), [("a", True), ("far", False)])
+def test_a_named_goal_without_a_heading_asks_for_none(name: str, asks: bool) -> None:
+    x, y, yaw, called = _target([name], "flat")
+    request = goal_request(0, "one", x, y, yaw, name=called)
+    assert (request.name, request.has_yaw) == (name, asks)

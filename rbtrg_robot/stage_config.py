@@ -78,12 +78,6 @@ class GraphConfig(GraphSettings):
         None, gt=0.0, description="highest face driven over backward at no extra cost [m]; None = the robot's"
     )
 
-    room: float = Field(
-        0.12,
-        ge=0.0,
-        le=0.5,
-        description="ways nearer than this to walls and edges cost more [m]; 0 = none does",
-    )
     keep_step: float = Field(
         0.03, ge=0.0, description="ground found drivable stays so up to this much above max_step [m]"
     )

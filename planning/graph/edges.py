@@ -15,9 +15,6 @@ MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SIDE = 0.08
 """Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
-NEAR_RISK = 1.0
-"""Added to the native risk of an edge whose whole corridor touches something that cannot be driven over, less with the distance up to `room`: with sigma = 3 a
-metre of it costs as much as four. A robot came onto a bridge of 0.62 m 0.15 m beside its middle, and a wheel dropped off."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -93,14 +90,13 @@ def corridor(
     faces,
     max_step,
     max_oblique,
-    room,
     sums,
     stood=False,
 ):
     """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for the
     share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), for the
-    share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), for the share of its
-    area that is a stepfield with high posts, and for how near it comes to what cannot be driven over, within `room` [m] beside it.
+    share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and for the share of its
+    area that is a stepfield with high posts.
 
     Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
@@ -180,45 +176,7 @@ def corridor(
         return -1.0
     faced, weight = _faced(faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique)
     share = min(1.0, faced * res * res / (BASE * width))
-    near = _nearness(flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, room, sums[:n, 0])
-    return (
-        OBLIQUE_RISK * share * weight
-        + VIRTUAL_RISK * virtual / n
-        + FIELD_RISK * field / area
-        + NEAR_RISK * near
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _nearness(flags, x0, y0, res, xa, ya, ux, uy, end, front, half, room, nearest):
-    """How near walls and edges come to the sides of the corridor, 0 to 1: per cross-section 1 where the nearest cell of one (`FACE`) is at the body or under
-    it and 0 where it is `room` [m] away, the mean of all. `nearest` is scratch, (sections,)."""
-    if room <= 0.0:
-        return 0.0
-    rows, cols = flags.shape
-    wide = half + room
-    reach = abs(uy) * front + abs(ux) * wide
-    yb = ya + (end - front) * uy
-    r_lo = max(0, math.ceil((min(ya, yb) - reach - y0) / res))
-    r_hi = min(rows - 1, math.floor((max(ya, yb) + reach - y0) / res))
-    if not _covered(flags, x0, y0, res, xa, ya, ux, uy, end, front, wide, r_lo, r_hi) & FACE:
-        return 0.0
-    n = len(nearest)
-    nearest[:] = room
-    for r in range(r_lo, r_hi + 1):
-        y = y0 + r * res
-        low, high = row_span(y, xa, ya, ux, uy, -front, end, wide)
-        c_lo = max(0, math.ceil((low - x0) / res))
-        c_hi = min(cols - 1, math.floor((high - x0) / res))
-        for c in range(c_lo, c_hi + 1):
-            if not flags[r, np.uint64(c)] & FACE:
-                continue
-            ex = x0 + c * res - xa
-            ey = y - ya
-            k = int((ex * ux + ey * uy + front) / SECTION)
-            i = np.uint64(min(max(k, 0), n - 1))
-            nearest[i] = min(nearest[i], max(abs(ey * ux - ex * uy) - half, 0.0))
-    return 1.0 - nearest.mean() / room
+    return OBLIQUE_RISK * share * weight + VIRTUAL_RISK * virtual / n + FIELD_RISK * field / area
 
 
 @njit(cache=True, error_model="numpy")
@@ -322,7 +280,7 @@ def _not_steep(sums, n, limit, track, under):
 @njit(cache=True)
 def connect(
     height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, room, radius, risk, revision, version,
+    length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, radius, risk, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -363,7 +321,7 @@ def connect(
                     continue
                 added = corridor(
                     height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
-                    min_coverage, faces, max_step, max_oblique, room, sums,
+                    min_coverage, faces, max_step, max_oblique, sums,
                 )  # fmt: skip
                 if added >= 0.0:
                     found = edge_risk(

@@ -123,7 +123,7 @@ class Lattice:
         connect(
             grid.height, cells.flags, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
             REACH * self.side, moved, boxes, self._around, rank, p.length, p.width, math.tan(p.max_slope),
-            p.max_gap, p.min_coverage, cells.faces, p.max_step, p.max_oblique, p.room, F32(p.robot_size), cells.risk, cells.edge_revision, version,
+            p.max_gap, p.min_coverage, cells.faces, p.max_step, p.max_oblique, F32(p.robot_size), cells.risk, cells.edge_revision, version,
         )  # fmt: skip
 
     def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
@@ -145,7 +145,7 @@ class Lattice:
         """[m] from a node or an edge's end within which terrain matters to it."""
         p = self.params
         return (
-            max(0.5 * math.hypot(p.length, p.width + 2.0 * max(SIDE, p.room)) + 2.0 * MARGIN, p.robot_size)
+            max(0.5 * math.hypot(p.length, p.width + 2.0 * SIDE) + 2.0 * MARGIN, p.robot_size)
             + self.cells.res
         )
 

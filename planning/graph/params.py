@@ -53,12 +53,6 @@ class GraphSettings(BaseModel):
         ge=0.0,
         description="corrected: around the first start, ground the robot cannot see needs no coverage [m]",
     )
-    room: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.5,
-        description="corrected: ways nearer than this to walls and edges cost more [m]; 0 = none does",
-    )
     length: float = Field(default=0.70, gt=0.0, description="corrected: footprint along travel [m]")
     width: float = Field(default=0.43, gt=0.0, description="corrected: footprint across travel [m]")
 

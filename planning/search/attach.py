@@ -111,7 +111,6 @@ class Ground:
                 self._faces,
                 p.max_step,
                 p.max_oblique,
-                p.room,
                 self._sums,
                 self._stood(a, b),
             )
@@ -135,7 +134,7 @@ class Ground:
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
         a, b = (tuple(place) for place in places[:2].tolist())
         return _risks(
-            *ground, places, *limits, p.max_oblique, p.room, F32(p.robot_size), self._sums, self._stood(a, b)
+            *ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums, self._stood(a, b)
         )
 
     def headings(self, xy: XY) -> np.uint64:
@@ -240,7 +239,6 @@ def _risks(
     min_coverage,
     max_step,
     max_oblique,
-    room,
     radius,
     sums,
     stood,
@@ -249,7 +247,7 @@ def _risks(
     for k in range(len(out)):
         xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
         added = corridor(
-            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, room, sums, stood and k == 0,
+            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums, stood and k == 0,
         )  # fmt: skip
         if added < 0.0:
             break

@@ -273,9 +273,9 @@ def unseen_between(detour: bool) -> ElevationGrid:
 
 def test_a_far_way_over_ground_that_nobody_saw_is_no_reason_to_leave_a_near_frontier() -> None:
     # Robots before the end of a lane turned round and drove all the way back, because hidden ground on another way joined the goal to the graph.
-    request = PlanRequest((1.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
+    request = PlanRequest((3.0, 1.0), (7.3, 1.0), 0.0, allow_frontier=True)
     grid = unseen_between(detour=True)
-    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(blind_radius=0.0))
+    graph = TraversalGraph.build(grid, (3.0, 1.0), GraphParams(blind_radius=0.0))
     around = plan(graph, grid, replace(request, allow_frontier=False))
     assert around.cost > 15.0
     found = plan(graph, grid, request)

@@ -24,7 +24,7 @@ from planning.risk.table import RiskTable
 from planning.search.again import Found, Search, key_of
 from planning.search.attach import XY, Ground, with_places
 from planning.search.bounds import ToGo, drive_cost
-from planning.search.endpoints import is_node, on_map
+from planning.search.endpoints import is_node, on_map, position
 from planning.search.explain import describe
 from planning.search.frontier import SWITCH_LEAST, SWITCH_SHARE, in_doubt
 from planning.search.keep import rest
@@ -42,7 +42,7 @@ def unbeaten(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw:
         return None
     if not isinstance(search, Search) or (known := search.found) is None or known.graph is not graph:
         return None
-    start, goal = _xy(request.start), _xy(request.goal)
+    start, goal = position(graph, request.start, "start"), position(graph, request.goal, "goal")
     if not (graph.knows(grid) and on_map(grid, start) and on_map(grid, goal)):
         return None
     ground = Ground(graph, grid, (*start, start_yaw))
@@ -69,11 +69,6 @@ def unbeaten(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw:
     if not all_cost_more(better, ground, start, changed, search, weights_of(body), rules.backward):
         return None
     return replace(found, exact=True, short=math.dist(end, goal), kept=True)
-
-
-def _xy(place: object) -> XY:
-    x, y = (float(v) for v in place)  # type: ignore[attr-defined]
-    return x, y
 
 
 def all_cost_more(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.errors import NoRoute
+from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
@@ -155,3 +156,14 @@ def test_a_way_that_opens_is_found_and_one_that_closes_elsewhere_needs_no_search
     opened = after(slice(10, 40), slice(90, 94), 0.0)
     assert not opened.kept
     assert opened.length < first.length - 2.0
+
+
+@pytest.mark.parametrize("bad", ["ab", (1.0,), (np.nan, 1.0)])
+def test_a_place_that_is_none_is_told_as_one_although_a_route_is_driven(bad: object) -> None:
+    grid, graph = bumpy(0)
+    table = RiskTable(graph, grid, BODY)
+    first = plan(graph, grid, PlanRequest(START, GOAL, 0.0, rules=RULES), BODY, table)
+    request = replace(asked(START, GOAL, first, RULES), start=bad)
+    with pytest.raises(NoRoute) as none:
+        plan(graph, grid, request, BODY, table)
+    assert none.value.reason is NoRouteReason.BAD_INPUT

@@ -114,6 +114,15 @@ class World:
             self.pose = (0.05 * i, 0.0, 0.0)
             self.run(0.1)
 
+    def hold_a_turn(self) -> None:
+        """On its way the guard holds it in a turn, and ahead, until it counts as stuck."""
+        self.come_along()
+        self.goal()
+        self.answer()
+        self.tracker_phase = "aligning"
+        self.send(t.MOTION_LIMITS, forward=0.1, backward=1.0, left=1.0)
+        self.run(5.5)
+
     def goal(self, x: float = 3.0, y: float = 0.0, goal_id: str = "g", **fields: Any) -> None:
         self.send(t.GOAL_REQUEST, id=goal_id, x=x, y=y, **fields)
 
@@ -897,12 +906,7 @@ def test_a_robot_that_the_guard_holds_on_its_path_asks_anew_before_it_counts_as_
 
 
 def test_a_turn_that_is_held_backs_out_where_the_guard_lets_nothing_ahead(world: World) -> None:
-    world.come_along()
-    world.goal()
-    world.answer()
-    world.tracker_phase = "aligning"
-    world.send(t.MOTION_LIMITS, forward=0.1, backward=1.0, left=1.0)
-    world.run(5.5)
+    world.hold_a_turn()
     assert world.last(t.PATH_COMMAND).x[-1] == pytest.approx(0.35)
 
 
@@ -918,12 +922,7 @@ def test_a_robot_that_came_from_nowhere_does_not_move_out(world: World) -> None:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_recovery_that_leaves_the_ground_it_covered_stands_and_asks_anew(world: World, side: float) -> None:
-    world.come_along()
-    world.goal()
-    world.answer()
-    world.tracker_phase = "aligning"
-    world.send(t.MOTION_LIMITS, forward=0.1, backward=1.0, left=1.0)
-    world.run(5.5)
+    world.hold_a_turn()
     assert world.status.detail == "backing out"
     world.tracker_phase = "following"
     requests = world.count(t.PLAN_REQUEST)

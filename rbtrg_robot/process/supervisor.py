@@ -44,8 +44,9 @@ log = logging.getLogger(__name__)
 
 START_LIMIT = 180.0
 """Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
-LEASE = 2.0
-"""A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), and sessions with its router may have ended."""
+HELD_UP = 2.0
+"""A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is old, and after
+the lease sessions with its router have ended."""
 REJOIN = 6.0
 """[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended for silence."""
 PLANNER = "planner"
@@ -243,7 +244,7 @@ class Supervisor:
 
     def _mend(self) -> None:
         now = time.monotonic()
-        if now - self._looked > LEASE:
+        if now - self._looked > HELD_UP:
             self._deaf_until = now + REJOIN
             self._say(f"the supervisor was held up for {now - self._looked:.1f} s")
         self._looked = now

@@ -5,6 +5,8 @@ Choices that a measured failure stands behind:
   process, and its liveliness token, alive for ever;
 - the callback only appends to a bounded deque: a slow consumer loses old messages instead of queueing without bound;
 - congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
+- a message that comes under the key of another topic is refused: Zenoh mixes the keys up for some tenths of a second
+  after sessions have come back to a router that hung (`keys.astray`);
 - loopback, no multicast, one known endpoint.
 """
 
@@ -146,7 +148,7 @@ class Bus:
             self._entities += 1
             token = wire.endpoint_token(self.scope, self._zid, self.node, topic, self._entities, "MP")
             self._held.append(self.session.liveliness().declare_token(token))
-            self.publishers[topic] = Publisher(self.session, topic, self.scope, wire.gid(token))
+            self.publishers[topic] = Publisher(self.session, topic, self.scope, token)
         return self.publishers[topic]
 
     def subscribe(self, wanted: Iterable[Topic]) -> None:
@@ -158,8 +160,8 @@ class Bus:
             self._entities += 1
             token = wire.endpoint_token(self.scope, self._zid, self.node, topic, self._entities, "MS")
             self._held.append(self.session.liveliness().declare_token(token))
-            handler = Callback(self._receiver(topic), indirect=False)
             name = wire.key(topic, self.scope)
+            handler = Callback(self._receiver(topic, wire.mark(name)), indirect=False)
             if topic.qos is Qos.LATCHED:
                 history = ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
                 self._held.append(
@@ -168,11 +170,14 @@ class Bus:
             else:
                 self._held.append(self.session.declare_subscriber(name, handler))
 
-    def _receiver(self, topic: Topic) -> Callable[[zenoh.Sample], None]:
+    def _receiver(self, topic: Topic, mark: bytes) -> Callable[[zenoh.Sample], None]:
         queue = self._queues[topic]
 
         def receive(sample: zenoh.Sample) -> None:
             data = sample.attachment.to_bytes() if sample.attachment is not None else b""
+            if wire.astray(data, mark):
+                self._refuse(topic, "a message of another topic")
+                return
             sequence, stamp = wire.parse_attachment(data)
             received = Received(topic, sample.payload.to_bytes(), stamp, sequence, wire.sender_of(data))
             with self._lock:
@@ -202,10 +207,15 @@ class Bus:
         try:
             return received.decode()
         except messages.MessageError as error:
-            self.refused += 1
-            if self.refused in (1, 10, 100, 1000):
-                log.warning("%s: message refused (%d so far): %s", received.topic.name, self.refused, error)
+            self._refuse(received.topic, error)
             return None
+
+    def _refuse(self, topic: Topic, why: object) -> None:
+        with self._lock:
+            self.refused += 1
+            number = self.refused
+        if number in (1, 10, 100, 1000):
+            log.warning("%s: message refused (%d so far): %s", topic.name, number, why)
 
     @property
     def waiting(self) -> bool:
@@ -288,11 +298,11 @@ class Bus:
 class Publisher:
     """One topic's outgoing side."""
 
-    def __init__(self, session: zenoh.Session, topic: Topic, scope: Scope, endpoint: bytes) -> None:
-        self._gid = endpoint
+    def __init__(self, session: zenoh.Session, topic: Topic, scope: Scope, token: str) -> None:
+        name = wire.key(topic, scope)
+        self._gid = wire.gid(token, name)
         self.count = 0
         self.newest = 0
-        name = wire.key(topic, scope)
         qos: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}
         if topic.qos is Qos.COMMAND:
             qos |= {"priority": zenoh.Priority.REAL_TIME, "express": True}

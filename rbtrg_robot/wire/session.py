@@ -13,6 +13,9 @@ import zenoh
 MOST = 100_000
 """Connections that a router takes, before and after they have shown who they are. Zenoh counts those of all doors together: with its own 100
 and 1000 anybody whose certificate the authority once signed, on the list or not, keeps the robot's own processes out."""
+LEASE_MS = 10_000
+"""A session that said nothing for this long is ended [ms]. A death is seen at once and a hang by the heartbeats, both long before. With 2 s, a
+router that was held up for 5 s lost all sessions, and Zenoh mixes up topics while they come back."""
 RUNTIME, RUNTIME_OF_ROUTER = "ZENOH_RUNTIME", "(acc: (worker_threads: 8))"
 """Zenoh closes a connection that said nothing after TLS in 25 ms of one thread, which nobody else gets in through meanwhile."""
 
@@ -57,7 +60,7 @@ def session_config(
         "transport": {
             "link": {
                 "tx": {
-                    "lease": 2000,
+                    "lease": LEASE_MS,
                     # A scan is half a megabyte; with the default of two 64 kB batches and 1 ms of patience a busy
                     # machine loses the first ones. Commands go out one a batch: with two, a machine whose cores are
                     # taken for 60 ms loses velocities and the guard's limits (59 of 854 beside 20 busy programs).

@@ -7,14 +7,17 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 import zenoh
 
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.scope import Scope
+from rbtrg_robot.wire import keys
 from rbtrg_robot.wire.bus import Bus, BusError, Received
 from rbtrg_robot.wire.messages import encode, header, stamp_of
 from rbtrg_robot.wire.session import stack_id
@@ -68,6 +71,39 @@ def test_messages_arrive_in_order_with_stamp_and_sequence(router: Bus, endpoint:
     assert [r.stamp for r in got] == list(range(100))
     assert [r.sequence for r in got] == list(range(1, 101))
     assert [stamp_of(r.decode()) for r in got] == list(range(100))
+
+
+def test_a_message_that_comes_under_the_key_of_another_topic_is_refused(
+    router: Bus, endpoint: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Zenoh 1.10 mixes keys up while sessions come back to a router that hung: truth came as odometry, decoded without complaint."""
+    payload = encode(msg.Odometry(header=header(5, "odom"), child_frame_id="base_link"))
+    with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
+        b.subscribe([t.ODOM, t.GOAL_STATUS])
+        under_odom = a.session.declare_publisher(keys.key(t.ODOM, a.scope))
+        gids = {topic: keys.gid("token", keys.key(topic, a.scope)) for topic in (t.TRUTH, t.ODOM)}
+        senders = [gids[t.TRUTH], gids[t.ODOM], bytes(16), gids[t.ODOM][:15] + b"?"]
+        end = time.monotonic() + 5.0
+        while not under_odom.matching_status.matching and time.monotonic() < end:
+            time.sleep(0.01)
+        for number, gid in enumerate(senders, 1):
+            under_odom.put(payload, attachment=keys.attachment(number, 5, gid))
+        under_odom.put(payload)
+        a.publish(t.GOAL_STATUS, msg.GoalStatus(header=header(5, "map"), id="last"), 5)
+        got = collect(b, 4)
+        assert [(x.topic, x.sequence) for x in got] == [
+            (t.ODOM, 2),
+            (t.ODOM, 3),
+            (t.ODOM, 0),
+            (t.GOAL_STATUS, 1),
+        ]
+        assert b.refused == 2
+    assert "/odom: message refused (1 so far): a message of another topic" in caplog.text
+
+
+def test_no_two_topics_have_the_same_mark() -> None:
+    topics = [x for x in vars(t).values() if isinstance(x, t.Topic)]
+    assert len({keys.mark(keys.key(topic, Scope())) for topic in topics}) == len(topics) > 40
 
 
 def test_a_slow_reader_keeps_the_newest(router: Bus, endpoint: str) -> None:

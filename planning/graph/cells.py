@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -21,6 +22,7 @@ class Cells:
     Attributes:
         flags: (rows, cols) uint16 of the map's cells, see `planning.graph.flags`.
         faces: (rows, cols, 2) int16 rise along x and y [mm], see `planning.graph.faces`.
+        drawn: (ny, nx) int16 which of the samples the candidates of a lattice cell are from; 0 until others are drawn there (`Lattice.redraw`).
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
         frontier, headings, turn_edge: (ny, nx) as in `TraversalGraph`.
@@ -29,6 +31,7 @@ class Cells:
     """
 
     _PER_LATTICE_CELL = (
+        "drawn",
         "chosen",
         "where",
         "turn_edge",
@@ -52,6 +55,7 @@ class Cells:
         ny, nx = cells
         self.flags = np.zeros(shape, dtype=np.uint16)
         self.faces = np.zeros((*shape, 2), dtype=np.int16)
+        self.drawn = np.zeros((ny, nx), dtype=np.int16)
         self.chosen = np.full((ny, nx), -1, dtype=np.int8)
         self.where = np.zeros((ny, nx, 2))
         self.turn_edge = np.zeros((ny, nx), dtype=np.float32)
@@ -60,6 +64,13 @@ class Cells:
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
         self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
         self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
+
+    def copy(self) -> Cells:
+        """Cells of their own that hold the same."""
+        out = copy.copy(self)
+        for name in ("flags", "faces", *self._PER_LATTICE_CELL):
+            setattr(out, name, getattr(self, name).copy())
+        return out
 
     def fit(self, grid: ElevationGrid) -> list[Window]:
         """Take the extent of `grid`, keep what overlaps; -> windows of `grid` that were not in the map before.
@@ -111,6 +122,10 @@ class Cells:
         return slice(max(0, j0), min(ny, max(j1, 0))), slice(max(0, i0), min(nx, max(i1, 0)))
 
     def ids(self, j: NDArray[np.int64], i: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Of the nodes in lattice cells j, i: the same place and candidate have the same id in every map."""
-        at = ((j + self.corner[1] + (1 << 23)) << 30) | ((i + self.corner[0] + (1 << 23)) << 6)
+        """Of the nodes in lattice cells j, i: the same place, sample and candidate have the same id in every map."""
+        at = (
+            (self.drawn[j, i].astype(np.int64) << 54)
+            | ((j + self.corner[1] + (1 << 23)) << 30)
+            | ((i + self.corner[0] + (1 << 23)) << 6)
+        )
         return at | self.chosen[j, i]

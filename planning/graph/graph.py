@@ -272,6 +272,21 @@ class TraversalGraph:
         """Whether the straight moves between places (n, 2) touch no disc that is to be avoided."""
         return all(_clear(places[:-1], places[1:], disc).all() for disc in self._discs)
 
+    def redrawn(
+        self, grid: ElevationGrid, places: NDArray[np.floating], reach: float, sample: int
+    ) -> TraversalGraph:
+        """This graph with nodes from another `sample` (0: those of the build) within `reach` [m] along x and y of each of the `places` (n, 2), on the map that it
+        was last built on; nothing of this one changes. A passage hardly wider than the robot may hold no edge of one sample.
+        """
+        if self._lattice is None or self.start_xy is None or not self.knows(grid):
+            raise PlanningError("only a graph that was built on this map can be drawn anew in places")
+        out = copy.copy(self)
+        out._lattice = copy.copy(self._lattice)
+        out.cells = out._lattice.cells = self._lattice.cells.copy()
+        out._lattice.redraw(grid, np.hstack([places - reach, places + reach]), sample, self.version + 1)
+        out._publish(*out._lattice.reachable(grid, checked_start(grid, self.start_xy), self.node_ids))
+        return out
+
     # -- keeping it up to date ----------------------------------------------------------------------------------
 
     def update(

@@ -27,6 +27,8 @@ from planning.graph.risk import F32, window_minmax
 
 REACH = 2.0
 """Longest edge, in lattice cells: expand_dist + robot_size, the native bound. Long edges keep narrow passages connected."""
+SAMPLES = 512
+"""As many as node ids tell apart; the next one is the first again."""
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
@@ -51,6 +53,14 @@ class Lattice:
         self._edges(grid, boxes, moved, version)
         self._describe(grid, boxes, moved, version)
         return True
+
+    def redraw(self, grid: ElevationGrid, boxes: Array, sample: int, version: int) -> None:
+        """Nodes from another sample, and their edges, in the lattice cells that `boxes` touch (k, 4: x0, y0, x1, y1 [m])."""
+        for box in boxes:
+            self.cells.drawn[self.cells.within(box, 0.0)] = sample % SAMPLES
+        moved, unchanged = self._nodes(grid, boxes), np.empty((0, 4))
+        self._edges(grid, unchanged, moved, version)
+        self._describe(grid, unchanged, moved, version)
 
     def reachable(self, grid: ElevationGrid, start: tuple[float, float], before: NDArray[np.int64]) -> Built:
         """See `planning.graph.reachable`: within the longest straight move from `start`."""
@@ -109,7 +119,7 @@ class Lattice:
             low, high = window_minmax(np.ascontiguousarray(grid.height[ra:rb, ca:cb]), k)
             place_nodes(
                 grid.height, cells.flags, xs, ys, x0, y0, res, low, high, k, ra, ca,
-                *cells.corner, self.side, self.seed, p.sample_num, todo, F32(p.robot_size),
+                *cells.corner, self.side, self.seed, cells.drawn, p.sample_num, todo, F32(p.robot_size),
                 F32(p.height_threshold), F32(p.collision_threshold), 0.5 * p.width, p.min_coverage,
                 cells.chosen, cells.where,
             )  # fmt: skip

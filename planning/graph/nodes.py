@@ -1,7 +1,7 @@
 """Where the corrected graph puts its nodes: one per cell of a seeded lattice that is fixed to the ground.
 
-Candidates in a lattice cell come from a hash of (seed, cell, number), so a node is a function of the map around it and
-of nothing else: rebuilding a part of the map gives exactly the nodes that a full rebuild gives, with the same ids.
+Candidates in a lattice cell come from a hash of (seed, cell, number), so a node is a function of the map around it and of the seed
+(which changes where others are drawn, `Cells.drawn`): rebuilding a part of the map gives exactly the nodes that a full rebuild gives, with the same ids.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ def _centred(flags, x0, y0, res, x, y, low_x, low_y, side):
 @njit(cache=True)
 def place_nodes(
     height, flags, xs, ys, x0, y0, res, low, high, k_disc, low_r, low_c,
-    ix0, iy0, side, seed, samples, todo, radius, limit, share, half_width, min_coverage,
+    ix0, iy0, side, seed, drawn, samples, todo, radius, limit, share, half_width, min_coverage,
     chosen, where,
 ):  # fmt: skip
     """Choose the node of every lattice cell in `todo` (ny, nx); writes chosen (-1: none), where (x, y).
@@ -186,7 +186,7 @@ def place_nodes(
             best = -1
             tried = 0
             for k in range(samples):
-                x, y = candidate(seed, ix0 + i, iy0 + j, k, samples, side)
+                x, y = candidate(seed + drawn[j, i], ix0 + i, iy0 + j, k, samples, side)
                 if x < x0 or y < y0 or x > x0 + (cols - 1) * res or y > y0 + (rows - 1) * res:
                     continue
                 own = flags[math.floor((y - y0) / res + 0.5), math.floor((x - x0) / res + 0.5)]

@@ -12,8 +12,13 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Terrain
+from planning.search.frontier import way_to_go
 from planning.search.plan import Plan, PlanRequest, plan
 
+WHOLE = 500_000
+"""Cells of a map on which a whole graph is drawn anew: up to 0.4 s. On larger ones other nodes are drawn in places."""
+AROUND = 5.0
+"""[m] around such a place."""
 MANY = 100
 """Tiles, 650 m^2: a graph on so much new ground takes half a second."""
 Box = tuple[int, int, int, int]
@@ -110,10 +115,25 @@ class MapGraph:
             # No ground under the robot in this map (yet), or its cells moved: the next update or request begins anew.
             self.graph = None
 
-    def sample_anew(self) -> None:
-        """A passage hardly wider than the robot may hold no edge of this graph: the next one has other samples."""
-        if self.graph is not None:
-            self.graph, self.seed = None, self.seed + 1
+    @property
+    def sampled(self) -> int:
+        """Cells of the map on which `sample_anew` draws other nodes, at most."""
+        grid = self.ground()
+        size, place = grid.height.size, (2.0 * AROUND / grid.resolution) ** 2
+        return size if size <= WHOLE else min(size, 3 * round(place))
+
+    def sample_anew(self, start: tuple[float, float], goal: tuple[float, float]) -> None:
+        """A passage hardly wider than the robot may hold no edge of this graph: another one from other samples takes its place. On a large map these are other ones
+        around the robot at `start`, around the node that is nearest to the goal on the way that walls leave open, and around the `goal` x, y [m] alone."""
+        grid, graph = self.ground(), self.graph
+        self.seed += 1
+        if graph is None or grid.height.size <= WHOLE:
+            self.graph = None
+            self.sync(start)
+            return
+        nodes = graph.nodes[:, :2]
+        end = nodes[way_to_go(grid, nodes, goal).argsort()[:1]]
+        self.graph = graph.redrawn(grid, np.vstack([start, end, goal]), AROUND, self.seed - graph.seed)
 
     def ground(self) -> ElevationGrid:
         """The grid of the graph. Raises NoRoute."""

@@ -298,8 +298,6 @@ class PlannerStage:
             way = self._ways.find(self._map, message, driven, self._now)
         except NoRoute as none:
             reason = REASONS[none.reason]
-            if reason is Reason.NO_ROUTE:
-                self._map.sample_anew()
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(none)))]
         except PlanningError as error:
             reason = Reason.INVALID

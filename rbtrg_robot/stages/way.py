@@ -26,8 +26,8 @@ BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
 """Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
-REDRAWS, REDRAWN_CELLS = 5, 500_000
-"""Other graphs that are searched at once; fewer on large maps: so many cells of the map may be drawn anew together."""
+REDRAWS, AT_LEAST, REDRAWN_CELLS = 5, 2, 500_000
+"""Other graphs that are searched at once; fewer, but some, where more cells of the map than so many would be drawn anew together."""
 LOST = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may have been lost."""
 WAYS = 4
@@ -131,10 +131,10 @@ class WaySearch:
                 raise
         if found is None or _lost(before, found[0]):
             kept = terrain.graph, terrain.table
-            for _ in range(min(REDRAWS, REDRAWN_CELLS // terrain.ground().height.size)):
-                terrain.sample_anew()
-                terrain.sync((message.start_x, message.start_y))
+            start, goal = (message.start_x, message.start_y), (message.goal_x, message.goal_y)
+            for _ in range(min(REDRAWS, max(AT_LEAST, REDRAWN_CELLS // terrain.sampled))):
                 try:
+                    terrain.sample_anew(start, goal)
                     other = self._plan(terrain, message, None)
                 except NoRoute:
                     continue

@@ -53,6 +53,50 @@ def test_after_any_change_the_graph_equals_a_full_rebuild(seed: int) -> None:
     assert graph.version == 13
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_nodes_drawn_anew_in_places_leave_the_rest_as_it_is_and_follow_the_map(seed: int) -> None:
+    scene = random_scene(seed, size=6.0)
+    graph = TraversalGraph.build(scene.grid, scene.start, PARAMS, seed)
+    before, cells = {name: getattr(graph, name).copy() for name in ARRAYS}, graph.cells
+    assert cells is not None
+    where = cells.where.copy()
+    places = np.array([scene.start, (9.0, -9.0)])  # the second is off the map
+    first, second, again = (graph.redrawn(scene.grid, places, 1.0, sample) for sample in (1, 2, 1))
+    for name, array in before.items():
+        np.testing.assert_array_equal(getattr(graph, name), array)
+    np.testing.assert_array_equal(cells.where, where)
+    _assert_same(first, again)
+    _assert_same(first.redrawn(scene.grid, places, 1.0, 0), graph)
+    side = cells.side
+    for drawn in (first, second):
+        place_of = {
+            int(i): tuple(xy)
+            for g in (graph, drawn)
+            for i, xy in zip(g.node_ids, g.nodes[:, :2].tolist(), strict=True)
+        }
+        for g in (graph, drawn):
+            assert [place_of[int(i)] for i in g.node_ids] == [*map(tuple, g.nodes[:, :2].tolist())], (
+                "an id is one place"
+            )
+        assert np.array_equal(drawn.version, graph.version + 1)
+        far = np.abs(drawn.nodes[:, :2] - scene.start).max(axis=1) > 1.0 + side
+        assert np.isin(drawn.node_ids[far], graph.node_ids).all()
+        near = np.abs(drawn.nodes[:, :2] - scene.start).max(axis=1) < 1.0 - side
+        assert near.sum() >= 5
+        assert not np.isin(drawn.node_ids[near], graph.node_ids).any()
+    assert not np.isin(first.node_ids, second.node_ids).all()
+    # the map changes, in one place of those and beside it: the same as drawn anew on the map of then
+    z = scene.grid.height.copy()
+    r, c = (
+        round((at - o) / scene.grid.resolution)
+        for at, o in zip(scene.start[::-1], scene.grid.origin[::-1], strict=True)
+    )
+    z[r + 10 : r + 40, c + 8 : c + 12] += 0.5
+    grid = _with(scene.grid, z)
+    first.update(grid, [(r + 10, c + 8, r + 40, c + 12)])
+    _assert_same(first, TraversalGraph.build(grid, scene.start, PARAMS, seed).redrawn(grid, places, 1.0, 1))
+
+
 def test_an_obstacle_kills_nodes_at_once_and_they_stay_away_until_it_leaves() -> None:
     scene = random_scene(1, size=6.0)
     graph = TraversalGraph.build(scene.grid, scene.start, PARAMS)

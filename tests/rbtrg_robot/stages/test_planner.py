@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pytest
 
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
@@ -15,6 +16,7 @@ from planning.risk import BodyModel
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.stages import map_graph
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.planner import AGAIN, PlannerStage, build
 from rbtrg_robot.wire.convert import patch_msg
@@ -301,9 +303,42 @@ def test_a_sample_that_held_no_route_is_not_drawn_again_and_one_that_did_is_kept
         assert kept.graph is not None
         drawn.append(np.array(kept.graph.nodes[:, :2]))
         if fails:
-            kept.sample_anew()
+            kept.sample_anew((1.5, 1.5), (5.0, 1.5))
     assert np.array_equal(drawn[1], drawn[2]), "the one that held a route"
     assert not any(np.array_equal(drawn[a], drawn[b]) for a, b in ((0, 1), (0, 3), (1, 3)))
+
+
+def test_on_a_large_map_other_nodes_are_drawn_at_once_around_the_robot_and_the_goal_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(map_graph, "WHOLE", 10_000)
+    monkeypatch.setattr(map_graph, "AROUND", 0.7)
+    found = 0
+    for seed in range(12):
+        z, start, goal = passage(seed, 0.5)
+        stage = planner()
+        stage.on(t.MAP_UPDATE, patch(z))
+        stage._sync(start)
+        first = stage._map.graph
+        assert first is not None
+        answer = ask(stage, start, goal)
+        if answer.ok and not answer.reaches_goal:  # what blocks the way is judged from near
+            start = float(answer.x[-1]), float(answer.y[-1])
+            answer = ask(stage, start, goal, sequence=1)
+        graph, drawn = stage._map.graph, stage._map.seed
+        if drawn and answer.reaches_goal:
+            assert graph is not None
+            assert graph.cells is not None
+            assert first.cells is not None
+            here, before = graph.cells, first.cells
+            away = np.hypot(*(here.where[:, :, None] - [start, goal]).T).T.min(axis=2) > 2.0
+            assert away.sum() > 30
+            assert np.array_equal(here.chosen[away], before.chosen[away])
+            assert np.array_equal(here.where[away], before.where[away])
+            assert ask(stage, start, goal, sequence=2).reaches_goal
+            assert stage._map.graph is graph, "a sample that has a route is kept"
+            found += 1
+    assert found >= 2
 
 
 def test_a_passage_of_054_is_found_at_once() -> None:
@@ -396,11 +431,12 @@ def test_where_nothing_leads_nearer_to_a_goal_that_is_far_there_is_no_route_and_
     assert (first.ok, first.reaches_goal) == (True, False), (
         "what closes the way from afar may be the map's error"
     )
-    seed = stage._map.seed
+    seed, graph = stage._map.seed, stage._map.graph
     there = ask(stage, (float(first.x[-1]), float(first.y[-1])), (5.0, 1.2), sequence=2)
     assert (there.ok, there.reason) == (False, "no_route")
     assert "no way leads nearer" in there.detail
     assert stage._map.seed > seed
+    assert stage._map.graph is graph is not None, "the rest of it is good"
 
 
 def test_nothing_leads_over_a_pit_whose_rim_a_ray_passed_under() -> None:

@@ -176,7 +176,7 @@ class Bus:
         def receive(sample: zenoh.Sample) -> None:
             data = sample.attachment.to_bytes() if sample.attachment is not None else b""
             if wire.astray(data, mark):
-                self._refuse(topic, "a message of another topic")
+                self.refuse(topic, "a message of another topic")
                 return
             sequence, stamp = wire.parse_attachment(data)
             received = Received(topic, sample.payload.to_bytes(), stamp, sequence, wire.sender_of(data))
@@ -207,10 +207,11 @@ class Bus:
         try:
             return received.decode()
         except messages.MessageError as error:
-            self._refuse(received.topic, error)
+            self.refuse(received.topic, error)
             return None
 
-    def _refuse(self, topic: Topic, why: object) -> None:
+    def refuse(self, topic: Topic, why: object) -> None:
+        """Count a message that is dropped, and log it now and then."""
         with self._lock:
             self.refused += 1
             number = self.refused

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -95,10 +96,11 @@ class OneStage:
 class StubBus:
     """A bus that brings what is put in and drops what goes out."""
 
-    open = Bus.open
+    open, refuse = Bus.open, Bus.refuse
 
     def __init__(self) -> None:
         self.refused = 0
+        self._lock = threading.Lock()
         self.waiting: list[Received[Any]] = []
 
     def take(self, _timeout: float) -> list[Received[Any]]:

@@ -34,7 +34,7 @@ class OdometryConfig(BaseModel):
     )
     max_points: int = Field(default=60_000, ge=1000, description="a larger scan is thinned")
     tilt_sigma: float = Field(
-        default=0.5, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
+        default=1.0, ge=0, description="standard deviation of the local map's roll and pitch, per scan [deg]"
     )
     patience: float = Field(
         default=0.15, gt=0, description="a topic this far behind the others is not waited for [s]"

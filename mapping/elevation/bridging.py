@@ -125,13 +125,18 @@ def _span(
 
 
 @njit(cache=True)
-def trust(height, variance, upper, count, source, v_max, settled, agree, hole, bound):  # pragma: no cover
+def trust(
+    height, variance, upper, count, source, v_max, settled, alone, agree, hole, bound
+):  # pragma: no cover
     """Which cells to believe (rows, cols) bool: wheel cells, and LiDAR cells certain enough (`v_max` [m^2]).
 
     A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
     A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
-    once, but so do mixed pixels, which hang in the air behind edges. Those are erased from `height` and `source`. The ground is
-    not above such a point by more than `SPREAD` of its standard deviations: `bound` is `upper` with these, for `bridge`.
+    once, but so do mixed pixels, which hang in the air behind edges. So more neighbours must agree than lie lower, and before a wall
+    they need `alone` points themselves. A cell of fewer than `alone` points is stray, too, where all its settled neighbours lie lower,
+    or where it has no neighbour that reaches it: a robot that looks at an edge for long collects mixed pixels one by one, a post gives several
+    in each scan. Stray cells are erased from `height` and `source`. The ground is not above such a point by more than `SPREAD` of its
+    standard deviations: `bound` is `upper` with these, for `bridge`.
     """
     rows, cols = height.shape
     out = np.zeros((rows, cols), dtype=np.bool_)
@@ -151,14 +156,26 @@ def trust(height, variance, upper, count, source, v_max, settled, agree, hole, b
                 else:
                     out[r, c] = True
             elif source[r, c] == 2:
-                n = 2
-                if count[r, c] < settled:
-                    n = 0
+                like = sure = reach = under = loose = lower = 0
+                if count[r, c] < alone:
                     for a in range(max(r - 1, 0), min(r + 2, rows)):
                         for b in range(max(c - 1, 0), min(c + 2, cols)):
-                            if count[a, b] >= settled and abs(height[a, b] - height[r, c]) <= agree:
-                                n += 1
-                if n < 2:
+                            apart = height[a, b] - height[r, c]
+                            if count[a, b] >= settled:
+                                level = abs(apart) <= agree
+                                like += level
+                                sure += level and count[a, b] >= alone
+                                reach += apart >= -agree
+                                under += apart < -agree
+                            else:
+                                loose += apart >= -agree
+                            lower += apart < -agree
+                if count[r, c] < settled:
+                    stray = like < 2 or like < lower or (sure < 2 and _before_wall(height, r, c))
+                else:
+                    # one of these is the cell itself
+                    stray = count[r, c] < alone and reach < 2 and (under > 0 or loose == 0)
+                if stray:
                     none[n_none] = r * cols + c
                     n_none += 1
                 else:

@@ -58,6 +58,9 @@ class ElevationConfig(BaseModel):
         default=0.06, gt=0.0, description="cells less certain than this are not trusted [m]"
     )
     trust_count: int = Field(default=3, ge=1, description="points of an established cell")
+    alone_count: int = Field(
+        default=6, ge=1, description="points of an established cell that no neighbour reaches"
+    )
     # --- ground under the wheels
     footprint: tuple[float, float] = Field(
         default=(0.38, 0.43), description="ground between the wheels: length and width [m]"

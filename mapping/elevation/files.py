@@ -75,14 +75,14 @@ def restore_store(
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
     known = (source == CONTACT) | (source == LIDAR)
     measured = np.where(known, source, UNKNOWN).astype(np.uint8)
-    store.take_back(*patch.cell, (height, layers["variance"], upper), measured, params.trust_count, now)
+    store.take_back(*patch.cell, (height, layers["variance"], upper), measured, params.alone_count, now)
     if sent:
         state = (source + 16 * layers["trusted"]).astype(np.uint8)
         store.differences(*patch.cell, height, upper, state, 0.0)
     return int(known.sum())
 
 
-def load_into(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:
+def load_into(store: TileStore, path: Path, resolution: float, enough: int) -> int:
     """Put the map in `path` into an empty store of this resolution; returns the number of cells with a height.
 
     Ours (.npz): exact at the same resolution, resampled at another. A grid (.npz with `height`,
@@ -93,10 +93,10 @@ def load_into(store: TileStore, path: Path, resolution: float, trust_count: int)
     if not path.is_file():
         raise MapError(f"{path}: no such map file")
     if path.suffix.lower() != ".npz":
-        return _import_geometry(store, path, resolution, trust_count)
+        return _import_geometry(store, path, resolution, enough)
     data = _arrays(path)
     if "format" in data:
-        return _load_own(store, data, path.name, resolution, trust_count)
+        return _load_own(store, data, path.name, resolution, enough)
     try:
         height = np.asarray(data["height"], dtype=np.float32)
         own, origin = float(data["resolution"]), np.asarray(data["origin"], dtype=np.float64)
@@ -111,9 +111,7 @@ def load_into(store: TileStore, path: Path, resolution: float, trust_count: int)
         ) from error
     except (ValueError, TypeError) as error:
         raise MapError(f"{path.name}: height must be 2-D, origin x, y, resolution metres: {error}") from error
-    return _enter(
-        store, np.where(trusted, height, np.nan), own, (origin[0], origin[1]), resolution, trust_count
-    )
+    return _enter(store, np.where(trusted, height, np.nan), own, (origin[0], origin[1]), resolution, enough)
 
 
 def read_cloud(path: Path) -> NDArray[np.float32]:
@@ -155,9 +153,7 @@ def checked_cloud(cloud: NDArray[Any], name: str) -> NDArray[np.float32]:
     return cloud.astype(np.float32)
 
 
-def _load_own(
-    store: TileStore, data: dict[str, NDArray], name: str, resolution: float, trust_count: int
-) -> int:
+def _load_own(store: TileStore, data: dict[str, NDArray], name: str, resolution: float, enough: int) -> int:
     if str(data["format"]) != FORMAT:
         raise MapError(f"{name}: not an elevation map but {data['format']}")
     if str(data.get("version")) != str(VERSION):
@@ -194,10 +190,10 @@ def _load_own(
     known = data["source"] == LIDAR
     tile, r, c = np.nonzero(known)
     x, y = (tiles[tile, 1] * size + c) * own, (tiles[tile, 0] * size + r) * own
-    return _enter_points(store, x, y, data["height"][known], own, resolution, trust_count)
+    return _enter_points(store, x, y, data["height"][known], own, resolution, enough)
 
 
-def _import_geometry(store: TileStore, path: Path, resolution: float, trust_count: int) -> int:
+def _import_geometry(store: TileStore, path: Path, resolution: float, enough: int) -> int:
     from hal.scenes.gridding import grid
     from hal.scenes.readers import read_geometry
     from hal.scenes.scene import SceneError
@@ -206,11 +202,11 @@ def _import_geometry(store: TileStore, path: Path, resolution: float, trust_coun
         geometry = read_geometry(path)
         if len(geometry.triangles) == 0:
             x, y, z = geometry.vertices.T
-            return _enter_points(store, x, y, z, resolution, resolution, trust_count)
+            return _enter_points(store, x, y, z, resolution, resolution, enough)
         height, origin, _ = grid(geometry, resolution, path.name)
     except SceneError as error:
         raise MapError(str(error)) from error
-    return _enter(store, height, resolution, origin, resolution, trust_count)
+    return _enter(store, height, resolution, origin, resolution, enough)
 
 
 def _enter(
@@ -219,17 +215,17 @@ def _enter(
     own: float,
     origin: tuple[float, float],
     resolution: float,
-    trust_count: int,
+    enough: int,
 ) -> int:
     """Known cells of a dense grid."""
     r, c = np.nonzero(np.isfinite(height))
     return _enter_points(
-        store, origin[0] + c * own, origin[1] + r * own, height[r, c], own, resolution, trust_count
+        store, origin[0] + c * own, origin[1] + r * own, height[r, c], own, resolution, enough
     )
 
 
 def _enter_points(
-    store: TileStore, x: NDArray, y: NDArray, z: NDArray, own: float, resolution: float, trust_count: int
+    store: TileStore, x: NDArray, y: NDArray, z: NDArray, own: float, resolution: float, enough: int
 ) -> int:
     """Square patches of side `own` around (x, y) at height z onto the lattice: the highest wins, of
     patches finer than a cell their median, the higher of two: a cell is wall only if half of it is."""
@@ -264,7 +260,7 @@ def _enter_points(
         height[order][begin + (count - 1) // 2 * (own < resolution)],
         PRIOR_SIGMA**2,
     )
-    cells["count"], cells["source"], cells["seen"] = trust_count, LIDAR, PRIOR
+    cells["count"], cells["source"], cells["seen"] = enough, LIDAR, PRIOR
     store.cells[index] = cells
     store.touched[index >> (2 * store.shift)] = 1
     return len(index)

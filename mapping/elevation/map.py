@@ -294,7 +294,7 @@ class ElevationMap:
         Raises MapError and leaves the present map as it is when the file cannot be used.
         """
         store = TileStore(self.params.tile_cells, self.store.folder)
-        known = load_into(store, path, self.params.resolution, self.params.trust_count)
+        known = load_into(store, path, self.params.resolution, self.params.alone_count)
         self._start_on(store, read_cloud(path))
         return known
 

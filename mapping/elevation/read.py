@@ -71,8 +71,9 @@ class MapReader:
         count, source, marks = small[0], small[1], small[2:]
         self.store.read(top, left, Layers(height, variance, upper, count, source))
         trusted = trust(
-            height, variance, upper, count, source, p.trust_sigma**2, p.trust_count, p.gate_min, p.hole, bound
-        )
+            height, variance, upper, count, source,
+            p.trust_sigma**2, p.trust_count, p.alone_count, p.gate_min, p.hole, bound,
+        )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         return out

@@ -114,7 +114,7 @@ def test_same_calls_give_the_same_bytes() -> None:
 
 def test_cells_lie_on_the_world_lattice() -> None:
     elevation = ElevationMap(ElevationConfig(resolution=0.05))
-    point = np.array([[2.0, -1.0, -0.4]] * 3, dtype=np.float32)
+    point = np.array([[2.0, -1.0, -0.4]] * 6, dtype=np.float32)
     elevation.fuse(point, (0.51, 0.26, 0.4), LEVEL, 1)
     grid = elevation.grid()
     r, c = np.argwhere(np.isfinite(grid.height))[0]
@@ -131,7 +131,7 @@ def test_wheels_fill_the_ground_the_lidar_cannot_see_and_yield_to_it() -> None:
     assert (patch.layers["source"] == CONTACT).all()
     assert (patch.layers["trusted"] == 1).all()
     np.testing.assert_allclose(patch.layers["elevation"], 0.0, atol=1e-5)
-    raised = np.array([[0.6, 0.0, -0.30]] * 4, dtype=np.float32)
+    raised = np.array([[0.6, 0.0, -0.30]] * 6, dtype=np.float32)
     elevation.fuse(raised, (0.0, 0.0, HEIGHT), LEVEL, 2)
     elevation.fuse_ground(WHEELS, (0.0, 0.0, HEIGHT), LEVEL, 3, start=True)
     seen = elevation.window(0.6, 0.0, 0.0)
@@ -321,7 +321,7 @@ def test_a_reset_starts_a_new_epoch_for_readers() -> None:
     mirror = drive(elevation, 4)
     before = mirror.epoch
     elevation.reset()
-    elevation.fuse(np.array([[2.0, 0, -0.4]] * 3, dtype=np.float32), (0, 0, HEIGHT), LEVEL, 10**10)
+    elevation.fuse(np.array([[2.0, 0, -0.4]] * 6, dtype=np.float32), (0, 0, HEIGHT), LEVEL, 10**10)
     for patch in elevation.take_patches():
         mirror.apply(patch)
     assert mirror.epoch == before + 1
@@ -358,7 +358,7 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
 
 
 def test_the_noise_is_that_of_the_lidar() -> None:
-    steep = np.array([[0.5, 0.0, -0.4]] * 3, np.float32)
+    steep = np.array([[0.5, 0.0, -0.4]] * 6, np.float32)
     variance = []
     for model in ("xt16", "mid360"):
         (lidar,) = only(model)

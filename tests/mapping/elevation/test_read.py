@@ -20,23 +20,73 @@ def test_trust_equals_numpy() -> None:
     upper = np.where(rng.random(shape) < 0.3, height - rng.uniform(0.0, 0.1, shape), np.inf).astype(
         np.float32
     )
-    support = np.zeros(shape, int)
+    like, sure, reach, low, loose, lower = np.zeros((6, *shape), int)
     padded_h, padded_n = np.pad(height, 1, constant_values=np.nan), np.pad(count, 1)
     for a in range(3):
         for b in range(3):
             h, n = padded_h[a : a + 40, b : b + 30], padded_n[a : a + 40, b : b + 30]
-            support += (n >= 3) & (np.abs(h - height) <= 0.05)
-    stray = (source == LIDAR) & (count < 3) & (support < 2)
+            level, not_below = np.abs(h - height) <= 0.05, h - height >= -0.05
+            like += (n >= 3) & level
+            sure += (n >= 6) & level
+            reach += (n >= 3) & not_below
+            loose += (n < 3) & not_below
+            lower += h - height < -0.05
+            low += (n >= 3) & (h - height < -0.05)
+    # heights differ by less than a wall: nothing lies before one
+    few = (count < 3) & ((like < 2) | (like < lower))
+    lonely = (count >= 3) & (count < 6) & (reach < 2) & ((low > 0) | (loose == 0))
+    stray = (source == LIDAR) & (few | lonely)
+    assert (few & (like >= 2)).sum() > 3
+    assert (lonely & (source == LIDAR)).sum() > 3
     under = (source == CONTACT) & (upper < height - np.float32(0.04))
     want = ((source == CONTACT) & ~under) | ((source == LIDAR) & ~stray & (variance < 1e-3))
     want_bound = np.where(stray | under, np.fmin(upper, height + 3.0 * np.sqrt(variance)), upper)
-    got = trust(height, variance, upper, count, source, 1e-3, 3, 0.05, 0.04, bound := np.empty_like(upper))
+    got = trust(height, variance, upper, count, source, 1e-3, 3, 6, 0.05, 0.04, bound := np.empty_like(upper))
     assert np.array_equal(got, want)
     np.testing.assert_allclose(bound, want_bound, rtol=1e-6)
     for gone in (stray, under):
         assert np.isnan(height[gone]).all()
         assert (source[gone] == UNKNOWN).all()
         assert gone.sum() > 10
+
+
+def believed(height, count):
+    """Heights after `trust`, of LiDAR cells certain to 1 cm; NaN unknown."""
+    height = np.array(height, np.float32)
+    known = np.isfinite(height)
+    count = np.where(known, count, 0).astype(np.uint8)
+    source, variance = np.where(known, LIDAR, UNKNOWN).astype(np.uint8), np.full_like(height, 1e-4)
+    open_ = np.full_like(height, np.inf)
+    trust(height, variance, open_, count, source, 3.6e-3, 3, 6, 0.05, 0.04, np.empty_like(height))
+    return height
+
+
+@pytest.mark.parametrize(
+    ("points", "ground", "stays"), [(3, 9, False), (5, 9, False), (6, 9, True), (3, 0, False)]
+)
+def test_a_cell_alone_above_the_ground_needs_six_points(points: int, ground: int, stays: bool) -> None:
+    """Mixed pixels came one by one into a cell 0.11 m above level ground, over seconds."""
+    height, count = np.full((5, 5), 0.0 if ground else np.nan), np.full((5, 5), ground)
+    height[2, 2], count[2, 2] = 0.11, points
+    assert np.isfinite(believed(height, count)[2, 2]) == stays
+    height[2, 3], count[2, 3] = 0.12, 3
+    assert np.isfinite(believed(height, count)[2, 2]), "an edge goes on"
+
+
+@pytest.mark.parametrize(("support", "stays"), [(3, False), (6, True)])
+def test_a_single_point_before_a_wall_needs_neighbours_of_six_points(support: int, stays: bool) -> None:
+    height, count = np.full((5, 6), np.nan), np.full((5, 6), 9)
+    height[0], height[1] = 0.5, 0.14
+    height[2, 3], count[2, 3], count[1] = 0.14, 1, support
+    assert np.isfinite(believed(height, count)[2, 3]) == stays
+    height[0] = 0.14
+    assert np.isfinite(believed(height, count)[2, 3]), "no wall"
+
+
+def test_a_single_point_is_not_ground_where_more_neighbours_lie_lower() -> None:
+    height, count = np.zeros((5, 5)), np.full((5, 5), 9)
+    height[2, 2], height[1, 1:3], count[2, 2] = 0.14, 0.14, 1
+    assert np.isnan(believed(height, count)[2, 2])
 
 
 def bridged(height, upper, *, source=None):
@@ -108,7 +158,7 @@ def test_no_bridge_leads_over_a_single_point_on_the_floor_of_a_pit() -> None:
     variance = np.where(np.isfinite(height), 1e-4, np.nan).astype(np.float32)
     floor = 10, 15
     height[floor], count[floor], source[floor], variance[floor] = -0.12, 1, LIDAR, 1e-4
-    trust(height, variance, upper, count, source, 3.6e-3, 3, 0.05, 0.04, bound := np.empty_like(upper))
+    trust(height, variance, upper, count, source, 3.6e-3, 3, 6, 0.05, 0.04, bound := np.empty_like(upper))
     assert bound[floor] == pytest.approx(-0.09, abs=1e-6)
     assert np.isnan(bridged(height, bound)[7:14, 13:17]).all()
     assert np.isfinite(bridged(height, np.full_like(height, 0.05))[7:14, 13:17]).all()

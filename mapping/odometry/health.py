@@ -25,8 +25,8 @@ FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
 USUAL = 2.0
 """and never more than this times what is usual,"""
-SPARE = 0.03
-"""with this share of points off the surfaces [0..1] to spare."""
+SPARE = 0.03, 0.01
+"""with this share of points off the surfaces [0..1] and this distance [m] to spare: where the usual ground is level, all other fits worse."""
 ON_PLANES = 0.25
 """Least share of its points in voxels that have a plane."""
 DROP = 0.25, 0.1
@@ -251,7 +251,7 @@ class HealthMonitor:
         """
         if young and match.on_planes < self.params.min_on_planes:
             return match.overlap >= self.params.overlap_again
-        off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + (SPARE, 0.0))
+        off, residual = np.minimum(FITS_AGAIN, USUAL * self._usual + SPARE)
         if tracked:
             off, residual = 1.0 - self.params.inliers_low, self.params.residual_high
         return (

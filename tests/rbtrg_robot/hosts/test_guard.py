@@ -60,6 +60,10 @@ def test_what_steps_behind_a_reversing_robot_is_not_touched() -> None:
         assert speed(stack) > 0.3
         assert by_hand(stack, 2.5, -0.4, near=near) > 0.0
         assert speed(stack) < 0.05
+        for _ in range(8):  # it creeps up to the last centimetre
+            if "behind" in stack.newest[t.ROBOT_STATE].hold:
+                break
+            assert by_hand(stack, 0.2, -0.4, near=near) > 0.0
         assert "behind" in stack.newest[t.ROBOT_STATE].hold
         by_hand(stack, 1.0, 0.3)
         assert speed(stack) > 0.2, "the way out is free"

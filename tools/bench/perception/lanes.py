@@ -33,6 +33,8 @@ FALSE = 0.10
 NEAR = 0.08
 MOVED = 0.5
 """A robot that came this far from its start has started [m]."""
+READY = 15
+"""Scans in the map when the goal is sent. `up` says ready after 15 to 20, because it asks every topic for its rate; the lockstep host after one."""
 EVERY = 100
 """Lockstep steps of 5 ms between two looks at the map."""
 TRUSTED_LIMIT, FALSE_LIMIT = 95.0, 0.0
@@ -148,6 +150,7 @@ def drive(name: str, timeout: float, sets: tuple[str, ...] = ()) -> Lane:
     with Lockstep(config) as stack:
         try:
             stack.wait_ready(20.0)
+            stack.run_until(lambda: stack.newest[t.MAP_STATUS].scans >= READY, 5.0, f"scan {READY}")
         except LockstepTimeout:
             out.state = "not ready"
             return out

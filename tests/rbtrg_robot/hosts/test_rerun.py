@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -35,13 +36,14 @@ START = 100 * 10**9
 class LateBus:
     """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is kept."""
 
-    open = Bus.open
+    open, refuse = Bus.open, Bus.refuse
 
     def __init__(self, entries: list[Entry]) -> None:
         self._entries = deque(entries)
         self._wanted: dict[str, Topic] = {}
         self.published: list[tuple[Topic, bytes, int, int]] = []
         self.refused = self.dropped = 0
+        self._lock = threading.Lock()
         self.publishers: dict[Topic, Any] = {}
         self.overtaken = 0
         self.now = 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,11 @@ from rbtrg_robot.wire.messages import PARALLEL, MessageError, array, decode, enc
 class Inbox:
     """A bus that brings what a test puts in."""
 
-    open = Bus.open
+    open, refuse = Bus.open, Bus.refuse
 
     def __init__(self) -> None:
         self.refused = 0
+        self._lock = threading.Lock()
         self.waiting: list[Received[Any]] = []
         self.published: list[tuple[t.Topic, Any]] = []
 

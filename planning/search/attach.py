@@ -24,7 +24,7 @@ from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import forward_only, turn_rates
+from planning.risk.turns import FREE_TURN, forward_only, turn_rates
 from planning.search.guarded import REACH as GUARDED
 from planning.search.guarded import guarded_turn, known_around
 from planning.search.wheels import climbs_back
@@ -39,6 +39,10 @@ ALONG = math.radians(20.0)
 BACK_OFF = 20.0
 """[m] Of two robots that backed onto a kerb of 20 cm, down which their front wheels had come already, one fell and one was wedged (lanes 518, 574); a fall weighs as much as
 100 m of driving (`planning.risk.turns`)."""
+AHEAD = (0.35, 0.7, -0.35, -0.7)
+"""[m] Places ahead and behind of a start that can hardly turn; they become nodes as well."""
+ASIDE = (-12.0, -6.0, 0.0, 6.0, 12.0)
+"""[deg] from its heading."""
 NEAREST = 8
 """Nodes around a goal that cannot be reached from which the way nearest to it is looked for."""
 
@@ -56,6 +60,8 @@ class Spot:
     """As of a node."""
     headings: np.uint64
     """`TraversalGraph.free_headings` at the place."""
+    from_start: np.float32 | None = None
+    """Native risk of the move from the start of the query; None where none leads here."""
 
 
 class Ground:
@@ -175,6 +181,27 @@ class Ground:
             self.headings(xy),
         )
 
+    def held(self, xy: XY, yaw: float) -> bool:
+        """Whether the guard lets the robot turn by less than what is driven as a bend, to one side at least."""
+        return not math.isnan(yaw) and any(
+            self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN)
+        )
+
+    def ahead(self, xy: XY, yaw: float) -> list[Spot]:
+        """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all moves but those along its heading sweep the
+        wall, and the graph may have no node there."""
+        out = []
+        for way in AHEAD:
+            for aside in ASIDE:
+                at = yaw + math.radians(aside)
+                place = (xy[0] + way * math.cos(at), xy[1] + way * math.sin(at))
+                if not self.may_join(np.array([xy, place])) or (risk := self.risk(xy, place)) < 0.0:
+                    continue
+                spot = self.spot(place)
+                spot.from_start = risk
+                out.append(spot)
+        return out
+
     def _turn_edge(self, xy: XY) -> float:
         """`TraversalGraph.turn_edge` at x, y [m]."""
         c, grid = self._cells, self._grid
@@ -271,16 +298,15 @@ def with_places(graph: TraversalGraph, grid: ElevationGrid, places: list[XY]) ->
 
 
 def attached(
-    graph: TraversalGraph, grid: ElevationGrid, places: list[Spot], between: np.float32 | None
+    graph: TraversalGraph, grid: ElevationGrid, places: list[Spot], start: int
 ) -> tuple[TraversalGraph, NDArray[np.int64]]:
-    """The graph of one query: `places` follow the graph's nodes; `between` is the risk of a move from the first to the second.
+    """The graph of one query: `places` follow the graph's nodes, `start` is the node that `Spot.from_start` tells of.
 
     -> the graph and (nnz,) where each slot of `graph` went.
     """
     n = len(graph.nodes)
     pairs = [(n + i, int(k), r) for i, p in enumerate(places) for k, r in zip(p.nodes, p.risk, strict=True)]
-    if between is not None:
-        pairs.append((n, n + 1, between))
+    pairs += [(start, n + i, p.from_start) for i, p in enumerate(places) if p.from_start is not None]
     both = np.array([(a, b, r) for a, b, r in pairs] + [(b, a, r) for a, b, r in pairs], np.float64).reshape(
         -1, 3
     )
@@ -303,6 +329,6 @@ def attached(
     out.frontier = np.append(graph.frontier, np.zeros(len(places), np.bool_))
     out.turn_edge = np.append(graph.turn_edge, np.array([p.turn_edge for p in places], np.float32))
     out.free_headings = np.append(graph.free_headings, np.array([p.headings for p in places], np.uint64))
-    out.node_ids = np.append(graph.node_ids, -1 - np.arange(len(places)))
+    out.node_ids = np.append(graph.node_ids, np.arange(-len(places), 0))
     out.node_revision = np.append(graph.node_revision, np.full(len(places), graph.version))
     return out, kept

@@ -54,8 +54,10 @@ class Endpoints:
             self._origin[0].take_back(self.table, self._origin[1])
 
 
-def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
+def endpoints(table: RiskTable, request: PlanRequest, ahead: bool = False) -> Endpoints:
     """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
+
+    `ahead`: a start at which the robot can hardly turn gets more nodes along its heading (`Ground.ahead`).
 
     Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
     """
@@ -74,8 +76,8 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
     if is_node(request.start):
         start = int(request.start)  # type: ignore[arg-type]
     else:
-        new.append(ground.spot(start_xy))
-    between = None
+        new = [*(ground.ahead(start_xy, yaw) if ahead else ()), ground.spot(start_xy)]
+        start += len(new) - 1
     if is_node(request.goal):
         goal = int(request.goal)  # type: ignore[arg-type]
     elif math.dist(start_xy, goal_xy) <= SAME:
@@ -91,16 +93,17 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         else:
             short = math.dist(end, goal_xy)
             goal = len(graph.nodes) + len(new)
-            if new and ground.joined(start_xy, end):
-                between = ground.risk(start_xy, end)
             new.append(ground.spot(end))
-    if not is_node(request.start) and not len(new[0].nodes) and between is None and goal != start:
+            if len(new) > 1 and ground.joined(start_xy, end):
+                new[-1].from_start = ground.risk(start_xy, end)
+    way_out = is_node(request.start) or any(spot.from_start is not None for spot in new)
+    if not way_out and not len(new[start - len(graph.nodes)].nodes) and goal != start:
         raise NoRoute(
             NoRouteReason.START_NOT_ON_GRAPH,
             f"no straight move leads from where the robot stands ({start_xy[0]:.2f}, {start_xy[1]:.2f}) to drivable "
             "ground: drive it by hand, slowly, onto open ground that it sees",
         )
-    query, kept = attached(graph, grid, new, between)
+    query, kept = attached(graph, grid, new, start)
     return Endpoints(
         table.for_query(query, kept),
         start,
@@ -112,6 +115,16 @@ def endpoints(table: RiskTable, request: PlanRequest) -> Endpoints:
         ground,
         (table, kept),
     )
+
+
+def held_at_start(table: RiskTable, request: PlanRequest) -> bool:
+    """Whether the request starts at a pose in which the guard hardly lets the robot turn."""
+    if is_node(request.start) or request.start_yaw is None or not table.graph.knows(table.grid):
+        return False
+    start = position(table.graph, request.start, "start")
+    if not on_map(table.grid, start):
+        return False
+    return Ground(table.graph, table.grid, (*start, request.start_yaw)).held(start, request.start_yaw)
 
 
 def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
 from planning.search.attach import NEAREST
-from planning.search.endpoints import Endpoints, Place, endpoints, position
+from planning.search.endpoints import Endpoints, Place, endpoints, held_at_start, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
     beside_virtual,
@@ -76,7 +76,19 @@ def plan(
     start_yaw, goal_yaw = _check(grid, request)
     if (driven := unbeaten(table, request, start_yaw, goal_yaw)) is not None:
         return driven
-    ends = endpoints(table, request)
+    try:
+        return _searched(table, request, start_yaw, goal_yaw)
+    except NoRoute:
+        if not held_at_start(table, request):
+            raise
+    return _searched(table, request, start_yaw, goal_yaw, ahead=True)
+
+
+def _searched(
+    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: bool = False
+) -> Plan:
+    """The route that a search finds. `ahead`: see `endpoints`."""
+    ends = endpoints(table, request, ahead)
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:

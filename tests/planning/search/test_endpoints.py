@@ -191,6 +191,28 @@ def test_a_place_to_avoid_counts_for_the_first_leg_too() -> None:
         assert np.hypot(*(a + t * (b - a) - (2.0, 1.5)).T).min() > 0.299
 
 
+def test_a_robot_with_its_side_at_a_wall_leaves_it_along_its_heading() -> None:
+    # By the map, which is a cell wrong, 4 cm of the robot are in the wall.
+    y, _ = np.mgrid[0:60, 0:160] * 0.05
+    rules, yaw, params = DriveRules(1.6, 0.3, straight=True, guarded=True), np.radians(-2.0), GraphParams()
+    height = np.where(y < 0.5, 0.6, 0.0)
+    beside, free = (4.0, 0.46 + 0.5 * params.width), (4.0, 1.6)
+    for seed in range(6):
+        grid, _ = world(height, free)
+        graph = TraversalGraph.build(grid, free, GraphParams(blind_radius=0.0), seed)
+        table = RiskTable(graph, grid, BODY)
+        for start in (beside, free, beside):
+            request = PlanRequest(start, (6.5, 1.6), yaw, rules=rules)
+            found = plan(graph, grid, request, BODY, table)
+            alone = plan(graph, grid, request, BODY)
+            assert (found.nodes, found.cost) == (alone.nodes, alone.cost), (
+                "the search that is kept knows the other start"
+            )
+            if start == beside:
+                away = np.arctan2(*(found.points[1, :2] - found.points[0, :2])[::-1]) - yaw
+                assert abs(np.sin(away)) < np.sin(np.radians(20.0))
+
+
 def test_a_closed_narrow_lane_is_left_backward():
     height = np.zeros((75, 150), np.float32)  # 3 x 6 m of 0.04 m
     across = np.arange(75) * 0.04 - 1.48

@@ -183,9 +183,7 @@ class Ground:
 
     def held(self, xy: XY, yaw: float) -> bool:
         """Whether the guard lets the robot turn by less than what is driven as a bend, to one side at least."""
-        return not math.isnan(yaw) and any(
-            self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN)
-        )
+        return any(self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN))
 
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
         """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all moves but those along its heading sweep the

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,10 +55,10 @@ class Endpoints:
             self._origin[0].take_back(self.table, self._origin[1])
 
 
-def endpoints(table: RiskTable, request: PlanRequest, ahead: bool = False) -> Endpoints:
+def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()) -> Endpoints:
     """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
 
-    `ahead`: a start at which the robot can hardly turn gets more nodes along its heading (`Ground.ahead`).
+    `ahead`: places that become nodes as well, see `places_ahead`.
 
     Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
     """
@@ -76,7 +77,7 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: bool = False) -> En
     if is_node(request.start):
         start = int(request.start)  # type: ignore[arg-type]
     else:
-        new = [*(ground.ahead(start_xy, yaw) if ahead else ()), ground.spot(start_xy)]
+        new = [*ahead, ground.spot(start_xy)]
         start += len(new) - 1
     if is_node(request.goal):
         goal = int(request.goal)  # type: ignore[arg-type]
@@ -117,14 +118,15 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: bool = False) -> En
     )
 
 
-def held_at_start(table: RiskTable, request: PlanRequest) -> bool:
-    """Whether the request starts at a pose in which the guard hardly lets the robot turn."""
+def places_ahead(table: RiskTable, request: PlanRequest) -> list[Spot]:
+    """Places along the heading of a start at which the guard hardly lets the robot turn (`Ground.ahead`); none of another start."""
     if is_node(request.start) or request.start_yaw is None or not table.graph.knows(table.grid):
-        return False
-    start = position(table.graph, request.start, "start")
+        return []
+    start, yaw = position(table.graph, request.start, "start"), request.start_yaw
     if not on_map(table.grid, start):
-        return False
-    return Ground(table.graph, table.grid, (*start, request.start_yaw)).held(start, request.start_yaw)
+        return []
+    ground = Ground(table.graph, table.grid, (*start, yaw))
+    return ground.ahead(start, yaw) if ground.held(start, yaw) else []
 
 
 def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:

@@ -14,8 +14,8 @@ from planning.graph.edges import VIRTUAL_RISK
 from planning.graph.graph import TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
-from planning.search.attach import NEAREST
-from planning.search.endpoints import Endpoints, Place, endpoints, held_at_start, position
+from planning.search.attach import NEAREST, Spot
+from planning.search.endpoints import Endpoints, Place, endpoints, places_ahead, position
 from planning.search.explain import Route, describe
 from planning.search.frontier import (
     beside_virtual,
@@ -79,13 +79,14 @@ def plan(
     try:
         return _searched(table, request, start_yaw, goal_yaw)
     except NoRoute:
-        if not held_at_start(table, request):
+        ahead = places_ahead(table, request)
+        if not ahead:
             raise
-    return _searched(table, request, start_yaw, goal_yaw, ahead=True)
+    return _searched(table, request, start_yaw, goal_yaw, ahead)
 
 
 def _searched(
-    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: bool = False
+    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: Sequence[Spot] = ()
 ) -> Plan:
     """The route that a search finds. `ahead`: see `endpoints`."""
     ends = endpoints(table, request, ahead)

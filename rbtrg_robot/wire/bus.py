@@ -5,8 +5,8 @@ Choices that a measured failure stands behind:
   process, and its liveliness token, alive for ever;
 - the callback only appends to a bounded deque: a slow consumer loses old messages instead of queueing without bound;
 - congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
-- a message that comes under the key of another topic is refused: Zenoh mixes the keys up for some tenths of a second
-  after sessions have come back to a router that hung (`keys.astray`);
+- a message that comes under the key of another topic is refused: Zenoh mixes the keys up for up to 1.5 s after sessions
+  have come back to a router that hung (`keys.astray`);
 - loopback, no multicast, one known endpoint.
 """
 
@@ -57,7 +57,31 @@ class Received(Generic[M]):
         return messages.decode(self.payload, self.topic.kind)
 
 
-class Bus:
+class Refusals:
+    """What is dropped because it cannot be used: counted, and now and then logged."""
+
+    def __init__(self) -> None:
+        self.refused = 0
+        self._counting = threading.Lock()
+
+    def open(self, received: Received[M]) -> M | None:
+        """The message in what came. None where it is none; that is counted and now and then logged."""
+        try:
+            return received.decode()
+        except messages.MessageError as error:
+            self.refuse(received.topic, error)
+            return None
+
+    def refuse(self, topic: Topic, why: object) -> None:
+        """Count a message that is dropped, and log it now and then."""
+        with self._counting:
+            self.refused += 1
+            number = self.refused
+        if number in (1, 10, 100, 1000):
+            log.warning("%s: message refused (%d so far): %s", topic.name, number, why)
+
+
+class Bus(Refusals):
     """One process's access to the topics."""
 
     def __init__(
@@ -76,6 +100,7 @@ class Bus:
         `clock`: that of the stack; None where stamps serve logs only. `stack`: id of the stack whose process this is.
         `security`: for sessions between computers; None on loopback.
         """
+        super().__init__()
         self.clock = clock or SourceClock()
         self.node = node
         self.scope = scope
@@ -117,7 +142,6 @@ class Bus:
         self._queues: dict[Topic, deque[tuple[int, Received[Any]]]] = {}
         self._arrived = 0
         self.dropped = 0
-        self.refused = 0
         self.publishers: dict[Topic, Publisher] = {}
 
     def __enter__(self) -> Self:
@@ -201,22 +225,6 @@ class Bus:
                 queue.clear()
         taken.sort(key=lambda entry: entry[0])
         return [received for _, received in taken]
-
-    def open(self, received: Received[M]) -> M | None:
-        """The message in what came. None where it is none; that is counted and now and then logged."""
-        try:
-            return received.decode()
-        except messages.MessageError as error:
-            self.refuse(received.topic, error)
-            return None
-
-    def refuse(self, topic: Topic, why: object) -> None:
-        """Count a message that is dropped, and log it now and then."""
-        with self._lock:
-            self.refused += 1
-            number = self.refused
-        if number in (1, 10, 100, 1000):
-            log.warning("%s: message refused (%d so far): %s", topic.name, number, why)
 
     @property
     def waiting(self) -> bool:

@@ -150,6 +150,14 @@ def test_a_clock_is_corrected_only_where_more_than_the_error_of_the_method_is_le
     assert fit.offset_sigma > 0.001, "as told"
 
 
+@pytest.mark.parametrize(("yaw", "sigma", "told"), [(6.4, 2.55, False), (2.0, 0.3, True), (2.0, 0.45, False)])
+def test_what_may_be_chance_is_no_wrong_mount(yaw: float, sigma: float, told: bool) -> None:
+    """In the first metres of a drive a right mount was 6.4 deg off, one standard deviation 2.55."""
+    calibration = Calibration({"main": XT16_MOUNT}, 0.05)
+    calibration._known["main"] = np.radians([0.0, 0.0, 0.0, yaw]), np.radians([0.01, 0.5, 0.5, sigma])
+    assert calibration.fault() == ("the mount of the main LiDAR is off: yaw +2.0 deg" if told else "")
+
+
 def test_least_squares_agrees_with_numpy() -> None:
     random = np.random.default_rng(2)
     a, x = random.standard_normal((60, 3)), np.array([0.3, -0.2, 0.1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from rbtrg_robot.log.read import CONFIG, Entry, first_of, read_run
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.bus import Received, Refusals
 from rbtrg_robot.wire.messages import encode
 
 LATE = 150
@@ -33,17 +32,15 @@ START = 100 * 10**9
 """[ns] that the start of a stack may take: the recorder is one of the first."""
 
 
-class LateBus:
+class LateBus(Refusals):
     """A bus whose inboxes keep the newest, as the live ones do, and whose reader comes late. What is published is kept."""
 
-    open, refuse = Bus.open, Bus.refuse
-
     def __init__(self, entries: list[Entry]) -> None:
+        super().__init__()
         self._entries = deque(entries)
         self._wanted: dict[str, Topic] = {}
         self.published: list[tuple[Topic, bytes, int, int]] = []
-        self.refused = self.dropped = 0
-        self._lock = threading.Lock()
+        self.dropped = 0
         self.publishers: dict[Topic, Any] = {}
         self.overtaken = 0
         self.now = 0

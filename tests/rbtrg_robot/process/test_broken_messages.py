@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +15,16 @@ from rbtrg_robot.config import load
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.supervisor import Supervisor
-from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.bus import Received, Refusals
 from rbtrg_robot.wire.convert import LayoutError, map_patch
 from rbtrg_robot.wire.messages import PARALLEL, MessageError, array, decode, encode
 
 
-class Inbox:
+class Inbox(Refusals):
     """A bus that brings what a test puts in."""
 
-    open, refuse = Bus.open, Bus.refuse
-
     def __init__(self) -> None:
-        self.refused = 0
-        self._lock = threading.Lock()
+        super().__init__()
         self.waiting: list[Received[Any]] = []
         self.published: list[tuple[t.Topic, Any]] = []
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import math
-import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -30,7 +29,7 @@ from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.stage import Stage
 from rbtrg_robot.topics import Role, Topic
-from rbtrg_robot.wire.bus import Bus, Received
+from rbtrg_robot.wire.bus import Received, Refusals
 from rbtrg_robot.wire.messages import MessageError, decode, encode, stamp_in
 
 Samples = dict[Topic, list[bytes]]
@@ -93,14 +92,11 @@ class OneStage:
         self._stage.close()
 
 
-class StubBus:
+class StubBus(Refusals):
     """A bus that brings what is put in and drops what goes out."""
 
-    open, refuse = Bus.open, Bus.refuse
-
     def __init__(self) -> None:
-        self.refused = 0
-        self._lock = threading.Lock()
+        super().__init__()
         self.waiting: list[Received[Any]] = []
 
     def take(self, _timeout: float) -> list[Received[Any]]:

@@ -110,7 +110,7 @@ class Bus(Refusals):
         outside = security.listen if security is not None else ()
         try:
             if router and security is not None and security.listen:
-                self._front = Front(security.listen)
+                self._front = Front(security.listen, int(endpoint.rpartition(":")[2]))
                 security = replace(security, listen=self._front.doors)
             config = session_config(endpoint, router=router, stack=stack, security=security)
             self.session = open_router(config) if router else zenoh.open(config)

@@ -8,7 +8,6 @@ begins a handshake (ClientHello). Certificates are checked by Zenoh, end to end,
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import socket
 import threading
 from collections.abc import Sequence
@@ -43,21 +42,31 @@ def greets(data: bytes) -> bool | None:
     return False if size > LARGEST else len(data) >= size or None
 
 
-def free_doors(count: int = DOORS) -> tuple[str, ...]:
-    """Endpoints on this computer that nobody listens on."""
-    with contextlib.ExitStack() as held:
-        ports = [
-            held.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1] for _ in range(count)
-        ]
-    return tuple(f"tls/127.0.0.1:{port}" for port in ports)
+def hold_port(port: int = 0) -> socket.socket:
+    """Keeps this port of this computer, or a free one, from being given to others; one who knows it may listen there (SO_REUSEADDR).
+
+    Raises OSError where somebody listens already.
+    """
+    holder = socket.socket()
+    holder.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        holder.bind(("127.0.0.1", port))
+    except OSError:
+        holder.close()
+        raise
+    return holder
 
 
 class Front:
     """Visitors wait in its sockets from the moment that it is made, and come in once it is opened."""
 
-    def __init__(self, listen: Sequence[str]) -> None:
-        """listen: `tls/ADDRESS:PORT` each. Raises OSError where one is taken, or is none of this computer."""
-        self.doors = free_doors()
+    def __init__(self, listen: Sequence[str], inner: int) -> None:
+        """listen: `tls/ADDRESS:PORT` each. inner: port of this computer that Zenoh listens on beside the doors.
+
+        Raises OSError where one is taken, or is none of this computer.
+        """
+        self._held: list[socket.socket] = []
+        """They keep Zenoh's ports until it listens there."""
         self._sockets: list[CrowdedSocket] = []
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="front", daemon=True)
@@ -69,16 +78,27 @@ class Front:
                     host.strip("[]"), int(port), **limits, asks=lambda data: bool(greets(data))
                 )
                 self._sockets.append(door)
+            self._held.append(hold_port(inner))
+            while len(self._held) <= DOORS:
+                self._held.append(hold_port())
         except OSError:
             self.close()
             raise
+        self._doors = [holder.getsockname()[1] for holder in self._held[1:]]
+
+    @property
+    def doors(self) -> tuple[str, ...]:
+        """Endpoints that are Zenoh's to listen on."""
+        return tuple(f"tls/127.0.0.1:{port}" for port in self._doors)
 
     def open(self) -> None:
         """Zenoh listens on `doors` now."""
+        self._release()
         self._thread.start()
 
     def close(self) -> None:
         """Nobody comes in any more, and who is in is sent away."""
+        self._release()
         if self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join()
@@ -87,9 +107,13 @@ class Front:
         if not self._loop.is_closed():
             self._loop.close()
 
+    def _release(self) -> None:
+        while self._held:
+            self._held.pop().close()
+
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
-        doors = Doors(self._loop, [int(door.rpartition(":")[2]) for door in self.doors])
+        doors = Doors(self._loop, self._doors)
         inside: set[Visitor] = set()
         for door in self._sockets:
             self._loop.run_until_complete(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from websockets.sync.client import connect
 from rbtrg_robot import topics as t
 from rbtrg_robot.process.runfiles import RunLock
 from rbtrg_robot.wire.bus import Bus
+from tools.bench.ports import free_endpoint
 
 LIMIT = 30.0
 
@@ -25,9 +25,7 @@ LIMIT = 30.0
 def stack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """A router where the command finds it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = free_endpoint()
     lock = RunLock("go2w")
     try:
         with Bus(endpoint, "stack", router=True):

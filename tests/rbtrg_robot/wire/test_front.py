@@ -74,14 +74,26 @@ def test_four_hundred_visitors_a_second_find_a_port_that_does_not_rest(
     assert clock.now < 0.5
 
 
+def test_zenoh_gets_the_ports_that_were_chosen_for_it() -> None:
+    """The system gives a free port to whoever asks, between the choice and Zenoh's turn too."""
+    inner, outside = free_port(), free_port()
+    made = Front([f"tls/127.0.0.1:{outside}"], inner)
+    ports = [int(door.rpartition(":")[2]) for door in made.doors]
+    assert len(set(ports) - {inner, outside}) == DOORS
+    with contextlib.closing(made), contextlib.ExitStack() as opened:
+        for port in (*ports, inner):
+            with socket.socket() as another, pytest.raises(OSError, match="in use"):
+                another.bind(("127.0.0.1", port))
+            opened.enter_context(socket.create_server(("127.0.0.1", port)))
+
+
 @contextlib.contextmanager
 def echoing(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[str, int]]:
     """A front before a program that says everything again."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        door = f"tls/127.0.0.1:{server.getsockname()[1]}"
-        monkeypatch.setattr(front, "free_doors", lambda: (door,))
-        port = free_port()
-        made = Front([f"tls/127.0.0.1:{port}"])
+    monkeypatch.setattr(front, "DOORS", 1)
+    port = free_port()
+    made = Front([f"tls/127.0.0.1:{port}"], free_port())
+    with socket.create_server(("127.0.0.1", int(made.doors[0].rpartition(":")[2]))) as server:
         made.open()
 
         def echo() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 from dask import config
 
+from tools.bench.ports import free_port
 from tools.bench.spread import SchedulerLost, TrialsFailed, spread
 
 
@@ -47,9 +47,7 @@ def pause_or_square(n: int) -> dict[str, int]:
 
 
 def test_a_dead_scheduler_is_told_in_one_line_and_what_is_done_is_kept() -> None:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     dask = [sys.executable, "-m"]
     scheduler = subprocess.Popen(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import socket
 import threading
 import time
 from pathlib import Path
@@ -32,6 +31,7 @@ from rbtrg_robot.wire.convert import (
     yaw_of,
 )
 from rbtrg_robot.wire.messages import header
+from tools.bench.ports import free_port
 
 PACE = 0.05
 """[m] that the robot drives between two words."""
@@ -72,9 +72,7 @@ class Robot:
         self._busy = busy
         self.said = 0.0
         """Wall clock [s] of its last word."""
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
+        self.port = free_port()
         self.bus = Bus(f"tcp/127.0.0.1:{self.port}", "supervisor", router=True)
         self.bus.subscribe(
             [

@@ -92,12 +92,14 @@ def run(args: list[str]) -> Report:
     parser = argparse.ArgumentParser(prog="python -m tools.bench live", description=__doc__)
     parser.add_argument("--goals", default="a,b,rough,platform,behind_wall", help="named goals of the scene")
     parser.add_argument("--scene", default="yard")
+    parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
     report = Report("live")
     with tempfile.TemporaryDirectory() as scratch:
         logs = options.keep or Path(scratch) / "logs"
-        with running(report, Path(scratch), logs, "--scene", options.scene) as bus:
+        settings = [word for one in options.set for word in ("--set", one)]
+        with running(report, Path(scratch), logs, "--scene", options.scene, *settings) as bus:
             _drive(bus, options.scene, options.goals.split(","), report)
     return report
 

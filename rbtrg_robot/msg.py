@@ -623,6 +623,8 @@ class PlanRequest(Message):
     goal_y: float = 0.0
     goal_yaw: float = 0.0
     has_goal_yaw: bool = False
+    held_left: bool = False
+    held_right: bool = False
     avoid: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
 
 

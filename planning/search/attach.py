@@ -26,7 +26,7 @@ from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
 from planning.risk.turns import FREE_TURN, forward_only, turn_rates
 from planning.search.guarded import REACH as GUARDED
-from planning.search.guarded import guarded_turn, known_around
+from planning.search.guarded import guarded_turn, known_around, without
 from planning.search.wheels import climbs_back
 
 XY = tuple[float, float]
@@ -68,9 +68,15 @@ class Ground:
     """The graph's flags around one pose, with the ground that the robot stands on counted as free."""
 
     def __init__(
-        self, graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float, float, float] | None = None
+        self,
+        graph: TraversalGraph,
+        grid: ElevationGrid,
+        stand: tuple[float, float, float] | None = None,
+        held: tuple[bool, bool] = (False, False),
     ) -> None:
+        """`stand`: x, y [m], yaw [rad] of the robot, NaN where that may be any. `held`: see `PlanRequest`."""
         assert graph.cells is not None
+        self._held = held
         self.graph, self._grid = graph, grid
         self._cells: Cells = graph.cells
         self._flags, self._faces = self._cells.flags, self._cells.faces
@@ -144,9 +150,13 @@ class Ground:
         )
 
     def headings(self, xy: XY) -> np.uint64:
-        """`TraversalGraph.free_headings` at x, y."""
+        """`TraversalGraph.free_headings` at x, y, less those that a turn of the robot from where it stands would come to and the guard holds."""
         p, c = self.graph.params, self._cells
-        return np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
+        room = np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
+        if self._stand is not None and xy == self._stand[:2] and not math.isnan(self._stand[2]):
+            for held, turn in zip(self._held, (math.pi / 2.0, -math.pi / 2.0), strict=True):
+                room = without(room, self._stand[2], turn, FREE_TURN) if held else room
+        return room
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
         """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
@@ -183,7 +193,9 @@ class Ground:
 
     def held(self, xy: XY, yaw: float) -> bool:
         """Whether the guard lets the robot turn by less than what is driven as a bend, to one side at least."""
-        return any(self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN))
+        return any(self._held) or any(
+            self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN)
+        )
 
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
         """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all moves but those along its heading sweep the

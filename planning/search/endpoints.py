@@ -71,7 +71,7 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
     if not is_node(request.start):
         _require_on_map(grid, start_xy, "start")
     yaw = math.nan if request.start_yaw is None else request.start_yaw
-    ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw))
+    ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw), request.held)
     new: list[Spot] = []
     start, goal, short, seen = len(graph.nodes), None, 0.0, False
     if is_node(request.start):
@@ -125,7 +125,7 @@ def places_ahead(table: RiskTable, request: PlanRequest) -> list[Spot]:
     start, yaw = position(table.graph, request.start, "start"), request.start_yaw
     if not on_map(table.grid, start):
         return []
-    ground = Ground(table.graph, table.grid, (*start, yaw))
+    ground = Ground(table.graph, table.grid, (*start, yaw), request.held)
     return ground.ahead(start, yaw) if ground.held(start, yaw) else []
 
 

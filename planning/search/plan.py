@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -22,10 +23,8 @@ from planning.search.frontier import (
     enters_field,
     fields_of,
     in_doubt,
-    in_field,
     open_frontiers,
     same_frontier,
-    way_to_go,
     worth_keeping,
 )
 from planning.search.guarded import without
@@ -34,6 +33,7 @@ from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import free_at, straighten, turn_at
+from planning.search.to_go import in_field, through_virtual, way_to_go
 from planning.search.unbeaten import unbeaten
 
 __all__ = [
@@ -76,6 +76,15 @@ def plan(
     start_yaw, goal_yaw = _check(grid, request)
     if (driven := unbeaten(table, request, start_yaw, goal_yaw)) is not None:
         return driven
+    if any(request.held):
+        with contextlib.suppress(NoRoute):
+            return _found(table, request, start_yaw, goal_yaw)
+        request = replace(request, held=(False, False))
+    return _found(table, request, start_yaw, goal_yaw)
+
+
+def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
+    """The route that a search finds, the second time with places along the robot's heading."""
     try:
         return _searched(table, request, start_yaw, goal_yaw)
     except NoRoute:
@@ -194,23 +203,28 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     if not ends.any():
         return None
     to_go = way_to_go(grid, nodes, goal, fields_of(graph))
-    best = _search(at, request, ends, to_go, goal, start_yaw, np.nan)
+    # A plan may end where virtual ground begins over which a frontier can be reached.
+    left = np.where(ends, to_go, through_virtual(graph, ends, to_go, weights_of(at.table.body).native))
+    beside = beside_virtual(graph, at.start, request)
+    ends = ends | (beside & np.isfinite(left))
+    best = _search(at, request, ends, left, goal, start_yaw, np.nan)
     if best is None:
         return None
     if enters_field(graph, best.points):
         # What may lead around the field is looked at before.
-        ends |= beside_virtual(graph, at.start, request) & ~in_field(graph, nodes)
-        best = _search(at, request, ends, to_go, goal, start_yaw, np.nan) or best
+        around = beside & ~in_field(graph, nodes)
+        ends, left = ends | around, np.where(around, to_go, left)
+        best = _search(at, request, ends, left, goal, start_yaw, np.nan) or best
     if request.previous_frontier is not None:
         same = same_frontier(nodes, to_go, request.previous_frontier)
-        kept = _search(at, request, ends & same, to_go, goal, start_yaw, np.nan)
+        kept = _search(at, request, ends & same, left, goal, start_yaw, np.nan)
         if kept is not None and worth_keeping(
-            kept.cost + to_go[kept.nodes[-1]], best.cost + to_go[best.nodes[-1]]
+            kept.cost + left[kept.nodes[-1]], best.cost + left[best.nodes[-1]]
         ):
             best = kept
     x, y, _ = best.points[-1]
-    left = float(to_go[best.nodes[-1]])
-    return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=left)
+    rest = float(left[best.nodes[-1]])
+    return replace(best, reaches_goal=False, frontier=(float(x), float(y)), to_go=rest)
 
 
 def _gives_way(at: Endpoints, found: Plan, other: Plan) -> bool:

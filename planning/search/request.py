@@ -63,6 +63,8 @@ class PlanRequest:
     rules: DriveRules = DriveRules()
     driven: Driven | None = None
     """Kept where it leads to the same end, unless the new route is clearly better (`planning.search.keep`)."""
+    held: tuple[bool, bool] = (False, False)
+    """Whether the guard held a turn on the spot at `start` to the left, to the right: it sees more than the map. Another way is taken, if there is one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,7 @@ class Plan:
     frontier: tuple[float, float] | None = None
     """x, y [m] of that frontier."""
     to_go: float = 0.0
-    """[m] from that frontier to the goal, see `planning.search.frontier.way_to_go`."""
+    """[m] from that frontier to the goal, see `planning.search.to_go.way_to_go`."""
     exact: bool = False
     """The plan begins at the start pose and ends at the goal pose themselves, not at the nodes next to them."""
     short: float = 0.0

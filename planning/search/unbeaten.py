@@ -45,7 +45,7 @@ def unbeaten(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw:
     start, goal = position(graph, request.start, "start"), position(graph, request.goal, "goal")
     if not (graph.knows(grid) and on_map(grid, start) and on_map(grid, goal)):
         return None
-    ground = Ground(graph, grid, (*start, start_yaw))
+    ground = Ground(graph, grid, (*start, start_yaw), request.held)
     end = ground.end_near(goal, SNAP_DISTANCE)
     if end is None or (search.arcs.x[-1], search.arcs.y[-1]) != end:
         return None

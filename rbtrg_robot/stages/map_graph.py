@@ -12,8 +12,8 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Terrain
-from planning.search.frontier import way_to_go
 from planning.search.plan import Plan, PlanRequest, plan
+from planning.search.to_go import way_to_go
 
 WHOLE = 500_000
 """Cells of a map on which a whole graph is drawn anew: up to 0.4 s. On larger ones other nodes are drawn in places."""

@@ -159,6 +159,7 @@ class WaySearch:
             variant=self._params.variant,
             rules=replace(self.rules, backward=np.inf) if self._forward else self.rules,
             driven=Driven(*ahead) if ahead is not None and not (self._forward and ahead[1].any()) else None,
+            held=(message.held_left, message.held_right),
             allow_frontier=True,
             previous_frontier=self._memory.chosen,
             seen_frontiers=tuple(self._memory.seen),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from hal.types import NS
@@ -54,12 +55,13 @@ class Inputs:
         return self.limits is not None and self.limits.forward >= AHEAD
 
     @property
-    def turn_held(self) -> bool:
-        """Whether the guard holds the robot in the turn on the spot that the tracker makes."""
+    def turn_held(self) -> float:
+        """1.0 where the guard holds the robot in the turn on the spot to the left that the tracker makes, -1.0 in one to the right, else 0.0."""
         if self.limits is None or self.tracker is None or self.phase != "aligning":
-            return False
+            return 0.0
         error = self.tracker.heading_error
-        return error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
+        held = error != 0.0 and (self.limits.left if error > 0.0 else self.limits.right) < HELD
+        return math.copysign(1.0, error) if held else 0.0
 
     @property
     def beside(self) -> float:

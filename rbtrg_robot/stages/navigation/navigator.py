@@ -12,6 +12,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import Goal, GoalArea, GoalState, over_unseen, status_of
+from rbtrg_robot.stages.navigation.held import HeldTurns
 from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
@@ -83,6 +84,7 @@ class NavigatorStage:
         self._short = 0
         self._recovery = Recovery(params)
         self._looks = Looks(max_trunk_tilt)
+        self._turns = HeldTurns()
         self._order = PathOrder(step_vx)
         self._progress = ProgressMonitor()
         self._trail = Trail()
@@ -146,6 +148,7 @@ class NavigatorStage:
         self._short = 0
         self._recovery = Recovery(self._params)
         self._looks = Looks(self._tilt)
+        self._turns = HeldTurns()
         self._progress = ProgressMonitor()
         self._plan = None
         self._query.drop()
@@ -266,9 +269,12 @@ class NavigatorStage:
             self._progress.reset()  # the tracker ends that in time by itself
         elif self._pose is not None and on_path and self._progress.stuck(now, self._pose):
             return self._recover(goal)
-        if goal.state is GoalState.MOVING and (self._inputs.turn_held or self._inputs.way_held):
+        turn = self._inputs.turn_held
+        if goal.state is GoalState.MOVING and (turn or self._inputs.way_held):
             if self._query.age(now) > HELD:
-                self._replan(goal)  # the planner knows by the guard's rule what is free from here
+                if turn and self._pose is not None:
+                    self._turns.add(self._pose, left=turn > 0.0)
+                self._replan(goal)
         elif goal.state is GoalState.MOVING and goal.frontier:
             on_edge = self._route.over_edge(self._plan, self._pose)
             if self._query.due(now, self._inputs.tracker, on_edge=on_edge):
@@ -336,7 +342,8 @@ class NavigatorStage:
         if self._plan is None:
             goal.state = GoalState.PLANNING
         ask = self._query.repeat if again else self._query.ask
-        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._recovery.avoid)))
+        held = self._turns.at(self._pose)
+        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._recovery.avoid, held)))
 
     def _halt(self) -> None:
         self._progress.reset()

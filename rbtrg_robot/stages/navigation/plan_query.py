@@ -26,13 +26,18 @@ class PlanQuery:
         self._first_asked = 0
         self._answered = 0
 
-    def ask(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> msg.PlanRequest:
-        """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off."""
+    def ask(
+        self, now: int, goal: Goal, pose: Pose2, avoid: list[float], held: tuple[bool, bool]
+    ) -> msg.PlanRequest:
+        """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off, `held` tells whether the guard
+        held a turn there to the left, to the right."""
         self._sequence += 1
         self._first_asked = now
-        return self.repeat(now, goal, pose, avoid)
+        return self.repeat(now, goal, pose, avoid, held)
 
-    def repeat(self, now: int, goal: Goal, pose: Pose2, avoid: list[float]) -> msg.PlanRequest:
+    def repeat(
+        self, now: int, goal: Goal, pose: Pose2, avoid: list[float], held: tuple[bool, bool]
+    ) -> msg.PlanRequest:
         """The open question once more, from where the robot is by now."""
         self.open = True
         self._asked = now
@@ -47,6 +52,8 @@ class PlanQuery:
             goal_y=goal.y,
             goal_yaw=goal.yaw or 0.0,
             has_goal_yaw=goal.yaw is not None,
+            held_left=held[0],
+            held_right=held[1],
             avoid=np.array(avoid, np.float64),
         )
 

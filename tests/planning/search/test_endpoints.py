@@ -213,6 +213,37 @@ def test_a_robot_with_its_side_at_a_wall_leaves_it_along_its_heading() -> None:
                 assert abs(np.sin(away)) < np.sin(np.radians(20.0))
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_turn_that_the_guard_held_is_made_elsewhere_where_that_can_be(side: float) -> None:
+    grid, graph = world(np.zeros((120, 120)), (3.0, 3.0))
+    rules = DriveRules(1.6, 0.3, straight=True, guarded=True)
+    request = PlanRequest((3.0, 3.0), (3.0, 3.0 + 2.0 * side), 0.0, rules=rules)
+
+    def first_turn(held: tuple[bool, bool]) -> float:
+        found = plan(graph, grid, replace(request, held=held), BODY)
+        assert found.reaches_goal
+        leg = found.points[1, :2] - found.points[0, :2]
+        turn = np.arctan2(leg[1], leg[0])
+        return float(turn - np.copysign(np.pi, turn)) if found.transitions[0].backward else float(turn)
+
+    assert first_turn((False, False)) == pytest.approx(side * np.pi / 2, abs=0.01)
+    assert first_turn((side < 0.0, side > 0.0)) == pytest.approx(side * np.pi / 2, abs=0.01)
+    for held in ((side > 0.0, side < 0.0), (True, True)):
+        assert abs(first_turn(held)) <= np.radians(30.0) + 0.05 or first_turn(held) * side < 0.0
+
+
+def test_a_turn_that_the_guard_held_is_asked_for_again_where_no_other_way_leads_on() -> None:
+    # A closed end, just long enough for the robot: it can only turn there.
+    y, x = np.mgrid[0:120, 0:120] * 0.05
+    height = np.where((x > 2.5) & (x < 3.5) & (y > 2.5), 0.0, 0.6)
+    grid, graph = world(height, (3.0, 3.0))
+    rules = DriveRules(np.inf, 0.3, straight=True, guarded=False)
+    request = PlanRequest((3.0, 3.0), (3.0, 5.0), -np.pi / 2, rules=rules)
+    alone = plan(graph, grid, request, BODY)
+    held = plan(graph, grid, replace(request, held=(True, True)), BODY)
+    assert (held.nodes, held.cost) == (alone.nodes, alone.cost)
+
+
 def test_a_closed_narrow_lane_is_left_backward():
     height = np.zeros((75, 150), np.float32)  # 3 x 6 m of 0.04 m
     across = np.arange(75) * 0.04 - 1.48

@@ -13,15 +13,14 @@ from planning.graph.flags import HIGH, LOW, VIRTUAL
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.search.frontier import (
     ARRIVED,
-    CLOSED,
     LOOKED,
     FrontierMemory,
     open_frontiers,
     virtual_around,
-    way_to_go,
 )
 from planning.search.plan import plan
 from planning.search.request import PlanRequest
+from planning.search.to_go import CLOSED, through_virtual, way_to_go
 from tests.planning.search.explore_world import World, explore, maze, rooms_of, shortest
 from tests.planning.worlds import flat
 
@@ -241,6 +240,49 @@ def test_a_robot_before_a_crest_looks_behind_it_before_it_turns_away_to_a_far_fr
     assert np.flatnonzero(open_frontiers(graph, start, request)).tolist() == sorted((far, close))
     graph.frontier[:] = False
     np.testing.assert_array_equal(open_frontiers(graph, start, request), beside)
+
+
+def test_the_way_through_virtual_ground_is_that_of_plain_relaxation() -> None:
+    rng = np.random.default_rng(0)
+    grid = flat(6.0, 6.0)
+    hidden = rng.random(grid.shape) < 0.5
+    grid = replace(grid, trusted=~hidden, virtual=hidden)
+    graph = TraversalGraph.build(grid, (1.0, 1.5), GraphParams(blind_radius=0.0, min_coverage=0.2))
+    count = len(graph.nodes)
+    assert count > 50
+    ends = np.arange(count) % 17 == 0
+    to_go = rng.uniform(1.0, 9.0, count)
+    source = np.repeat(np.arange(count), np.diff(graph.indptr))
+    graph.risk[:] = (source + graph.indices) % 7 / 7.0
+    col, row = (
+        np.round((graph.nodes[:, k] - graph.cells.origin[k]) / graph.cells.res).astype(int) for k in (0, 1)
+    )
+    on = graph.cells.flags[row, col] & VIRTUAL > 0
+    assert on.any()
+    assert not on.all()
+    length = np.hypot(*(graph.nodes[source, :2] - graph.nodes[graph.indices, :2]).T)
+    cost = np.where(on[source] | on[graph.indices], length, length * (1.0 + 3.0 * graph.risk))
+    way = np.where(ends, to_go, np.inf)
+    for _ in range(count):
+        np.minimum.at(way, source, cost + way[graph.indices])
+    np.testing.assert_allclose(through_virtual(graph, ends, to_go, 3.0), way)
+    assert np.isinf(through_virtual(graph, np.zeros(count, bool), to_go, 3.0)).all()
+
+
+def test_a_lane_whose_valleys_nobody_saw_yet_is_not_left_for_the_lane_beside_it() -> None:
+    # Beyond a frontier ground counts as free. Virtual ground before one had its price, and the lane of the goal was dearer than the other.
+    y, x = np.mgrid[0:100, 0:160] * 0.04
+    z = np.zeros(x.shape, np.float32)
+    z[(x < 0.1) | (y < 0.1) | (y > 3.9) | ((np.abs(y - 2.0) < 0.1) & (x > 1.6))] = 0.5
+    valley = (y > 0.1) & (y < 1.9) & (((x > 2.2) & (x < 3.0)) | ((x > 3.6) & (x < 4.4)))
+    dark = (y > 2.1) & (x > 2.2)
+    z[dark] = np.nan
+    grid = ElevationGrid(z, ~valley & ~dark, (0.0, 0.0), 0.04, virtual=valley)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(blind_radius=0.0))
+    found = plan(graph, grid, PlanRequest((1.0, 1.0), (20.0, 1.0), 0.0, allow_frontier=True))
+    assert found.frontier is not None
+    assert found.frontier[1] < 1.9
+    assert found.frontier[0] > 1.3
 
 
 def test_a_frontier_that_moved_on_is_kept_and_one_beside_it_that_lies_back_is_another() -> None:

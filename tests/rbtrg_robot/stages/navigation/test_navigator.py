@@ -877,6 +877,39 @@ def test_a_turn_that_the_guard_holds_is_asked_for_anew(world: World, error: floa
     assert world.count(t.PLAN_REQUEST) == requests + 1
 
 
+@pytest.mark.parametrize("error", [0.5, -0.5])
+def test_the_planner_is_told_of_a_turn_that_the_guard_held_there(world: World, error: float) -> None:
+    # The guard sees more than the map: the planner sent a robot into the same turn again and again.
+    world.goal()
+    request = world.last(t.PLAN_REQUEST)
+    assert not request.held_left
+    assert not request.held_right
+    world.answer()
+    place, world.tracker_phase, world.heading_error = world.pose, "aligning", error
+    world.send(t.MOTION_LIMITS, forward=1.0, backward=1.0, left=float(error < 0), right=float(error > 0))
+    world.run(2.7)
+    request = world.last(t.PLAN_REQUEST)
+    assert (request.held_left, request.held_right) == (error > 0, error < 0)
+    world.answer(reaches=False)
+    world.tracker_phase, world.left = "following", 0.3
+    for pose, told in (
+        ((place[0] + 0.1, *place[1:]), True),
+        ((place[0] + 0.2, *place[1:]), False),
+        ((*place[:2], place[2] + 0.5), False),
+        (place, True),
+    ):
+        world.pose = pose
+        world.run(0.7)
+        request = world.last(t.PLAN_REQUEST)
+        assert (request.start_x, request.start_yaw) == pytest.approx((pose[0], pose[2]))
+        assert (request.held_left or request.held_right) is told
+        world.answer(reaches=False)
+    world.goal(goal_id="another")
+    request = world.last(t.PLAN_REQUEST)
+    assert not request.held_left
+    assert not request.held_right
+
+
 @pytest.mark.parametrize(
     ("vx", "hold", "forward", "backward", "asks"),
     [

@@ -192,7 +192,7 @@ class Ground:
         )
 
     def held(self, xy: XY, yaw: float) -> bool:
-        """Whether the guard lets the robot turn by less than what is driven as a bend, to one side at least."""
+        """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend, to one side at least."""
         return any(self._held) or any(
             self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN)
         )

@@ -69,7 +69,8 @@ def plan(
     """The cheapest route for `request`.
 
     `table` carries evaluations from earlier queries on the same graph, map and body; the result does not depend
-    on it. Raises NoRoute with a reason when there is none, PlanningError when an argument makes no sense.
+    on it. A turn that the guard held (`PlanRequest.held`) is part of it only where there is no other way. Raises NoRoute with a reason when there is
+    none, PlanningError when an argument makes no sense.
     """
     body = body or BodyModel()
     table = _table(graph, grid, body, table)

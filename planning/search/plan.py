@@ -206,9 +206,8 @@ def _to_frontier(at: Endpoints, request: PlanRequest, start_yaw: float) -> Plan 
     to_go = way_to_go(grid, nodes, goal, fields_of(graph))
     left = to_go
     beside = beside_virtual(graph, at.start, request)
-    if (
-        beside & ~ends
-    ).any():  # a plan may end where virtual ground begins over which a frontier can be reached
+    if (beside & ~ends).any():
+        # A plan may end where virtual ground begins over which a frontier can be reached.
         left = np.where(ends, to_go, through_virtual(graph, ends, to_go, weights_of(at.table.body).native))
         ends = ends | (beside & np.isfinite(left))
     best = _search(at, request, ends, left, goal, start_yaw, np.nan)

@@ -24,6 +24,7 @@ from planning.path import (
 )
 from planning.risk.body import BodyModel
 from planning.search.plan import DriveRules, Plan, PlanRequest
+from planning.search.to_go import through_virtual
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -118,6 +119,10 @@ class PlannerStage:
             stage._whole = stage._whole if driven else None
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))
         stage._question(msg.RouteQuestion(start_x=1.0, start_y=1.0, goal_x=3.0, goal_y=3.0))
+        graph = stage._map.graph
+        assert graph is not None
+        # The made-up ground has no virtual part, so no plan came to this.
+        through_virtual(graph, np.ones(len(graph.nodes), np.bool_), np.zeros(len(graph.nodes)), 1.0)
         around, here = mapped(height, grid.origin, grid.resolution), (2.0, 2.0, 0.0)
         known_behind(around, here, stage._map.params.max_gap, 0.1)
         free_turn(around, here, 1.0, Capabilities("", max_step=stage._map.params.max_step))

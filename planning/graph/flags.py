@@ -131,11 +131,12 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
     unseen = covered(trusted | virtual, gap)
     z = closed(height, gap)
     limits = (max_step + STEP_TOLERANCE, max_step + keep_step + STEP_TOLERANCE)
+    levels = 2 if keep_step > 0.0 else 1
     holes = np.zeros(2, np.bool_)
     for r in range(rows):
         for c in range(cols):
             flag = UNSEEN if unseen[r, c] else VIRTUAL if unmeasured[r, c] else 0
-            for k in range(2):
+            for k in range(levels):
                 hole = z[r, c] - height[r, c] > limits[k]
                 flags[k, r, c] = flag | (HOLE if hole else 0)
                 holes[k] |= hole
@@ -156,16 +157,18 @@ def cell_flags(height, trusted, virtual, res, max_step, keep_step, max_tan, gap,
         for r in range(rows - n * dr):
             ahead = z[r + n * dr, left + n * dc :]
             most = max(most, _rises(diff[r, left : left + wide], z[r, left : left + wide], ahead))
-        for k in range(2):
+        for k in range(levels):
             if most > limits[k]:
                 _mark_steps(
                     flags[k], z, diff, trusted, below, dr, dc, n, side, limits[k], max_tan * n * scale
                 )
     floor = closed(height, pit) if holes.any() else z
-    for k in range(2):
+    for k in range(levels):
         _complete_corners(z, trusted, below, flags[k], limits[k])
         if holes[k]:
             _mark_tips(z, floor, height, flags[k], gap, limits[k])
+    if levels == 1:
+        flags[1] = flags[0]
     return flags
 
 

@@ -1,7 +1,8 @@
 """Faces: how high and which way the ground rises within a hand's breadth, per cell. They are better crossed head-on.
 
 A face is a vector: the rise over `BASE` along x and along y, less the slope that the ground has on both sides, or that goes on evenly
-to one side: a ridge is no face. Its direction
+to one side: a ridge is no face. What is so steep that wheels slide down sideways is one, and as high as it goes on: along it, one side of the robot on the
+foot of a ramp of 45 deg, robots slid 0.2 m aside. Its direction
 is the face's normal, uphill; its height is the larger of the two parts, because a step at 45 deg rises by its whole height in
 both. Where a rise cannot be told (unknown or untrusted ground) there is no face: `planning.graph.flags` judges that.
 """
@@ -15,9 +16,10 @@ from numba import njit
 
 BASE = 0.12
 """Distance over which the rise is taken [m], as for the flags."""
-EVEN, STEEPEST = 0.7, 0.7
-"""A slope goes on where the next rise is this share of the one here or more, the other way round too, unless it is steeper than this [m/m]: stairs
-rise evenly as well."""
+EVEN = 0.7
+"""A slope goes on where the next rise is this share of the one here or more, the other way round too."""
+STEEPEST = 0.7
+"""From here [m/m] on it is no slope: stairs rise evenly as well, and tyres with a friction of 0.7 slide."""
 FACE_NOISE = 0.03
 """[m] by which a face on the map may be higher than the true one: what is more than that higher than the robot climbs is a wall."""
 LEAST = 0.4
@@ -35,31 +37,39 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
     """Compute `faces` (rows, cols, 2) int16 [mm] again in the window; x and y part of each cell's face."""
     rows, cols = height.shape
     n = max(1, round(0.5 * BASE / res))
+    steep = STEEPEST * 2 * n * res
+    rises = np.zeros(2, np.float32)
     for r in range(r0, r1):
         for c in range(c0, c1):
+            rises[:] = 0.0
             for axis in range(2):
                 dr, dc = (0, n) if axis == 0 else (n, 0)
-                faces[r, c, axis] = 0
                 if not (dr <= r < rows - dr and dc <= c < cols - dc):
                     continue
-                if not (trusted[r + dr, c + dc] and trusted[r - dr, c - dc]):
+                if trusted[r + dr, c + dc] and trusted[r - dr, c - dc]:
+                    rise = height[r + dr, c + dc] - height[r - dr, c - dc]
+                    rises[axis] = rise if abs(rise) > 0.01 else 0.0
+            total = math.hypot(rises[0], rises[1])
+            for axis in range(2):
+                rise = rises[axis]
+                faces[r, c, axis] = 0
+                if rise == 0.0:
                     continue
-                rise = height[r + dr, c + dc] - height[r - dr, c - dc]
-                if not abs(rise) > 0.01:
-                    continue
+                dr, dc = (0, n) if axis == 0 else (n, 0)
                 common = np.float32(0.0)
                 if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
                     before = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
                     after = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
                     if before * rise > 0.0 and after * rise > 0.0:
                         common = min(abs(before), abs(after), abs(rise))
-                    if abs(rise) < STEEPEST * 2 * n * res:
-                        for next_rise in (before, after):
-                            if (
-                                next_rise * rise > 0.0
-                                and EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN
-                            ):
+                    for next_rise in (before, after):
+                        if not next_rise * rise > 0.0:
+                            continue
+                        if total < steep:
+                            if EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN:
                                 common = max(common, min(abs(next_rise), abs(rise)))
+                        elif abs(next_rise) * total >= steep * abs(rise):
+                            common = min(common, np.float32(0.0)) - abs(next_rise)
                 most = np.float32(30.0)
                 value = min(abs(rise) - common, most)
                 faces[r, c, axis] = round(1000.0 * value) * (1 if rise > 0.0 else -1)

@@ -64,6 +64,24 @@ def test_ridges_and_valleys_are_no_faces_and_a_kerb_on_a_slope_is_one(degrees: i
     assert np.median(kerb[:, 20:24]) == pytest.approx(100, abs=10)  # 0.08 m on both sides of it
 
 
+@pytest.mark.parametrize("degrees", [0, 30, 90])
+def test_a_slope_that_wheels_slide_down_is_a_face_as_high_as_it_goes_on(degrees: int) -> None:
+    y, x = np.mgrid[0:60, 0:60] * RES
+    a = np.radians(degrees)
+    along = (x - 1.2) * np.cos(a) + (y - 1.2) * np.sin(a)
+    noise = 0.003 * np.random.default_rng(degrees).standard_normal(x.shape)
+    faces = faces_of(np.clip(along, 0.0, 0.8) + noise)  # 45 deg
+    size = np.abs(faces).max(axis=2)
+    inner = np.zeros(x.shape, bool)
+    inner[8:-8, 8:-8] = True
+    foot, middle = inner & (np.abs(along - 0.08) < 0.03), inner & (np.abs(along - 0.4) < 0.1)
+    assert np.median(size[foot]) > 200
+    assert size[middle].min() > 300
+    mean = faces[middle].mean(axis=0)
+    assert np.degrees(np.arctan2(mean[1], mean[0])) == pytest.approx(degrees, abs=5.0)
+    assert size[inner & (along < -0.2)].max() <= 20
+
+
 def test_the_angle_allowed_falls_with_the_height() -> None:
     deg = np.degrees([max_angle(h, 0.10, np.radians(30)) for h in (0.0, 0.04, 0.07, 0.10, 0.20)])
     np.testing.assert_allclose(deg, [90, 90, 60, 30, 30])

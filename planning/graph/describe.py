@@ -232,9 +232,9 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 
 @njit(cache=True)
 def describe_nodes(
-    height, trusted, flags, x0, y0, res, chosen, where, todo, ring, length, width, frontier, headings, edge
+    height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width, frontier, headings, edge
 ):
-    """Set `frontier`, `headings` and `edge` (ny, nx) of the lattice cells in `todo`."""
+    """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `edge` of those that are in `near` as well."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):
             if not todo[j, i]:
@@ -244,5 +244,7 @@ def describe_nodes(
                 x = where[j, i, 0]
                 y = where[j, i, 1]
                 frontier[j, i] = open_frontier(flags, x0, y0, res, x, y, ring)
+                if not near[j, i]:
+                    continue
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
                 edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y)

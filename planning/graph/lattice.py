@@ -139,14 +139,16 @@ class Lattice:
     def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
         """Step 4: what else is known at a node: frontier, headings that fit, edges under the wheels in a turn."""
         p, cells = self.params, self.cells
-        todo = moved.copy()
+        todo, near = moved.copy(), moved.copy()
         ring = 0.5 * p.length + p.expand_dist
         for box in boxes:
             todo[cells.within(box, ring + UNKNOWN_RUN + 2.0 * cells.res)] = True
-            cells.node_revision[cells.within(box, self._around)] = version
+            around = cells.within(box, self._around)
+            near[around] = True
+            cells.node_revision[around] = version
         cells.node_revision[moved] = version
         describe_nodes(
-            grid.height, grid.trusted, cells.flags, *cells.origin, cells.res, cells.chosen, cells.where, todo,
+            grid.height, grid.trusted, cells.flags, *cells.origin, cells.res, cells.chosen, cells.where, todo, near,
             ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_edge,
         )  # fmt: skip
 

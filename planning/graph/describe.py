@@ -232,8 +232,9 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 
 @njit(cache=True)
 def describe_nodes(
-    height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width, frontier, headings, edge
-):
+    height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width,
+    frontier, headings, edge,
+):  # fmt: skip
     """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `edge` of those that are in `near` as well."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):

@@ -69,4 +69,4 @@ def _backward(reach: float) -> Array:
 
 @lru_cache(maxsize=4)
 def _turning(sign: float, spare: float) -> Array:
-    return turn_tracks(math.pi, sign, spare)
+    return turn_tracks(math.pi, sign, spare=spare)

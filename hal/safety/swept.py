@@ -4,14 +4,18 @@ Every point of the body's rim that leads a motion draws a track over the height 
 stands on. Along a track the ground may rise and fall by no more than a step within two cells. Behind cells that are missing it
 may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
 ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
-be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle. A wall that
-the side of the body touches is none for driving along it: a robot that slid against a wall could not move at all.
+be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
+
+A wall that the body is in already, because it leans at it or slid to it, ends what leads deeper into it and nothing else: for that wall the body ends
+where the wall begins now (`contact_at`). What is left out so is looked at as well, for all but that wall (`shells`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -30,6 +34,12 @@ NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise."""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
+DEEPEST = 0.12
+"""[m] How deep in the body a wall may be: of a robot that leans at one by 20 to 30 deg it was 0.08 to 0.12. Deeper, the map or the pose is wrong."""
+NEAR = 0.04
+"""[m] A wall that is nearer to the body touches it: a cell of the map."""
+WALL = 0.9
+"""[m] from base_link: as far as a wall that the body touches is followed."""
 POINTS = 3
 """Returns in one cell that count as something there."""
 
@@ -72,20 +82,40 @@ class Reach:
     kind: int = CLEAR
     height: float = 0.0
     """Height of the face or depth of the drop [m]."""
-    beside: bool = False
-    """A wall touches the side of the body all along the way."""
 
 
-def straight_tracks(reach: float, sign: float) -> Array:
-    """(tracks, samples, 2) x, y [m] in base_link of the end of the body that leads; `sign` 1.0 forward, -1.0 backward."""
+class Body(NamedTuple):
+    """How far the body reaches from base_link [m]."""
+
+    front: float
+    back: float
+    left: float
+    right: float
+
+    def grown(self, by: float) -> Body:
+        """Larger by as much on each side [m]."""
+        return Body(*(end + by for end in self))
+
+    def clipped(self, rim: Array) -> Array:
+        """Points (n, 2) [m] that lie outside of it, moved to its rim."""
+        return np.clip(rim, (-self.back, -self.right), (self.front, self.left))
+
+
+BODY = Body(BODY_LENGTH / 2, BODY_LENGTH / 2, BODY_WIDTH / 2, BODY_WIDTH / 2)
+
+
+def straight_tracks(reach: float, sign: float, body: Body = BODY) -> Array:
+    """(tracks, samples, 2) x, y [m] in base_link of the end of `body`, a part of the body, that leads; `sign` 1.0 forward, -1.0 backward."""
     across = _spaced(-BODY_WIDTH / 2, BODY_WIDTH / 2)
-    along = sign * (BODY_LENGTH / 2 + SPACING * np.arange(-BEFORE, math.ceil(reach / SPACING) + 1))
-    x, y = np.broadcast_arrays(along[None, :], across[:, None])
-    return np.stack([x, y], axis=2)
+    rim = body.clipped(np.column_stack([np.full_like(across, sign * BODY_LENGTH / 2), across]))
+    ahead = sign * SPACING * np.arange(-BEFORE, math.ceil(reach / SPACING) + 1)
+    return rim[:, None, :] + np.column_stack([ahead, np.zeros_like(ahead)])
 
 
-def turn_tracks(reach: float, sign: float, spare: float = 0.0) -> Array:
-    """(tracks, samples, 2) of the parts of the rim that lead a turn, of a body larger by `spare` [m] on each side; `sign` 1.0 left, -1.0 right."""
+def turn_tracks(reach: float, sign: float, body: Body = BODY, spare: float = 0.0) -> Array:
+    """(tracks, samples, 2) of the parts of the rim of `body`, a part of the body that is larger by `spare` [m] on each side, that lead a turn; `sign`
+    1.0 left, -1.0 right.
+    """
     length, width = BODY_LENGTH / 2 + spare, BODY_WIDTH / 2 + spare
     front, side = _spaced(-width, 0.0), _spaced(0.0, length)
     rim = np.concatenate(
@@ -94,13 +124,21 @@ def turn_tracks(reach: float, sign: float, spare: float = 0.0) -> Array:
             np.column_stack([side, np.full_like(side, width)]),
         ]
     )
-    rim = np.concatenate([rim, -rim])
-    angle = turn_step() * np.arange(math.ceil(reach / turn_step()) + 1)
+    rim = body.grown(spare).clipped(np.concatenate([rim, -rim]) * (1.0, sign))
+    angle = sign * turn_step() * np.arange(math.ceil(reach / turn_step()) + 1)
     c, s = np.cos(angle), np.sin(angle)
     swept = np.stack([rim[:, :1] * c - rim[:, 1:] * s, rim[:, :1] * s + rim[:, 1:] * c], axis=2)
     inwards = SPACING / np.hypot(rim[:, 0], rim[:, 1])[:, None, None]
     under = rim[:, None, :] * (1.0 - inwards * np.arange(BEFORE, 0, -1)[:, None])
-    return np.concatenate([under, swept], axis=1) * (1.0, sign)
+    return np.concatenate([under, swept], axis=1)
+
+
+def shells(tracks: Callable[[Body], Array], body: Body) -> Array:
+    """(shells, tracks, samples, 2): the tracks of `body`, and outside of it those of bodies that are larger by SPACING, up to the whole one."""
+    lacks = np.array(BODY) - body
+    count = math.ceil(lacks.max() / SPACING - 1e-9)
+    bodies = [Body(*(BODY - np.maximum(lacks - k * SPACING, 0.0)).tolist()) for k in range(count + 1)]
+    return np.stack([tracks(each) for each in bodies])
 
 
 def turn_step() -> float:
@@ -130,6 +168,47 @@ def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) 
     return float(height), float(ahead), float(left)
 
 
+NO_WALL = np.zeros((1, 1), np.uint8)
+
+
+class Contact(NamedTuple):
+    """The body is in a wall, or NEAR it."""
+
+    clear: Body
+    """How far a body may reach, at most by NEAR beyond the true one, to be in no wall."""
+    flat: tuple[bool, bool]
+    """Whether a wall is along the left side, along the right side, and not at one end of it."""
+    wall: NDArray[np.uint8]
+    """(rows, cols) 1 where that wall is."""
+
+    @property
+    def body(self) -> Body:
+        """The part of the body that is in no wall."""
+        return Body(*map(min, self.clear, BODY))
+
+    def between(self, by: float) -> Body:
+        """The body less what of its sides is in a wall, and `by` [m] more on a side along which there is one."""
+        left, right = (
+            end - (by if flat else 0.0) for end, flat in zip(self.body[2:], self.flat, strict=True)
+        )
+        return Body(BODY.front, BODY.back, left, right)
+
+
+def contact_at(
+    around: Surroundings, pose: tuple[float, float, float], stand: Stand, robot: Capabilities
+) -> Contact | None:
+    """The walls that the body at `pose` is in by up to DEEPEST, or NEAR; None where there are none."""
+    wall = np.zeros(around.height.shape, np.uint8)
+    place = (*around.origin, around.resolution, float(pose[0]), float(pose[1]), float(pose[2]))
+    limit = robot.max_step + NOISE
+    face = limit + 2.0 * around.resolution * math.tan(robot.max_slope)  # a step on the steepest slope
+    ends, flat = ends_clear_of(around.height, *place, stand, limit, face, wall)
+    if not wall.any():
+        return None
+    grow_wall(around.height, *place, stand, limit, wall)
+    return Contact(Body(*ends), flat, wall)
+
+
 def reach_of(
     tracks: Array,
     step: float,
@@ -139,18 +218,20 @@ def reach_of(
     robot: Capabilities,
     *,
     seen: bool,
-    sides: int = 0,
+    contact: Contact | None = None,
 ) -> Reach:
     """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`; `seen`: on
-    ground that the map knows alone; `sides`: so many of the first and of the last tracks run along the sides of the body.
+    ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `contact` the `shells` of its body.
     """
     gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
-    sample, kind, height, beside = nearest_obstacle(
+    tracks = tracks if tracks.ndim == 4 else tracks[None]
+    sample, kind, height = nearest_obstacle(
         tracks,
         around.height,
         around.bound,
         around.source,
         around.occupied,
+        NO_WALL if contact is None else contact.wall,
         around.origin[0],
         around.origin[1],
         around.resolution,
@@ -161,10 +242,9 @@ def reach_of(
         robot.max_step + NOISE,
         math.tan(robot.max_slope) * SPACING,
         gap,
-        gap if seen else tracks.shape[1],
-        sides,
+        gap if seen else tracks.shape[2],
     )
-    return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height, beside)
+    return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
 
 
 @njit(cache=True)
@@ -187,12 +267,118 @@ def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma:
 
 
 @njit(cache=True)
+def is_wall(height, row, col, plane, limit):  # pragma: no cover - compiled
+    """Whether a cell rises above `plane` [m] by more than `limit` [m], or by half of it next to one that does: the foot of a wall is mixed with it."""
+    rows, cols = height.shape
+    above = height[row, col] - plane
+    if not above > 0.5 * limit:
+        return False
+    if above > limit:
+        return True
+    for r in range(max(0, row - 1), min(rows, row + 2)):
+        for k in range(max(0, col - 1), min(cols, col + 2)):
+            if height[r, k] - plane > limit:
+                return True
+    return False
+
+
+@njit(cache=True)
+def is_face(height, row, col, limit):  # pragma: no cover - compiled
+    """Whether a cell rises by more than `limit` [m] within two cells: beside a robot that leans, kerbs lie high above the plane that it stands on."""
+    rows, cols = height.shape
+    for r in range(max(0, row - 2), min(rows, row + 3)):
+        for k in range(max(0, col - 2), min(cols, col + 3)):
+            if height[row, col] - height[r, k] > limit:
+                return True
+    return False
+
+
+@njit(cache=True)
+def ends_clear_of(
+    height, x0, y0, resolution, x, y, yaw, stand, limit, face, wall
+):  # pragma: no cover - compiled
+    """How far a body that is larger by NEAR reaches to the front, back, left and right [m] if what is in a wall is left out: what is higher than
+    `limit` [m] above the plane that it stands on, and rises by more than `face` [m] within two cells. Sets `wall` (rows, cols) to 1 in the cells of walls that it is in. Second whether
+    walls are along its left and along its right side.
+    """
+    rows, cols = height.shape
+    c, s = math.cos(yaw), math.sin(yaw)
+    ahead, behind = np.zeros(2), np.zeros(2)  # farthest along, on the left and on the right
+    half = 0.5 * resolution * (abs(c) + abs(s))
+    front, left = BODY_LENGTH / 2 + NEAR, BODY_WIDTH / 2 + NEAR
+    back, right = front, left
+    reach = math.ceil(math.hypot(front, left) / resolution)
+    col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
+    # First what lies at one side alone: what lies at a corner may belong to either.
+    for corners in range(2):
+        for r in range(max(0, row - reach), min(rows, row + reach + 1)):
+            for k in range(max(0, col - reach), min(cols, col + reach + 1)):
+                dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
+                u, v = c * dx + s * dy, c * dy - s * dx
+                along = (front - u if u > 0.0 else back + u) + half
+                across = (left - v if v > 0.0 else right + v) + half
+                deep = BODY_LENGTH / 2 - abs(u) + half, BODY_WIDTH / 2 - abs(v) + half
+                if not -NEAR < min(deep) <= DEEPEST or (max(deep) <= DEEPEST) != (corners == 1):
+                    continue
+                if not height[r, k] - (stand[0] + stand[1] * u + stand[2] * v) > limit:
+                    continue
+                if not is_face(height, r, k, face):
+                    continue
+                wall[r, k] = 1
+                if deep[1] <= DEEPEST:
+                    edge = 0 if v > 0.0 else 1
+                    ahead[edge], behind[edge] = max(ahead[edge], u), max(behind[edge], -u)
+                if along <= 0.0 or across <= 0.0:
+                    continue  # left out already
+                if (deep[0] < deep[1]) if corners == 0 else (along < across):
+                    if u > 0.0:
+                        front = u - half
+                    else:
+                        back = -u - half
+                elif v > 0.0:
+                    left = v - half
+                else:
+                    right = -v - half
+    ends = np.minimum(ahead, behind) > BODY_LENGTH / 4
+    return (front, back, left, right), (ends[0], ends[1])
+
+
+@njit(cache=True)
+def grow_wall(height, x0, y0, resolution, x, y, yaw, stand, limit, wall):  # pragma: no cover - compiled
+    """Set `wall` (rows, cols) to 1 in all cells of walls within WALL of x, y [m] that hang together with those it holds: noise may leave out one."""
+    rows, cols = height.shape
+    c, s = math.cos(yaw), math.sin(yaw)
+    queue = np.empty((rows * cols, 2), np.int32)
+    n = 0
+    for r in range(rows):
+        for k in range(cols):
+            if wall[r, k] > 0:
+                queue[n, 0], queue[n, 1] = r, k
+                n += 1
+    done = 0
+    while done < n:
+        row, col = queue[done, 0], queue[done, 1]
+        done += 1
+        for r in range(max(0, row - 2), min(rows, row + 3)):
+            for k in range(max(0, col - 2), min(cols, col + 3)):
+                dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
+                if wall[r, k] > 0 or math.hypot(dx, dy) > WALL:
+                    continue
+                plane = stand[0] + stand[1] * (c * dx + s * dy) + stand[2] * (c * dy - s * dx)
+                if is_wall(height, r, k, plane, limit):
+                    wall[r, k] = 1
+                    queue[n, 0], queue[n, 1] = r, k
+                    n += 1
+
+
+@njit(cache=True)
 def nearest_obstacle(
     tracks,
     height,
     bound,
     source,
     occupied,
+    wall,
     x0,
     y0,
     resolution,
@@ -204,108 +390,115 @@ def nearest_obstacle(
     rise,
     gap,
     blind,
-    sides,
 ):  # pragma: no cover - compiled
-    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none. Last whether a wall
-    touches the body on one of the `sides` first or last tracks.
+    """Sample of the first obstacle on any track, what it is, and its height [m]; the number of samples where there is none.
 
+    `tracks` (shells, tracks, samples, 2): outside of the first shell `wall` (rows, cols), which the body touches, is no obstacle, nor is what lies
+    behind it.
     `limit` [m]: highest face; `rise` [m]: what the steepest slope rises from sample to sample; `gap`: samples a gap may span; `blind`:
     samples that may lie between one whose ground is known and the next.
     """
     rows, cols = height.shape
-    count, samples = tracks.shape[0], tracks.shape[1]
+    layers, count, samples = tracks.shape[0], tracks.shape[1], tracks.shape[2]
     c, s = math.cos(yaw), math.sin(yaw)
-    first, kind, size, touched = samples, CLEAR, 0.0, False
+    first, kind, size = samples, CLEAR, 0.0
     ground = np.empty(samples)
     low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
     felt = np.empty(samples, np.bool_)
     busy = np.empty(samples, np.bool_)
-    for k in range(count):
-        for i in range(samples):
-            u, v = tracks[k, i, 0], tracks[k, i, 1]
-            col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
-            row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
-            ground[i], low[i], busy[i], felt[i] = np.nan, False, False, False
-            if 0 <= row < rows and 0 <= col < cols:
-                ground[i] = height[row, col]
-                busy[i] = occupied[row, col] > 0
-                felt[i] = source[row, col] == WHEELS
-                if math.isnan(ground[i]):
-                    ground[i] = bound[row, col]
-                    low[i] = True
-        # The newest sample whose ground is believed, and its height: first the plane that the robot stands on.
-        last = 0
-        level = stand[0] + stand[1] * tracks[k, 0, 0] + stand[2] * tracks[k, 0, 1]
-        known = BEFORE  # newest sample the map knows; what is under the body counts
-        landed = 0  # behind a gap: what lies in it is not driven on
-        rim, over = np.nan, -1  # height of a gap's near rim, and the sample up to which the far rim may lie
-        end, what, much = samples, CLEAR, 0.0
-        outer = k < sides or k >= count - sides
-        beside = False  # the track begins in a wall
-        i = 0
-        while i < samples:
-            if busy[i] and i > BEFORE:
-                if i < end:
-                    end, what = i, SWEEP
-                break
-            if end == samples and i - known > blind:
-                end, what = known + 1, UNSEEN
-            if math.isnan(ground[i]) or (low[i] and not ground[i] < level - limit):
-                i += 1
-                continue
-            # Compare with everything known within the spread of a face, else with the last known ground.
-            worst = 0.0
-            if not math.isnan(level):
-                worst = ground[i] - level
-                if worst > 0.0 and not felt[i]:
-                    worst = max(0.0, worst - rise * max(0, i - last - WITHIN // 2))
-                for j in range(max(landed, i - WITHIN), last):
-                    if not low[j] and not math.isnan(ground[j]):
-                        other = ground[i] - ground[j]
-                        other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
-                        if abs(other) > abs(worst):
-                            worst = other
-            plane = stand[0] + stand[1] * tracks[k, i, 0] + stand[2] * tracks[k, i, 1]
-            at_rim = i <= over and abs(ground[i] - rim) <= limit
-            if worst > limit and (at_rim or (i <= BEFORE and abs(ground[i] - plane) <= limit)):
-                # The far rim, with cells half over the gap before it; under the body, where the near one may lie behind the track's begin, the
-                # height that the robot stands at tells it.
-                last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
-                continue
-            if worst < -limit and not felt[i] and not math.isnan(level):
-                rim, over = level, last + gap + 1
-            if outer and worst > limit and i == BEFORE:
-                beside = touched = True
-            if abs(worst) > limit and (i <= BEFORE or felt[i] or (beside and worst > 0.0)):
-                # A wall beside the body that the map shows a cell too near, or a wheel in the air.
-                low[i] = True
-                known = max(known, i)
-                i += 1
-                continue
-            if abs(worst) > limit:
-                across = -1
-                if worst < 0.0:
-                    for j in range(i + 1, min(samples, last + 1 + gap + 1)):
-                        if (
-                            not (low[j] or felt[j] or math.isnan(ground[j]))
-                            and abs(ground[j] - level) <= limit
-                        ):
-                            across = j
-                            break
-                if across >= 0:
-                    last, level, landed, known, i = across, ground[across], across, across, across + 1
+    # No obstacle, because at this sample a shell farther in is in the wall.
+    walled = np.zeros((count, samples), np.bool_)
+    for layer in range(layers):
+        for k in range(count):
+            for i in range(samples):
+                u, v = tracks[layer, k, i, 0], tracks[layer, k, i, 1]
+                col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
+                row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
+                ground[i], low[i], busy[i], felt[i] = np.nan, False, False, False
+                if 0 <= row < rows and 0 <= col < cols:
+                    ground[i] = height[row, col]
+                    busy[i] = occupied[row, col] > 0
+                    felt[i] = source[row, col] == WHEELS
+                    if math.isnan(ground[i]):
+                        ground[i] = bound[row, col]
+                        low[i] = True
+                    if layer > 0 and wall[row, col] > 0:
+                        walled[k, i] = True
+                low[i] = low[i] or walled[k, i]
+            # The newest sample whose ground is believed, and its height: first the plane that the robot stands on.
+            last = 0
+            level = stand[0] + stand[1] * tracks[layer, k, 0, 0] + stand[2] * tracks[layer, k, 0, 1]
+            known = BEFORE  # newest sample the map knows; what is under the body counts
+            landed = 0  # behind a gap: what lies in it is not driven on
+            # Height of a gap's near rim, and the sample up to which the far rim may lie.
+            rim, over = np.nan, -1
+            end, what, much = samples, CLEAR, 0.0
+            i = 0
+            while i < samples:
+                if busy[i] and i > BEFORE:
+                    if i < end:
+                        end, what = i, SWEEP
+                    break
+                if walled[k, i]:
+                    known = max(known, i)
+                    i += 1
                     continue
-                at = i if worst > 0.0 else min(i, known + 1)
-                if at <= end:
-                    end, what, much = at, FACE if worst > 0.0 else DROP, abs(worst)
-                break
-            if not low[i]:
-                last, level = i, ground[i]
-                known = max(known, i)
-            i += 1
-        if end < first:
-            first, kind, size = end, what, much
-    return first, kind, size, touched
+                if end == samples and i - known > blind:
+                    end, what = known + 1, UNSEEN
+                if math.isnan(ground[i]) or (low[i] and not ground[i] < level - limit):
+                    i += 1
+                    continue
+                # Compare with everything known within the spread of a face, else with the last known ground.
+                worst = 0.0
+                if not math.isnan(level):
+                    worst = ground[i] - level
+                    if worst > 0.0 and not felt[i]:
+                        worst = max(0.0, worst - rise * max(0, i - last - WITHIN // 2))
+                    for j in range(max(landed, i - WITHIN), last):
+                        if not low[j] and not math.isnan(ground[j]):
+                            other = ground[i] - ground[j]
+                            other = math.copysign(max(0.0, abs(other) - rise * WITHIN / 2), other)
+                            if abs(other) > abs(worst):
+                                worst = other
+                plane = stand[0] + stand[1] * tracks[layer, k, i, 0] + stand[2] * tracks[layer, k, i, 1]
+                at_rim = i <= over and abs(ground[i] - rim) <= limit
+                if worst > limit and (at_rim or (i <= BEFORE and abs(ground[i] - plane) <= limit)):
+                    # The far rim, with cells half over the gap before it; under the body, where the near one may lie behind the track's begin, the
+                    # height that the robot stands at tells it.
+                    last, level, landed, known, i = i, ground[i], i, max(known, i), i + 1
+                    continue
+                if worst < -limit and not felt[i] and not math.isnan(level):
+                    rim, over = level, last + gap + 1
+                if abs(worst) > limit and (i <= BEFORE or felt[i]):
+                    # A wall beside the body that the map shows a cell too near, or a wheel in the air.
+                    low[i] = True
+                    known = max(known, i)
+                    i += 1
+                    continue
+                if abs(worst) > limit:
+                    across = -1
+                    if worst < 0.0:
+                        for j in range(i + 1, min(samples, last + 1 + gap + 1)):
+                            if (
+                                not (low[j] or felt[j] or math.isnan(ground[j]))
+                                and abs(ground[j] - level) <= limit
+                            ):
+                                across = j
+                                break
+                    if across >= 0:
+                        last, level, landed, known, i = across, ground[across], across, across, across + 1
+                        continue
+                    at = i if worst > 0.0 else min(i, known + 1)
+                    if at <= end:
+                        end, what, much = at, FACE if worst > 0.0 else DROP, abs(worst)
+                    break
+                if not low[i]:
+                    last, level = i, ground[i]
+                    known = max(known, i)
+                i += 1
+            if end < first:
+                first, kind, size = end, what, much
+    return first, kind, size
 
 
 @njit(cache=True)

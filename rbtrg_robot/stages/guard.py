@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,21 +17,25 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation
 from hal.safety.swept import (
+    BODY,
     BODY_CLEARANCE,
     LIDAR,
     POINTS,
     SPACING,
     WHEELS,
+    Body,
     Reach,
     Surroundings,
+    contact_at,
     occupy,
     reach_of,
+    shells,
     stand_of,
     straight_tracks,
     turn_step,
     turn_tracks,
 )
-from hal.types import NS, Capabilities
+from hal.types import NS, Array, Capabilities
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -54,8 +60,10 @@ FAR = 2.4
 goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 AROUND = 2.0
 """[m] from base_link: points of a sweep beyond are of no interest."""
-BESIDE = 0.2
-"""[m/s] along a wall that touches the body."""
+CREEPING, TURNING = 0.2, 0.3
+"""[m/s], [rad/s] along a wall that the body touches."""
+LEANS = math.radians(25.0)
+"""[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to 50 deg in each of six drives."""
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {
@@ -97,12 +105,13 @@ class GuardStage:
         self._ahead = round(params.pose_timeout * NS)
         p = params
         around = robot.max_wz * p.reaction + robot.max_wz**2 / (2 * robot.max_alpha) + self._turn_margin
-        self._ways = (
-            ("ahead", straight_tracks(FAR, 1.0), SPACING),
-            ("behind", straight_tracks(FAR, -1.0), SPACING),
-            ("to the left", turn_tracks(around, 1.0), turn_step()),
-            ("to the right", turn_tracks(around, -1.0), turn_step()),
+        ways: tuple[tuple[str, Callable[[Body], Array], float], ...] = (
+            ("ahead", partial(straight_tracks, FAR, 1.0), SPACING),
+            ("behind", partial(straight_tracks, FAR, -1.0), SPACING),
+            ("to the left", partial(turn_tracks, around, 1.0), turn_step()),
+            ("to the right", partial(turn_tracks, around, -1.0), turn_step()),
         )
+        self._ways = [(where, tracks, tracks(BODY), step) for where, tracks, step in ways]
 
     @property
     def _turn_margin(self) -> float:
@@ -110,15 +119,19 @@ class GuardStage:
         return self._params.margin * turn_step() / SPACING
 
     def warm_up(self) -> None:
-        """Compile the kernels on flat ground."""
+        """Compile the kernels."""
         flat = np.zeros((3, 3), np.float32)
+        flat[2, 1] = 1.0  # a wall at its side
         free = np.zeros((3, 3), np.uint8)
-        around = Surroundings(flat, np.full_like(flat, np.nan), free, free.copy(), (0.0, 0.0), 0.04)
+        around = Surroundings(flat, np.full_like(flat, np.nan), free, free.copy(), (-0.2, -0.2), 0.2)
         fill_unknown(flat, around.bound)
         here = (0.0, 0.0, 0.0)
         stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]))
-        for _, tracks, step in self._ways:
-            reach_of(tracks, step, around, here, stand, self._robot, seen=False)
+        contact = contact_at(around, here, stand, self._robot)
+        for _, tracks, whole, step in self._ways:
+            reach_of(whole, step, around, here, stand, self._robot, seen=False)
+            swept = shells(tracks, BODY)
+            reach_of(swept, step, around, here, stand, self._robot, seen=False, contact=contact)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat)
 
     def close(self) -> None:
@@ -209,19 +222,35 @@ class GuardStage:
         here, orientation = self._place()
         self._sweep()
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
+        leans = rotation(orientation)[2, 2] < math.cos(LEANS)
+        contact = None if leans else contact_at(self._around, here, stand, self._robot)
         speeds, words = [], []
-        for k, (where, tracks, step) in enumerate(self._ways):
-            sides = 0 if k > 1 else math.ceil(self._around.resolution / SPACING)
-            reach = reach_of(tracks, step, self._around, here, stand, self._robot, seen=k == 1, sides=sides)
-            speed = self._speed(reach, turning=k > 1)
-            if reach.beside:
-                speed = min(speed, BESIDE)
-            most = self._robot.max_wz if k > 1 else self._robot.max_vx
-            speeds.append(min(speed, most))
-            if speed < most:
-                unit = f"{math.degrees(reach.free):.0f} deg" if k > 1 else f"{reach.free:.2f} m"
-                what = WORDS[reach.kind].format(reach.height) if reach.kind else "a wall at the side"
-                words.append(f"{what} {unit} {where}" if reach.kind else f"{what} {where}")
+        for k, (where, tracks, whole, step) in enumerate(self._ways):
+            turning, behind = k > 1, k == 1
+            reach = reach_of(whole, step, self._around, here, stand, self._robot, seen=behind)
+            most = self._robot.max_wz if turning else self._robot.max_vx
+            speed = min(self._speed(reach, turning=turning), most)
+            free = f"{math.degrees(reach.free):.0f} deg" if turning else f"{reach.free:.2f} m"
+            why = f"{WORDS[reach.kind].format(reach.height)} {free} {where}" if speed < most else ""
+            creeping = TURNING if turning else CREEPING
+            if contact is not None and speed < creeping:
+                # Beside a wall it is as straight as a cell of the map lets it be.
+                body = contact.body if turning else contact.between(self._around.resolution)
+                reach = reach_of(
+                    shells(tracks, body),
+                    step,
+                    self._around,
+                    here,
+                    stand,
+                    self._robot,
+                    seen=behind,
+                    contact=contact,
+                )
+                slow = min(self._speed(reach, turning=turning), creeping)
+                if slow > speed:
+                    speed, why = slow, f"a wall that the body touches {where}"
+            speeds.append(speed)
+            words += [why] if why else []
         limits = msg.MotionLimits(
             header=header(now, BASE),
             forward=speeds[0],

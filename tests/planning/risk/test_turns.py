@@ -211,7 +211,7 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
     for poses in turns_of(found):
         turn = float(poses[-1, 2] - poses[0, 2])
         if abs(turn) > FREE_TURN:
-            tracks = turn_tracks(abs(turn), np.sign(turn), SPARE)
+            tracks = turn_tracks(abs(turn), np.sign(turn), spare=SPARE)
             place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
             count += reach_of(tracks, turn_step(), around, place, FLAT, robot, seen=False).kind > 0
     return count

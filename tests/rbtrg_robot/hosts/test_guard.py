@@ -96,6 +96,27 @@ def test_nobody_drives_it_into_a_wall_by_hand(way: float) -> None:
         assert closest > 0.0, "its corners do not touch when it turns there either"
 
 
+def test_beside_a_wall_it_is_driven_along_it_by_hand_both_ways(tmp_path: Path) -> None:
+    """Its side is 2 cm off, less than the map tells: cells of the wall lie in its body, some of them ahead, some behind."""
+    x, y = np.meshgrid(np.arange(401) * 0.02 - 4.0, np.arange(201) * 0.02 - 2.0)
+    file = tmp_path / "wall.npz"
+    ramp = np.where(y > 0.03, 0.18 * np.clip((x - 0.5) / 0.8, 0.0, 1.0), 0.0)
+    height = np.where(y < -0.235, 0.9, ramp).astype(np.float32)
+    np.savez(file, height=height, resolution=0.02, origin=np.array([-4.0, -2.0]))
+    sim = {"lidar_step": 4}
+    with Lockstep(load(None, [], scene=str(file), origin=(-0.5, 0.0, 0.0), sim=sim)) as stack:
+        stack.wait_ready()
+        by_hand(stack, 6.5, 0.3, -0.03)
+        assert truth(stack)[0] > 0.6
+        by_hand(stack, 1.2, 0.0, 0.4)
+        by_hand(stack, 1.2, 0.0, -0.4)
+        assert abs(truth(stack)[2]) < 0.02, "a corner would come into the wall"
+        back = truth(stack)[0]
+        by_hand(stack, 2.5, -0.3)
+        assert truth(stack)[0] < back - 0.3
+        assert truth(stack)[1] > -0.01, "no nearer to the wall"
+
+
 def test_it_gets_over_a_kerb_of_its_envelope(tmp_path: Path) -> None:
     x, _ = np.meshgrid(*(2 * [np.arange(201) * 0.05 - 5.0]))
     file = tmp_path / "kerb.npz"

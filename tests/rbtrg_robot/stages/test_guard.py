@@ -116,6 +116,30 @@ def test_a_post_beside_the_front_limits_the_turn_towards_it(side: float) -> None
     assert ("to the left" if side > 0.0 else "to the right") in limits.reason
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_at_a_wall_it_creeps_along_and_away_unless_it_leans(side: float) -> None:
+    """Its side is 7 cm in the wall of the map, as of a robot that leans; a cell more ahead, as on a map."""
+    for roll, creeping in ((0.0, 0.2), (20.0, 0.2), (28.0, 0.0)):
+        grade = side * math.tan(math.radians(roll))
+        around = Around(0.3)
+        around.orientation = rpy_quaternion((side * math.radians(roll), 0.0, 0.3))
+
+        def height(forward: Any, left: Any, grade: float = grade) -> Any:
+            wall = side * left < np.where(forward > 0.5, -0.12, -0.15)
+            return np.where(wall, 0.8, 0.0) + grade * left
+
+        limits = around.tick(height)
+        assert limits.forward == limits.backward == creeping
+        assert max(limits.left, limits.right) < 0.1
+        assert ("a wall that the body touches ahead" in limits.reason) == (creeping > 0.0)
+    askew = Around().tick(lambda forward, left: 0.8 * (side * left + 0.2 * forward > 0.25))
+    assert askew.forward < 0.05
+    assert askew.backward == 1.0
+    into, away = (askew.left, askew.right) if side > 0.0 else (askew.right, askew.left)
+    assert into == 0.0
+    assert 0.1 < away <= 0.3
+
+
 def test_ground_that_the_map_does_not_trust_is_ground_nobody_saw() -> None:
     limits = Around().tick(flat, trusted=lambda forward, _: forward > -0.8)
     assert limits.backward < 0.8

@@ -34,6 +34,9 @@ class ElevationGrid:
     """(rows, cols) bool; nobody measured the cell, but a ray passed so low over it that only ground can lie there: `height` is the
     best case, from where the ground may fall. None: no such cell."""
 
+    plants: NDArray[np.bool_] | None = None
+    """(rows, cols) bool; the cell is ground under leaves: nobody saw what stands in them. None: no such cell."""
+
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, dtype=np.float32)
         trusted = np.ascontiguousarray(self.trusted)
@@ -43,8 +46,9 @@ class ElevationGrid:
             raise GridError(f"trusted must be bool, got {trusted.dtype}")
         if trusted.shape != height.shape:
             raise GridError(f"trusted has shape {trusted.shape}, height has {height.shape}")
-        if self.virtual is not None and (self.virtual.dtype, self.virtual.shape) != (np.bool_, height.shape):
-            raise GridError(f"virtual must be bool of shape {height.shape}")
+        for name, mask in (("virtual", self.virtual), ("plants", self.plants)):
+            if mask is not None and (mask.dtype, mask.shape) != (np.bool_, height.shape):
+                raise GridError(f"{name} must be bool of shape {height.shape}")
         origin = (float(self.origin[0]), float(self.origin[1]))
         if not np.isfinite(origin).all():
             raise GridError(f"origin must be finite, got {origin}")
@@ -83,5 +87,5 @@ class ElevationGrid:
         c1, r1 = (int(v) for v in np.clip(np.ceil(high), 0, (cols - 1, rows - 1)))
         part = (slice(r0, r1 + 1), slice(c0, c1 + 1))
         corner = (self.origin[0] + c0 * self.resolution, self.origin[1] + r0 * self.resolution)
-        virtual = None if self.virtual is None else self.virtual[part]
-        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution, virtual)
+        virtual, plants = (None if mask is None else mask[part] for mask in (self.virtual, self.plants))
+        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution, virtual, plants)

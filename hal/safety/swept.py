@@ -43,8 +43,8 @@ WALL = 0.9
 POINTS = 3
 """Returns in one cell that count as something there."""
 
-WHEELS, LIDAR = 1, 2
-"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured; else filled in between."""
+WHEELS, LIDAR, PLANTS = 1, 2, 5
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves; else filled in between."""
 
 CLEAR, FACE, DROP, SWEEP, UNSEEN = 0, 1, 2, 3, 4
 """What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw."""
@@ -59,7 +59,7 @@ class Surroundings:
     bound: NDArray[np.float32]
     """(rows, cols) [m] the ground is not above this; NaN where no ray tells."""
     source: NDArray[np.uint8]
-    """(rows, cols) where the height comes from: WHEELS, LIDAR or another."""
+    """(rows, cols) where the height comes from: WHEELS, LIDAR, PLANTS or another."""
     occupied: NDArray[np.uint8]
     """(rows, cols) 1 where the newest sweep has something that stands on the ground."""
     origin: tuple[float, float]
@@ -245,6 +245,33 @@ def reach_of(
         gap if seen else tracks.shape[2],
     )
     return Reach(max(0.0, (sample - BEFORE - 1) * step), kind, height)
+
+
+def leaves_on(tracks: Array, step: float, around: Surroundings, pose: tuple[float, float, float]) -> float:
+    """How far [m or rad] the body goes along `tracks`, samples `step` apart, from `pose` x, y [m], yaw [rad] in `map` until a part of it is over
+    ground under leaves; 0 where one is, infinite where it meets none.
+    """
+    if not (around.source == PLANTS).any():
+        return math.inf
+    sample = first_leaf(tracks, around.source, *around.origin, around.resolution, *(float(v) for v in pose))
+    return max(0.0, (sample - BEFORE) * step) if sample < tracks.shape[1] else math.inf
+
+
+@njit(cache=True)
+def first_leaf(tracks, source, x0, y0, resolution, x, y, yaw):  # pragma: no cover - compiled
+    """First sample of any track over ground under leaves; the number of samples where there is none."""
+    rows, cols = source.shape
+    c, s = math.cos(yaw), math.sin(yaw)
+    first = tracks.shape[1]
+    for k in range(tracks.shape[0]):
+        for i in range(first):
+            u, v = tracks[k, i, 0], tracks[k, i, 1]
+            col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
+            row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
+            if 0 <= row < rows and 0 <= col < cols and source[row, col] == PLANTS:
+                first = i
+                break
+    return first
 
 
 @njit(cache=True)
@@ -505,7 +532,7 @@ def nearest_obstacle(
 def occupy(points, ground, x0, y0, resolution, lowest, highest, least, out):  # pragma: no cover - compiled
     """Set `out` (rows, cols) to 1 where at least `least` of the points (n, 3) [m] in `map` stand on the ground.
 
-    A point stands on it when it is `lowest` to `highest` [m] above `ground` (rows, cols), which has no NaN.
+    A point stands on it when it is `lowest` (rows, cols) to `highest` [m] above `ground` (rows, cols), which have no NaN.
     """
     rows, cols = ground.shape
     count = np.zeros((rows, cols), np.int32)
@@ -514,7 +541,7 @@ def occupy(points, ground, x0, y0, resolution, lowest, highest, least, out):  # 
         row = math.floor((points[i, 1] - y0) / resolution + 0.5)
         if 0 <= row < rows and 0 <= col < cols:
             above = points[i, 2] - ground[row, col]
-            if lowest < above < highest:
+            if lowest[row, col] < above < highest:
                 count[row, col] += 1
     for row in range(rows):
         for col in range(cols):

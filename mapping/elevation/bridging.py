@@ -15,8 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-WHEELS, OVER, BESIDE, ASSUMED = 1, 3, 4, 5
-"""`source` of cells that wheels stood on, of bridged ones, of bridged ones beside the wheels (no ray comes low there, so
+WHEELS, PLANTS, OVER, BESIDE, ASSUMED = 1, 5, 6, 7, 8
+"""`source` of cells that wheels stood on, of ground under leaves, of bridged ones, of bridged ones beside the wheels (no ray comes low there, so
 what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
 RIM = 0.2
 """Bridged cells this near to a proven hole [m] stay unknown."""
@@ -128,7 +128,7 @@ def _span(
 def trust(
     height, variance, upper, count, source, v_max, settled, alone, agree, hole, bound
 ):  # pragma: no cover
-    """Which cells to believe (rows, cols) bool: wheel cells, and LiDAR cells certain enough (`v_max` [m^2]).
+    """Which cells to believe (rows, cols) bool: wheel cells, ground under leaves, and LiDAR cells certain enough (`v_max` [m^2]).
 
     A wheel cell that a ray passed under by `hole` [m] is none: the support plane went on over an edge. It is erased too.
     A LiDAR cell of fewer than `settled` points needs two settled neighbours within `agree` [m]: far rings hit each cell
@@ -155,6 +155,8 @@ def trust(
                     n_none += 1
                 else:
                     out[r, c] = True
+            elif source[r, c] == PLANTS:
+                out[r, c] = True
             elif source[r, c] == 2:
                 like = sure = reach = under = loose = lower = 0
                 if count[r, c] < alone:
@@ -268,7 +270,7 @@ def _drop_rims(height, source, trusted, level, holes, depth):  # pragma: no cove
 def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no cover
     """Bridge in place: height, source (OVER, BESIDE or ASSUMED) and trusted of bridged cells.
 
-    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR),
+    height, upper (rows, cols) f32 [m] (upper: inf where no ray passed), source u8 (0 unknown, 1 wheels, 2 LiDAR, 5 plants),
     trusted bool. rule: resolution, widest gap, step, slope, bound, hole, widest gap beside a wheel cell (0: as everywhere), widest gap that is trusted
     (all metres): a wider one, over which rays pass low but into which none fell, has a height and no trust.
     out, gap (rows, cols) f32 and marks (3, rows, cols) u8 are scratch. Of several bridges over a cell the shortest wins;

@@ -84,6 +84,13 @@ class ElevationConfig(BaseModel):
     clean_skip: float = Field(
         default=0.3, description="the end of a ray proves nothing about walls it grazes [m]"
     )
+    # --- grass and bushes
+    plants: bool = Field(
+        default=True, description="leaves that rays stop in and pass through all through a volume are no step"
+    )
+    plants_above: float = Field(
+        default=0.10, gt=0.0, description="what is not higher above the ground around is not looked at [m]"
+    )
     # --- bridging of the gaps between LiDAR rings
     bridge_gap: float = Field(default=0.64, description="widest gap filled between two trusted cells [m]")
     bridge_trust: float = Field(

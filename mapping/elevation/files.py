@@ -14,7 +14,7 @@ from hal.errors import one_line
 from hal.regular import open_regular
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import MapError, MapPatch
-from mapping.elevation.tiles import ASSUMED, CELL, CONTACT, LIDAR, PRIOR, SAVED, UNKNOWN, TileStore
+from mapping.elevation.tiles import CELL, CONTACT, LIDAR, PLANTS, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
 VERSION = 1
@@ -69,11 +69,11 @@ def restore_store(
     if abs(patch.resolution - params.resolution) > 1e-9:
         raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
     layers = patch.layers
-    for name, most in (("source", ASSUMED), ("trusted", 1)):
+    for name, most in (("source", PLANTS), ("trusted", 1)):
         if not ((layers[name] >= 0) & (layers[name] <= most)).all():
             raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
-    known = (source == CONTACT) | (source == LIDAR)
+    known = (source == CONTACT) | (source == LIDAR) | (source == PLANTS)
     measured = np.where(known, source, UNKNOWN).astype(np.uint8)
     store.take_back(*patch.cell, (height, layers["variance"], upper), measured, params.alone_count, now)
     if sent:
@@ -169,7 +169,10 @@ def _load_own(store: TileStore, data: dict[str, NDArray], name: str, resolution:
         height, variance = data["height"][known], data["variance"][known]
         if not 0.0 < own < np.inf or len(np.unique(tiles, axis=0)) < len(tiles):
             raise ValueError("no resolution, or a tile twice")
-        if not np.isin(data["source"], (UNKNOWN, CONTACT, LIDAR)).all() or not (variance >= 0.0).all():
+        if (
+            not np.isin(data["source"], (UNKNOWN, CONTACT, LIDAR, PLANTS)).all()
+            or not (variance >= 0.0).all()
+        ):
             raise ValueError("cells that nothing measured")
         far = np.abs(tiles.astype(np.float64)).max(initial=0.0) * size * own
         if not (far <= MAX_EXTENT and (np.abs(height) <= MAX_EXTENT).all()):

@@ -10,11 +10,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.exchange import FuseReport
+from mapping.elevation.tiles import PLANTS
 
 DROP_NAN, DROP_RANGE, DROP_BODY, DROP_CEILING, USED, RAYS, NEXT = 0, 1, 2, 3, 4, 5, 6
 """Counters of `project`."""
 CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 """Counters of `fuse`."""
+OVER_LEAVES = 0.1
+"""[m] above the leaves: what a scan sees there is something else that came to stand among them."""
 TOP, BOTTOM, WEIGHT, DEPTH, POINTS, SHARED, FIRST = 0, 1, 2, 3, 4, 5, 6
 """Columns of a cell's measurement: highest and lowest point [m]; sums over its surface points: weight, weight times
 height under the top, number, shared variance; scratch."""
@@ -237,6 +240,12 @@ def fuse(which, sums, k, cells, now, rule, counts, residuals, touched, area):  #
         z = top + sums[s, DEPTH] * own
         pv = own + sums[s, SHARED] / points
         n = np.int64(points)
+        if cell.source == PLANTS:
+            # Leaves; what is taller, in more than a stray point, is none.
+            if not top > cell.upper + OVER_LEAVES or points < settled:
+                cell.seen = now
+                continue
+            cell.upper = np.inf
         new = cell.source != 2
         if new and bottom - cell.upper > clearance:
             counts[OVERHANG] += 1  # rays passed far below

@@ -24,11 +24,12 @@ from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import MAX_TILES, load_into, read_cloud, restore_store, save_store
 from mapping.elevation.mirror import BLOCK, PART
+from mapping.elevation.plants import HARD, LEAFY, PlantVolume
 from mapping.elevation.poses import checked_pose
 from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
-from mapping.elevation.tiles import AT_ONCE, CONTACT, PRIOR, TileStore
+from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, Layers, TileStore
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -40,6 +41,8 @@ AT_A_TIME = 300_000
 """Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its readers."""
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
+FINEST = 0.03
+"""Cells [m] in which plants are looked for."""
 UPRIGHT = 0.7
 """Cosine of the tilt of a trunk that stands on its wheels."""
 CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
@@ -64,6 +67,7 @@ class ElevationMap:
         """Ground that nobody saw: around the start, and under wheels in what came back from a reader."""
         self._rays = self._half = 0
         self._sensor = np.zeros(3)
+        self._around: Layers | None = None
         self._prior: PriorCheck | None = None
         self._buffers(1024)
         self._body = np.array(p.body_box)
@@ -75,6 +79,8 @@ class ElevationMap:
         )  # fmt: skip
         self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
         self._reader = MapReader(self.store, p)
+        # Finer voxels would take 80 MB, and too few rays go through each.
+        self._plants = PlantVolume(p.resolution) if p.plants and p.resolution >= FINEST else None
 
     def _buffers(self, n: int) -> None:
         self._cell, self._z = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.float32)
@@ -95,6 +101,9 @@ class ElevationMap:
         )
         other.fuse(points, np.zeros(3), (0, 0, 0, 1), 0)
         other.clean()
+        other.find_plants()
+        if other._plants is not None:
+            other._plants.warm_up()
         for patch in other.take_patches():
             patch.with_terrain()
             other.restore(patch)
@@ -120,6 +129,8 @@ class ElevationMap:
         self._prior = None
         self._fresh = True
         self._granted = []
+        if self._plants is not None:
+            self._plants.rays = None
 
     def fuse(
         self,
@@ -194,6 +205,8 @@ class ElevationMap:
         if self.scans % CLOUD_EVERY == 0:
             self.cloud.add(points, rotation, place)
         self._rays = rays
+        if self._plants is not None:
+            self._plants.add(self._ends, rays, self._sensor, now)
         self._angle = math.hypot(noise[1], noise[2])
         self.scans += 1
         out[kernels.OVERHANG] += overhangs
@@ -270,6 +283,57 @@ class ElevationMap:
         )  # fmt: skip
         rule = p.clean_passes, int(1000 * p.clean_unseen), p.trust_count, p.clearance, self._clock(self.stamp)
         return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
+
+    def find_plants(self) -> int:
+        """Take what the rays of the last scans showed to be leaves for ground, and what turned out to be solid among them back; returns how many
+        cells changed. Call it at about 3 Hz."""
+        if self._plants is None or self.scans == 0:
+            return 0
+        p, s, reach = self.params, self.store, self._plants.reach
+        x, y, _ = self._sensor.tolist()
+        corner = round(y / p.resolution) - reach, round(x / p.resolution) - reach
+        if self._around is None:
+            cells = 2 * reach + 1, 2 * reach + 1
+            floats, small = np.empty((3, *cells), np.float32), np.empty((2, *cells), np.uint8)
+            self._around = Layers(floats[0], floats[1], floats[2], small[0], small[1])
+        layers = self._around
+        s.read(*corner, layers)
+        now = self._clock(self.stamp)
+        found = self._plants.look(
+            layers.height,
+            layers.points,
+            layers.source,
+            corner,
+            self._sensor,
+            p.plants_above,
+            p.trust_count,
+            now,
+        )
+        if found is None:
+            return 0
+        state, ground, tops = found
+        row, col = np.nonzero(
+            ((state == LEAFY) & (layers.source == LIDAR)) | ((state == HARD) & (layers.source == PLANTS))
+        )
+        cell = s.locate(row + corner[0], col + corner[1])
+        new = s.cells[cell]
+        leaves = state[row, col] == LEAFY
+        new[~leaves] = FRESH
+        for name, value in (
+            ("height", ground[row, col]),
+            ("upper", tops[row, col]),
+            ("variance", p.trust_sigma**2 / 4),
+            ("source", PLANTS),
+            ("count", p.alone_count),
+            ("alt", np.nan),
+            ("below", np.nan),
+            ("streak", 0),
+            ("passes", 0),
+        ):
+            new[name] = np.where(leaves, value, new[name])
+        s.cells[cell] = new
+        s.touched[cell >> (2 * s.shift)] = 1
+        return len(cell)
 
     def _clock(self, stamp: int) -> int:
         """Milliseconds lived through; never runs backwards. A source clock that is set (a 1970 boot clock) passes no time."""

@@ -15,7 +15,8 @@ from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.mirror import blocks_of
-from mapping.elevation.tiles import ASSUMED, BRIDGED, Layers, TileStore
+from mapping.elevation.plants import TALLEST
+from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
 
 _BLOCK = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
@@ -161,5 +162,10 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
             out[0, r, c] = h
             out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
             out[2, r, c] = trusted[a, b]
-            out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
+            if s == PLANTS:
+                out[3, r, c] = min(
+                    u, h + np.float32(TALLEST)
+                )  # no ray told its top where the map came back from a reader
+            else:
+                out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
             out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mapping.elevation.exchange import PLANTS
+
 
 @njit(cache=True)
 def locate(i, j, directory, first, shift, out, begin):  # pragma: no cover - compiled
@@ -95,7 +97,8 @@ def take_back(
                 cell, known = cells[at + k], source[r, k] > 0
                 cell.height = height[r, k] if known else np.nan
                 cell.variance = variance[r, k] if known else np.nan
-                cell.upper = np.inf if known else upper[r, k]
+                # under leaves it is their top
+                cell.upper = np.inf if known and source[r, k] != PLANTS else upper[r, k]
                 cell.alt = cell.below = np.nan
                 cell.seen, cell.alt_seen = now, 0
                 cell.count = count if source[r, k] == lidar else 0

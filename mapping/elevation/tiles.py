@@ -14,12 +14,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mapping.elevation.exchange import PLANTS as PLANTS  # its values of `source` are all told here
 from mapping.elevation.exchange import MapError
 from mapping.elevation.shelf import Shelf
 from mapping.elevation.tile_kernels import differences, gather, locate, take_back
 
 UNKNOWN, CONTACT, LIDAR, BRIDGED, ASSUMED = 0, 1, 2, 3, 4
-"""Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store."""
+"""Where a height comes from. `BRIDGED` and `ASSUMED` (bridged, not trusted) exist in read-outs only, never in the store. `PLANTS`: ground under
+leaves, as high as the ground around; `upper` is the top of the leaves."""
 
 CELL = np.dtype(
     [

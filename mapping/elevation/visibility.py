@@ -10,6 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from mapping.elevation.tiles import PLANTS
+
 RAYS = 2
 """Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
 COMPANY = 0.05
@@ -109,7 +111,7 @@ def trace(
                                 low[n] = z
                                 many[n] = 1
                                 n += 1
-                else:
+                elif cell.source != PLANTS:
                     # the middle of the crossing, one sigma up
                     bound = sensor[2] + dz * 0.5 * (at + leave) + angle * leave
                     if bound < cell.upper:

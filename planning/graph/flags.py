@@ -41,6 +41,9 @@ POSTS = 512
 FIELD = 1024
 """Part of a stepfield with posts of more than a third of what is driven through: planned over at a price (`planning.graph.edges`)."""
 
+PLANTS = 2048
+"""Ground under leaves (`ElevationGrid.plants`): driven on slowly, at a price (`planning.graph.edges`)."""
+
 BASE = 0.12
 """Distance over which a step is measured [m]: a face smeared over two 5 cm cells is still one step."""
 LATERAL = 0.10

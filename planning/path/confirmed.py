@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH
+from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.safety.planned import known_behind
 from mapping.grid import ElevationGrid
-from planning.graph.flags import ASSUMED, VIRTUAL
+from planning.graph.flags import ASSUMED, PLANTS, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.path.types import Path
 from planning.search.guarded import known_around
@@ -24,6 +24,8 @@ BACK, BACK_SPACING = 0.12, 0.04
 """[m] A path backward ends where less than the first is left to what nobody saw: the guard creeps before it and holds. Asked so often."""
 UNSEEN = 0.2
 """[m/s] where a part of the ground under the leading wheels was not seen."""
+LEAVES = 0.2
+"""[m/s] with a part of the body over grass: a post in it is felt by the body first."""
 STAND = (0.25, 0.05)
 """[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
 not."""
@@ -38,6 +40,7 @@ def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: flo
     cells = graph.cells
     if cells is None or len(path.points) < 2:
         return path
+    path = _slow_in_leaves(path, graph)
     virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
     if grid.trusted.all():
         return path
@@ -64,6 +67,23 @@ def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: flo
             break
     path = path.slowed(share > 0.0, UNSEEN)
     return path.until(int(np.argmax(blocked)) - 1) if blocked.any() else path
+
+
+def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
+    """The path, driven at `LEAVES` where a part of the body is over grass, or half a body before it."""
+    cells = graph.cells
+    assert cells is not None
+    leaves = cells.flags & PLANTS > 0
+    if not leaves.any():
+        return path
+    reach = 0.5 * BODY_LENGTH + SPACING
+    along = np.linspace(-reach, reach, round(2.0 * reach / SPACING) + 1)
+    across = np.linspace(-BODY_WIDTH / 2, BODY_WIDTH / 2, round(BODY_WIDTH / SPACING) + 1)
+    u, v = (a.ravel() for a in np.meshgrid(along, across))
+    c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
+    x, y = path.points[:, :1] + u * c - v * s, path.points[:, 1:2] + u * s + v * c
+    share = at_places(leaves, x, y, cells.origin, cells.res).mean(axis=1)
+    return path.slowed(share > 0.0, LEAVES)
 
 
 def _behind(grid: ElevationGrid, path: Path, k: int, max_gap: float) -> float:

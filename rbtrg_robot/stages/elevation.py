@@ -186,6 +186,8 @@ class ElevationStage:
                 seen.append((sensor, points))
                 if self._scans % self._params.clean_every == 0:
                     self.map.clean()
+        if seen and self._scans % self._params.clean_every == 0:
+            self.map.find_plants()
         # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not look at.
         looks = "head" not in self._sensors or len(clouds.get("head", NOTHING)) > 0
         self.map.grant(self._silent.get("head", 0) < SILENT_SCANS)

@@ -20,6 +20,7 @@ from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
     LIDAR,
+    PLANTS,
     POINTS,
     SPACING,
     WHEELS,
@@ -27,6 +28,7 @@ from hal.safety.swept import (
     Reach,
     Surroundings,
     contact_at,
+    leaves_on,
     occupy,
     reach_of,
     shells,
@@ -64,6 +66,8 @@ CREEPING, TURNING = 0.2, 0.3
 """[m/s], [rad/s] along a wall that the body touches."""
 LEANS = math.radians(25.0)
 """[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to 50 deg in each of six drives."""
+LEAVES = (0.2, 0.5)
+"""[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt, not seen."""
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {
@@ -96,6 +100,8 @@ class GuardStage:
         self._correction = 0.0
         self._around: Surroundings | None = None
         self._filled: NDArray[np.float32] = np.zeros((1, 1), np.float32)
+        self._lowest: NDArray[np.float32] = np.zeros((1, 1), np.float32)
+        """[m] above the ground that points must be to count: in leaves, above the leaves."""
         self._stamp = 0
         self._laid = True
         """Nothing came since the newest sweep was laid over the window."""
@@ -132,7 +138,8 @@ class GuardStage:
             reach_of(whole, step, around, here, stand, self._robot, seen=False)
             swept = shells(tracks, BODY)
             reach_of(swept, step, around, here, stand, self._robot, seen=False, contact=contact)
-        self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat)
+            leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here)
+        self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat, flat)
 
     def close(self) -> None:
         """Nothing to release."""
@@ -179,11 +186,14 @@ class GuardStage:
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
-            np.where(source == WHEELS, WHEELS, np.where(source == LIDAR, LIDAR, 0)).astype(np.uint8),
+            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,
         )
+        lowest = np.float32(self._robot.max_step + STANDS)
+        leaves = upper - height + np.float32(STANDS)
+        self._lowest = np.where(source == PLANTS, np.maximum(leaves, lowest), lowest)
         self._stamp = patch.stamp
         self._laid = False
 
@@ -205,10 +215,15 @@ class GuardStage:
         pose = self._odoms[newest].pose.pose
         position, orientation = self._frame.pose3(xyz(pose.position), xyzw(pose.orientation))
         place = position + np.array([0.0, 0.0, self._correction])
-        self._mark(self._around, near @ rotation(orientation).T + place, self._filled)
+        self._mark(self._around, near @ rotation(orientation).T + place, self._filled, self._lowest)
 
-    def _mark(self, around: Surroundings, points: NDArray[np.float64], ground: NDArray[np.float32]) -> None:
-        lowest = self._robot.max_step + STANDS
+    def _mark(
+        self,
+        around: Surroundings,
+        points: NDArray[np.float64],
+        ground: NDArray[np.float32],
+        lowest: NDArray[np.float32],
+    ) -> None:
         origin, resolution = around.origin, around.resolution
         occupy(points, ground, *origin, resolution, lowest, BODY_CLEARANCE, POINTS, around.occupied)
 
@@ -249,6 +264,10 @@ class GuardStage:
                 slow = min(self._speed(reach, turning=turning), creeping)
                 if slow > speed:
                     speed, why = slow, f"a wall that the body touches {where}"
+            leaves = leaves_on(whole, step, self._around, here)
+            slow = max(LEAVES[turning], self._stops_in(leaves, turning=turning))
+            if slow < speed:
+                speed, why = slow, f"grass {where}"
             speeds.append(speed)
             words += [why] if why else []
         limits = msg.MotionLimits(
@@ -265,9 +284,13 @@ class GuardStage:
         """The speed [m/s or rad/s] from which the body stops within the reach; infinite where nothing is in the way."""
         if not reach.kind:
             return math.inf
+        return self._stops_in(reach.free, turning=turning)
+
+    def _stops_in(self, free: float, *, turning: bool) -> float:
+        """The speed [m/s or rad/s] from which the body stops within `free` [m or rad]."""
         p = self._params
         rate = self._robot.max_alpha if turning else p.deceleration
-        left = reach.free - (self._turn_margin if turning else p.margin)
+        left = free - (self._turn_margin if turning else p.margin)
         return rate * (math.sqrt(p.reaction**2 + 2.0 * left / rate) - p.reaction) if left > 0.0 else 0.0
 
     def _missing(self) -> str:

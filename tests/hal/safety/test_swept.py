@@ -22,6 +22,7 @@ from hal.safety.swept import (
     LIDAR,
     NEAR,
     NOISE,
+    PLANTS,
     SPACING,
     SWEEP,
     UNSEEN,
@@ -34,6 +35,7 @@ from hal.safety.swept import (
     Surroundings,
     contact_at,
     height_under,
+    leaves_on,
     nearest_obstacle,
     occupy,
     reach_of,
@@ -43,7 +45,7 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
-from tests.hal.safety.ground import RES, ROBOT, N, X, Y, ground
+from tests.hal.safety.ground import CORNER, RES, ROBOT, N, X, Y, ground
 
 FRONT, SIDE = BODY_LENGTH / 2, BODY_WIDTH / 2
 
@@ -606,12 +608,37 @@ def test_a_cell_is_occupied_by_enough_points_that_stand_on_its_ground() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform((-0.2, -0.2, -0.2), (0.6, 0.6, 1.0), (3000, 3))
     heights = rng.uniform(0.0, 0.2, (10, 12)).astype(np.float32)
+    lowest = rng.uniform(0.1, 0.4, heights.shape).astype(np.float32)
     out = np.zeros((10, 12), np.uint8)
-    occupy(points, heights, 0.02, -0.02, RES, 0.15, 0.55, 3, out)
+    occupy(points, heights, 0.02, -0.02, RES, lowest, 0.55, 3, out)
     want = np.zeros((10, 12), int)
     for x, y, z in points:
         c, r = round((x - 0.02) / RES), round((y + 0.02) / RES)
-        if 0 <= r < 10 and 0 <= c < 12 and 0.15 < z - heights[r, c] < 0.55:
+        if 0 <= r < 10 and 0 <= c < 12 and lowest[r, c] < z - heights[r, c] < 0.55:
             want[r, c] += 1
     np.testing.assert_array_equal(out, want >= 3)
     assert 0 < out.sum() < out.size
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
+def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> None:
+    rng = np.random.default_rng(3)
+    for tracks, step in (
+        (straight_tracks(1.0, 1.0), SPACING),
+        (straight_tracks(1.0, -1.0), SPACING),
+        (turn_tracks(0.6, 1.0), 0.05),
+    ):
+        for share in (0.0, 0.002, 0.02):
+            source = np.where(rng.random((N, N)) < share, PLANTS, LIDAR).astype(np.uint8)
+            around = ground(np.zeros((N, N)), source=source)
+            pose = (*rng.uniform(-0.3, 0.3, 2), yaw)
+            first = tracks.shape[1]
+            for k, i in np.ndindex(*tracks.shape[:2]):
+                u, v = tracks[k, i]
+                x = pose[0] + math.cos(yaw) * u - math.sin(yaw) * v - CORNER[0]
+                y = pose[1] + math.sin(yaw) * u + math.cos(yaw) * v - CORNER[1]
+                r, c = math.floor(y / RES + 0.5), math.floor(x / RES + 0.5)
+                if 0 <= r < N and 0 <= c < N and source[r, c] == PLANTS:
+                    first = min(first, i)
+            want = max(0.0, (first - BEFORE) * step) if first < tracks.shape[1] else math.inf
+            assert leaves_on(tracks, step, around, pose) == pytest.approx(want)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mapping.elevation import fusion as kernels
-from mapping.elevation.tiles import CONTACT, FRESH, LIDAR, UNKNOWN, TileStore
+from mapping.elevation.tiles import CONTACT, FRESH, LIDAR, PLANTS, UNKNOWN, TileStore
 from mapping.elevation.visibility import COMPANY, judge, trace
 
 RULE = np.array([2.5, 0.05, 0.08, 0.8, 2, 5, 0.006**2, 1e-8, 0.06**2, 3, 1000.0])
@@ -24,12 +24,12 @@ def test_a_read_out_is_taken_back_as_numpy_does_it() -> None:
     store.allocate(-1, -2)
     height, variance, upper = rng.normal(size=(3, rows, cols)).astype(np.float32)
     upper[rng.random(upper.shape) < 0.5] = np.nan
-    source = rng.choice(np.array([UNKNOWN, CONTACT, LIDAR], np.uint8), (rows, cols))
+    source = rng.choice(np.array([UNKNOWN, CONTACT, LIDAR, PLANTS], np.uint8), (rows, cols))
     upper[:, 14:30], source[:, 14:30] = np.inf, UNKNOWN  # a tile of which nothing comes stays absent
     known = source != UNKNOWN
     at = np.nonzero(known | np.isfinite(upper))
     want = np.repeat(FRESH, at[0].size)
-    want["upper"] = np.where(known[at], np.inf, upper[at])
+    want["upper"] = np.where(known[at] & (source[at] != PLANTS), np.inf, upper[at])
     want["height"], want["variance"] = (
         np.where(known[at], layer[at], np.nan) for layer in (height, variance)
     )

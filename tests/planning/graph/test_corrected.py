@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
 from planning import NoRoute
 from planning.graph.describe import turn_is_free
-from planning.graph.flags import FACE, HIGH, LOW, cell_flags
+from planning.graph.flags import FACE, HIGH, LOW, PLANTS, cell_flags
 from planning.graph.graph import GraphParams, TraversalGraph
 from tests.planning.graph.scenes import WIDTH, Scene, crossing_edges, drivable, random_scene
 
@@ -335,3 +337,36 @@ def test_where_a_bound_tells_of_a_drop_it_begins_behind_the_last_ground_that_was
     assert (flags[19, 8:32] & HIGH > 0).all()
     assert (flags[20, 8:32] & LOW > 0).all()
     assert not (flags[:19] & FACE).any()
+
+
+def test_a_way_through_leaves_counts_as_long_as_it_takes_and_is_free_again_without_them() -> None:
+    z = np.zeros((80, 140), np.float32)
+    free = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)
+    leaves = np.zeros(z.shape, bool)
+    leaves[:, 50:100] = True
+    start = (0.8, 1.6)
+    graph = TraversalGraph.build(free, start, GraphParams(), 0)
+    assert graph.cells is not None
+    before = graph.cells.flags.copy()
+    whole = [(0, 0, *z.shape)]
+
+    def risks() -> tuple[float, float]:
+        """Of edges that lie in the leaves with all of their corridor, and of those that lie beyond."""
+        source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+        a, b = graph.nodes[source, 0], graph.nodes[graph.indices, 0]
+        low, high = np.minimum(a, b), np.maximum(a, b)
+        inside = (low > 50 * RES + 0.4) & (high < 99 * RES - 0.4)
+        beside = high < 49 * RES - 0.4
+        assert inside.sum() > 10
+        assert beside.sum() > 10
+        return float(graph.risk[inside].max()), float(graph.risk[beside].max())
+
+    assert risks() == (0.0, 0.0)
+    graph.update(replace(free, plants=leaves), whole, start)
+    np.testing.assert_array_equal(graph.cells.flags & PLANTS > 0, leaves)
+    priced, beyond = risks()
+    assert priced == pytest.approx(0.5, abs=1e-6)
+    assert beyond == 0.0
+    graph.update(free, whole, start)
+    np.testing.assert_array_equal(graph.cells.flags, before)
+    assert risks() == (0.0, 0.0)

@@ -80,3 +80,19 @@ def test_where_a_part_of_the_ground_under_the_leading_wheels_was_not_seen_it_is_
     assert (np.abs(np.diff(part.speed**2)) <= 2.0 * part.limits.max_accel * np.diff(part.s) + 1e-9).all()
     beyond = (ahead > 3.3) | ((ahead < 1.6) & (np.arange(len(ahead)) < np.argmin(ahead)))
     assert part.speed[beyond] == pytest.approx(path.speed[beyond])
+
+
+def test_with_a_part_of_the_body_over_leaves_it_is_driven_slowly() -> None:
+    level = flat(5.0, 3.0, 0.04)
+    leaves = np.zeros(level.height.shape, np.bool_)
+    leaves[:, 55:70] = True  # x from 2.2 to 2.8 m, driven along -x
+    grid = replace(level, plants=leaves)
+    graph, path = way(np.pi, grid)
+    part = drivable(path, graph, grid, BODY.width)
+    assert part is not None
+    assert len(part.points) == len(path.points)
+    over = (part.points[:, 0] > 2.2 - 0.35) & (part.points[:, 0] < 2.76 + 0.35)
+    assert path.speed[over].min() > 0.4
+    assert part.speed[over].max() == pytest.approx(0.2)
+    assert part.speed[~over].max() > 0.35
+    assert (np.abs(np.diff(part.speed**2)) <= 2.0 * part.limits.max_accel * np.diff(part.s) + 1e-9).all()

@@ -310,9 +310,9 @@ def tiles_of(data: bytes) -> dict[tuple[int, int], tuple[np.ndarray, np.ndarray,
 
 
 def test_ground_that_is_assumed_is_told_apart_from_what_was_seen() -> None:
-    source = np.array([[0, 1, 2, 3, 4, np.nan]], np.float32)
-    assert trust_of(np.ones_like(source), source).tolist() == [[0, 4, 3, 2, 5, 0]]
-    assert trust_of(np.zeros_like(source), source).tolist() == [[0, 1, 1, 1, 5, 0]]
+    source = np.array([[0, 1, 2, 3, 4, 5, np.nan]], np.float32)
+    assert trust_of(np.ones_like(source), source).tolist() == [[0, 4, 3, 2, 5, 2, 0]]
+    assert trust_of(np.zeros_like(source), source).tolist() == [[0, 1, 1, 1, 5, 1, 0]]
 
 
 def test_terrain_travels_in_tiles_and_only_where_it_changed() -> None:

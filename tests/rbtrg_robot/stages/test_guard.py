@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hal.safety.swept import LIDAR
+from hal.safety.swept import LIDAR, PLANTS
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
 from rbtrg_robot import msg
@@ -201,6 +201,39 @@ def test_what_the_newest_sweep_shows_limits_before_the_map_has_it(yaw: float) ->
     assert around.tick(flat, high[high[:, 2] > 0.2]).backward == 1.0, "it hangs above the robot"
     assert around.tick(flat, leg[:2]).backward == 1.0, "two points are no leg"
     assert around.tick(flat).backward == 1.0, "it is gone"
+
+
+def test_points_in_leaves_are_none_and_what_stands_above_them_is() -> None:
+    around = Around()
+    leaf = np.array(
+        [[0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.2, -0.17, -0.14)]
+    )  # 0.2 m above the ground
+    grass = {
+        "source": lambda forward, _: np.where(forward > 0.38, PLANTS, LIDAR),
+        "upper_bound": lambda forward, left: flat(forward, left) + 0.3,
+    }
+    assert around.tick(flat, leaf).forward < 0.7, "without a mark"
+    limits = around.tick(flat, leaf, **grass)
+    near = limits.forward
+    assert near == 0.2
+    assert limits.backward == 1.0
+    assert limits.reason.startswith("grass ahead")
+    assert around.tick(flat, **grass).forward == near, "the points do not count"
+    person = leaf + np.array([-0.15, 0.0, 0.25])
+    limits = around.tick(flat, person, **grass)
+    assert limits.forward < near
+    assert "the last sweep saw" in limits.reason
+    grass["source"] = lambda forward, _: np.where(forward > 0.9, PLANTS, LIDAR)
+    assert "the last sweep saw" in around.tick(flat, leaf, **grass).reason, "no mark where they lie"
+
+
+def test_in_leaves_every_motion_is_slow() -> None:
+    limits = Around().tick(
+        flat,
+        source=lambda forward, left: np.full_like(forward + left, PLANTS),
+        upper_bound=lambda a, b: flat(a, b) + 0.3,
+    )
+    assert four(limits) == (0.2, 0.2, 0.5, 0.5)
 
 
 def test_a_sweep_from_the_future_hides_none_that_comes_after_it() -> None:

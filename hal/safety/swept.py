@@ -35,7 +35,7 @@ NOISE = 0.04
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
 DEEPEST = 0.12
-"""[m] How deep in the body a wall may be: of a robot that leans at one by 20 to 30 deg it was 0.08 to 0.12. Deeper, the map or the pose is wrong."""
+"""[m] How deep in the body a wall may be: of robots that leaned at one by 20 to 31 deg it was 0.08 to 0.12. Deeper, the map or the pose is wrong."""
 NEAR = 0.04
 """[m] A wall that is nearer to the body touches it: a cell of the map."""
 WALL = 0.9

@@ -189,6 +189,10 @@ class MountedLidar:
     mount: Extrinsics
 
 
+FELT_EDGE = "cliff: an edge"
+"""With this and "ahead" or "behind" the cause of a robot's state begins while its wheels feel an edge that goes down."""
+
+
 @dataclass(frozen=True, slots=True)
 class Capabilities:
     """What this robot with this controller can do: hard limits for gate, planner and tracker."""
@@ -225,6 +229,8 @@ class Capabilities:
     max_posts: float = 0.05
     """Highest posts of a stepfield driven through [m] (`tools.bench envelope`, rows `posts_*`): faces on all sides of all wheels are harder
     than one face of `max_step`. The default is that of the model-based controller, the smallest that was measured."""
+    creep: float = 0.0
+    """[m/s] speed up to which the wheels feel edges that go down, and the robot backs off by itself (`FELT_EDGE`); 0: they feel none."""
     strafe: bool = False
     lidars: tuple[MountedLidar, ...] = ()
     """What is there; at most one of each name."""

@@ -573,6 +573,7 @@ class PathCommand(Message):
     yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     least_speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    creep: float = 0.0
     has_goal_yaw: bool = False
     goal_yaw: float = 0.0
     look: float = 0.0
@@ -598,6 +599,7 @@ class Plan(Message):
     yaw: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     least_speed: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    creep: bool = False
     has_goal_yaw: bool = False
     goal_yaw: float = 0.0
     node_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
@@ -626,6 +628,7 @@ class PlanRequest(Message):
     held_left: bool = False
     held_right: bool = False
     avoid: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    creep: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -750,6 +753,7 @@ class RouteStatus(Message):
     nodes: int = 0
     edges: int = 0
     map_version: int = 0
+    crept: bool = False
 
 
 @dataclass(slots=True, eq=False)

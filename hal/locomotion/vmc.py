@@ -15,7 +15,7 @@ from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import RECORD, VmcParams
 from hal.locomotion.vmc_kernel import OUT_DQ, OUT_KD, OUT_KP, OUT_Q, OUT_TAU, vmc_tick
 from hal.lowlevel import LowCommand, LowState
-from hal.types import PostureCommand, VelocityCommand
+from hal.types import FELT_EDGE, PostureCommand, VelocityCommand
 
 
 class VmcController:
@@ -94,7 +94,7 @@ class VmcController:
             return ""
         side, back = ("ahead", "back") if way > 0.0 else ("behind", "forward")
         return (
-            f"cliff: an edge {side}, deeper than the wheels can feel; drive {back}, "
+            f"{FELT_EDGE} {side}, deeper than the wheels can feel; drive {back}, "
             "or come down faster than 0.1 m/s where it is known to be safe"
         )
 

@@ -22,6 +22,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
         max_gap=0.10,
         max_trunk_tilt=math.radians(15.0),
         max_posts=0.05,
+        creep=0.1,
     ),
     "policy": Capabilities(
         "go2w-mujoco-policy",
@@ -52,6 +53,7 @@ CAPABILITIES: dict[Controller, Capabilities] = {
         max_gap=0.12,
         max_trunk_tilt=math.radians(15.0),
         max_posts=0.12,
+        creep=0.1,
     ),
 }
 """Capabilities of the simulated robot, per controller; `min_vx` and `min_wz` from `tools.bench envelope`, rows `deadband_*`, `step_vx` and

@@ -1,6 +1,6 @@
 """From a route over the graph to a path the robot can follow."""
 
-from planning.path.confirmed import ahead_of, backs_up, confirmed, drivable, is_hidden
+from planning.path.confirmed import ahead_of, backs_up, confirmed, creeping, drivable, is_hidden
 from planning.path.path import make_path, rest_of
 from planning.path.spline import smooth_route
 from planning.path.types import Path, PathLimits
@@ -12,6 +12,7 @@ __all__ = [
     "ahead_of",
     "backs_up",
     "confirmed",
+    "creeping",
     "drivable",
     "face_in_the_way",
     "in_fields",

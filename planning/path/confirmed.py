@@ -1,17 +1,20 @@
-"""How far a path may be driven by now: forward as long as the wheels roll on ground that was seen, backward as long as the guard lets it."""
+"""How far a path may be driven by now: forward as long as the wheels roll on ground that was seen, or where they feel edges, backward as long as the guard lets it."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH
+from hal.go2w import BODY_LENGTH, BODY_WIDTH, TREAD_WIDTH
 from hal.safety.planned import known_behind
 from mapping.grid import ElevationGrid
 from planning.graph.flags import ASSUMED, PLANTS, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.path.types import Path
 from planning.search.guarded import known_around
+from planning.search.wheels import AXLE, TREAD
 
 LEAD = (0.15, 0.30)
 """Between these distances ahead of base_link [m] the wheels that lead touch the ground: their axles lie 0.21 m off it."""
@@ -26,39 +29,33 @@ UNSEEN = 0.2
 """[m/s] where a part of the ground under the leading wheels was not seen."""
 LEAVES = 0.2
 """[m/s] with a part of the body over grass: a post in it is felt by the body first."""
+CREEP = 0.35
+"""[m] that a robot creeps until it asks again, half of its length."""
+TURN_SPACING, WHEEL = 0.05, (-TREAD_WIDTH / 2, 0.0, TREAD_WIDTH / 2)
+"""[rad] and [m] across a wheel between places that are looked at."""
+BENDS = 0.3
+"""[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
 STAND = (0.25, 0.05)
 """[m] ahead of base_link and beside the body that count as seen at the start: its wheels stand there. What lies under its nose does
 not."""
 
 
-def confirmed(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path:
-    """The part of `path` that ends before less than `GraphParams.min_coverage` of the ground under the leading wheels of a body
+def confirmed(
+    path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float, coverage: float | None = None
+) -> Path:
+    """The part of `path` that ends before less than `coverage`, by default `GraphParams.min_coverage`, of the ground under the leading wheels of a body
     `width` [m] wide was seen; all of it where it may be driven. Virtual ground is planned over, not driven on, and the part that is left of it under
     the wheels is driven slowly.
     Backward it ends before ground that the map does not know: no LiDAR looks there, and the guard holds the robot (`hal.safety.planned`).
     """
-    cells = graph.cells
-    if cells is None or len(path.points) < 2:
+    if graph.cells is None or len(path.points) < 2:
         return path
     path = _slow_in_leaves(path, graph)
-    virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
     if grid.trusted.all():
         return path
-    chord = np.diff(path.points[:, :2], axis=0)
-    chord = np.vstack([chord, chord[-1:]])
-    sign = np.where(np.cos(path.yaw - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0, -1.0, 1.0)
-    along = np.arange(LEAD[0], LEAD[1] + 1e-9, SPACING)
-    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
-    u, v = (a.ravel() for a in np.meshgrid(along, across))
-    c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
-    x = path.points[:, :1] + sign[:, None] * u * c - v * s
-    y = path.points[:, 1:2] + sign[:, None] * u * s + v * c
-    hidden = at_places(virtual, x, y, cells.origin, cells.res)
-    c0, s0 = c[0, 0], s[0, 0]
-    dx, dy = x - path.points[0, 0], y - path.points[0, 1]
-    under = (np.abs(c0 * dx + s0 * dy) <= STAND[0]) & (np.abs(c0 * dy - s0 * dx) <= width / 2 + STAND[1])
-    share = (hidden & ~under).mean(axis=1)
-    blocked = share > 1.0 - graph.params.min_coverage
+    sign = _sign(path)
+    share = _hidden_share(path, sign, graph, width)
+    blocked = share > 1.0 - (graph.params.min_coverage if coverage is None else coverage)
     first = int(np.argmax(blocked)) if blocked.any() else len(blocked)
     every = max(1, round(BACK_SPACING / path.limits.spacing))
     for k in np.flatnonzero(sign[:first] < 0.0)[::every]:
@@ -86,6 +83,44 @@ def _slow_in_leaves(path: Path, graph: TraversalGraph) -> Path:
     return path.slowed(share > 0.0, LEAVES)
 
 
+def _sign(path: Path) -> NDArray[np.float64]:
+    """(n,) 1.0 where the path is driven forward, -1.0 backward."""
+    chord = np.diff(path.points[:, :2], axis=0)
+    chord = np.vstack([chord, chord[-1:]])
+    return np.where(np.cos(path.yaw - np.arctan2(chord[:, 1], chord[:, 0])) < 0.0, -1.0, 1.0)
+
+
+def _hidden_share(
+    path: Path, sign: NDArray[np.float64], graph: TraversalGraph, width: float
+) -> NDArray[np.float64]:
+    """(n,) how much of the ground under the leading wheels is virtual; what the robot stands on at the begin is not."""
+    along = np.arange(LEAD[0], LEAD[1] + 1e-9, SPACING)
+    across = np.linspace(-width / 2, width / 2, round(width / SPACING) + 1)
+    u, v = (a.ravel() for a in np.meshgrid(along, across))
+    c, s = np.cos(path.yaw)[:, None], np.sin(path.yaw)[:, None]
+    x = path.points[:, :1] + sign[:, None] * u * c - v * s
+    y = path.points[:, 1:2] + sign[:, None] * u * s + v * c
+    return _hidden(path, float(path.yaw[0]), x, y, graph, width).mean(axis=1)
+
+
+def _hidden(
+    path: Path,
+    yaw: float,
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    graph: TraversalGraph,
+    width: float,
+) -> NDArray[np.bool_]:
+    """Whether the ground at places [m] is virtual and not under a robot that looks at `yaw` [rad] at the begin of the path."""
+    cells = graph.cells
+    assert cells is not None
+    virtual = (cells.flags & (VIRTUAL | ASSUMED)) == VIRTUAL
+    c, s = math.cos(yaw), math.sin(yaw)
+    dx, dy = x - path.points[0, 0], y - path.points[0, 1]
+    under = (np.abs(c * dx + s * dy) <= STAND[0]) & (np.abs(c * dy - s * dx) <= width / 2 + STAND[1])
+    return at_places(virtual, x, y, cells.origin, cells.res) & ~under
+
+
 def _behind(grid: ElevationGrid, path: Path, k: int, max_gap: float) -> float:
     """[m] behind the body at point `k` of the path up to ground that the map does not know, as far as `BACK`."""
     x, y, _ = path.points[k].tolist()
@@ -98,12 +133,43 @@ def backs_up(path: Path) -> bool:
     return len(path.back) > 0 and bool(path.back[0])
 
 
-def drivable(path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float) -> Path | None:
-    """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin."""
-    part = confirmed(path, graph, grid, width)
+def drivable(
+    path: Path, graph: TraversalGraph, grid: ElevationGrid, width: float, *, crept: bool = False
+) -> Path | None:
+    """As `confirmed`; None where hardly anything is left. A robot that turns first looks there, and may begin. One that `crept` may stand at an edge that
+    nobody saw: no part of the ground under its wheels may be unseen, nor where it turns them to."""
+    if crept and _turns_onto_hidden(path, graph, width):
+        return None
+    part = confirmed(path, graph, grid, width, 1.0 if crept else None)
     if part.length >= min(LEAST, path.length):
         return part
     return None if abs(path.initial_turn or 0.0) < TURN else path.until(1)
+
+
+def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> Path | None:
+    """The first `CREEP` of a path that is driven forward at `creep` [m/s], whether its ground was seen or not; None where hardly any is left of
+    what so slow a robot passes, and where it would turn its wheels onto ground that nobody saw: only wheels that roll feel edges."""
+    if graph.cells is None or len(path.points) < 2:
+        return None
+    end = (_sign(path) < 0.0) | (path.least > creep) | (path.s > CREEP)
+    if _turns_onto_hidden(path, graph, width):
+        return None
+    last = int(np.argmax(end)) - 1 if end.any() else len(end) - 1
+    if path.s[max(last, 0)] < min(LEAST, path.length):
+        return None
+    return path.until(last).slowed(np.ones(last + 1, np.bool_), creep)
+
+
+def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
+    """Whether the turn on the spot before a path leads a wheel onto virtual ground."""
+    turn = path.initial_turn or 0.0
+    if graph.cells is None or abs(turn) < BENDS:
+        return False
+    angles = path.yaw[0] - np.linspace(turn, 0.0, math.ceil(abs(turn) / TURN_SPACING) + 1)[:, None]
+    u, v = (a.ravel() for a in np.meshgrid((-AXLE, AXLE), np.add.outer((-TREAD, TREAD), WHEEL).ravel()))
+    x = path.points[0, 0] + u * np.cos(angles) - v * np.sin(angles)
+    y = path.points[0, 1] + u * np.sin(angles) + v * np.cos(angles)
+    return bool(_hidden(path, float(path.yaw[0]) - turn, x, y, graph, width).any())
 
 
 def ahead_of(path: Path) -> tuple[float, float, float]:

@@ -101,6 +101,8 @@ class ElevationStage:
             if not self._location.state.known:
                 elevation.reset()  # nothing of it holds before the robot is found in it
         self._stands = False
+        self._crept = False
+        """The robot was sent onto ground that nobody saw."""
         self._odom: msg.Odometry | None = None
         self._scans = 0
         self._now = 0
@@ -156,8 +158,10 @@ class ElevationStage:
             elif t.MAP_MIRROR.carried(message, topic) and self._handover.under_way:
                 if whole := self._handover.take(message, self._now):
                     self._detail, self._status_due = whole, 0
-            elif t.ROUTE_STATUS.carried(message, topic) and self._handover.spoken(stamp_of(message)):
-                return self._give_up()
+            elif t.ROUTE_STATUS.carried(message, topic):
+                self._crept |= message.crept
+                if self._handover.spoken(stamp_of(message)):
+                    return self._give_up()
             return self._join()
         except (LayoutError, MapError):
             self._refused += 1
@@ -188,11 +192,12 @@ class ElevationStage:
                     self.map.clean()
         if seen and self._scans % self._params.clean_every == 0:
             self.map.find_plants()
-        # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not look at.
+        # Where the head's LiDAR is to look at the ground at the feet, nothing is taken for granted that it does not look at; nor where the wheels come to
+        # ground before a LiDAR has seen it.
         looks = "head" not in self._sensors or len(clouds.get("head", NOTHING)) > 0
-        self.map.grant(self._silent.get("head", 0) < SILENT_SCANS)
+        self.map.grant(self._silent.get("head", 0) < SILENT_SCANS and not self._crept)
         if joints is not None:
-            start = None if looks else False
+            start = None if looks and not self._crept else False
             self.map.fuse_ground(wheel_contacts(joints), position, orientation, stamp, start)
         if self._locate(odom, seen, joints):
             return self._begin("the robot was found")

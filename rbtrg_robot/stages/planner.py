@@ -67,13 +67,14 @@ class PlannerStage:
         body: BodyModel,
         limits: PathLimits,
         seed: int = 0,
+        creep: float = 0.0,
     ) -> None:
-        """`seed` of the graph's samples."""
+        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`."""
         self._params = params
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
-        self._ways = WaySearch(params, body, limits)
+        self._ways = WaySearch(params, body, limits, creep)
         self._epoch = 0
         self._updated = 0
         self._patched = 0
@@ -278,6 +279,7 @@ class PlannerStage:
             nodes=0 if graph is None else len(graph.nodes),
             edges=0 if graph is None else len(graph.indices) // 2,
             map_version=0 if graph is None else graph.version,
+            crept=self._ways.crept,
         )
 
     # --- requests ---------------------------------------------------------------------------------------------
@@ -312,12 +314,14 @@ class PlannerStage:
             self._fields = in_fields(way.path, self._map.graph)
         self._checked_version = -1
         outputs: Outputs = [
-            (t.PLAN, msg.Plan(**base, **plan_fields(found, way.path, message))),
+            (t.PLAN, msg.Plan(**base, **plan_fields(found, way.path, message), creep=way.creep)),
             (t.ROUTE, path_msg(way.path, self._now)),
         ]
         if self._map.table is not None and self._params.method == "rb_trg":
             report = RouteBase(base["header"], message.goal_id).report(found, way.path, self._map.table)
             outputs.append((t.ROUTE_REPORT, report))
+        if way.creep:  # the map hears of it before the wheels come there
+            outputs.append((t.ROUTE_STATUS, self._status(self._now)))
         return outputs
 
     def _question(self, message: msg.RouteQuestion) -> Outputs:
@@ -351,11 +355,11 @@ class PlannerStage:
 def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
     graph = config.graph_params()
-    fastest = config.tracker.max_speed
+    fastest, robot = config.tracker.max_speed, config.capabilities()
     limits = PathLimits(
         max_speed=fastest,
         max_step=graph.max_step,
         max_slope=graph.max_slope,
-        step_speed=min(config.capabilities().step_vx, fastest),
+        step_speed=min(robot.step_vx, fastest),
     )
-    return PlannerStage(config.planner, graph, config.body, limits, config.seed)
+    return PlannerStage(config.planner, graph, config.body, limits, config.seed, robot.creep)

@@ -97,7 +97,8 @@ class TrackerStage:
         goal_yaw = message.goal_yaw if message.has_goal_yaw else None
         try:
             least = message.least_speed if len(message.least_speed) else 0.0
-            self._tracker.set_path(points, message.yaw, message.speed, goal_yaw, least=least)
+            most = math.inf if message.creep == 0.0 else message.creep
+            self._tracker.set_path(points, message.yaw, message.speed, goal_yaw, least=least, most=most)
         except PathError as error:
             self._tracker.clear()
             self._path_fault = f"path refused: {error}"

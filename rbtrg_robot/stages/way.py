@@ -11,7 +11,17 @@ from hal.types import NS
 from mapping.grid import ElevationGrid
 from planning.baselines import art, t_hybrid
 from planning.errors import NoRoute, NoRouteReason
-from planning.path import Path, PathLimits, ahead_of, backs_up, drivable, is_hidden, make_path, rest_of
+from planning.path import (
+    Path,
+    PathLimits,
+    ahead_of,
+    backs_up,
+    creeping,
+    drivable,
+    is_hidden,
+    make_path,
+    rest_of,
+)
 from planning.risk.body import BodyModel
 from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
@@ -43,12 +53,20 @@ class Way:
     """Over virtual ground too."""
     path: Path
     """The part of it that is driven."""
+    creep: bool = False
+    """`path` leads onto ground that nobody saw."""
 
 
 class WaySearch:
     """Finds ways on a `MapGraph` for one goal after the other, and remembers for each goal what was tried."""
 
-    def __init__(self, params: PlannerConfig, body: BodyModel, limits: PathLimits) -> None:
+    def __init__(
+        self, params: PlannerConfig, body: BodyModel, limits: PathLimits, creep: float = 0.0
+    ) -> None:
+        """`creep` [m/s]: see `Capabilities`."""
+        self._creep = creep
+        self.crept = False
+        """A way led onto ground that nobody saw: the robot may stand at an edge, whatever the goal is now."""
         self.rules = DriveRules(params.backward, params.turning, straight=True, guarded=True)
         self._params = params
         self._body = body
@@ -75,7 +93,12 @@ class WaySearch:
         if message.goal_id != self._goal:
             self._begin(message.goal_id)
         self._memory.at((message.start_x, message.start_y), now / NS, virtual=self._looks_over)
-        way = self._seen(terrain, message, driven)
+        try:
+            way = self._seen(terrain, message, driven)
+        except NoRoute:
+            if not message.creep or (onto := self._onto_unseen(terrain, message)) is None:
+                raise
+            way, self.crept = onto, True
         self._memory.found(way.plan.frontier)
         graph = terrain.graph
         self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
@@ -101,7 +124,9 @@ class WaySearch:
                     raise
                 break  # what hides the first way is the reason
             assert terrain.graph is not None
-            path = drivable(whole, terrain.graph, terrain.ground(), self._body.width)
+            path = drivable(
+                whole, terrain.graph, terrain.ground(), self._body.width, crept=message.creep or self.crept
+            )
             if path is not None:
                 cut = len(path.points) < len(whole.points)
                 return Way(replace(found, reaches_goal=False) if cut else found, whole, path)
@@ -114,6 +139,22 @@ class WaySearch:
             "every way leads over ground that the robot cannot see from where it stands: drive it by hand, slowly, to where it "
             "sees the ground ahead, or choose another goal",
         )
+
+    def _onto_unseen(self, terrain: MapGraph, message: msg.PlanRequest) -> Way | None:
+        """The begin of the best way over ground that nobody saw, to be crept; None where there is none. Frontiers that were looked from count: on the way to
+        them the robot sees no more, but it comes over them."""
+        self._hidden, self._forward = [], True
+        memory, self._memory = self._memory, FrontierMemory()
+        try:
+            found, whole = self._in_graphs(terrain, message, None)
+        except NoRoute:
+            return None
+        finally:
+            self._memory = memory
+        if terrain.graph is None:
+            return None
+        path = creeping(whole, terrain.graph, self._body.width, self._creep)
+        return None if path is None else Way(replace(found, reaches_goal=False), whole, path, creep=True)
 
     def _in_graphs(
         self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None

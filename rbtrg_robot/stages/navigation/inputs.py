@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from hal.types import NS
+from hal.types import FELT_EDGE, NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.navigation.progress import TURNING
@@ -48,6 +48,11 @@ class Inputs:
         if self.phase in TURNING:
             return 0.0
         return -1.0 if self.robot is not None and self.robot.vx < 0.0 else 1.0
+
+    @property
+    def edge(self) -> bool:
+        """Whether the wheels feel an edge ahead."""
+        return self.robot is not None and self.robot.cause.startswith(f"{FELT_EDGE} ahead")
 
     @property
     def room_ahead(self) -> bool:

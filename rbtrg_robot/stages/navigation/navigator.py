@@ -31,6 +31,7 @@ PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
 """Goals whose ids are remembered: a late repeat of an old one must not set the robot going."""
 LOOKING = "looking at the ground ahead"
+CREEPING = "creeping over ground nobody saw"
 MOVE_ON = 0.15
 """[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
 HELD = 2.5
@@ -67,9 +68,10 @@ class NavigatorStage:
         area: GoalArea = GoalArea(),
         step_vx: float = 0.0,
         max_trunk_tilt: float = 0.0,
+        creep: float = 0.0,
     ) -> None:
-        """`step_vx` [m/s], `max_trunk_tilt` [rad]: see `Capabilities`."""
-        self._tilt = max_trunk_tilt
+        """`step_vx` [m/s], `max_trunk_tilt` [rad], `creep` [m/s]: see `Capabilities`."""
+        self._tilt, self._creep = max_trunk_tilt, creep
         self._params = params
         self._area = area
         self._frame = MapFrame()
@@ -146,7 +148,9 @@ class NavigatorStage:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED, self._goal.foreign(goal.owner))
         self._goal = goal
         self._short = 0
-        self._recovery = Recovery(self._params)
+        if self._recovery.felt:
+            self._trail = Trail()
+        self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
         self._looks = Looks(self._tilt)
         self._turns = HeldTurns()
         self._progress = ProgressMonitor()
@@ -183,13 +187,16 @@ class NavigatorStage:
             goal.frontier = not message.reaches_goal
             goal.risk = float(message.transition_body.max(initial=0.0))
             goal.state = GoalState.MOVING
-            goal.detail = over_unseen(message)
-            self._out.append((t.PATH_COMMAND, self._order.route(self._now, message)))
+            goal.detail = CREEPING if message.creep else over_unseen(message)
+            self._out.append((t.PATH_COMMAND, self._order.route(self._now, message, self._creep)))
             return self._status()
         reason = Reason.of(message.reason) or Reason.NO_ROUTE
         measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
         if measure is Measure.LOOK_DOWN and self._looks.wanted(self._pose):
             self._look(goal)
+        elif measure is Measure.CREEP:
+            self._stand(goal, message.detail)
+            self._replan(goal)
         elif measure in (Measure.LOOK, Measure.LOOK_DOWN):  # noise can close a passage for a moment
             self._stand(goal, message.detail)
             goal.state = GoalState.PLANNING
@@ -235,6 +242,8 @@ class NavigatorStage:
             goal.detail = ""
             self._plan = None
             return self._ask()
+        if self._recovery.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
+            return self._keep_off_edge(goal, self._pose)
         if self._query.open:
             if self._query.waited(now) > p.patience:
                 return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
@@ -277,7 +286,8 @@ class NavigatorStage:
                 self._replan(goal)
         elif goal.state is GoalState.MOVING and goal.frontier:
             on_edge = self._route.over_edge(self._plan, self._pose)
-            if self._query.due(now, self._inputs.tracker, on_edge=on_edge):
+            creeps = self._plan is not None and self._plan.creep
+            if self._query.due(now, self._inputs.tracker, on_edge=on_edge, creeps=creeps):
                 self._replan(goal)
         return None
 
@@ -303,7 +313,8 @@ class NavigatorStage:
         self._progress.reset()
         assert self._pose is not None
         way = self._inputs.way
-        measure = self._recovery.stuck(self._pose, way, room_ahead=self._inputs.room_ahead)
+        room_ahead = self._inputs.room_ahead and not self._recovery.felt
+        measure = self._recovery.stuck(self._pose, way, room_ahead=room_ahead)
         if measure is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
             self._end(GoalState.ABORTED, Reason.STUCK, tried)
@@ -313,10 +324,21 @@ class NavigatorStage:
             goal.recoveries += 1
             self._replan(goal)
 
+    def _keep_off_edge(self, goal: Goal, pose: Pose2) -> None:
+        """The wheels feel an edge where the map has none: get away from it, then replan around it; give up where that was done often enough."""
+        self._query.drop()
+        if self._recovery.edge(pose) is Measure.GIVE_UP:
+            self._end(GoalState.ABORTED, Reason.NO_ROUTE, "choose another goal")
+        elif not self._move_out(goal, barred=1.0):
+            self._stand(goal, self._recovery.felt)
+            self._replan(goal)
+
     def _move_out(self, goal: Goal, barred: float = 0.0) -> bool:
         """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where the guard holds it; False when
         there is none."""
         ways = self._inputs.held | {barred}
+        if self._recovery.felt:
+            ways |= {1.0}  # the body covered what lies below the edge, too
         reach = self._trail.reach(self._pose, self._params.back_out, ways) if self._pose else 0.0
         if reach != 0.0:
             self._straight(goal, reach, "backing out" if reach < 0.0 else "moving out")
@@ -342,8 +364,9 @@ class NavigatorStage:
         if self._plan is None:
             goal.state = GoalState.PLANNING
         ask = self._query.repeat if again else self._query.ask
-        held = self._turns.at(self._pose)
-        self._out.append((t.PLAN_REQUEST, ask(self._now, goal, self._pose, self._recovery.avoid, held)))
+        held, tried = self._turns.at(self._pose), self._recovery
+        request = ask(self._now, goal, self._pose, tried.avoid, held, creep=tried.creep)
+        self._out.append((t.PLAN_REQUEST, request))
 
     def _halt(self) -> None:
         self._progress.reset()
@@ -363,7 +386,8 @@ class NavigatorStage:
 
     def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:
         assert self._goal is not None
-        self._goal.end(state, reason, detail)
+        felt = self._recovery.felt if state is GoalState.ABORTED else ""
+        self._goal.end(state, reason, "; ".join(part for part in (felt, detail) if part))
         self._query.drop()
         self._halt()
         self._status()
@@ -376,4 +400,5 @@ class NavigatorStage:
 def build(config: StackConfig) -> NavigatorStage:
     """From the stack's configuration."""
     robot = config.capabilities()
-    return NavigatorStage(config.navigator, GoalArea.of(config), robot.step_vx, robot.max_trunk_tilt)
+    area = GoalArea.of(config)
+    return NavigatorStage(config.navigator, area, robot.step_vx, robot.max_trunk_tilt, robot.creep)

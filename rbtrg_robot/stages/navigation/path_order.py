@@ -38,12 +38,13 @@ class PathOrder:
         self._path: msg.PathCommand | None = None
         self._sent = self._begun = 0
 
-    def route(self, now: int, plan: msg.Plan) -> msg.PathCommand:
-        """Drive the path of a Plan."""
+    def route(self, now: int, plan: msg.Plan, creep: float = 0.0) -> msg.PathCommand:
+        """Drive the path of a Plan; one onto ground that nobody saw no faster than `creep` [m/s]."""
         fields = {name: getattr(plan, name) for name in ("x", "y", "z", "yaw", "speed", "least_speed")}
         final = plan.has_goal_yaw and plan.reaches_goal
         path_id = f"{plan.goal_id}/{plan.sequence}"
-        return self._send(now, id=path_id, has_goal_yaw=final, goal_yaw=plan.goal_yaw, **fields)
+        fields |= {"has_goal_yaw": final, "goal_yaw": plan.goal_yaw, "creep": creep if plan.creep else 0.0}
+        return self._send(now, id=path_id, **fields)
 
     def straight(self, now: int, goal_id: str, pose: Pose2, reach: float) -> msg.PathCommand:
         """Drive straight along the heading, backward where `reach` [m] is negative."""

@@ -27,16 +27,30 @@ class PlanQuery:
         self._answered = 0
 
     def ask(
-        self, now: int, goal: Goal, pose: Pose2, avoid: list[float], held: tuple[bool, bool]
+        self,
+        now: int,
+        goal: Goal,
+        pose: Pose2,
+        avoid: list[float],
+        held: tuple[bool, bool],
+        *,
+        creep: bool = False,
     ) -> msg.PlanRequest:
         """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off, `held` tells whether the guard
-        held a turn there to the left, to the right."""
+        held a turn there to the left, to the right; `creep`: a way onto ground that nobody saw is wanted where there is no other."""
         self._sequence += 1
         self._first_asked = now
-        return self.repeat(now, goal, pose, avoid, held)
+        return self.repeat(now, goal, pose, avoid, held, creep=creep)
 
     def repeat(
-        self, now: int, goal: Goal, pose: Pose2, avoid: list[float], held: tuple[bool, bool]
+        self,
+        now: int,
+        goal: Goal,
+        pose: Pose2,
+        avoid: list[float],
+        held: tuple[bool, bool],
+        *,
+        creep: bool = False,
     ) -> msg.PlanRequest:
         """The open question once more, from where the robot is by now."""
         self.open = True
@@ -54,6 +68,7 @@ class PlanQuery:
             has_goal_yaw=goal.yaw is not None,
             held_left=held[0],
             held_right=held[1],
+            creep=creep,
             avoid=np.array(avoid, np.float64),
         )
 
@@ -73,13 +88,14 @@ class PlanQuery:
         """Whether a RouteStatus speaks of the newest route, and no newer one is asked for."""
         return not self.open and message.sequence == self._sequence
 
-    def due(self, now: int, tracker: msg.TrackerState | None, *, on_edge: bool) -> bool:
+    def due(self, now: int, tracker: msg.TrackerState | None, *, on_edge: bool, creeps: bool = False) -> bool:
         """Whether to ask again on the way into unseen ground, with so much of the path to go. A robot `on_edge` could not turn into another
-        route; but where its own ends, it would stop there. One that turns on the spot ends that first: it would turn back as often as not.
+        route; but where its own ends, it would stop there. One that turns on the spot ends that first: it would turn back as often as not. One that
+        `creeps` does not come far from one question to the next.
         """
         if tracker is not None and tracker.phase == "aligning":
             return False
-        near = tracker is not None and tracker.distance_left < NEAR_END
+        near = tracker is not None and tracker.distance_left < NEAR_END and not creeps
         return self.age(now) > (min(self._period, NEAR_PERIOD) if near else self._period) and (
             near or not on_edge
         )

@@ -21,6 +21,8 @@ class Measure(StrEnum):
     """Stand, wait for a newer map and ask again; the planner draws another graph meanwhile."""
     LOOK_DOWN = "look_down"
     """The same with the nose down, where the trunk tilts."""
+    CREEP = "creep"
+    """Ask for a way onto ground that nobody saw, too."""
     MOVE_ON = "move_on"
     """Move a little straight ahead, where the turn that is held may be free, then ask again."""
     MOVE_OUT = "move_out"
@@ -31,19 +33,49 @@ class Measure(StrEnum):
 class Recovery:
     """Keeps what was tried for one goal, and what routes must keep off.
 
-    No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then move out of the
-    place once, because it may only lack the room to turn; then give up. Stuck: keep off the place and move out, a few times at each place. A turn
+    No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then creep onto
+    ground that nobody saw, from now on, where the wheels feel edges; then move out of the
+    place once, because it may only lack the room to turn; then give up. An edge that was felt is kept off for good, and ends the creeping. Stuck: keep off the place and move out, a few times at each place. A turn
     that is held goes on a little farther ahead first: behind the corner of a wall a robot that turned 0.1 m too early has its tail at it, and
     came back to the same place each time that it had backed out.
     """
 
-    def __init__(self, config: NavigatorConfig) -> None:
+    def __init__(self, config: NavigatorConfig, *, feels_edges: bool = False) -> None:
         self._config = config
-        self.avoid: list[float] = []
-        """x, y, radius [m] of places that routes keep off, one after the other."""
+        self._feels = feels_edges
+        self.crept = False
+        """Ways onto ground that nobody saw were asked for."""
+        self._avoid: list[float] = []
+        self._edges: list[Pose2] = []
+        """Where base_link was."""
         self._failed = 0
         self._stuck_at: list[Pose2] = []
         self._lost_at: list[Pose2] = []
+
+    @property
+    def creep(self) -> bool:
+        """Whether ways onto ground that nobody saw are asked for where there are no others."""
+        return self.crept and not self._edges
+
+    @property
+    def avoid(self) -> list[float]:
+        """x, y, radius [m] of places that routes keep off, one after the other."""
+        return self._avoid + [v for pose in self._edges for v in self._disc(pose, 1.0)]
+
+    @property
+    def felt(self) -> str:
+        """In words where the wheels felt edges; empty where they did not."""
+        places = " and ".join(f"at x {x:.2f} y {y:.2f}" for x, y, _ in self._edges)
+        return f"the wheels felt an edge that goes down {places}" if places else ""
+
+    def edge(self, pose: Pose2) -> Measure:
+        """The wheels felt an edge ahead of `pose`."""
+        self._edges.append(pose)
+        return Measure.GIVE_UP if len(self._edges) > self._config.max_recoveries else Measure.MOVE_OUT
+
+    def _disc(self, pose: Pose2, way: float) -> list[float]:
+        (x, y, yaw), ahead = pose, way * self._config.avoid_ahead
+        return [x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self._config.avoid_radius]
 
     def found(self) -> None:
         """There is a route."""
@@ -55,9 +87,12 @@ class Recovery:
         if self._failed <= self._config.no_route_retries:
             return Measure.LOOK_DOWN if self._failed == LOOK_DOWN_AT else Measure.LOOK
         self._failed = 0
-        if self.avoid:
-            self.avoid = []
+        if self._avoid:
+            self._avoid = []
             return Measure.LOOK
+        if self._feels and not self.crept:
+            self.crept = True
+            return Measure.CREEP
         return Measure.MOVE_OUT if pose and _visit(self._lost_at, pose) == 1 else Measure.GIVE_UP
 
     def stuck(self, pose: Pose2, way: float, *, room_ahead: bool) -> Measure:
@@ -69,8 +104,7 @@ class Recovery:
         if not way and room_ahead and tries == 1:
             return Measure.MOVE_ON
         if way:
-            (x, y, yaw), ahead = pose, way * self._config.avoid_ahead
-            self.avoid += [x + ahead * math.cos(yaw), y + ahead * math.sin(yaw), self._config.avoid_radius]
+            self._avoid += self._disc(pose, way)
         return Measure.MOVE_OUT
 
 

@@ -34,6 +34,7 @@ from hal.lowlevel import LowCommand, LowState
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.types import PostureCommand, VelocityCommand
+from tools.bench.envelope.cliff import creep_to_edge
 from tools.bench.envelope.driving import hold_on_slope
 from tools.bench.envelope.terrain import RESOLUTION, course
 from tools.bench.envelope.trial import drive
@@ -308,6 +309,13 @@ def test_a_change_of_controllers_changes_the_torques_slowly(standing: Path) -> N
 def test_with_our_policy_it_climbs_what_the_model_based_one_does_not(name: str) -> None:
     hybrid = HybridController(OURS)
     assert all(drive(hybrid, name, run).passed for run in range(2))
+
+
+@pytest.mark.parametrize(("angle", "friction"), [(0.0, 0.6), (0.7, 1.0)])
+def test_creeping_it_feels_edges_as_the_model_based_controller_does(angle: float, friction: float) -> None:
+    hybrid = HybridController(OURS)
+    assert creep_to_edge(hybrid, 0.1, angle, friction)
+    assert not hybrid.climbing
 
 
 def test_with_our_policy_it_still_stands_still() -> None:

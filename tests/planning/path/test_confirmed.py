@@ -9,7 +9,7 @@ import pytest
 
 from mapping.grid import ElevationGrid
 from planning.graph.graph import GraphParams, TraversalGraph
-from planning.path import Path, backs_up, drivable, make_path
+from planning.path import Path, backs_up, creeping, drivable, make_path
 from planning.risk.body import BodyModel
 from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.planning.worlds import flat
@@ -96,3 +96,49 @@ def test_with_a_part_of_the_body_over_leaves_it_is_driven_slowly() -> None:
     assert part.speed[over].max() == pytest.approx(0.2)
     assert part.speed[~over].max() > 0.35
     assert (np.abs(np.diff(part.speed**2)) <= 2.0 * part.limits.max_accel * np.diff(part.s) + 1e-9).all()
+
+
+def onto_unseen(yaw: float, first: float, low: float = -1.0) -> tuple[TraversalGraph, Path, ElevationGrid]:
+    """A way along -x to ground beyond x = `first` and y = `low` [m] that nobody saw, over which rays passed, by a robot that looks at `yaw` [rad]."""
+    level = flat(5.0, 3.0, 0.04)
+    y, x = np.mgrid[: level.shape[0], : level.shape[1]] * 0.04
+    unseen = (x < first) & (y > low)
+    grid = replace(level, trusted=~unseen, virtual=unseen)
+    graph = TraversalGraph.build(grid, START, GraphParams(blind_radius=0.0), 0)
+    request = PlanRequest(START, (1.5, 1.5), yaw, rules=DriveRules(np.inf, 2.0, straight=True))
+    return graph, make_path(plan(graph, grid, request), grid, BODY), grid
+
+
+def test_onto_ground_that_nobody_saw_it_creeps_a_third_of_a_metre() -> None:
+    graph, path, grid = onto_unseen(np.pi, 3.8)
+    assert drivable(path, graph, grid, BODY.width) is None
+    part = creeping(path, graph, BODY.width, 0.1)
+    assert part is not None
+    assert 0.3 < part.length <= 0.35 + 1e-9
+    assert part.speed.max() == pytest.approx(0.1)
+    assert part.speed[-1] == 0.0
+
+
+def test_it_creeps_neither_backward_nor_over_what_needs_more_speed() -> None:
+    graph, path, _ = onto_unseen(np.pi, 3.8)
+    faster = np.where(path.s > 0.2, 0.5, 0.0)
+    part = creeping(replace(path, least=faster), graph, BODY.width, 0.1)
+    assert part is not None
+    assert part.length == pytest.approx(0.2, abs=0.03)
+    assert creeping(replace(path, least=faster + 0.5), graph, BODY.width, 0.1) is None
+    assert creeping(replace(path, yaw=path.yaw + np.pi), graph, BODY.width, 0.1) is None
+
+
+@pytest.mark.parametrize(("low", "turns"), [(1.15, False), (1.9, True)])
+def test_it_turns_no_wheel_onto_ground_that_nobody_saw(low: float, turns: bool) -> None:
+    """It stands across the way. What lies 0.35 m beside it, where it turns its wheels to, was seen or not."""
+    level = flat(5.0, 3.0, 0.04)
+    _, path, _ = onto_unseen(np.pi / 2, 0.0)
+    assert abs(path.initial_turn or 0.0) == pytest.approx(np.pi / 2, abs=0.1)
+    unseen = np.zeros(level.shape, np.bool_)
+    unseen[round(low / 0.04) : round((low + 0.8) / 0.04), 90:] = True
+    unseen[:, :70] = True
+    unseen[30:46, 94:108] = False  # what it stands on
+    grid = replace(level, trusted=~unseen, virtual=unseen)
+    graph = TraversalGraph.build(grid, START, GraphParams(blind_radius=0.0), 0)
+    assert (creeping(path, graph, BODY.width, 0.1) is not None) is turns

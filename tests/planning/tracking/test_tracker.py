@@ -454,6 +454,8 @@ def test_malformed_paths_are_refused_and_the_old_one_stays(points, yaw, speed, g
     tracker.set_path(line(1.0), None, 0.5, path_id=3)
     with pytest.raises(PathError, match=word):
         tracker.set_path(points, yaw, speed, goal_yaw)
+    with pytest.raises(PathError, match="most"):
+        tracker.set_path(line(1.0), None, 0.5, most=-0.1)
     run = drive(tracker, base)
     assert run.last.path_id == 3
     assert run.last.phase is TrackPhase.DONE
@@ -615,6 +617,25 @@ def test_a_base_that_a_face_holds_is_driven_at_the_speed_that_comes_over_it(step
     assert (base.x > 2.9) == over
     assert fastest == pytest.approx(0.5 if over else 0.25, abs=0.051)
     assert (out.phase is TrackPhase.DONE) == over
+
+
+@pytest.mark.parametrize("gain", [0.7, 0.9])
+def test_a_path_that_is_crept_is_driven_no_faster_though_the_base_slips_and_a_face_holds_it(gain: float):
+    tracker, base = PathTracker(TrackerConfig(step_speed=0.5)), Base(speed_gain=gain, v=0.5)
+    tracker.set_path(line(0.4), None, 0.5)
+    fast = [tracker.step(int(k * DT * 1e9), *base.measured()).vx for k in range(25)]
+    tracker.set_path(line(0.4), None, 0.5, least=0.5, most=0.1)
+    slow = []
+    for k in range(25, 500):
+        out = tracker.step(int(k * DT * 1e9), *base.measured())
+        held = base.x > 0.2 and k < 300
+        base.advance(0.0 if held else out.vx, out.wz)
+        slow.append(out.vx)
+    assert max(fast) > 0.3
+    assert max(slow[25:]) == pytest.approx(0.1), "once it was braked"
+    assert out.phase is TrackPhase.DONE
+    tracker.set_path([(0.4, 0.0), (1.4, 0.0)], None, 0.5)
+    assert max(tracker.step(int(k * DT * 1e9), 0.5, 0.0, 0.0, 0.5, 0.0).vx for k in range(500, 550)) > 0.3
 
 
 def test_a_base_that_is_held_near_the_end_is_not_pushed_beyond_it():

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
+from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene
 from hal.types import LidarScan, Sample
 from rbtrg_robot import topics as t
@@ -126,9 +128,12 @@ def test_a_robot_whose_head_lidar_never_spoke_does_not_drive_into_a_pit_before_i
         assert made.newest[t.ROBOT_STATE].phase == "ready"
 
 
+@pytest.mark.parametrize("creep", [0.0, 0.1])
 def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_it(
-    monkeypatch: pytest.MonkeyPatch,
+    creep: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Whether its wheels feel edges or not."""
+    monkeypatch.setitem(CAPABILITIES, "hybrid", replace(CAPABILITIES["hybrid"], creep=creep))
     scene = lane(lambda x: pit(-x), first=-4.5)
     monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
     with stack(DEFAULT_LIDARS, step=1) as made:
@@ -139,12 +144,15 @@ def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_
         assert "the ground at the feet is not seen" in made.newest[t.MAP_STATUS].warning
         made.send_goal(-3.5, 0.0)
         run(made, 0.1)
-        end = made.seconds + 20.0
+        end = made.seconds + (20.0 if creep == 0.0 else 80.0)
         while made.seconds < end and not GoalState(made.statuses[-1].state).terminal:
             run(made, 0.1)
-            assert moved(made) > -0.74  # its wheels stand before the pit
+            assert moved(made) > (
+                -0.74 if creep == 0.0 else -0.82
+            )  # its wheels stand before the pit, or feel its edge
         assert (made.statuses[-1].state, made.statuses[-1].reason) == ("aborted", "no_route")
-        assert "drive it by hand, slowly" in made.statuses[-1].detail
+        reason = "drive it by hand, slowly" if creep == 0.0 else "the wheels felt an edge that goes down"
+        assert reason in made.statuses[-1].detail
         assert not made.newest[t.ROBOT_STATE].estop
 
 

@@ -68,7 +68,7 @@ def commanded(plan: msg.Plan) -> np.ndarray:
     """(n, 2) x of base_link [m] and the speed [m/s] that navigator and tracker ask for there, of a robot that does at once what it is told."""
     stage = tracker.build(load(None, [], scene="flat", controller="vmc"))
     stage.on(t.TF_STATIC, map_offset())
-    stage.on(t.PATH_COMMAND, PathOrder().route(NS, plan))
+    stage.on(t.PATH_COMMAND, PathOrder().route(NS, plan, creep=0.1))
     x, y, yaw, speed = float(plan.x[0]), float(plan.y[0]), 0.0, 0.0
     out = []
     for now in range(NS, 12 * NS, NS // 50):
@@ -107,3 +107,29 @@ def test_ground_of_which_a_part_was_not_seen_comes_under_the_leading_wheels_slow
         assert speed[wheels < 2.0].max() > 0.4
     assert fastest[0] <= 0.2
     assert fastest[1] > 0.4
+
+
+def test_where_every_way_begins_with_ground_that_nobody_saw_it_is_crept_when_that_is_asked_for() -> None:
+    """A lane 1 m wide of which nothing was seen from x = 1.6 to 2.6 m; rays passed 2 cm above it."""
+    ground = np.full((60, 150), 0.8)
+    ground[18:43, 10:] = 0.0
+    seen = np.ones(ground.shape)
+    seen[18:43, 40:65] = 0.0
+    stage = planner()
+    stage.on(t.MAP_UPDATE, patch(ground, seen, bound=0.02))
+    start, goal = (1.4, 1.2), (4.6, 1.2)
+    refused = ask(stage, start, goal)
+    assert (refused.ok, refused.creep) == (False, False)
+    assert "drive it by hand, slowly" in refused.detail
+    plan = ask(stage, start, goal, sequence=2, creep=True)
+    assert (plan.ok, plan.creep, plan.reaches_goal) == (True, True, False)
+    assert plan.x[-1] == pytest.approx(1.75, abs=0.03)
+    x, speed = commanded(plan).T
+    assert x[-1] > 1.7
+    assert speed.max() == pytest.approx(0.1)
+    # What it comes to without creeping it drives to as ever, creep or not.
+    plan = ask(stage, (0.9, 1.2), goal, sequence=3, creep=True)
+    assert (plan.ok, plan.creep) == (True, False)
+    assert plan.speed.max() > 0.12
+    plan = ask(stage, (0.9, 1.2), (0.9, 1.3), sequence=4, creep=True)
+    assert not plan.creep

@@ -30,9 +30,11 @@ SQUARE = ((-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0))
 class World:
     """Plays everyone the navigator talks to."""
 
-    def __init__(self, area: Any = None, *, placed: bool = True, tilt: float = 0.0) -> None:
+    def __init__(
+        self, area: Any = None, *, placed: bool = True, tilt: float = 0.0, creep: float = 0.0
+    ) -> None:
         goals = GoalArea(Geofence.of(area) if area else None, 0.46)
-        self.stage = NavigatorStage(NavigatorConfig(), goals, max_trunk_tilt=tilt)
+        self.stage = NavigatorStage(NavigatorConfig(), goals, max_trunk_tilt=tilt, creep=creep)
         self.now = 0
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
@@ -44,6 +46,7 @@ class World:
         self.estop = False
         self.taken = ""
         self.phase = "ready"
+        self.cause = "standing"
         self.vx = 0.0
         self.tracker_hold = ""
         self.cross_track = 0.0
@@ -80,6 +83,7 @@ class World:
             self.send(
                 t.ROBOT_STATE,
                 phase=self.phase,
+                cause=self.cause,
                 estop=self.estop,
                 estop_cause="operator" if self.estop else "",
                 taken=self.taken,
@@ -134,6 +138,7 @@ class World:
         reason: str = "",
         kerb: float = math.inf,
         unseen: float = 0.0,
+        creep: bool = False,
     ) -> None:
         """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the second half of the way."""
         request = self.last(t.PLAN_REQUEST)
@@ -145,6 +150,7 @@ class World:
             ok=ok,
             reason=reason,
             reaches_goal=reaches,
+            creep=creep,
             x=line,
             y=0 * line,
             z=0.1 * (line > kerb),
@@ -1134,3 +1140,110 @@ def test_a_robot_whose_trunk_does_not_tilt_does_not_look(world: World) -> None:
     world.goal()
     no_way(world)
     assert world.last(t.PATH_COMMAND).look == 0.0
+
+
+EDGE = "cliff: an edge ahead, deeper than the wheels can feel"
+
+
+@pytest.fixture
+def creeper() -> World:
+    """A robot whose wheels feel edges, after it came along x."""
+    made = World(tilt=0.3, creep=0.1)
+    made.come_along()
+    made.goal()
+    return made
+
+
+def refuse(world: World) -> None:
+    """No route, until it has tried what it tries first."""
+    for _ in range(3):
+        assert not world.last(t.PLAN_REQUEST).creep
+        world.answer(ok=False, reason="no_route")
+        world.tracker_phase = "done"
+        world.run(1.5)
+    assert any(m.look > 0.0 for topic, m in world.out if topic is t.PATH_COMMAND), "it looked first"
+    world.answer(ok=False, reason="no_route")
+    world.tracker_phase = "following"
+
+
+def test_who_feels_edges_creeps_where_looking_did_not_help_and_before_it_backs_out(creeper: World) -> None:
+    refuse(creeper)
+    assert creeper.last(t.PLAN_REQUEST).creep
+    assert creeper.status.state == "planning"
+    creeper.answer(reaches=False, creep=True)
+    assert (creeper.status.state, creeper.status.detail) == ("moving", "creeping over ground nobody saw")
+    assert creeper.last(t.PATH_COMMAND).creep == 0.1
+    asked = creeper.count(t.PLAN_REQUEST)
+    creeper.left = 0.2
+    creeper.run(1.5)
+    assert creeper.count(t.PLAN_REQUEST) == asked, "so slowly it does not come far"
+    creeper.run(1.0)
+    assert creeper.count(t.PLAN_REQUEST) == asked + 1
+    assert creeper.last(t.PLAN_REQUEST).creep
+    creeper.answer()
+    assert (creeper.status.detail, creeper.last(t.PATH_COMMAND).creep) == ("", 0.0)
+    creeper.goal(goal_id="another")
+    assert not creeper.last(t.PLAN_REQUEST).creep
+
+
+def test_who_does_not_feel_edges_does_not_creep(world: World) -> None:
+    world.goal()
+    for _ in range(4):
+        world.answer(ok=False, reason="no_route")
+        world.run(1.5)
+    assert world.status.state == "aborted"
+    assert not any(m.creep for topic, m in world.out if topic is t.PLAN_REQUEST)
+
+
+def back_off(world: World) -> None:
+    """The wheels feel an edge; it backs out and asks again."""
+    world.cause = EDGE
+    world.run(0.2)
+    assert (world.status.state, world.status.detail) == ("recovering", "backing out")
+    back = world.last(t.PATH_COMMAND)
+    assert (back.x[0] - back.x[-1] > 0.3, back.creep) == (True, 0.0)
+    world.cause, world.tracker_phase = "driving", "done"
+    world.run(0.5)
+    world.tracker_phase = "following"
+
+
+def test_an_edge_that_the_wheels_felt_is_kept_off_for_good_and_told(creeper: World) -> None:
+    refuse(creeper)
+    creeper.answer(reaches=False, creep=True)
+    back_off(creeper)
+    ways = []
+    while creeper.status.state != "aborted":
+        request = creeper.last(t.PLAN_REQUEST)
+        assert request.avoid == pytest.approx([0.95 + 0.5, 0.0, 0.3])
+        assert not request.creep, "where one edge is, others may be"
+        creeper.answer(ok=False, reason="no_route")
+        creeper.tracker_phase = "done"
+        creeper.run(1.5)
+        path = creeper.last(t.PATH_COMMAND)
+        ways += [path.x[-1] - path.x[0]] if len(path.x) else []
+    assert creeper.status.reason == "no_route"
+    assert creeper.status.detail.startswith("the wheels felt an edge that goes down at x 0.95 y 0.00; ")
+    assert all(way < 0.0 for way in ways), (
+        "the body covered what lies below the edge, too: no way out leads there"
+    )
+    creeper.goal(goal_id="another")
+    assert len(creeper.last(t.PLAN_REQUEST).avoid) == 0
+
+
+def test_after_an_edge_others_count_too_until_there_are_too_many(creeper: World) -> None:
+    refuse(creeper)
+    for _ in range(3):
+        creeper.answer(reaches=False, creep=creeper.last(t.PLAN_REQUEST).creep)
+        back_off(creeper)
+    creeper.answer(reaches=False)
+    creeper.cause = EDGE
+    creeper.run(0.2)
+    assert (creeper.status.state, creeper.status.reason) == ("aborted", "no_route")
+    assert creeper.status.detail.count("at x 0.95 y 0.00") == 4
+
+
+def test_an_edge_that_is_felt_while_it_does_not_creep_is_nothing_to_the_goal(creeper: World) -> None:
+    creeper.answer()
+    creeper.cause = EDGE
+    creeper.run(0.5)
+    assert (creeper.status.state, creeper.status.detail) == ("moving", "")

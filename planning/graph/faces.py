@@ -38,40 +38,41 @@ def update_faces(faces, height, trusted, res, r0, c0, r1, c1):
     rows, cols = height.shape
     n = max(1, round(0.5 * BASE / res))
     steep = STEEPEST * 2 * n * res
-    rises = np.zeros(2, np.float32)
+    rises = np.zeros((2, 3), np.float32)  # per axis: here, over as much before and after
     for r in range(r0, r1):
         for c in range(c0, c1):
             rises[:] = 0.0
             for axis in range(2):
                 dr, dc = (0, n) if axis == 0 else (n, 0)
+                faces[r, c, axis] = 0
                 if not (dr <= r < rows - dr and dc <= c < cols - dc):
                     continue
-                if trusted[r + dr, c + dc] and trusted[r - dr, c - dc]:
-                    rise = height[r + dr, c + dc] - height[r - dr, c - dc]
-                    rises[axis] = rise if abs(rise) > 0.01 else 0.0
-            total = math.hypot(rises[0], rises[1])
+                if not (trusted[r + dr, c + dc] and trusted[r - dr, c - dc]):
+                    continue
+                rise = height[r + dr, c + dc] - height[r - dr, c - dc]
+                if abs(rise) > 0.01:
+                    rises[axis, 0] = rise
+                    if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
+                        rises[axis, 1] = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
+                        rises[axis, 2] = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
+            main = rises[0] if abs(rises[0, 0]) >= abs(rises[1, 0]) else rises[1]
             for axis in range(2):
-                rise = rises[axis]
-                faces[r, c, axis] = 0
+                rise, before, after = rises[axis]
                 if rise == 0.0:
                     continue
-                dr, dc = (0, n) if axis == 0 else (n, 0)
-                common = np.float32(0.0)
-                if 3 * dr <= r < rows - 3 * dr and 3 * dc <= c < cols - 3 * dc:
-                    before = height[r - dr, c - dc] - height[r - 3 * dr, c - 3 * dc]
-                    after = height[r + 3 * dr, c + 3 * dc] - height[r + dr, c + dc]
-                    if before * rise > 0.0 and after * rise > 0.0:
-                        common = min(abs(before), abs(after), abs(rise))
-                    for next_rise in (before, after):
-                        if not next_rise * rise > 0.0:
-                            continue
-                        if total < steep:
-                            if EVEN * abs(rise) < abs(next_rise) < abs(rise) / EVEN:
-                                common = max(common, min(abs(next_rise), abs(rise)))
-                        elif abs(next_rise) * total >= steep * abs(rise):
-                            common = min(common, np.float32(0.0)) - abs(next_rise)
-                most = np.float32(30.0)
-                value = min(abs(rise) - common, most)
+                common = (
+                    min(abs(before), abs(after), abs(rise)) if before * rise > 0.0 < after * rise else 0.0
+                )
+                more = 0.0
+                for k in range(1, 3):
+                    beside = rises[axis, k]
+                    if not beside * rise > 0.0:
+                        continue
+                    if abs(main[0]) >= steep and abs(main[k]) >= steep and main[k] * main[0] > 0.0:
+                        more += abs(beside)
+                    elif abs(rise) < steep and EVEN * abs(rise) < abs(beside) < abs(rise) / EVEN:
+                        common = max(common, min(abs(beside), abs(rise)))
+                value = min(abs(rise) + more if more > 0.0 else abs(rise) - common, 30.0)
                 faces[r, c, axis] = round(1000.0 * value) * (1 if rise > 0.0 else -1)
 
 

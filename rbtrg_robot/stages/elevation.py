@@ -102,7 +102,7 @@ class ElevationStage:
                 elevation.reset()  # nothing of it holds before the robot is found in it
         self._stands = False
         self._crept = False
-        """The robot was sent onto ground that nobody saw."""
+        """The robot is on ground that nobody saw, or was sent there."""
         self._odom: msg.Odometry | None = None
         self._scans = 0
         self._now = 0
@@ -159,7 +159,7 @@ class ElevationStage:
                 if whole := self._handover.take(message, self._now):
                     self._detail, self._status_due = whole, 0
             elif t.ROUTE_STATUS.carried(message, topic):
-                self._crept |= message.crept
+                self._crept = message.crept
                 if self._handover.spoken(stamp_of(message)):
                     return self._give_up()
             return self._join()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -42,6 +43,8 @@ LOST = 2.0
 """A way that is worse by more [m] than the one before (`Plan.worth`) is a reason to search other graphs: a passage may have been lost."""
 WAYS = 4
 """Tried, where they begin with ground that cannot be seen."""
+LEFT = 1.5
+"""[m] from where it crept last, all over ground that was seen, a robot stands at no edge that nobody saw: a creep is 0.35 m long."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +68,18 @@ class WaySearch:
     ) -> None:
         """`creep` [m/s]: see `Capabilities`."""
         self._creep = creep
-        self.crept = False
-        """A way led onto ground that nobody saw: the robot may stand at an edge, whatever the goal is now."""
+        self._crept: tuple[float, float] | None = None
+        """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge, whatever the goal is now."""
         self.rules = DriveRules(params.backward, params.turning, straight=True, guarded=True)
         self._params = params
         self._body = body
         self._limits = limits
         self._begin("")
+
+    @property
+    def crept(self) -> bool:
+        """Whether the robot may stand on ground that nobody saw, because it crept there."""
+        return self._crept is not None
 
     def _begin(self, goal: str) -> None:
         self._goal = goal
@@ -92,13 +100,16 @@ class WaySearch:
         """
         if message.goal_id != self._goal:
             self._begin(message.goal_id)
-        self._memory.at((message.start_x, message.start_y), now / NS, virtual=self._looks_over)
+        here = message.start_x, message.start_y
+        if self._crept is not None and math.dist(here, self._crept) > LEFT:
+            self._crept = None
+        self._memory.at(here, now / NS, virtual=self._looks_over)
         try:
             way = self._seen(terrain, message, driven)
         except NoRoute:
             if not message.creep or (onto := self._onto_unseen(terrain, message)) is None:
                 raise
-            way, self.crept = onto, True
+            way, self._crept = onto, here
         self._memory.found(way.plan.frontier)
         graph = terrain.graph
         self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))

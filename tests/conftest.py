@@ -31,6 +31,7 @@ LONGEST_FIRST = (
     "rbtrg_robot/hosts/test_rerun.py",
     "rbtrg_robot/console/test_browser.py",
     "rbtrg_robot/hosts/test_lidars.py",
+    "rbtrg_robot/hosts/test_creep.py",
     "rbtrg_robot/process/test_latch.py",
     "rbtrg_robot/hosts/test_mission.py",
     "planning/graph/test_corrected.py",

@@ -237,12 +237,18 @@ class GuardStage:
         here, orientation = self._place()
         self._sweep()
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
-        leans = rotation(orientation)[2, 2] < math.cos(LEANS)
-        contact = None if leans else contact_at(self._around, here, stand, self._robot)
+        reaches = [
+            reach_of(whole, step, self._around, here, stand, self._robot, seen=k == 1)
+            for k, (_, _, whole, step) in enumerate(self._ways)
+        ]
+        held = any(
+            self._speed(r, turning=k > 1) < (TURNING if k > 1 else CREEPING) for k, r in enumerate(reaches)
+        )
+        upright = rotation(orientation)[2, 2] >= math.cos(LEANS)
+        contact = contact_at(self._around, here, stand, self._robot) if held and upright else None
         speeds, words = [], []
         for k, (where, tracks, whole, step) in enumerate(self._ways):
-            turning, behind = k > 1, k == 1
-            reach = reach_of(whole, step, self._around, here, stand, self._robot, seen=behind)
+            turning, behind, reach = k > 1, k == 1, reaches[k]
             most = self._robot.max_wz if turning else self._robot.max_vx
             speed = min(self._speed(reach, turning=turning), most)
             free = f"{math.degrees(reach.free):.0f} deg" if turning else f"{reach.free:.2f} m"

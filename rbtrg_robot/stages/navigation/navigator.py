@@ -363,9 +363,10 @@ class NavigatorStage:
             return
         if self._plan is None:
             goal.state = GoalState.PLANNING
-        ask = self._query.repeat if again else self._query.ask
         held, tried = self._turns.at(self._pose), self._recovery
-        request = ask(self._now, goal, self._pose, tried.avoid, held, creep=tried.creep)
+        request = self._query.ask(
+            self._now, goal, self._pose, tried.avoid, held, creep=tried.creep, again=again
+        )
         self._out.append((t.PLAN_REQUEST, request))
 
     def _halt(self) -> None:

@@ -35,24 +35,14 @@ class PlanQuery:
         held: tuple[bool, bool],
         *,
         creep: bool = False,
+        again: bool = False,
     ) -> msg.PlanRequest:
         """rbtrg_msgs/PlanRequest from `pose` to the goal; `avoid` holds x, y, radius [m] of places to keep off, `held` tells whether the guard
-        held a turn there to the left, to the right; `creep`: a way onto ground that nobody saw is wanted where there is no other."""
-        self._sequence += 1
-        self._first_asked = now
-        return self.repeat(now, goal, pose, avoid, held, creep=creep)
-
-    def repeat(
-        self,
-        now: int,
-        goal: Goal,
-        pose: Pose2,
-        avoid: list[float],
-        held: tuple[bool, bool],
-        *,
-        creep: bool = False,
-    ) -> msg.PlanRequest:
-        """The open question once more, from where the robot is by now."""
+        held a turn there to the left, to the right; `creep`: a way onto ground that nobody saw is wanted where there is no other; `again`: it is the
+        open question once more, from where the robot is by now."""
+        if not again:
+            self._sequence += 1
+            self._first_asked = now
         self.open = True
         self._asked = now
         return msg.PlanRequest(

@@ -26,7 +26,7 @@ class Cells:
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
         frontier, headings, turn_edge: (ny, nx) as in `TraversalGraph`.
-        risk: (ny, nx, 12) float32 native risk of the edge to each of `OFFSETS`, -1 = no edge.
+        risk: (ny, nx, 12, 2) float32 native risk of the edge to each of `OFFSETS`, there and back, -1 = no edge.
         node_revision, edge_revision: the version at which terrain under any pose there last changed.
     """
 
@@ -62,7 +62,7 @@ class Cells:
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
         self.headings = np.zeros((ny, nx), dtype=np.uint64)
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
-        self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
+        self.risk = np.full((ny, nx, len(OFFSETS), 2), -1.0, dtype=np.float32)
         self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
 
     def copy(self) -> Cells:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.faces import BASE, FACE_NOISE, OBLIQUE_RISK, askew
+from planning.graph.faces import BASE, FACE_NOISE, OBLIQUE_RISK, TIPS, askew, tipping
 from planning.graph.flags import ASSUMED, FACE, FIELD, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
@@ -15,6 +15,8 @@ MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SIDE = 0.08
 """Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
+WHEEL, WHEELS = 0.10, 0.30
+"""A wheel's width, and how far ahead of the body's middle and behind it wheels reach [m]."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -95,7 +97,7 @@ def corridor(
     sums,
     stood=False,
 ):
-    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for the
+    """-1, -1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk, that way and from b to a: for the
     share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), for the
     share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and for the shares of its
     area that are grass and a stepfield with high posts.
@@ -126,10 +128,10 @@ def corridor(
         or min(xa, xb) - reach_x < x0 - res
         or max(xa, xb) + reach_x > x0 + cols * res
     ):
-        return -1.0
+        return -1.0, -1.0
     met = _covered(flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, r_lo, r_hi)
     if met & FACE == FACE or met & (TIP | POSTS):
-        return -1.0
+        return -1.0, -1.0
     strip = half / 3.0
     field = plants = 0
     for r in range(r_lo, r_hi + 1):
@@ -170,28 +172,31 @@ def corridor(
     for k in range(n):
         area += sums[k, 0]
         if sums[k, 1] > (1.0 - min_coverage) * sums[k, 0]:
-            return -1.0
+            return -1.0, -1.0
         virtual += sums[k, 8] > (1.0 - min_coverage) * sums[k, 0]
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
-        return -1.0
+        return -1.0, -1.0
     under = int(2.0 * front / SECTION) if stood else 0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
-        return -1.0
-    faced, weight = _faced(faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique)
-    share = min(1.0, faced * res * res / (BASE * width))
-    hidden = VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
-    return OBLIQUE_RISK * share * weight + hidden + FIELD_RISK * field / area
+        return -1.0, -1.0
+    share, there, back = _faced(
+        faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique
+    )
+    more = OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
+    more += FIELD_RISK * field / area
+    return more + TIPS * there, more + TIPS * back
 
 
 @njit(cache=True, error_model="numpy")
 def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
-    """How many cells hold a face that is met too obliquely, and how much one of them counts (`askew`): under the corridor, as in `_covered`, and up to
-    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along."""
+    """The share of the body's width that meets a face too obliquely, by how much (`askew`): under the corridor, as in `_covered`, and up to
+    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along. And the shares of a wheel that climb a face much too obliquely,
+    that way and back."""
     rows, cols, _ = faces.shape
     wide = half + SIDE
     reach = abs(uy) * front + abs(ux) * wide
     yb = ya + (end - front) * uy
-    count = 0
+    count = climbed = climbed_back = 0
     total = 0.0
     r_lo = max(0, math.ceil((min(ya, yb) - reach - y0) / res))
     r_hi = min(rows - 1, math.floor((max(ya, yb) + reach - y0) / res))
@@ -205,13 +210,26 @@ def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_o
             face_y = faces[r, np.uint64(c), 1]
             if face_x == 0 and face_y == 0:
                 continue
-            across = (y - ya) * ux - (x0 + c * res - xa) * uy
-            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE:
+            beside = abs((y - ya) * ux - (x0 + c * res - xa) * uy) > half
+            wall = 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE
+            if beside and wall:
                 continue
             weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
-            count += weight > 0.0
+            if weight == 0.0:
+                continue
+            count += 1
             total += weight
-    return count, total / max(count, 1)
+            along = (x0 + c * res - xa) * ux + (y - ya) * uy
+            if not (beside or wall) and -WHEELS <= along <= end - front + WHEELS:
+                tips = tipping(faces, r, c, res, ux, uy, max_step, max_oblique)
+                climbed += tips > 0
+                climbed_back += tips < 0
+    cell = res * res / BASE
+    return (
+        min(1.0, count * cell / (2.0 * (half - MARGIN))) * total / max(count, 1),
+        min(1.0, climbed * cell / WHEEL),
+        min(1.0, climbed_back * cell / WHEEL),
+    )
 
 
 @njit(cache=True)
@@ -296,7 +314,7 @@ def connect(
                 ii = i + offsets[o, 1]
                 outside = jj >= ny or ii < 0 or ii >= nx  # the map may have become smaller
                 if outside or chosen[j, i] < 0 or chosen[jj, ii] < 0:
-                    risk[j, i, o] = -1.0
+                    risk[j, i, o, 0] = risk[j, i, o, 1] = -1.0
                     continue
                 xa = where[j, i, 0]
                 ya = where[j, i, 1]
@@ -319,17 +337,18 @@ def connect(
                             break
                 if not again:
                     continue
-                risk[j, i, o] = -1.0
+                risk[j, i, o, 0] = risk[j, i, o, 1] = -1.0
                 revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
-                added = corridor(
+                there, back = corridor(
                     height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
                     min_coverage, faces, max_step, max_oblique, sums,
                 )  # fmt: skip
-                if added >= 0.0:
+                if there >= 0.0:
                     found = edge_risk(
                         height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
                     )
                     if found >= 0.0:
-                        risk[j, i, o] = found + F32(added)
+                        risk[j, i, o, 0] = found + F32(there)
+                        risk[j, i, o, 1] = found + F32(back)

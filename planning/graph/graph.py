@@ -38,7 +38,7 @@ class TraversalGraph:
         nodes: (n, 3) float64 x, y, z in the grid's frame [m].
         indptr: (n + 1,) int64; the edges that leave node i are `indptr[i]:indptr[i + 1]`, targets ascending.
         indices: (nnz,) int32 target nodes.
-        risk: (nnz,) float32 native risk, the same in both directions.
+        risk: (nnz,) float32 native risk; up a face that is met askew it may be more than down it.
         frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
         turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; infinite on
             ground too steep for turns, 0 where not known (native, `from_edges`).
@@ -121,7 +121,7 @@ class TraversalGraph:
         risk: NDArray[np.floating],
         frontier: NDArray[np.bool_] | None = None,
     ) -> TraversalGraph:
-        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,). It cannot be updated."""
+        """A graph from arrays: nodes (n, 3) [m], undirected edges (m, 2), risk (m,), the same there and back. It cannot be updated."""
         nodes = np.ascontiguousarray(nodes, dtype=np.float64)
         edges = np.asarray(edges)
         risk = np.asarray(risk, dtype=np.float32)
@@ -136,7 +136,7 @@ class TraversalGraph:
         graph = cls(GraphParams(), 0, None)
         n = len(nodes)
         graph._publish(
-            nodes, edges, risk, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
+            nodes, edges, _alike(risk), frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
         )
         return graph
 
@@ -161,7 +161,7 @@ class TraversalGraph:
         self._publish(
             nodes,
             edges,
-            risk,
+            _alike(risk),
             None,
             None,
             None,
@@ -196,7 +196,7 @@ class TraversalGraph:
         node_revision: NDArray[Any],
         edge_revision: NDArray[Any],
     ) -> None:
-        """Set all public arrays from an undirected edge list (m, 2) and raise `version`."""
+        """Set all public arrays from an undirected edge list (m, 2), its risk there and back (m, 2), and raise `version`."""
         n = len(nodes)
         source = np.concatenate([edges[:, 0], edges[:, 1]]).astype(np.int64)
         target = np.concatenate([edges[:, 1], edges[:, 0]]).astype(np.int64)
@@ -204,7 +204,7 @@ class TraversalGraph:
         self.nodes = np.ascontiguousarray(nodes, dtype=np.float64)
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=n))]).astype(np.int64)
         self.indices = target[order].astype(np.int32)
-        self.risk = np.tile(np.asarray(risk, dtype=np.float32), 2)[order]
+        self.risk = np.asarray(risk, dtype=np.float32).T.ravel()[order]
         self.edge_revision = np.tile(np.asarray(edge_revision, dtype=np.int64), 2)[order]
         self.node_revision = np.asarray(node_revision, dtype=np.int64)
         self.node_ids = np.asarray(ids, dtype=np.int64)
@@ -335,6 +335,11 @@ class TraversalGraph:
         graph.version = int(header["version"])
         graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
         return graph
+
+
+def _alike(risk: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(m, 2) risk there and back of edges with one risk (m,)."""
+    return np.column_stack([risk, risk])
 
 
 def _clear(a: NDArray[np.float64], b: NDArray[np.float64], disc: NDArray[np.floating]) -> NDArray[np.bool_]:

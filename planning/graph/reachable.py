@@ -15,7 +15,7 @@ from planning.graph.risk import nearest_height
 
 
 class Built(NamedTuple):
-    """Arrays of `TraversalGraph`, edges as an undirected list (m, 2)."""
+    """Arrays of `TraversalGraph`, edges as an undirected list (m, 2), their risk there and back (m, 2)."""
 
     nodes: NDArray[np.float64]
     edges: NDArray[np.int64]
@@ -60,7 +60,7 @@ def reachable(
     j, i = np.nonzero(cells.chosen >= 0)
     index = np.full(cells.chosen.shape, -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))
-    ej, ei, eo = np.nonzero(cells.risk >= 0.0)
+    ej, ei, eo = np.nonzero(cells.risk[..., 0] >= 0.0)
     edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
     xy, ids = cells.where[j, i], cells.ids(j, i)
     label = components(len(j), edges)

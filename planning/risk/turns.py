@@ -31,33 +31,34 @@ _STEP = np.pi / HEADINGS
 
 @njit(cache=True)
 def turn_cost(rate: float, turn: float, each: float) -> float:
-    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and `rate` [m/rad] where it turns over an edge or on steep ground."""
-    return (each + (rate if abs(turn) > free_turn(rate) else 0.0)) * abs(turn)
+    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and the size of `rate` [m/rad] where it turns over an edge or on steep ground."""
+    return (each + (abs(rate) if abs(turn) > free_turn(rate) else 0.0)) * abs(turn)
 
 
 @njit(cache=True)
 def free_turn(rate: float) -> float:
     """Up to which turn [rad] `rate` costs nothing."""
-    if rate == STEEP_COST:
+    if rate == STEEP_COST or rate < 0.0:
         return 0.0
     return FREE_HIGH if rate > TURN_COST else FREE_TURN
 
 
 def turn_rates(turn_edge: NDArray[np.float32] | float, params: GraphParams) -> NDArray[np.float64]:
-    """`rate` [m/rad] at places with the highest edge `turn_edge` [m] under the wheels, in its shape. What is higher than the robot climbs stands beside it."""
-    edge = np.asarray(turn_edge, np.float64)
+    """`rate` [m/rad] at places with the highest edge `turn_edge` [m] under the wheels, in its shape. What is higher than the robot climbs stands beside it.
+    Negative, as the edge is, where the robot stands astride it: no angle is free there."""
+    edge, sign = np.abs(np.asarray(turn_edge, np.float64)), np.sign(turn_edge)
     rate = np.where(edge > params.max_turn_step, TURN_COST, 0.0)
     if params.max_turn_step < np.inf:
         for height, cost in HIGH_EDGES:
             rate = np.where((edge > height) & (edge <= params.max_step + FACE_NOISE), cost, rate)
         rate = np.where(np.isinf(edge), STEEP_COST, rate)
-    return rate
+    return np.where(sign < 0.0, -rate, rate)
 
 
 def forward_only(turn_edge: NDArray[np.float32] | float, params: GraphParams) -> NDArray[np.bool_]:
     """Whether a face under the wheels, `turn_edge` [m], is too high to be climbed backward, in its shape. What is higher than the robot climbs stands beside it."""
     least = params.max_step if params.max_step_back is None else params.max_step_back
-    edge = np.asarray(turn_edge)
+    edge = np.abs(np.asarray(turn_edge))
     return np.asarray((edge > least + FACE_NOISE) & (edge <= params.max_step + FACE_NOISE))
 
 

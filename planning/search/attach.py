@@ -24,7 +24,7 @@ from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import FREE_TURN, forward_only, turn_rates
+from planning.risk.turns import FREE_TURN, HIGH_EDGES, forward_only, turn_rates
 from planning.search.guarded import REACH as GUARDED
 from planning.search.guarded import guarded_turn, known_around, without
 from planning.search.wheels import climbs_back
@@ -55,13 +55,13 @@ class Spot:
     nodes: NDArray[np.int64]
     """(k,) the graph's nodes a straight move leads to."""
     risk: NDArray[np.float32]
-    """(k,) native risk of these moves."""
+    """(k, 2) native risk of these moves, there and back."""
     turn_edge: float
     """As of a node."""
     headings: np.uint64
     """`TraversalGraph.free_headings` at the place."""
-    from_start: np.float32 | None = None
-    """Native risk of the move from the start of the query; None where none leads here."""
+    from_start: NDArray[np.float32] | None = None
+    """(2,) native risk of the move from the start of the query and of the one back; None where none leads here."""
 
 
 class Ground:
@@ -87,46 +87,46 @@ class Ground:
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, 9))
         self._stand = stand
+        self.astride = 0.0 if stand is None else self._under(*stand)
+        """[m] Height of the face that the robot stands astride; 0: none."""
         if stand is not None:
             self._flags, self._faces = self._flags.copy(), self._faces.copy()
             self._free(*stand)
 
     def _free(self, x: float, y: float, yaw: float) -> None:
         """Clear what lies under the robot at this pose; at any heading (NaN) under its inner circle."""
-        p, res = self.graph.params, self._cells.res
+        p = self.graph.params
         length, width = (p.width, p.width) if math.isnan(yaw) else (p.length, p.width)
-        reach = 0.5 * math.hypot(length, width) + 2.0 * STAND
-        (x0, y0), (rows, cols) = self._cells.origin, self._cells.shape
-        r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
-        c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
-        dy, dx = np.mgrid[r0:r1, c0:c1] * res
-        dx, dy = dx + x0 - x, dy + y0 - y
+        rows, cols, dx, dy = self._around(x, y, 0.5 * math.hypot(length, width) + 2.0 * STAND)
         c, s = (math.cos(yaw), math.sin(yaw)) if not math.isnan(yaw) else (1.0, 0.0)
         under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
-        self._flags[r0:r1, c0:c1][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
-        self._faces[r0:r1, c0:c1][under] = 0
+        self._flags[rows, cols][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
+        self._faces[rows, cols][under] = 0
 
-    def added_risk(self, a: XY, b: XY) -> float:
-        """`corridor` of a straight move from a to b, at most `reach` apart: negative where it cannot be driven, else what it adds to the
-        native risk."""
-        p, c, grid = self.graph.params, self._cells, self._grid
-        (x0, y0), where = c.origin, (*a, *b)
-        ground = (grid.height, self._flags, x0, y0, c.res)
-        limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage)
+    def _under(self, x: float, y: float, yaw: float) -> float:
+        """Height [m] of the highest face under the body at this pose, if turns over it are dear and the robot climbs it; 0 where there is none, and at any heading (NaN)."""
+        p = self.graph.params
+        if math.isnan(yaw) or math.isinf(p.max_turn_step):
+            return 0.0
+        rows, cols, dx, dy = self._around(x, y, 0.5 * math.hypot(p.length, p.width))
+        c, s = math.cos(yaw), math.sin(yaw)
+        under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
+        height = 0.001 * np.abs(self._faces[rows, cols][under]).max(axis=-1, initial=0)
         return float(
-            corridor(
-                *ground,
-                *where,
-                *limits,
-                self._faces,
-                p.max_step,
-                p.max_oblique,
-                self._sums,
-                self._stood(a, b),
-            )
+            height[(height > HIGH_EDGES[0][0]) & (height <= p.max_step + FACE_NOISE)].max(initial=0.0)
         )
+
+    def _around(
+        self, x: float, y: float, reach: float
+    ) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
+        """The cells within `reach` [m] of x, y: their rows and columns, and how far off each of them lies along x and y [m]."""
+        (x0, y0), (rows, cols), res = self._cells.origin, self._cells.shape, self._cells.res
+        r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
+        c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
+        dy, dx = np.mgrid[r0:r1, c0:c1] * res
+        return slice(r0, r1), slice(c0, c1), dx + x0 - x, dy + y0 - y
 
     def _stood(self, a: XY, b: XY) -> bool:
         """Whether the robot stands at a along the move to b, or the other way round."""
@@ -134,13 +134,16 @@ class Ground:
             return False
         return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG)
 
-    def risk(self, a: XY, b: XY) -> np.float32:
-        """Native risk of that move, as of an edge; negative where it cannot be driven."""
-        return np.float32(self.risks(np.array([a, b]))[0])
+    def risk(self, a: XY, b: XY) -> NDArray[np.float32]:
+        """(2,) native risk of a straight move from a to b, at most `reach` apart, and of one back, as of an edge; negative where it cannot be driven."""
+        return self._risks(np.array([a, b]))[0]
 
     def risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n - 1,) `risk` of the moves between places (n, 2), each at most `reach` from the next; all after the first that cannot be driven
+        """(n - 1,) native risk of the moves between places (n, 2), each at most `reach` from the next; all after the first that cannot be driven
         are negative as well."""
+        return self._risks(places)[:, 0]
+
+    def _risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
         p, c = self.graph.params, self._cells
         ground = (self._grid.height, self._xs, self._ys, self._flags, self._faces, *c.origin, c.res)
         limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
@@ -178,15 +181,12 @@ class Ground:
 
     def spot(self, xy: XY) -> Spot:
         """x, y [m] with all moves to nodes around it; none where there is no way."""
-        nodes = [
-            k for k in self.near(xy, self.reach).tolist() if self.joined(xy, self._at(k))
-        ]  # fmt: skip
-        risk = [self.risk(xy, self._at(k)) for k in nodes]
-        known = [(k, r) for k, r in zip(nodes, risk, strict=True) if r >= 0.0]
+        moves = [(k, self.move(xy, self._at(k))) for k in self.near(xy, self.reach).tolist()]
+        known = [(k, r) for k, r in moves if r is not None]
         return Spot(
             xy,
             np.array([k for k, _ in known], np.int64),
-            np.array([r for _, r in known], np.float32),
+            np.array([r for _, r in known], np.float32).reshape(-1, 2),
             self._turn_edge(xy),
             self.headings(xy),
         )
@@ -205,16 +205,18 @@ class Ground:
             for aside in ASIDE:
                 at = yaw + math.radians(aside)
                 place = (xy[0] + way * math.cos(at), xy[1] + way * math.sin(at))
-                if not self.may_join(np.array([xy, place])) or (risk := self.risk(xy, place)) < 0.0:
-                    continue
-                spot = self.spot(place)
-                spot.from_start = risk
-                out.append(spot)
+                risk = self.move(xy, place)
+                if risk is not None:
+                    spot = self.spot(place)
+                    spot.from_start = risk
+                    out.append(spot)
         return out
 
     def _turn_edge(self, xy: XY) -> float:
-        """`TraversalGraph.turn_edge` at x, y [m]."""
+        """`TraversalGraph.turn_edge` at x, y [m]; negative where the robot stands astride it."""
         c, grid = self._cells, self._grid
+        if self.astride > 0.0 and self._stand is not None and xy == self._stand[:2]:
+            return -self.astride
         return float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy))
 
     def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -227,16 +229,17 @@ class Ground:
         length = np.hypot(*np.diff(places, axis=0).T)
         return bool(((length > SAME) & (length <= self.reach)).all()) and self.graph.allows(places)
 
-    def joined(self, a: XY, b: XY) -> bool:
-        """Whether one straight move leads from a to b."""
-        return self.may_join(np.array([a, b])) and self.added_risk(a, b) >= 0.0
+    def move(self, a: XY, b: XY) -> NDArray[np.float32] | None:
+        """`risk` of the straight move from a to b; None where none may lead there."""
+        risk = self.risk(a, b) if self.may_join(np.array([a, b])) else None
+        return None if risk is None or risk[0] < 0.0 else risk
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.
 
         None where no node is that near, or something stands between it and x, y.
         """
-        if any(self.joined(xy, self._at(k)) for k in self.near(xy, self.reach).tolist()):
+        if any(self.move(xy, self._at(k)) is not None for k in self.near(xy, self.reach).tolist()):
             return xy
         best: XY | None = None
         nodes = self.near(xy, reach)[:NEAREST]
@@ -247,7 +250,7 @@ class Ground:
             low, high = 0.0, 1.0
             for _ in range(5):
                 t = 0.5 * (low + high)
-                low, high = (t, high) if self.added_risk(a, _along(a, xy, t)) >= 0.0 else (low, t)
+                low, high = (t, high) if self.risk(a, _along(a, xy, t))[0] >= 0.0 else (low, t)
             here = _along(a, xy, low)
             if best is None or math.dist(here, xy) < math.dist(best, xy):
                 best = here
@@ -280,18 +283,19 @@ def _risks(
     sums,
     stood,
 ):
-    out = np.full(len(places) - 1, np.float32(-1.0))
+    out = np.full((len(places) - 1, 2), np.float32(-1.0))
     for k in range(len(out)):
         xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
-        added = corridor(
+        there, back = corridor(
             height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums, stood and k == 0,
         )  # fmt: skip
-        if added < 0.0:
+        if there < 0.0:
             break
         found = edge_risk(height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False)
         if found < 0.0:
             break
-        out[k] = np.float32(found + F32(added))
+        out[k, 0] = np.float32(found + F32(there))
+        out[k, 1] = np.float32(found + F32(back))
     return out
 
 
@@ -315,11 +319,10 @@ def attached(
     -> the graph and (nnz,) where each slot of `graph` went.
     """
     n = len(graph.nodes)
-    pairs = [(n + i, int(k), r) for i, p in enumerate(places) for k, r in zip(p.nodes, p.risk, strict=True)]
-    pairs += [(start, n + i, p.from_start) for i, p in enumerate(places) if p.from_start is not None]
-    both = np.array([(a, b, r) for a, b, r in pairs] + [(b, a, r) for a, b, r in pairs], np.float64).reshape(
-        -1, 3
-    )
+    pairs = [(n + i, int(k), *r) for i, p in enumerate(places) for k, r in zip(p.nodes, p.risk, strict=True)]
+    pairs += [(start, n + i, *p.from_start) for i, p in enumerate(places) if p.from_start is not None]
+    both = np.array([(a, b, r) for a, b, r, _ in pairs] + [(b, a, r) for a, b, _, r in pairs], np.float64)
+    both = both.reshape(-1, 3)
     source, target = both[:, 0].astype(np.int64), both[:, 1].astype(np.int64)
     order = np.lexsort((target, source))
     source, target, risk = source[order], target[order], both[order, 2].astype(np.float32)

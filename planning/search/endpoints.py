@@ -87,7 +87,7 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
         if not request.allow_frontier:
             _require_on_map(grid, goal_xy, "goal")
         end = ground.end_near(goal_xy, SNAP_DISTANCE) if on_map(grid, goal_xy) else None
-        if end is None and new and ground.joined(start_xy, goal_xy):
+        if end is None and new and ground.move(start_xy, goal_xy) is not None:
             end = goal_xy
         if end is None:
             seen = _judge(graph, grid, goal_xy, request.allow_frontier)
@@ -95,8 +95,8 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
             short = math.dist(end, goal_xy)
             goal = len(graph.nodes) + len(new)
             new.append(ground.spot(end))
-            if len(new) > 1 and ground.joined(start_xy, end):
-                new[-1].from_start = ground.risk(start_xy, end)
+            if len(new) > 1:
+                new[-1].from_start = ground.move(start_xy, end)
     way_out = is_node(request.start) or any(spot.from_start is not None for spot in new)
     if not way_out and not len(new[start - len(graph.nodes)].nodes) and goal != start:
         raise NoRoute(
@@ -118,15 +118,16 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
     )
 
 
-def places_ahead(table: RiskTable, request: PlanRequest) -> list[Spot]:
-    """Places along the heading of a start at which the guard hardly lets the robot turn (`Ground.ahead`); none of another start."""
+def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[Spot]:
+    """Places along the heading of a start (`Ground.ahead`) at which the robot stands `astride` a face, or else the guard hardly lets it turn; none of another start."""
     if is_node(request.start) or request.start_yaw is None or not table.graph.knows(table.grid):
         return []
     start, yaw = position(table.graph, request.start, "start"), request.start_yaw
     if not on_map(table.grid, start):
         return []
     ground = Ground(table.graph, table.grid, (*start, yaw), request.held)
-    return ground.ahead(start, yaw) if ground.held(start, yaw) else []
+    wanted = ground.astride > 0.0 if astride else ground.held(start, yaw)
+    return ground.ahead(start, yaw) if wanted else []
 
 
 def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:

@@ -113,11 +113,13 @@ def open_frontiers(graph: TraversalGraph, start: int, request: PlanRequest) -> N
 
 
 def beside_virtual(graph: TraversalGraph, start: int, request: PlanRequest) -> NDArray[np.bool_]:
-    """(n,) nodes beside virtual ground where the robot has not been; none once these were exhausted."""
+    """(n,) nodes beside virtual ground where the robot has not been; none once these were exhausted. Places that are nodes of one query are none: the graph did not find
+    them worth standing at."""
     if request.been is None:
         return np.zeros(len(graph.nodes), np.bool_)
     seen = (*request.seen_frontiers, *request.been)
-    return _far(graph, start, seen, _beside_virtual(graph), request.previous_frontier)
+    lasting = graph.node_ids >= 0
+    return _far(graph, start, seen, _beside_virtual(graph) & lasting, request.previous_frontier)
 
 
 def _beside_virtual(graph: TraversalGraph) -> NDArray[np.bool_]:

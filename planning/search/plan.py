@@ -85,12 +85,12 @@ def plan(
 
 
 def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
-    """The route that a search finds, the second time with places along the robot's heading."""
+    """The route that a search finds: astride a face, and a second time where there is no other way, with places along the robot's heading."""
+    ahead = places_ahead(table, request, astride=True)
     try:
-        return _searched(table, request, start_yaw, goal_yaw)
+        return _searched(table, request, start_yaw, goal_yaw, ahead)
     except NoRoute:
-        ahead = places_ahead(table, request)
-        if not ahead:
+        if ahead or not (ahead := places_ahead(table, request, astride=False)):
             raise
     return _searched(table, request, start_yaw, goal_yaw, ahead)
 

@@ -87,7 +87,7 @@ def all_cost_more(
     xy = graph.nodes[:, :2]
     leg = [
         transition_cost(w, math.dist(start, xy[k]), float(r), 0.0, 0.0)
-        for k, r in zip(legs.nodes, legs.risk, strict=True)
+        for k, r in zip(legs.nodes, legs.risk[:, 0], strict=True)
     ]
     then = _node_of(search.ids, graph.node_ids[legs.nodes])
     if (np.array(leg) + _least_on(w, search, known, backward, then)).min() <= limit:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mapping.grid import ElevationGrid
-from planning.graph.faces import askew, max_angle, update_faces
+from planning.graph.faces import TIPS, askew, max_angle, tipping, update_faces
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.search.attach import Ground
@@ -143,15 +143,32 @@ def test_a_face_counts_the_more_the_more_obliquely_it_is_met() -> None:
     assert max(low) < 0.6
 
 
+@pytest.mark.parametrize("height", [0.19, -0.19, 0.05, 0.4])
+@pytest.mark.parametrize("deg", range(0, 90, 10))
+def test_who_climbs_a_high_face_much_too_obliquely_tips(deg: int, height: float) -> None:
+    y, x = np.mgrid[0:60, 0:60] * RES
+    normal = np.array([np.cos(np.radians(deg)), np.sin(np.radians(deg))])
+    z = np.where((x - 1.2) * normal[0] + (y - 1.2) * normal[1] > 0.0, height, 0.0)
+    z += 0.004 * np.random.default_rng(deg).standard_normal(z.shape)
+    faces = np.zeros((*z.shape, 2), np.int16)
+    update_faces(faces, z.astype(np.float32), np.ones(z.shape, bool), RES, 0, 0, *z.shape)
+    high = np.argwhere(np.abs(faces).max(axis=-1) > 30)
+    here = high[(np.abs(high - 30) < 5).all(axis=1)]
+    assert len(here)
+    for off, tips in ((0, 0), (40, 0), (55, 1), (72, 1), (87, 0), (-55, 1), (125, -1), (180, 0)):
+        u = np.cos(np.radians(deg + off)), np.sin(np.radians(deg + off))
+        wanted = tips * int(np.sign(height)) if abs(height) == 0.19 else 0  # low enough; a wall
+        told = [tipping(faces, r, c, RES, *u, 0.20, np.radians(15)) for r, c in here]
+        assert np.mean(np.array(told) == wanted) > 0.9, (off, told)
+
+
 def beside(aside: float, height: float) -> float:
     """What is added to the risk of a move along an edge of `height` that lies `aside` of its middle [m]."""
     y, _ = np.mgrid[0:80, 0:100] * RES
     z = np.where(y > 1.58 + aside, height, 0.0).astype(np.float32)
     grid = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)
     params = GraphParams(max_step=0.20, max_oblique=np.radians(15), blind_radius=0.0)
-    return Ground(TraversalGraph.build(grid, (1.0, 1.0), params, 0), grid).added_risk(
-        (1.6, 1.58), (2.0, 1.58)
-    )
+    return Ground(TraversalGraph.build(grid, (1.0, 1.0), params, 0), grid).risk((1.6, 1.58), (2.0, 1.58))[0]
 
 
 def test_an_edge_close_beside_the_robot_counts_and_a_wall_there_does_not() -> None:
@@ -160,3 +177,28 @@ def test_an_edge_close_beside_the_robot_counts_and_a_wall_there_does_not() -> No
     assert beside(0.48, 0.20) == 0.0
     assert beside(0.36, 0.05) == 0.0, "low enough for any angle"
     assert beside(0.36, 0.60) == 0.0
+
+
+@pytest.mark.parametrize(("deg", "dear"), [(30.0, False), (55.0, True)])
+def test_a_kerb_is_climbed_much_too_askew_at_a_price_and_driven_down_without_it(
+    deg: float, dear: bool
+) -> None:
+    y, x = np.mgrid[0:110, 0:110] * RES
+    normal = np.array([np.cos(np.radians(deg)), np.sin(np.radians(deg))])
+    z = np.where((x - 2.0) * normal[0] + (y - 2.0) * normal[1] > 0.0, 0.19, 0.0).astype(np.float32)
+    grid = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)
+    params = GraphParams(
+        max_step=0.20, max_oblique=np.radians(15), max_slope=np.radians(40), blind_radius=0.0
+    )
+    graph = TraversalGraph.build(grid, (1.0, 2.0), params, 0)
+    up, down = Ground(graph, grid).risk((1.7, 2.0), (2.3, 2.0))
+    assert up == pytest.approx(down + (TIPS if dear else 0.0))
+    np.testing.assert_allclose(Ground(graph, grid).risk((2.3, 2.0), (1.7, 2.0)), (down, up), rtol=1e-6)
+
+    source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+    risk = {(int(a), int(b)): float(r) for a, b, r in zip(source, graph.indices, graph.risk, strict=True)}
+    dearer = [(a, b) for (a, b), r in risk.items() if r > risk[b, a] + 1.0]
+    assert len(dearer) > 10
+    for a, b in dearer:
+        move = graph.nodes[b, :2] - graph.nodes[a, :2]
+        assert 0.0 < move @ normal < np.cos(np.radians(40.0)) * np.hypot(*move), "it climbs, askew"

@@ -305,3 +305,17 @@ def test_a_robot_half_down_a_kerb_that_it_met_askew_drives_on() -> None:
     found = plan(graph, grid, PlanRequest((2.97, 2.09), (4.6, 2.35), np.radians(9.0), rules=RULES))
     assert not any(t.backward for t in found.transitions)
     assert found.cost < 5.0, "no turn beside the edge"
+
+
+def test_a_robot_astride_a_kerb_drives_straight_on_before_it_bends() -> None:
+    """Its left rear wheel is not up yet: at the heading of a bend it would come to the kerb at 65 deg, and of such drives most end there."""
+    y, x = np.mgrid[0:100, 0:150] * 0.04
+    a = np.radians(-55.0)
+    height = np.where((x - 3.0) * np.cos(a) + (y - 2.0) * np.sin(a) > 0.0, 0.19, 0.0).astype(np.float32)
+    grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
+    graph = TraversalGraph.build(grid, (1.0, 2.0), CLIMBER, 0)
+    start, yaw = (3.22, 1.95), np.radians(-18.0)
+    found = plan(graph, grid, PlanRequest(start, (5.2, 2.3), yaw, rules=RULES))
+    first = found.points[1, :2] - found.points[0, :2]
+    assert not found.transitions[0].backward
+    assert abs(np.arctan2(first[1], first[0]) - yaw) < np.radians(7.0)

@@ -150,6 +150,11 @@ def _spaced(low: float, high: float) -> Array:
     return np.linspace(low, high, math.ceil((high - low) / SPACING - 1e-9) + 1)
 
 
+UNDER = np.stack(
+    np.meshgrid(_spaced(-BODY.back, BODY.front), _spaced(-BODY.right, BODY.left)), axis=-1
+).reshape(-1, 1, 2)
+"""(points, 1, 2) places x, y [m] in base_link all over the body, as tracks of one sample."""
+
 Stand = tuple[float, float, float]
 """The plane that the robot stands on: height below base_link [m] in `map`, NaN where nothing is known; grades forward and left [m/m]."""
 FLAT: Stand = (math.nan, 0.0, 0.0)
@@ -253,7 +258,10 @@ def leaves_on(tracks: Array, step: float, around: Surroundings, pose: tuple[floa
     """
     if not (around.source == PLANTS).any():
         return math.inf
-    sample = first_leaf(tracks, around.source, *around.origin, around.resolution, *(float(v) for v in pose))
+    where = around.source, *around.origin, around.resolution, *(float(v) for v in pose)
+    if first_leaf(UNDER, *where) == 0:
+        return 0.0
+    sample = first_leaf(tracks, *where)
     return max(0.0, (sample - BEFORE) * step) if sample < tracks.shape[1] else math.inf
 
 

@@ -25,6 +25,7 @@ from hal.safety.swept import (
     PLANTS,
     SPACING,
     SWEEP,
+    UNDER,
     UNSEEN,
     WALL,
     WHEELS,
@@ -634,11 +635,29 @@ def test_the_way_to_leaves_is_that_of_the_first_sample_over_them(yaw: float) -> 
             pose = (*rng.uniform(-0.3, 0.3, 2), yaw)
             first = tracks.shape[1]
             for k, i in np.ndindex(*tracks.shape[:2]):
-                u, v = tracks[k, i]
-                x = pose[0] + math.cos(yaw) * u - math.sin(yaw) * v - CORNER[0]
-                y = pose[1] + math.sin(yaw) * u + math.cos(yaw) * v - CORNER[1]
-                r, c = math.floor(y / RES + 0.5), math.floor(x / RES + 0.5)
-                if 0 <= r < N and 0 <= c < N and source[r, c] == PLANTS:
+                if leaves_at(source, pose, *tracks[k, i]):
                     first = min(first, i)
             want = max(0.0, (first - BEFORE) * step) if first < tracks.shape[1] else math.inf
+            if any(leaves_at(source, pose, u, v) for u, v in UNDER[:, 0]):
+                want = 0.0
             assert leaves_on(tracks, step, around, pose) == pytest.approx(want)
+
+
+def leaves_at(source: np.ndarray, pose: tuple[float, float, float], u: float, v: float) -> bool:
+    """Whether there are leaves at a place ahead and to the left of a robot [m]."""
+    x = pose[0] + math.cos(pose[2]) * u - math.sin(pose[2]) * v - CORNER[0]
+    y = pose[1] + math.sin(pose[2]) * u + math.cos(pose[2]) * v - CORNER[1]
+    r, c = math.floor(y / RES + 0.5), math.floor(x / RES + 0.5)
+    return 0 <= r < N and 0 <= c < N and source[r, c] == PLANTS
+
+
+def test_a_robot_with_its_rear_in_leaves_goes_no_faster_than_one_with_its_front_in_them() -> None:
+    np.testing.assert_allclose(UNDER[:, 0].max(axis=0), (FRONT, SIDE))
+    np.testing.assert_allclose(UNDER[:, 0].min(axis=0), (-FRONT, -SIDE))
+    assert len(UNDER) > BODY_LENGTH * BODY_WIDTH / SPACING**2
+    source = np.full((N, N), LIDAR, np.uint8)
+    _, x = np.mgrid[0:N, 0:N] * RES
+    source[x + CORNER[0] < -0.2] = PLANTS
+    around = ground(np.zeros((N, N)), source=source)
+    assert leaves_on(straight_tracks(1.0, 1.0), SPACING, around, (0.0, 0.0, 0.0)) == 0.0
+    assert leaves_on(straight_tracks(1.0, 1.0), SPACING, around, (0.25, 0.0, 0.0)) == math.inf

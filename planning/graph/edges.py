@@ -15,8 +15,8 @@ MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SIDE = 0.08
 """Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
-WHEEL, WHEELS = 0.10, 0.30
-"""A wheel's width, and how far ahead of the body's middle and behind it wheels reach [m]."""
+WHEEL, WHEELS = 0.10, 0.24
+"""A wheel's width, and how far ahead of the body's middle and behind it a face that wheels climb is told [m]: they reach 0.06 m farther, and so far beside a step there are faces."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -180,7 +180,7 @@ def corridor(
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
         return -1.0, -1.0
     share, there, back = _faced(
-        faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique
+        faces, flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique
     )
     more = OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
     more += FIELD_RISK * field / area
@@ -188,12 +188,13 @@ def corridor(
 
 
 @njit(cache=True, error_model="numpy")
-def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
+def _faced(faces, flags, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
     """The share of the body's width that meets a face too obliquely, by how much (`askew`): under the corridor, as in `_covered`, and up to
     `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along. And the shares of a wheel that climb a face much too obliquely,
-    that way and back."""
+    that way and back; a stepfield with high posts has its own price."""
     rows, cols, _ = faces.shape
     wide = half + SIDE
+    wheels = half - MARGIN - 0.5 * BASE
     reach = abs(uy) * front + abs(ux) * wide
     yb = ya + (end - front) * uy
     count = climbed = climbed_back = 0
@@ -210,9 +211,9 @@ def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_o
             face_y = faces[r, np.uint64(c), 1]
             if face_x == 0 and face_y == 0:
                 continue
-            beside = abs((y - ya) * ux - (x0 + c * res - xa) * uy) > half
+            across = abs((y - ya) * ux - (x0 + c * res - xa) * uy)
             wall = 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE
-            if beside and wall:
+            if across > half and wall:
                 continue
             weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
             if weight == 0.0:
@@ -220,7 +221,9 @@ def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_o
             count += 1
             total += weight
             along = (x0 + c * res - xa) * ux + (y - ya) * uy
-            if not (beside or wall) and -WHEELS <= along <= end - front + WHEELS:
+            if wall or across > wheels or not -WHEELS <= along <= end - front + WHEELS:
+                continue
+            if not flags[r, np.uint64(c)] & FIELD:
                 tips = tipping(faces, r, c, res, ux, uy, max_step, max_oblique)
                 climbed += tips > 0
                 climbed_back += tips < 0

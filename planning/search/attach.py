@@ -20,7 +20,7 @@ from planning.graph.cells import Cells
 from planning.graph.describe import free_headings, in_sight, turn_edge
 from planning.graph.edges import MARGIN, SECTION, corridor
 from planning.graph.faces import FACE_NOISE
-from planning.graph.flags import FACE, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
+from planning.graph.flags import FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
 from planning.graph.risk import F32, edge_risk, height_near
@@ -106,13 +106,15 @@ class Ground:
         self._faces[rows, cols][under] = 0
 
     def _under(self, x: float, y: float, yaw: float) -> float:
-        """Height [m] of the highest face under the body at this pose, if turns over it are dear and the robot climbs it; 0 where there is none, and at any heading (NaN)."""
+        """Height [m] of the highest face under the body at this pose, if turns over it are dear and the robot climbs it; 0 where there is none, at any heading (NaN), and
+        among the posts of a stepfield, where the robot is always astride one."""
         p = self.graph.params
         if math.isnan(yaw) or math.isinf(p.max_turn_step):
             return 0.0
         rows, cols, dx, dy = self._around(x, y, 0.5 * math.hypot(p.length, p.width))
         c, s = math.cos(yaw), math.sin(yaw)
         under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
+        under &= self._flags[rows, cols] & FIELD == 0
         height = 0.001 * np.abs(self._faces[rows, cols][under]).max(axis=-1, initial=0)
         return float(
             height[(height > HIGH_EDGES[0][0]) & (height <= p.max_step + FACE_NOISE)].max(initial=0.0)

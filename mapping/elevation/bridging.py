@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.kernels import borrows, inlined
+
 WHEELS, PLANTS, OVER, BESIDE, ASSUMED = 1, 5, 6, 7, 8
 """`source` of cells that wheels stood on, of ground under leaves, of bridged ones, of bridged ones beside the wheels (no ray comes low there, so
 what goes on from them keeps the looser rule), and of those in a gap in which a pit may hide."""
@@ -26,7 +28,7 @@ SPREAD = 3.0
 """Standard deviations by which a single point may be off."""
 
 
-@njit(cache=True)
+@borrows
 def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
     """Steps from (r, c) along (dr, dc) to the first known cell at least `reach` steps off; 0 when none is trusted within
     `widest` steps."""
@@ -40,7 +42,7 @@ def _beyond(source, trusted, r, c, dr, dc, reach, widest):  # pragma: no cover
     return 0
 
 
-@njit(cache=True)
+@borrows
 def _before_wall(height, r, c):  # pragma: no cover
     """Whether a wall stands beside cell (r, c)."""
     rows, cols = height.shape
@@ -51,7 +53,7 @@ def _before_wall(height, r, c):  # pragma: no cover
     return False
 
 
-@njit(cache=True)
+@borrows
 def _ends_at_wall(height, r, c, dr, dc):  # pragma: no cover
     """Whether a wall stands beyond cell (r, c) along (dr, dc)."""
     rows, cols = height.shape
@@ -62,66 +64,31 @@ def _ends_at_wall(height, r, c, dr, dc):  # pragma: no cover
     return False
 
 
-@njit(cache=True)
-def _span(
-    height, source, trusted, upper, r, c, dr, dc, n, rule, out, gap, holes, kind, found
-):  # pragma: no cover
-    """Bridge the n - 1 unknown cells before trusted cell (r, c), back along (-dr, -dc) to the trusted cell there; see `bridge`."""
-    step = rule[0] * np.sqrt(float(dr * dr + dc * dc))
-    d = n * step
-    ra, ca = r - n * dr, c - n * dc
-    blind = rule[6] > 0.0 and (
-        source[ra, ca] == WHEELS
-        or source[r, c] == WHEELS
-        or source[ra, ca] == BESIDE
-        or source[r, c] == BESIDE
-    )
-    if not blind and d > rule[1]:
-        return
-    ha, hb = np.float64(height[ra, ca]), np.float64(height[r, c])
-    slope = (hb - ha) / d
-    if abs(slope) > rule[3]:
-        return
-    small = n <= 3
-    fits = abs(hb - ha) <= rule[2] or (small and abs(hb - ha) <= 2.0 * rule[2])
-    if not fits:
-        # the same slope goes on before or behind the gap, over at least half its width: a ramp, not a step
-        reach, widest = max(3, (n + 1) // 2), int(rule[1] / step + 1e-9)
-        k = _beyond(source, trusted, ra, ca, -dr, -dc, reach, widest)
-        if k > 0:
-            rest = ha - height[ra - k * dr, ca - k * dc] - slope * k * step
-            fits = abs(rest) <= 0.5 * rule[2]
-        if not fits:
-            k = _beyond(source, trusted, r, c, dr, dc, reach, widest)
-            if k > 0:
-                rest = height[r + k * dr, c + k * dc] - hb - slope * k * step
-                fits = abs(rest) <= 0.5 * rule[2]
-    if not fits:
-        return
-    for k in range(1, n):
-        z = ha + slope * k * step
-        u = upper[ra + k * dr, ca + k * dc]
-        if u < z - rule[5]:
-            if holes[ra + k * dr, ca + k * dc] == 0:
-                holes[ra + k * dr, ca + k * dc] = 1
-                found[1, 1 + found[1, 0]] = (ra + k * dr) * source.shape[1] + ca + k * dc
-                found[1, 0] += 1
-            fits = False
-        elif not (small or blind or u <= z + rule[4]):
-            fits = False
-    at_wall = _ends_at_wall(height, r, c, dr, dc) or _ends_at_wall(height, ra, ca, -dr, -dc)
-    if not fits or (at_wall and _before_wall(height, ra, ca) and _before_wall(height, r, c)):
-        return
-    for k in range(1, n):
-        rk, ck = ra + k * dr, ca + k * dc
-        if d < gap[rk, ck]:
-            if gap[rk, ck] == np.inf:
-                found[0, 1 + found[0, 0]] = rk * source.shape[1] + ck
-                found[0, 0] += 1
-            gap[rk, ck] = d
-            hides = source[ra, ca] == ASSUMED or source[r, c] == ASSUMED or d > rule[7]
-            kind[rk, ck] = BESIDE if blind else (ASSUMED if hides else OVER)
-            out[rk, ck] = ha + slope * k * step
+@inlined
+def _stray(height, count, r, c, r0, r1, c0, c1, settled, alone, agree):  # pragma: no cover
+    """Whether the LiDAR cell (r, c) of few points is stray, by its neighbours from row r0 and column c0 up to before r1 and c1; see `trust`."""
+    h = height[r, c]
+    # No processor can predict how neighbours compare: no branches, and no test for negative indices.
+    if count[r, c] < settled:
+        like = sure = lower = 0
+        for a in range(np.uint64(r0), np.uint64(r1)):
+            for b in range(np.uint64(c0), np.uint64(c1)):
+                apart = height[a, b] - h
+                level = (count[a, b] >= settled) & (abs(apart) <= agree)
+                like += level
+                sure += level & (count[a, b] >= alone)
+                lower += apart < -agree
+        return like < 2 or like < lower or (sure < 2 and _before_wall(height, r, c))
+    reach = under = above = 0
+    for a in range(np.uint64(r0), np.uint64(r1)):
+        for b in range(np.uint64(c0), np.uint64(c1)):
+            apart = height[a, b] - h
+            known = count[a, b] >= settled
+            reach += known & (apart >= -agree)
+            under += known & (apart < -agree)
+            above += apart >= -agree
+    # one of these is the cell itself
+    return reach < 2 and (under > 0 or above == reach)
 
 
 @njit(cache=True)
@@ -158,25 +125,13 @@ def trust(
             elif source[r, c] == PLANTS:
                 out[r, c] = True
             elif source[r, c] == 2:
-                like = sure = reach = under = loose = lower = 0
+                stray = count[r, c] < settled
                 if count[r, c] < alone:
-                    for a in range(max(r - 1, 0), min(r + 2, rows)):
-                        for b in range(max(c - 1, 0), min(c + 2, cols)):
-                            apart = height[a, b] - height[r, c]
-                            if count[a, b] >= settled:
-                                level = abs(apart) <= agree
-                                like += level
-                                sure += level and count[a, b] >= alone
-                                reach += apart >= -agree
-                                under += apart < -agree
-                            else:
-                                loose += apart >= -agree
-                            lower += apart < -agree
-                if count[r, c] < settled:
-                    stray = like < 2 or like < lower or (sure < 2 and _before_wall(height, r, c))
-                else:
-                    # one of these is the cell itself
-                    stray = count[r, c] < alone and reach < 2 and (under > 0 or loose == 0)
+                    if 0 < r < rows - 1 and 0 < c < cols - 1:
+                        stray = _stray(height, count, r, c, r - 1, r + 2, c - 1, c + 2, settled, alone, agree)
+                    else:
+                        r0, r1, c0, c1 = max(r - 1, 0), min(r + 2, rows), max(c - 1, 0), min(c + 2, cols)
+                        stray = _stray(height, count, r, c, r0, r1, c0, c1, settled, alone, agree)
                 if stray:
                     none[n_none] = r * cols + c
                     n_none += 1
@@ -205,16 +160,22 @@ def _most(rule, squared):  # pragma: no cover
 @njit(cache=True)
 def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found):  # pragma: no cover
     """One pass over the cells in memory order: each trusted cell looks back along its row, column and both diagonals to the
-    last known one."""
+    last known one. Where that is trusted too, the unknown cells between them are bridged; see `bridge`."""
     rows, cols = source.shape
+    resolution, widest_gap, rise, steepest, bound, hole, beside, widest_trusted = (
+        rule[0], rule[1], rule[2], rule[3], rule[4], rule[5], rule[6] > 0.0, rule[7],
+    )  # fmt: skip
     far = -(1 << 30)
     column = np.full(cols, far, dtype=np.int32)  # row of the last known cell
     falling = np.full(rows + cols, far, dtype=np.int32)
     rising = np.full(rows + cols, far, dtype=np.int32)
     straight, oblique = _most(rule, 1.0), _most(rule, 2.0)
+    # Pairs of a row: column, steps back, step in rows and in columns. They are looked at in a loop of their own: a call for each takes longer.
+    pairs = np.empty((4 * cols, 4), np.int32)
     for r in range(rows):
         last = far
         row = np.uint64(r)
+        met = 0
         for c in range(cols):
             at = np.uint64(c)  # unsigned indices spare the test for negative ones
             if source[row, at] == 0:
@@ -223,17 +184,78 @@ def _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, foun
             across, down, right, left = c - last, r - column[at], r - falling[f], r - rising[g]
             last = c
             column[at] = falling[f] = rising[g] = r
-            # What most pairs fail by is asked here: a call costs more than the answer.
             if (across == 1 and down == 1 and right == 1 and left == 1) or not trusted[row, at]:
                 continue
             if 1 < across <= straight and trusted[r, c - across]:
-                _span(height, source, trusted, upper, r, c, 0, 1, across, rule, out, gap, holes, kind, found)
+                pairs[met, 0], pairs[met, 1], pairs[met, 2], pairs[met, 3] = c, across, 0, 1
+                met += 1
             if 1 < right <= oblique and trusted[r - right, c - right]:
-                _span(height, source, trusted, upper, r, c, 1, 1, right, rule, out, gap, holes, kind, found)
+                pairs[met, 0], pairs[met, 1], pairs[met, 2], pairs[met, 3] = c, right, 1, 1
+                met += 1
             if 1 < left <= oblique and trusted[r - left, c + left]:
-                _span(height, source, trusted, upper, r, c, 1, -1, left, rule, out, gap, holes, kind, found)
+                pairs[met, 0], pairs[met, 1], pairs[met, 2], pairs[met, 3] = c, left, 1, -1
+                met += 1
             if 1 < down <= straight and trusted[r - down, c]:
-                _span(height, source, trusted, upper, r, c, 1, 0, down, rule, out, gap, holes, kind, found)
+                pairs[met, 0], pairs[met, 1], pairs[met, 2], pairs[met, 3] = c, down, 1, 0
+                met += 1
+        for pair in range(np.uint64(met)):
+            cb, n = np.int64(pairs[pair, 0]), np.int64(pairs[pair, 1])
+            dr, dc = np.int64(pairs[pair, 2]), np.int64(pairs[pair, 3])
+            step = resolution * np.sqrt(float(dr * dr + dc * dc))
+            d = n * step
+            ra, ca = r - n * dr, cb - n * dc
+            one, other = source[ra, ca], source[r, cb]
+            blind = beside and (WHEELS in (one, other) or BESIDE in (one, other))
+            if not blind and d > widest_gap:
+                continue
+            ha, hb = np.float64(height[ra, ca]), np.float64(height[r, cb])
+            slope = (hb - ha) / d
+            if abs(slope) > steepest:
+                continue
+            small = n <= 3
+            fits = abs(hb - ha) <= rise or (small and abs(hb - ha) <= 2.0 * rise)
+            if not fits:
+                # the same slope goes on before or behind the gap, over at least half its width: a ramp, not a step
+                reach, widest = max(3, (n + 1) // 2), int(widest_gap / step + 1e-9)
+                k = _beyond(source, trusted, ra, ca, -dr, -dc, reach, widest)
+                if k > 0:
+                    rest = ha - height[ra - k * dr, ca - k * dc] - slope * k * step
+                    fits = abs(rest) <= 0.5 * rise
+                if not fits:
+                    k = _beyond(source, trusted, r, cb, dr, dc, reach, widest)
+                    if k > 0:
+                        rest = height[r + k * dr, cb + k * dc] - hb - slope * k * step
+                        fits = abs(rest) <= 0.5 * rise
+            if not fits:
+                continue
+            for k in range(1, n):
+                z = ha + slope * k * step
+                rk, ck = ra + k * dr, ca + k * dc
+                u = upper[rk, ck]
+                if u < z - hole:
+                    if holes[rk, ck] == 0:
+                        holes[rk, ck] = 1
+                        found[1, 1 + found[1, 0]] = rk * cols + ck
+                        found[1, 0] += 1
+                    fits = False
+                elif not (small or blind or u <= z + bound):
+                    fits = False
+            if not fits:
+                continue
+            at_wall = _ends_at_wall(height, r, cb, dr, dc) or _ends_at_wall(height, ra, ca, -dr, -dc)
+            if at_wall and _before_wall(height, ra, ca) and _before_wall(height, r, cb):
+                continue
+            hides = ASSUMED in (one, other) or d > widest_trusted
+            what = BESIDE if blind else (ASSUMED if hides else OVER)
+            for k in range(1, n):
+                rk, ck = ra + k * dr, ca + k * dc
+                if d < gap[rk, ck]:
+                    if gap[rk, ck] == np.inf:
+                        found[0, 1 + found[0, 0]] = rk * cols + ck
+                        found[0, 0] += 1
+                    gap[rk, ck] = d
+                    kind[rk, ck] = what
+                    out[rk, ck] = ha + slope * k * step
 
 
 @njit(cache=True)
@@ -283,31 +305,35 @@ def bridge(height, source, trusted, upper, rule, out, gap, marks):  # pragma: no
     # Flat indices, their number in front: cells that a bridge leads over in this round, proven holes of both.
     found = np.empty((2, source.size + 1), np.int32)
     found[1, 0] = 0
+    wide = np.uint32(cols)  # a division of 64 bits takes three times as long
     for _ in range(2):
         gap[:] = np.inf
         found[0, 0] = 0
         _all_spans(height, source, trusted, upper, rule, out, gap, holes, kind, found)
         over = found[0, 1 : 1 + found[0, 0]]
         for at in over:
-            r, c = at // cols, at % cols
+            r, c = np.int64(np.uint32(at) // wide), np.int64(np.uint32(at) % wide)
             n = 0
-            for a in range(max(r - 1, 0), min(r + 2, rows)):
-                for b in range(max(c - 1, 0), min(c + 2, cols)):
-                    n += source[a, b] != 0 or gap[a, b] < np.inf
+            top, bottom = (r - 1 if r > 0 else r), (r + 2 if r + 2 < rows else rows)
+            first, end = (c - 1 if c > 0 else c), (c + 2 if c + 2 < cols else cols)
+            for a in range(top, bottom):
+                for b in range(first, end):
+                    i, j = np.uint64(a), np.uint64(b)
+                    n += (source[i, j] != 0) | (gap[i, j] < np.inf)
             if n < 6:  # itself included
                 kind[r, c] = 0
         for at in over:
-            r, c = at // cols, at % cols
-            if kind[r, c] != 0:
-                height[r, c] = out[r, c]
-                source[r, c] = kind[r, c]
-                trusted[r, c] = True
+            i, j = np.uint64(np.uint32(at) // wide), np.uint64(np.uint32(at) % wide)
+            if kind[i, j] != 0:
+                height[i, j] = out[i, j]
+                source[i, j] = kind[i, j]
+                trusted[i, j] = True
         if found[1, 0] > 0:
             _drop_rims(height, source, trusted, level, found[1, 1 : 1 + found[1, 0]], int(RIM / rule[0]))
-    for r in range(rows):
-        for c in range(cols):
-            if source[r, c] == ASSUMED:
-                trusted[r, c] = False
+    for row in range(rows):
+        for col in range(cols):
+            if source[row, col] == ASSUMED:
+                trusted[row, col] = False
 
 
 def bridge_rule(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hal.kernels import borrows
 from mapping.elevation.fusion import BOTTOM, DEPTH, POINTS, SHARED, TOP, WEIGHT
 from mapping.elevation.tile_kernels import base_of
 
@@ -22,7 +23,7 @@ X, Y, RIM, FACE, FACE_X, ALL_X = 0, 1, 2, 3, 4, 6
 middle, of those and of the points on face and top."""
 
 
-@njit(cache=True)
+@borrows
 def _entry(mark, which, k, index):  # pragma: no cover
     """Row of pool cell `index` in the scan, -1 if it is not there."""
     if index < 0:
@@ -210,7 +211,7 @@ def fill_faces(
     return kept
 
 
-@njit(cache=True)
+@borrows
 def _copy_row(sums, of, to):  # pragma: no cover
     """One row of 8 onto another: as one piece, which a loop over the columns is not."""
     a, b, c, d = sums[of, 0], sums[of, 1], sums[of, 2], sums[of, 3]
@@ -219,7 +220,7 @@ def _copy_row(sums, of, to):  # pragma: no cover
     sums[to, 4], sums[to, 5], sums[to, 6], sums[to, 7] = e, f, g, h
 
 
-@njit(cache=True)
+@borrows
 def _lattice(index, tiles, shift):  # pragma: no cover
     """Row and column of pool cell `index`."""
     tile, mask = index >> (2 * shift), (np.int64(1) << shift) - 1
@@ -227,7 +228,7 @@ def _lattice(index, tiles, shift):  # pragma: no cover
     return i, (np.int64(tiles[tile, 1]) << shift) + (index & mask)
 
 
-@njit(cache=True)
+@borrows
 def _beside(directory, first, shift, index, i, j, di, dj):  # pragma: no cover
     """Pool index of the cell `di` rows and `dj` columns from cell `index` at (i, j), -1 if its tile is absent."""
     size = np.int64(1) << shift

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hal.kernels import borrows
 from mapping.elevation.exchange import PLANTS
 
 
@@ -22,7 +23,7 @@ def locate(i, j, directory, first, shift, out, begin):  # pragma: no cover - com
     return i.size
 
 
-@njit(cache=True)
+@borrows
 def base_of(directory, first, shift, row, col):  # pragma: no cover - compiled
     """Pool index of the first cell of a tile, -1 when it is absent."""
     r, c = row - first[0], col - first[1]

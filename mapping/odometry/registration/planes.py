@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.kernels import borrows
 from hal.types import Array
 
 CAPACITY = 1 << 16
@@ -22,7 +23,7 @@ PLANE = 5
 """Points that make a plane."""
 
 
-@njit(cache=True)
+@borrows
 def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
     """Index of the voxel or of the free slot for it. Free slots hold -1."""
     key = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
@@ -35,7 +36,7 @@ def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
     return i
 
 
-@njit(cache=True)
+@borrows
 def _plane(stats: Array, plane: Array) -> None:
     """Plane of one voxel from its sums: unit normal (3,), thickness [m]; thickness inf where there is no plane.
 
@@ -117,7 +118,8 @@ def _insert(
     return new
 
 
-@njit(cache=True)
+# error_model: no test for zero before each division.
+@njit(cache=True, error_model="numpy")
 def _fit(
     keys: NDArray[np.int64],
     anchor: Array,
@@ -143,12 +145,20 @@ def _fit(
     inliers = 0
     total = 0.0
     j = np.empty(6)
+    # Copies: a compiler that cannot know that the outputs lie elsewhere reads these anew for each point.
+    r00, r01, r02, tx = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
+    r10, r11, r12, ty = pose[1, 0], pose[1, 1], pose[1, 2], pose[1, 3]
+    r20, r21, r22, tz = pose[2, 0], pose[2, 1], pose[2, 2], pose[2, 3]
+    # The tables are larger than the caches. In a loop of their own several slots are on their way from memory at once.
+    slot = np.empty(len(points), np.int32)
     for i in range(len(points)):
-        rx = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2]
-        ry = pose[1, 0] * points[i, 0] + pose[1, 1] * points[i, 1] + pose[1, 2] * points[i, 2]
-        rz = pose[2, 0] * points[i, 0] + pose[2, 1] * points[i, 1] + pose[2, 2] * points[i, 2]
-        x, y, z = rx + pose[0, 3], ry + pose[1, 3], rz + pose[2, 3]
-        s = _slot(keys, math.floor(x / size), math.floor(y / size), math.floor(z / size))
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = r00 * px + r01 * py + r02 * pz + tx
+        y = r10 * px + r11 * py + r12 * pz + ty
+        z = r20 * px + r21 * py + r22 * pz + tz
+        slot[i] = _slot(keys, math.floor(x / size), math.floor(y / size), math.floor(z / size))
+    for i in range(len(points)):
+        s = slot[i]
         if s < 0:
             continue
         seen += 1
@@ -163,6 +173,11 @@ def _fit(
         if plane[s, 3] == np.inf:
             continue
         planar += 1
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        rx = r00 * px + r01 * py + r02 * pz
+        ry = r10 * px + r11 * py + r12 * pz
+        rz = r20 * px + r21 * py + r22 * pz
+        x, y, z = rx + tx, ry + ty, rz + tz
         nx, ny, nz = plane[s, 0], plane[s, 1], plane[s, 2]
         r = (
             nx * (x - anchor[s, 0] - plane[s, 5])

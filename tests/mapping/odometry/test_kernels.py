@@ -13,7 +13,7 @@ from hal.types import NS
 from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.inertial_kernels import propagate, update_velocity
-from mapping.odometry.registration.planes import VoxelPlanes
+from mapping.odometry.registration.planes import PLANE, POINTS, VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 from mapping.odometry.wheels import leg_velocity
 
@@ -246,6 +246,52 @@ def test_planes_measure_the_distance_and_the_free_direction_of_a_floor() -> None
     values, vectors = np.linalg.eigh(h[:3, :3] / inliers)
     assert values[1] < 1e-3
     assert abs(vectors[2, 2]) > 0.999
+
+
+def test_the_fit_to_planes_equals_numpy() -> None:
+    rng = np.random.default_rng(6)
+    size, gate, scale = 0.4, 0.15, 0.05
+    wall = rng.uniform((-3.0, 2.0, 0.0), (3.0, 2.02, 1.5), (3000, 3))
+    floor = rng.uniform((-3.0, -3.0, 0.0), (3.0, 2.0, 0.01), (3000, 3))
+    planes = VoxelPlanes(size, 20.0)
+    planes.insert(np.vstack([wall, floor]), np.eye(4))
+    points = np.vstack([wall[::9], floor[::9], rng.uniform(-9.0, 9.0, (300, 3))])
+    points += rng.normal(0.0, 0.05, points.shape)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = exp(np.array([0.01, -0.02, 0.03])), (0.02, -0.01, 0.01)
+    h, b, *counts = planes.fit(points, pose, gate, scale)
+
+    turned = points @ pose[:3, :3].T
+    world = turned + pose[:3, 3]
+    cells = [tuple(c) for c in np.floor(np.vstack([wall, floor]) / size).astype(int)]
+    want_h, want_b, want = np.zeros((6, 6)), np.zeros(6), [0, 0, 0, 0.0]
+    held: dict[tuple[int, ...], list[int]] = {}
+    for k, cell in enumerate(cells):
+        held.setdefault(cell, []).append(k)
+    for at, arm in zip(world, turned, strict=True):
+        mine = held.get(tuple(np.floor(at / size).astype(int)), [])[:POINTS]
+        want[0] += bool(mine)
+        if len(mine) < PLANE:
+            continue
+        inside = np.vstack([wall, floor])[mine]
+        values, vectors = np.linalg.eigh(np.cov(inside.T, bias=True))
+        if values[1] < 9.0 * max(values[0], 0.0) or values[1] < 1e-4:
+            continue
+        want[1] += 1
+        normal = vectors[:, 0]
+        r = float(normal @ (at - inside.mean(axis=0)))
+        if abs(r) > gate:
+            continue
+        w, j = (scale**2 / (scale**2 + r * r)) ** 2, np.concatenate([normal, np.cross(arm, normal)])
+        want_h, want_b = want_h + w * np.outer(j, j), want_b + w * j * r
+        want[2] += 1
+        want[3] += r * r
+    assert counts[:3] == want[:3]
+    assert want[2] > 300
+    assert want[1] < want[0] < len(points)
+    assert counts[3] == pytest.approx(want[3], rel=1e-6)
+    np.testing.assert_allclose(h, want_h, rtol=1e-6, atol=1e-6 * want_h.max())
+    np.testing.assert_allclose(b, want_b, rtol=1e-6, atol=1e-6 * np.abs(want_b).max())
 
 
 def test_planes_stay_within_their_memory_and_forget_the_far() -> None:

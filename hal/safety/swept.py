@@ -5,9 +5,6 @@ stands on. Along a track the ground may rise and fall by no more than a step wit
 may have risen as the steepest slope does. Where it lies lower by more than a step, the drop begins behind the last
 ground that the map knows. The guard lets the robot back up on ground that the map knows alone. What the wheels felt makes neither a face nor a drop: a lifted wheel feels ground where there is none. A gap in the ground may
 be as wide as a wheel crosses; behind its rim, ground at the height of the other rim is no face, however deep the map shows what lies between. What lies under the body now, a kerb or an edge, is no obstacle.
-
-A wall that the body is in already, because it leans at it or slid to it, ends what leads deeper into it and nothing else: for that wall the body ends
-where the wall begins now (`contact_at`). What is left out so is looked at as well, for all but that wall (`shells`).
 """
 
 from __future__ import annotations
@@ -34,12 +31,6 @@ NOISE = 0.04
 """[m] that a face on the map may be higher than the true one: a little more than the planner lets a way it found rise."""
 BODY_CLEARANCE = 0.55
 """[m] above the ground: what hangs higher does not touch the robot."""
-DEEPEST = 0.12
-"""[m] How deep in the body a wall may be: of robots that leaned at one by 20 to 31 deg it was 0.08 to 0.12. Deeper, the map or the pose is wrong."""
-NEAR = 0.04
-"""[m] A wall that is nearer to the body touches it: a cell of the map."""
-WALL = 0.9
-"""[m] from base_link: as far as a wall that the body touches is followed."""
 POINTS = 3
 """Returns in one cell that count as something there."""
 
@@ -174,44 +165,7 @@ def stand_of(around: Surroundings, pose: tuple[float, float, float], up: Array) 
 
 
 NO_WALL = np.zeros((1, 1), np.uint8)
-
-
-class Contact(NamedTuple):
-    """The body is in a wall, or NEAR it."""
-
-    clear: Body
-    """How far a body may reach, at most by NEAR beyond the true one, to be in no wall."""
-    flat: tuple[bool, bool]
-    """Whether a wall is along the left side, along the right side, and not at one end of it."""
-    wall: NDArray[np.uint8]
-    """(rows, cols) 1 where that wall is."""
-
-    @property
-    def body(self) -> Body:
-        """The part of the body that is in no wall."""
-        return Body(*map(min, self.clear, BODY))
-
-    def between(self, by: float) -> Body:
-        """The body less what of its sides is in a wall, and `by` [m] more on a side along which there is one."""
-        left, right = (
-            end - (by if flat else 0.0) for end, flat in zip(self.body[2:], self.flat, strict=True)
-        )
-        return Body(BODY.front, BODY.back, left, right)
-
-
-def contact_at(
-    around: Surroundings, pose: tuple[float, float, float], stand: Stand, robot: Capabilities
-) -> Contact | None:
-    """The walls that the body at `pose` is in by up to DEEPEST, or NEAR; None where there are none."""
-    wall = np.zeros(around.height.shape, np.uint8)
-    place = (*around.origin, around.resolution, float(pose[0]), float(pose[1]), float(pose[2]))
-    limit = robot.max_step + NOISE
-    face = limit + 2.0 * around.resolution * math.tan(robot.max_slope)  # a step on the steepest slope
-    ends, flat = ends_clear_of(around.height, *place, stand, limit, face, wall)
-    if not wall.any():
-        return None
-    grow_wall(around.height, *place, stand, limit, wall)
-    return Contact(Body(*ends), flat, wall)
+"""The body touches none."""
 
 
 def reach_of(
@@ -223,10 +177,11 @@ def reach_of(
     robot: Capabilities,
     *,
     seen: bool,
-    contact: Contact | None = None,
+    wall: NDArray[np.uint8] = NO_WALL,
 ) -> Reach:
     """How far the body goes along `tracks`, samples `step` [m or rad] apart, from `pose` x, y [m], yaw [rad] in `map`; `seen`: on
-    ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `contact` the `shells` of its body.
+    ground that the map knows alone. Tracks of the whole body (tracks, samples, 2), with a `wall` (rows, cols) that
+    the body touches the `shells` of what of it is in none.
     """
     gap = math.ceil((robot.max_gap + around.resolution) / SPACING)
     tracks = tracks if tracks.ndim == 4 else tracks[None]
@@ -236,7 +191,7 @@ def reach_of(
         around.bound,
         around.source,
         around.occupied,
-        NO_WALL if contact is None else contact.wall,
+        wall,
         around.origin[0],
         around.origin[1],
         around.resolution,
@@ -299,111 +254,6 @@ def height_under(height, x0, y0, resolution, x, y, yaw, ahead, left):  # pragma:
                 known[n] = height[r, k] - ahead * u - left * v
                 n += 1
     return np.median(known[:n]) if n > 0 else np.nan
-
-
-@njit(cache=True)
-def is_wall(height, row, col, plane, limit):  # pragma: no cover - compiled
-    """Whether a cell rises above `plane` [m] by more than `limit` [m], or by half of it next to one that does: the foot of a wall is mixed with it."""
-    rows, cols = height.shape
-    above = height[row, col] - plane
-    if not above > 0.5 * limit:
-        return False
-    if above > limit:
-        return True
-    for r in range(max(0, row - 1), min(rows, row + 2)):
-        for k in range(max(0, col - 1), min(cols, col + 2)):
-            if height[r, k] - plane > limit:
-                return True
-    return False
-
-
-@njit(cache=True)
-def is_face(height, row, col, limit):  # pragma: no cover - compiled
-    """Whether a cell rises by more than `limit` [m] within two cells: beside a robot that leans, kerbs lie high above the plane that it stands on."""
-    rows, cols = height.shape
-    for r in range(max(0, row - 2), min(rows, row + 3)):
-        for k in range(max(0, col - 2), min(cols, col + 3)):
-            if height[row, col] - height[r, k] > limit:
-                return True
-    return False
-
-
-@njit(cache=True)
-def ends_clear_of(
-    height, x0, y0, resolution, x, y, yaw, stand, limit, face, wall
-):  # pragma: no cover - compiled
-    """How far a body that is larger by NEAR reaches to the front, back, left and right [m] if what is in a wall is left out: what is higher than
-    `limit` [m] above the plane that it stands on, and rises by more than `face` [m] within two cells. Sets `wall` (rows, cols) to 1 in the cells of walls that it is in. Second whether
-    walls are along its left and along its right side.
-    """
-    rows, cols = height.shape
-    c, s = math.cos(yaw), math.sin(yaw)
-    ahead, behind = np.zeros(2), np.zeros(2)  # farthest along, on the left and on the right
-    half = 0.5 * resolution * (abs(c) + abs(s))
-    front, left = BODY_LENGTH / 2 + NEAR, BODY_WIDTH / 2 + NEAR
-    back, right = front, left
-    reach = math.ceil(math.hypot(front, left) / resolution)
-    col, row = math.floor((x - x0) / resolution + 0.5), math.floor((y - y0) / resolution + 0.5)
-    # First what lies at one side alone: what lies at a corner may belong to either.
-    for corners in range(2):
-        for r in range(max(0, row - reach), min(rows, row + reach + 1)):
-            for k in range(max(0, col - reach), min(cols, col + reach + 1)):
-                dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
-                u, v = c * dx + s * dy, c * dy - s * dx
-                along = (front - u if u > 0.0 else back + u) + half
-                across = (left - v if v > 0.0 else right + v) + half
-                deep = BODY_LENGTH / 2 - abs(u) + half, BODY_WIDTH / 2 - abs(v) + half
-                if not -NEAR < min(deep) <= DEEPEST or (max(deep) <= DEEPEST) != (corners == 1):
-                    continue
-                if not height[r, k] - (stand[0] + stand[1] * u + stand[2] * v) > limit:
-                    continue
-                if not is_face(height, r, k, face):
-                    continue
-                wall[r, k] = 1
-                if deep[1] <= DEEPEST:
-                    edge = 0 if v > 0.0 else 1
-                    ahead[edge], behind[edge] = max(ahead[edge], u), max(behind[edge], -u)
-                if along <= 0.0 or across <= 0.0:
-                    continue  # left out already
-                if (deep[0] < deep[1]) if corners == 0 else (along < across):
-                    if u > 0.0:
-                        front = u - half
-                    else:
-                        back = -u - half
-                elif v > 0.0:
-                    left = v - half
-                else:
-                    right = -v - half
-    ends = np.minimum(ahead, behind) > BODY_LENGTH / 4
-    return (front, back, left, right), (ends[0], ends[1])
-
-
-@njit(cache=True)
-def grow_wall(height, x0, y0, resolution, x, y, yaw, stand, limit, wall):  # pragma: no cover - compiled
-    """Set `wall` (rows, cols) to 1 in all cells of walls within WALL of x, y [m] that hang together with those it holds: noise may leave out one."""
-    rows, cols = height.shape
-    c, s = math.cos(yaw), math.sin(yaw)
-    queue = np.empty((rows * cols, 2), np.int32)
-    n = 0
-    for r in range(rows):
-        for k in range(cols):
-            if wall[r, k] > 0:
-                queue[n, 0], queue[n, 1] = r, k
-                n += 1
-    done = 0
-    while done < n:
-        row, col = queue[done, 0], queue[done, 1]
-        done += 1
-        for r in range(max(0, row - 2), min(rows, row + 3)):
-            for k in range(max(0, col - 2), min(cols, col + 3)):
-                dx, dy = x0 + k * resolution - x, y0 + r * resolution - y
-                if wall[r, k] > 0 or math.hypot(dx, dy) > WALL:
-                    continue
-                plane = stand[0] + stand[1] * (c * dx + s * dy) + stand[2] * (c * dy - s * dx)
-                if is_wall(height, r, k, plane, limit):
-                    wall[r, k] = 1
-                    queue[n, 0], queue[n, 1] = r, k
-                    n += 1
 
 
 @njit(cache=True)

@@ -16,10 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.rotation import rotation
+from hal.safety.contact import contact_at
 from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
     LIDAR,
+    NO_WALL,
     PLANTS,
     POINTS,
     SPACING,
@@ -27,7 +29,6 @@ from hal.safety.swept import (
     Body,
     Reach,
     Surroundings,
-    contact_at,
     leaves_on,
     occupy,
     reach_of,
@@ -134,10 +135,11 @@ class GuardStage:
         here = (0.0, 0.0, 0.0)
         stand = stand_of(around, here, np.array([0.0, 0.0, 1.0]))
         contact = contact_at(around, here, stand, self._robot)
+        wall = NO_WALL if contact is None else contact.wall
         for _, tracks, whole, step in self._ways:
             reach_of(whole, step, around, here, stand, self._robot, seen=False)
             swept = shells(tracks, BODY)
-            reach_of(swept, step, around, here, stand, self._robot, seen=False, contact=contact)
+            reach_of(swept, step, around, here, stand, self._robot, seen=False, wall=wall)
             leaves_on(whole, step, replace(around, source=np.full_like(free, PLANTS)), here)
         self._mark(around, np.zeros((1, 3)) @ rotation(np.array([0.0, 0.0, 0.0, 1.0])).T, flat, flat)
 
@@ -265,7 +267,7 @@ class GuardStage:
                     stand,
                     self._robot,
                     seen=behind,
-                    contact=contact,
+                    wall=contact.wall,
                 )
                 slow = min(self._speed(reach, turning=turning), creeping)
                 if slow > speed:

@@ -19,6 +19,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from mapping.elevation.tiles import LIDAR, PLANTS, UNKNOWN
+from mapping.elevation.walk import first_cell, next_cell
 
 REACH = 2.3
 """[m] around the LiDAR in which plants are looked for."""
@@ -351,12 +352,9 @@ def add_rays(
         ux, uy = dx / away, dy / away
         # lattice coordinates in which cell k spans [k, k+1)
         x, y = (sensor[0] + ux * at) * inv + 0.5, (sensor[1] + uy * at) * inv + 0.5
-        j, i = math.floor(x), math.floor(y)
-        step_j, step_i = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
-        gap_j = resolution / abs(ux) if ux != 0.0 else np.inf
         gap_i = resolution / abs(uy) if uy != 0.0 else np.inf
-        next_j = at + ((j + 1 - x) if ux > 0.0 else (x - j)) * gap_j if ux != 0.0 else np.inf
-        next_i = at + ((i + 1 - y) if uy > 0.0 else (y - i)) * gap_i if uy != 0.0 else np.inf
+        gap_j = resolution / abs(ux) if ux != 0.0 else np.inf
+        i, j, next_i, next_j = first_cell(x, y, ux, uy, at, resolution)
         while at < end:
             leave = min(next_i, next_j, end)
             z = math.floor((sensor[2] + slope * 0.5 * (at + leave)) * thick)
@@ -367,12 +365,7 @@ def add_rays(
                     k += 1
                 new_way[v] += (leave - at) * longer
             at = leave
-            if next_j < next_i:
-                next_j += gap_j
-                j += step_j
-            else:
-                next_i += gap_i
-                i += step_i
+            i, j, next_i, next_j = next_cell(i, j, next_i, next_j, ux, uy, gap_i, gap_j)
         if away <= far[s]:
             j = math.floor(ends[p, 0] * inv + 0.5)
             i = math.floor(ends[p, 1] * inv + 0.5)

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from mapping.elevation.tiles import PLANTS
+from mapping.elevation.walk import first_cell, next_cell
 
 RAYS = 2
 """Rays of one scan that must look through a settled cell: a mixed pixel's ray seems to cross what it grazed."""
@@ -61,13 +62,9 @@ def trace(
         end = min(dist - resolution, reach)
         solid_end = min(dist - skip, reach)
         stray_end = min(dist - 0.25 * skip, reach)
-        j, i = np.int64(np.floor(sx)), np.int64(np.floor(sy))
-        step_j = np.int64(1) if ux > 0 else np.int64(-1)
-        step_i = np.int64(1) if uy > 0 else np.int64(-1)
-        gap_j = resolution / abs(ux) if ux != 0.0 else np.inf
         gap_i = resolution / abs(uy) if uy != 0.0 else np.inf
-        next_j = ((j + 1 - sx) if ux > 0 else (sx - j)) * gap_j if ux != 0.0 else np.inf
-        next_i = ((i + 1 - sy) if uy > 0 else (sy - i)) * gap_i if uy != 0.0 else np.inf
+        gap_j = resolution / abs(ux) if ux != 0.0 else np.inf
+        i, j, next_i, next_j = first_cell(sx, sy, ux, uy, 0.0, resolution)
         at = 0.0
         tile_i, tile_j = np.int64(1) << 40, np.int64(1) << 40
         base = np.int64(-1)
@@ -118,12 +115,7 @@ def trace(
                         cell.upper = bound
                         touched[base >> (2 * shift)] = 1
             at = leave
-            if next_j < next_i:
-                next_j += gap_j
-                j += step_j
-            else:
-                next_i += gap_i
-                i += step_i
+            i, j, next_i, next_j = next_cell(i, j, next_i, next_j, ux, uy, gap_i, gap_j)
     return n
 
 

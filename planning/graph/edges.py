@@ -7,7 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from planning.graph.faces import BASE, FACE_NOISE, OBLIQUE_RISK, TIPS, askew, tipping
+from hal.go2w import HIP_Y, THIGH_Y, TREAD_WIDTH, TREAD_Y
+from planning.graph.faces import BASE, FACE_NOISE, LEAST, OBLIQUE_RISK, TIPS, askew, tipping
 from planning.graph.flags import ASSUMED, FACE, FIELD, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
@@ -15,8 +16,10 @@ MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
 SIDE = 0.08
 """Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
-WHEEL, WHEELS = 0.10, 0.24
-"""A wheel's width, and how far ahead of the body's middle and behind it a face that wheels climb is told [m]: they reach 0.06 m farther, and so far beside a step there are faces."""
+AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
+"""Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
+LINES = 3
+"""Of each wheel's track: its middle and both sides."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -179,25 +182,24 @@ def corridor(
     under = int(2.0 * front / SECTION) if stood else 0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
         return -1.0, -1.0
-    share, there, back = _faced(
-        faces, flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique
-    )
+    share = _faced(faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique)
+    there = back = 0.0
+    if share > 0.0:
+        there, back = _tipped(height, flags, faces, x0, y0, res, xa, ya, ux, uy, d, max_step, max_oblique)
     more = OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
     more += FIELD_RISK * field / area
     return more + TIPS * there, more + TIPS * back
 
 
 @njit(cache=True, error_model="numpy")
-def _faced(faces, flags, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
+def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
     """The share of the body's width that meets a face too obliquely, by how much (`askew`): under the corridor, as in `_covered`, and up to
-    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along. And the shares of a wheel that climb a face much too obliquely,
-    that way and back; a stepfield with high posts has its own price."""
+    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along."""
     rows, cols, _ = faces.shape
     wide = half + SIDE
-    wheels = half - MARGIN - 0.5 * BASE
     reach = abs(uy) * front + abs(ux) * wide
     yb = ya + (end - front) * uy
-    count = climbed = climbed_back = 0
+    count = 0
     total = 0.0
     r_lo = max(0, math.ceil((min(ya, yb) - reach - y0) / res))
     r_hi = min(rows - 1, math.floor((max(ya, yb) + reach - y0) / res))
@@ -211,28 +213,44 @@ def _faced(faces, flags, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step
             face_y = faces[r, np.uint64(c), 1]
             if face_x == 0 and face_y == 0:
                 continue
-            across = abs((y - ya) * ux - (x0 + c * res - xa) * uy)
-            wall = 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE
-            if across > half and wall:
+            across = (y - ya) * ux - (x0 + c * res - xa) * uy
+            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE:
                 continue
             weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
-            if weight == 0.0:
-                continue
-            count += 1
+            count += weight > 0.0
             total += weight
-            along = (x0 + c * res - xa) * ux + (y - ya) * uy
-            if wall or across > wheels or not -WHEELS <= along <= end - front + WHEELS:
-                continue
-            if not flags[r, np.uint64(c)] & FIELD:
-                tips = tipping(faces, r, c, res, ux, uy, max_step, max_oblique)
-                climbed += tips > 0
-                climbed_back += tips < 0
-    cell = res * res / BASE
-    return (
-        min(1.0, count * cell / (2.0 * (half - MARGIN))) * total / max(count, 1),
-        min(1.0, climbed * cell / WHEEL),
-        min(1.0, climbed_back * cell / WHEEL),
-    )
+    return min(1.0, count * res * res / (BASE * 2.0 * (half - MARGIN))) * total / max(count, 1)
+
+
+@njit(cache=True)
+def _tipped(height, flags, faces, x0, y0, res, xa, ya, ux, uy, d, max_step, max_oblique):
+    """The shares of a wheel that climb a face much too obliquely (`tipping`) on the way from a and on the way back: ground rises along their tracks there. Among the posts
+    of a stepfield nothing is told: it has its own price."""
+    rows, cols = height.shape
+    n = math.ceil((d + 2.0 * AXLE) / res)
+    there = back = 0
+    for line in range(2 * LINES):
+        across = (TREAD if line < LINES else -TREAD) + TREAD_WIDTH * ((line % LINES) / (LINES - 1) - 0.5)
+        climbs = falls = False
+        before = last = np.nan
+        r_last = c_last = 0
+        for k in range(n + 1):
+            along = min(k * res, d + 2.0 * AXLE) - AXLE
+            c = math.floor((xa + along * ux - across * uy - x0) / res + 0.5)
+            r = math.floor((ya + along * uy + across * ux - y0) / res + 0.5)
+            here = np.nan
+            if 0 <= r < rows and 0 <= c < cols and not flags[r, c] & (UNSEEN | VIRTUAL | FIELD):
+                here = height[r, c]
+            rise = here - before
+            if abs(rise) > LEAST * max_step:
+                tips = tipping(faces, r_last, c_last, res, ux, uy, max_step, max_oblique)
+                climbs |= rise > 0.0 and tips > 0
+                falls |= rise < 0.0 and tips < 0
+            before, last = last, here
+            r_last, c_last = r, c
+        there += climbs
+        back += falls
+    return min(1.0, there / LINES), min(1.0, back / LINES)
 
 
 @njit(cache=True)

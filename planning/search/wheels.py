@@ -7,12 +7,11 @@ import math
 import numpy as np
 from numba import njit
 
-from hal.go2w import HIP_Y, THIGH_Y, TREAD_WIDTH, TREAD_Y
+from hal.go2w import TREAD_WIDTH
 from hal.safety.planned import Pose
 from hal.safety.swept import Surroundings, turn_step
+from planning.graph.edges import AXLE, TREAD
 
-AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
-"""Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
 BEHIND = 0.20
 """[m] Who begins backward goes this far at least."""
 TURN_FACE = 0.09

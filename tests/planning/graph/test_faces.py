@@ -7,8 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from hal.go2w import TREAD_WIDTH
 from mapping.grid import ElevationGrid
+from planning.graph.edges import AXLE, TREAD, _tipped
 from planning.graph.faces import TIPS, askew, max_angle, tipping, update_faces
+from planning.graph.flags import FIELD, UNSEEN, VIRTUAL
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel
 from planning.search.attach import Ground
@@ -202,3 +205,67 @@ def test_a_kerb_is_climbed_much_too_askew_at_a_price_and_driven_down_without_it(
     for a, b in dearer:
         move = graph.nodes[b, :2] - graph.nodes[a, :2]
         assert 0.0 < move @ normal < np.cos(np.radians(40.0)) * np.hypot(*move), "it climbs, askew"
+
+
+def tips_of(faces: np.ndarray, r: int, c: int, u: np.ndarray, max_step: float, max_oblique: float) -> int:
+    """`tipping`, in plain numpy."""
+    n = round(0.12 / RES)
+    near = faces[max(0, r - n) : r + n + 1, max(0, c - n) : c + n + 1].reshape(-1, 2).astype(float)
+    height = 0.001 * np.abs(near).max(axis=1)
+    told = (height > 0.4 * max_step) & (height <= max_step + 0.03)
+    near, height = near[told], height[told]
+    normal = near.sum(axis=0)
+    if not normal.any():
+        return 0
+    up = float(normal @ u / np.hypot(*normal))
+    least = max_oblique + np.radians(30) * (2.0 - min(height.max() / max_step, 1.0))
+    return int(np.sign(up)) if least < np.arccos(min(abs(up), 1.0)) < np.radians(80) else 0
+
+
+def tipped_of(height: np.ndarray, faces: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """`_tipped`, in plain numpy: six lines of wheels, and where the ground rises or falls along them."""
+    d = float(np.hypot(*(b - a)))
+    u = (b - a) / d
+    n = np.ceil((d + 2.0 * AXLE) / RES)
+    along = np.minimum(np.arange(n + 1) * RES, d + 2.0 * AXLE) - AXLE
+    there = back = 0
+    for side in (TREAD, -TREAD):
+        for across in side + np.array([-0.5, 0.0, 0.5]) * TREAD_WIDTH:
+            x, y = a[0] + along * u[0] - across * u[1], a[1] + along * u[1] + across * u[0]
+            c, r = np.floor(x / RES + 0.5).astype(int), np.floor(y / RES + 0.5).astype(int)
+            rise = height[r[2:], c[2:]] - height[r[:-2], c[:-2]]
+            tips = np.array(
+                [tips_of(faces, i, j, u, 0.20, np.radians(15)) for i, j in zip(r, c, strict=True)]
+            )
+            there += bool(((rise > 0.08) & (tips[1:-1] > 0)).any())
+            back += bool(((rise < -0.08) & (tips[1:-1] < 0)).any())
+    return min(1.0, there / 3), min(1.0, back / 3)
+
+
+def test_wheels_tip_where_the_ground_rises_along_their_tracks() -> None:
+    rng, told = np.random.default_rng(5), set()
+    for _ in range(60):
+        y, x = np.mgrid[0:80, 0:80] * RES
+        turn = rng.uniform(0.0, np.pi)
+        z = np.where((x - 1.6) * np.cos(turn) + (y - 1.6) * np.sin(turn) > 0.0, rng.uniform(0.1, 0.2), 0.0)
+        z = (z + 0.004 * rng.standard_normal(z.shape)).astype(np.float32)
+        faces = np.zeros((*z.shape, 2), np.int16)
+        update_faces(faces, z, np.ones(z.shape, bool), RES, 0, 0, *z.shape)
+        a, b = rng.uniform(1.2, 2.0, (2, 2))
+        d = float(np.hypot(*(b - a)))
+        u = (b - a) / d
+        got = _tipped(z, np.zeros(z.shape, np.uint16), faces, 0.0, 0.0, RES, *a, *u, d, 0.20, np.radians(15))
+        assert got == pytest.approx(tipped_of(z, faces, a, b))
+        told.add(tuple(np.sign(got)))
+    assert len(told) >= 3
+
+
+def test_no_wheel_tips_on_ground_that_nobody_saw_or_among_posts() -> None:
+    y, x = np.mgrid[0:80, 0:80] * RES
+    z = np.where((x - 1.6) * 0.5 + (y - 1.6) * 0.87 > 0.0, 0.19, 0.0).astype(np.float32)
+    faces = np.zeros((*z.shape, 2), np.int16)
+    update_faces(faces, z, np.ones(z.shape, bool), RES, 0, 0, *z.shape)
+    for flag, tips in ((0, 1.0), (FIELD, 0.0), (UNSEEN, 0.0), (VIRTUAL, 0.0)):
+        flags = np.full(z.shape, flag, np.uint16)
+        got = _tipped(z, flags, faces, 0.0, 0.0, RES, 1.3, 1.6, 1.0, 0.0, 0.6, 0.20, np.radians(15))
+        assert got == (tips, 0.0)

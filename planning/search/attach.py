@@ -64,6 +64,31 @@ class Spot:
     """(2,) native risk of the move from the start of the query and of the one back; None where none leads here."""
 
 
+def face_astride(graph: TraversalGraph, stand: tuple[float, float, float]) -> float:
+    """Height [m] of the highest face under a body at x, y [m], yaw [rad], if turns over it are dear and the robot climbs it; 0 where there is none, at any heading (NaN), and
+    among the posts of a stepfield, where the robot is always astride one."""
+    p, cells, (x, y, yaw) = graph.params, graph.cells, stand
+    if cells is None or math.isnan(yaw) or math.isinf(p.max_turn_step):
+        return 0.0
+    rows, cols, dx, dy = _around(cells, x, y, 0.5 * math.hypot(p.length, p.width))
+    c, s = math.cos(yaw), math.sin(yaw)
+    under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
+    under &= cells.flags[rows, cols] & FIELD == 0
+    height = 0.001 * np.abs(cells.faces[rows, cols][under]).max(axis=-1, initial=0)
+    return float(height[(height > HIGH_EDGES[0][0]) & (height <= p.max_step + FACE_NOISE)].max(initial=0.0))
+
+
+def _around(
+    cells: Cells, x: float, y: float, reach: float
+) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
+    """The cells within `reach` [m] of x, y: their rows and columns, and how far off each of them lies along x and y [m]."""
+    (x0, y0), (rows, cols), res = cells.origin, cells.shape, cells.res
+    r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
+    c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
+    dy, dx = np.mgrid[r0:r1, c0:c1] * res
+    return slice(r0, r1), slice(c0, c1), dx + x0 - x, dy + y0 - y
+
+
 class Ground:
     """The graph's flags around one pose, with the ground that the robot stands on counted as free."""
 
@@ -87,7 +112,7 @@ class Ground:
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, 9))
         self._stand = stand
-        self.astride = 0.0 if stand is None else self._under(*stand)
+        self.astride = 0.0 if stand is None else face_astride(graph, stand)
         """[m] Height of the face that the robot stands astride; 0: none."""
         if stand is not None:
             self._flags, self._faces = self._flags.copy(), self._faces.copy()
@@ -97,38 +122,13 @@ class Ground:
         """Clear what lies under the robot at this pose; at any heading (NaN) under its inner circle."""
         p = self.graph.params
         length, width = (p.width, p.width) if math.isnan(yaw) else (p.length, p.width)
-        rows, cols, dx, dy = self._around(x, y, 0.5 * math.hypot(length, width) + 2.0 * STAND)
+        rows, cols, dx, dy = _around(self._cells, x, y, 0.5 * math.hypot(length, width) + 2.0 * STAND)
         c, s = (math.cos(yaw), math.sin(yaw)) if not math.isnan(yaw) else (1.0, 0.0)
         under = (np.abs(dx * c + dy * s) <= 0.5 * length + STAND) & (
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
         self._flags[rows, cols][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
         self._faces[rows, cols][under] = 0
-
-    def _under(self, x: float, y: float, yaw: float) -> float:
-        """Height [m] of the highest face under the body at this pose, if turns over it are dear and the robot climbs it; 0 where there is none, at any heading (NaN), and
-        among the posts of a stepfield, where the robot is always astride one."""
-        p = self.graph.params
-        if math.isnan(yaw) or math.isinf(p.max_turn_step):
-            return 0.0
-        rows, cols, dx, dy = self._around(x, y, 0.5 * math.hypot(p.length, p.width))
-        c, s = math.cos(yaw), math.sin(yaw)
-        under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
-        under &= self._flags[rows, cols] & FIELD == 0
-        height = 0.001 * np.abs(self._faces[rows, cols][under]).max(axis=-1, initial=0)
-        return float(
-            height[(height > HIGH_EDGES[0][0]) & (height <= p.max_step + FACE_NOISE)].max(initial=0.0)
-        )
-
-    def _around(
-        self, x: float, y: float, reach: float
-    ) -> tuple[slice, slice, NDArray[np.float64], NDArray[np.float64]]:
-        """The cells within `reach` [m] of x, y: their rows and columns, and how far off each of them lies along x and y [m]."""
-        (x0, y0), (rows, cols), res = self._cells.origin, self._cells.shape, self._cells.res
-        r0, r1 = max(0, math.floor((y - reach - y0) / res)), min(rows, math.ceil((y + reach - y0) / res) + 1)
-        c0, c1 = max(0, math.floor((x - reach - x0) / res)), min(cols, math.ceil((x + reach - x0) / res) + 1)
-        dy, dx = np.mgrid[r0:r1, c0:c1] * res
-        return slice(r0, r1), slice(c0, c1), dx + x0 - x, dy + y0 - y
 
     def _stood(self, a: XY, b: XY) -> bool:
         """Whether the robot stands at a along the move to b, or the other way round."""

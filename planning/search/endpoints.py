@@ -13,7 +13,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
-from planning.search.attach import SAME, Ground, Spot, attached
+from planning.search.attach import SAME, Ground, Spot, attached, face_astride
 from planning.search.request import Place, PlanRequest
 
 _DISC = 0.30
@@ -125,9 +125,10 @@ def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[
     start, yaw = position(table.graph, request.start, "start"), request.start_yaw
     if not on_map(table.grid, start):
         return []
+    if astride and face_astride(table.graph, (*start, yaw)) == 0.0:
+        return []  # most starts: a Ground copies the flags of the whole map
     ground = Ground(table.graph, table.grid, (*start, yaw), request.held)
-    wanted = ground.astride > 0.0 if astride else ground.held(start, yaw)
-    return ground.ahead(start, yaw) if wanted else []
+    return ground.ahead(start, yaw) if astride or ground.held(start, yaw) else []
 
 
 def snapped(graph: TraversalGraph, grid: ElevationGrid, start: Place, goal: Place) -> tuple[int, int]:

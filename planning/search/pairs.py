@@ -36,6 +36,9 @@ from planning.search.bounds import (
 )
 from planning.search.heap import grown, most_out, pop, push
 
+REACHED, CLOSED = 1, 2
+"""What a search has done with a state: found a way to it, and gone on from it."""
+
 
 class Guide(NamedTuple):
     """The bounds of one query. A search without some of the turns may be led by those of the search with them: they are never above its costs."""
@@ -120,9 +123,9 @@ def _forward(
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     states = 2 * target.size
-    best = np.full(states, np.inf)  # least evaluated cost of each state
-    parent = np.full(states, -1, np.int64)
-    closed = np.zeros(states, np.bool_)
+    been = np.zeros(states, np.int8)
+    # Least evaluated cost of each state and the one before it; not filled, as a search comes to one state of a hundred on a large map.
+    best, parent = np.empty(states), np.empty(states, np.int64)
     size = 256
     f, s, e = np.empty(size), np.empty(size, np.int64), np.empty(size, np.int64)
     # Queue entries: where the state was reached from, at what cost, and how far it is evaluated: not at all (0),
@@ -136,7 +139,7 @@ def _forward(
     at = start
     if once:
         for out in range(indptr[start], indptr[start + 1]):
-            closed[2 * reverse[out]] = closed[2 * reverse[out] + 1] = True
+            been[2 * reverse[out]] = been[2 * reverse[out] + 1] = CLOSED
     most = 2 * most_out(indptr) + 1
     picking = False
     while True:
@@ -157,12 +160,13 @@ def _forward(
                     step = transition_cost(w, length[out], risk[out], b, u)
                     for way in range(ways):
                         to = 2 * out + way
-                        if closed[to] or not settled[to]:
+                        if been[to] == CLOSED or not settled[to]:
                             continue
+                        least = best[to] if been[to] == REACHED else np.inf
                         cost = g + step
                         if way:
                             cost = g + back_factor(backward, forward_only[at], forward_only[k]) * step
-                        if cost >= best[to]:
+                        if cost >= least:
                             continue
                         turned = 0.0
                         if sweeps:
@@ -181,7 +185,7 @@ def _forward(
                             if is_end[k]:
                                 turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
                             cost += turned
-                        if cost >= best[to] or cost + h[to] > limit:
+                        if cost >= least or cost + h[to] > limit:
                             continue
                         came[entries], base[entries], stage[entries], extra[entries] = state, g, known, turned
                         n = push(f, s, e, n, cost + h[to], to, entries)
@@ -193,7 +197,7 @@ def _forward(
                 n = pop(f, s, e, n)
                 if to < 0:  # the way on from an end: nothing in the queue can be cheaper
                     return best[entry], walk_back(parent, entry), expanded, turns
-                if closed[to]:
+                if been[to] == CLOSED:
                     continue
                 origin = came[entry]
                 if stage[entry] == 2:
@@ -238,17 +242,16 @@ def _forward(
                     )
                 elif not sweeps:
                     stage[entry] = 2
-                if not cost < best[to]:
+                if not cost < (best[to] if been[to] == REACHED else np.inf):
                     continue
                 if stage[entry] == 2:
-                    best[to] = cost
-                    parent[to] = origin
+                    best[to], parent[to], been[to] = cost, origin, REACHED
                 n = push(f, s, e, n, cost + h[to], to, entry)
             if state < 0 and n > 0:
                 break  # it goes on with picking
             if state < 0 or expanded >= limited:
                 return np.inf, none, expanded, turns
-            closed[state] = True
+            been[state] = CLOSED
             at, picking = target[state // 2], False
             if is_end[at]:
                 n = push(f, s, e, n, best[state] + exit_cost[at], -1, state)

@@ -45,11 +45,13 @@ class RiskTable:
         self._tables: dict[tuple[float, float], Tables] = {}
         self.searched: object = None
         """What `planning.search.again` keeps of the last search, for the next one."""
+        self.chords: object = None
+        """What `planning.search.chords` keeps of the last routes."""
         if previous is not None and previous._arcs is None:  # nobody asked it for an edge
             previous = previous._previous
         self._previous: RiskTable | None = previous
         if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
-            self.searched = previous.searched
+            self.searched, self.chords = previous.searched, previous.chords
 
     @property
     def arcs(self) -> Arcs:
@@ -89,8 +91,8 @@ class RiskTable:
         return out
 
     def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
-        """What a table that `for_query` made evaluated, and its search."""
-        self.searched = query.searched
+        """What a table that `for_query` made evaluated, and what its search and its routes keep."""
+        self.searched, self.chords = query.searched, query.chords
         now = np.full(len(query.arcs.target), -1, np.int64)
         now[kept] = np.arange(len(kept))
         self._tables = {}

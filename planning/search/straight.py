@@ -17,6 +17,7 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.turns import FREE_TURN
 from planning.search.attach import Ground
+from planning.search.chords import NEAR, Chords, key_of
 from planning.search.explain import Route
 from planning.search.guarded import SPARE
 
@@ -34,17 +35,32 @@ def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
         return
     most = _peaks(route.moments) + SLACK * np.array(table.body.scales[:3])
     cost = route.cost(w)
+    chords = Chords.of(table, ground.graph)
     for _ in range(PASSES):
         changed, i = False, 0
         while i < n - 2:
-            same = np.flatnonzero(route.back[i:] != route.back[i])
-            span = min(int(same[0]) if len(same) else n - 1 - i, LONGEST)
-            while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
-                span = span * 2 // 3
+            key, around = key_of(route, cost, most, i, LONGEST)
+            alone = i > 0 and not ground.stands_within(NEAR, around)
+            span = chords.take(key, route, cost, i) if alone else None
+            if span is None:
+                span = _longest(ground, table, route, i, cost, most)
+                if alone:
+                    chords.add(key, route, cost, i, span, around)
             changed |= span >= 2
             i += max(span, 1)
         if not changed:
             return
+
+
+def _longest(
+    ground: Ground, table: RiskTable, route: Route, i: int, cost: np.ndarray, most: np.ndarray
+) -> int:
+    """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces; less than two: there is none."""
+    same = np.flatnonzero(route.back[i:] != route.back[i])
+    span = min(int(same[0]) if len(same) else len(route.risk) - i, LONGEST)
+    while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
+        span = span * 2 // 3
+    return span
 
 
 def _chord(

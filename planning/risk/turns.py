@@ -43,7 +43,7 @@ def free_turn(rate: float) -> float:
     return FREE_HIGH if rate > TURN_COST else FREE_TURN
 
 
-def turn_rates(turn_edge: NDArray[np.float32] | float, params: GraphParams) -> NDArray[np.float64]:
+def turn_rates(turn_edge: NDArray[np.floating] | float, params: GraphParams) -> NDArray[np.float64]:
     """`rate` [m/rad] at places with the highest edge `turn_edge` [m] under the wheels, in its shape. What is higher than the robot climbs stands beside it.
     Negative, as the edge is, where the robot stands astride it: no angle is free there."""
     edge, sign = np.abs(np.asarray(turn_edge, np.float64)), np.sign(turn_edge)
@@ -55,7 +55,7 @@ def turn_rates(turn_edge: NDArray[np.float32] | float, params: GraphParams) -> N
     return np.where(sign < 0.0, -rate, rate)
 
 
-def forward_only(turn_edge: NDArray[np.float32] | float, params: GraphParams) -> NDArray[np.bool_]:
+def forward_only(turn_edge: NDArray[np.floating] | float, params: GraphParams) -> NDArray[np.bool_]:
     """Whether a face under the wheels, `turn_edge` [m], is too high to be climbed backward, in its shape. What is higher than the robot climbs stands beside it."""
     least = params.max_step if params.max_step_back is None else params.max_step_back
     edge = np.abs(np.asarray(turn_edge))

@@ -161,14 +161,15 @@ class Ground:
             *ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums, self._stood(a, b)
         )
 
-    def headings(self, xy: XY) -> np.uint64:
-        """`TraversalGraph.free_headings` at x, y, less those that a turn of the robot from where it stands would come to and the guard holds."""
+    def headings(self, xy: NDArray[np.float64]) -> NDArray[np.uint64]:
+        """(n,) `TraversalGraph.free_headings` at places (n, 2), less those that a turn of the robot from where it stands would come to and the guard holds."""
         p, c = self.graph.params, self._cells
-        room = np.uint64(free_headings(self._flags, *c.origin, c.res, *xy, p.length, p.width))
-        if self._stand is not None and xy == self._stand[:2] and not math.isnan(self._stand[2]):
-            for held, turn in zip(self._held, (math.pi / 2.0, -math.pi / 2.0), strict=True):
-                room = without(room, self._stand[2], turn, FREE_TURN) if held else room
-        return room
+        out: NDArray[np.uint64] = _headings(self._flags, *c.origin, c.res, xy, p.length, p.width)
+        if any(self._held) and self._stand is not None and not math.isnan(self._stand[2]):
+            for k in np.flatnonzero((xy == self._stand[:2]).all(axis=1)):
+                for held, turn in zip(self._held, (math.pi / 2.0, -math.pi / 2.0), strict=True):
+                    out[k] = without(out[k], self._stand[2], turn, FREE_TURN) if held else out[k]
+        return out
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
         """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
@@ -196,8 +197,8 @@ class Ground:
             xy,
             np.array([k for k, _ in known], np.int64),
             np.array([r for _, r in known], np.float32).reshape(-1, 2),
-            self._turn_edge(xy),
-            self.headings(xy),
+            float(self._turn_edges(np.array([xy]))[0]),
+            self.headings(np.array([xy]))[0],
         )
 
     def held(self, xy: XY, yaw: float) -> bool:
@@ -221,16 +222,17 @@ class Ground:
                     out.append(spot)
         return out
 
-    def _turn_edge(self, xy: XY) -> float:
-        """`TraversalGraph.turn_edge` at x, y [m]; negative where the robot stands astride it."""
+    def _turn_edges(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(n,) `TraversalGraph.turn_edge` at places (n, 2) [m]; negative where the robot stands astride it."""
         c, grid = self._cells, self._grid
-        if self.astride > 0.0 and self._stand is not None and xy == self._stand[:2]:
-            return -self.astride
-        return float(turn_edge(grid.height, grid.trusted, *c.origin, c.res, *xy))
+        out: NDArray[np.float64] = _turn_edges(grid.height, grid.trusted, *c.origin, c.res, xy)
+        if self.astride > 0.0 and self._stand is not None:
+            out[(xy == self._stand[:2]).all(axis=1)] = -self.astride
+        return out
 
     def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """`turn_rate` [m/rad] and `forward_only` of `Arcs` at places (n, 2), each (n,)."""
-        edge, params = np.array([self._turn_edge((x, y)) for x, y in xy.tolist()]), self.graph.params
+        edge, params = self._turn_edges(xy), self.graph.params
         return turn_rates(edge, params), forward_only(edge, params)
 
     def may_join(self, places: NDArray[np.float64]) -> bool:
@@ -305,6 +307,22 @@ def _risks(
             break
         out[k, 0] = np.float32(found + F32(there))
         out[k, 1] = np.float32(found + F32(back))
+    return out
+
+
+@njit(cache=True)
+def _headings(flags, x0, y0, res, places, length, width):
+    out = np.empty(len(places), np.uint64)
+    for k in range(len(places)):
+        out[k] = free_headings(flags, x0, y0, res, places[k, 0], places[k, 1], length, width)
+    return out
+
+
+@njit(cache=True)
+def _turn_edges(height, trusted, x0, y0, res, places):
+    out = np.empty(len(places))
+    for k in range(len(places)):
+        out[k] = turn_edge(height, trusted, x0, y0, res, places[k, 0], places[k, 1])
     return out
 
 

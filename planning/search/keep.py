@@ -20,7 +20,7 @@ from planning.search.endpoints import Endpoints
 from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
 from planning.search.request import Plan, PlanRequest
-from planning.search.straight import has_room
+from planning.search.straight import has_room_everywhere
 
 STRIP = 0.5
 """[m] A point of a route has a node nearer than this, but where the graph has lost its ground."""
@@ -92,7 +92,7 @@ def rest(
         np.empty((count, 3, 3, 4)),
         start_back,
     )
-    if not all(has_room(ground, route, k) for k in range(len(xy))):
+    if not has_room_everywhere(ground, route):
         return None
     route.evaluate(sampler, weights_of(body), 0, count)
     return route

@@ -32,7 +32,7 @@ from planning.search.keep import kept
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
-from planning.search.straight import free_at, straighten, turn_at
+from planning.search.straight import all_turns, free_at, straighten
 from planning.search.to_go import in_field, through_virtual, way_to_go
 from planning.search.unbeaten import unbeaten
 
@@ -303,9 +303,8 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
         return False
     held = False
     room = at.table.arcs.room.copy()  # the search that is kept for the next query knows the old one
-    for k, node in enumerate(route.nodes):
-        yaw, turn = turn_at(route, k)
-        free = free_at(at.ground, route, k)
+    for k, (node, yaw, turn) in enumerate(zip(route.nodes, *all_turns(route), strict=True)):
+        free = free_at(at.ground, route, k, (yaw, turn))
         if free < abs(turn):
             room[node], held = without(room[node], yaw, turn, free), True
     if held:

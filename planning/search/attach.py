@@ -185,9 +185,11 @@ class Ground:
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
-        d = np.hypot(self.graph.nodes[:, 0] - xy[0], self.graph.nodes[:, 1] - xy[1])
+        nodes = self.graph.nodes
+        some = np.flatnonzero(np.abs(nodes[:, 0] - xy[0]) <= reach)  # of a large map nearly none
+        d = np.hypot(nodes[some, 0] - xy[0], nodes[some, 1] - xy[1])
         found = np.flatnonzero((d <= reach) & (d > SAME))
-        return found[np.argsort(d[found], kind="stable")]
+        return some[found[np.argsort(d[found], kind="stable")]]
 
     def spot(self, xy: XY) -> Spot:
         """x, y [m] with all moves to nodes around it; none where there is no way."""

@@ -55,10 +55,12 @@ class Endpoints:
             self._origin[0].take_back(self.table, self._origin[1])
 
 
-def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()) -> Endpoints:
+def endpoints(
+    table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = (), ground: Ground | None = None
+) -> Endpoints:
     """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
 
-    `ahead`: places that become nodes as well, see `places_ahead`.
+    `ahead`: places that become nodes as well, see `places_ahead`. `ground`: that of the request, where it is known.
 
     Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
     """
@@ -71,7 +73,7 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
     if not is_node(request.start):
         _require_on_map(grid, start_xy, "start")
     yaw = math.nan if request.start_yaw is None else request.start_yaw
-    ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw), request.held)
+    ground = ground or Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw), request.held)
     new: list[Spot] = []
     start, goal, short, seen = len(graph.nodes), None, 0.0, False
     if is_node(request.start):

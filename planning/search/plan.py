@@ -28,7 +28,7 @@ from planning.search.frontier import (
     worth_keeping,
 )
 from planning.search.guarded import without
-from planning.search.keep import kept
+from planning.search.keep import Left, kept
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
@@ -75,31 +75,39 @@ def plan(
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
-    if (driven := unbeaten(table, request, start_yaw, goal_yaw)) is not None:
+    driven, left = unbeaten(table, request, start_yaw, goal_yaw)
+    if driven is not None:
         return driven
     if any(request.held):
         with contextlib.suppress(NoRoute):
-            return _found(table, request, start_yaw, goal_yaw)
-        request = replace(request, held=(False, False))
-    return _found(table, request, start_yaw, goal_yaw)
+            return _found(table, request, start_yaw, goal_yaw, left)
+        request, left = replace(request, held=(False, False)), None
+    return _found(table, request, start_yaw, goal_yaw, left)
 
 
-def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
+def _found(
+    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, left: Left | None
+) -> Plan:
     """The route that a search finds: astride a face, and a second time where there is no other way, with places along the robot's heading."""
     ahead = places_ahead(table, request, astride=True)
     try:
-        return _searched(table, request, start_yaw, goal_yaw, ahead)
+        return _searched(table, request, start_yaw, goal_yaw, left, ahead)
     except NoRoute:
         if ahead or not (ahead := places_ahead(table, request, astride=False)):
             raise
-    return _searched(table, request, start_yaw, goal_yaw, ahead)
+    return _searched(table, request, start_yaw, goal_yaw, left, ahead)
 
 
 def _searched(
-    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: Sequence[Spot] = ()
+    table: RiskTable,
+    request: PlanRequest,
+    start_yaw: float,
+    goal_yaw: float,
+    left: Left | None,
+    ahead: Sequence[Spot],
 ) -> Plan:
-    """The route that a search finds. `ahead`: see `endpoints`."""
-    ends = endpoints(table, request, ahead)
+    """The route that a search finds, or what is `left` of the one that is driven. `ahead`: see `endpoints`."""
+    ends = endpoints(table, request, ahead, None if left is None else left.ground)
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:
@@ -108,7 +116,7 @@ def _searched(
         request = replace(request, rules=replace(request.rules, guarded=False))
         found = _best(ends, request, start_yaw, goal_yaw)
     if found is not None and request.driven is not None:
-        found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan)
+        found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan, left)
     ends.close()
     if found is None:
         raise NoRoute(

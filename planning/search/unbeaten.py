@@ -27,48 +27,52 @@ from planning.search.bounds import ToGo, drive_cost
 from planning.search.endpoints import is_node, on_map, position
 from planning.search.explain import describe
 from planning.search.frontier import SWITCH_LEAST, SWITCH_SHARE, in_doubt
-from planning.search.keep import rest
+from planning.search.keep import Left, rest
 from planning.search.request import Plan, PlanRequest
 
 PAIRS = 1_000_000
 """So many pairs of changed nodes are looked at; where more has changed the search is made."""
 
 
-def unbeaten(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan | None:
-    """The rest of `request.driven`, if it leads to the goal, can be driven, and no route of the graph can be clearly better; None: search."""
+def unbeaten(
+    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float
+) -> tuple[Plan | None, Left | None]:
+    """The rest of `request.driven`, if it leads to the goal, can be driven, and no route of the graph can be clearly better; None: search. And what is known of
+    that rest for the search, if anything."""
     graph, grid, body, rules = table.graph, table.grid, table.body, request.rules
     search = table.searched
     if request.driven is None or request.variant != "full" or is_node(request.start) or is_node(request.goal):
-        return None
+        return None, None
     if not isinstance(search, Search) or (known := search.found) is None or known.graph is not graph:
-        return None
+        return None, None
     start, goal = position(graph, request.start, "start"), position(graph, request.goal, "goal")
     if not (graph.knows(grid) and on_map(grid, start) and on_map(grid, goal)):
-        return None
+        return None, None
     ground = Ground(graph, grid, (*start, start_yaw), request.held)
     end = ground.end_near(goal, SNAP_DISTANCE)
     if end is None or (search.arcs.x[-1], search.arcs.y[-1]) != end:
-        return None
+        return None, None
     if search.key != key_of(body, *end, 0.0, goal_yaw, True, True, rules.backward, rules.turning):
-        return None
+        return None, None
     changed = changed_nodes(graph, known.version)
     here = np.hypot(*(graph.nodes[changed, :2] - end).T)
     if math.dist(start, end) <= 2.0 * ground.reach or (here <= 2.0 * ground.reach).any():
-        return None  # the last leg may have changed
+        return None, None  # the last leg may have changed
     nodes = with_places(graph, grid, [start, end])
     route = rest(
         ground, table.sampler, body, nodes, request, (len(nodes) - 2, len(nodes) - 1), (start, end), start_yaw, goal_yaw,
         ground.back_cost(start, start_yaw),
     )  # fmt: skip
     if route is None:
-        return None
+        return None, None
     found = describe(nodes, request, body, route, 0)
+    left = Left(ground, route, found)
     if in_doubt(graph, found):
-        return None
+        return None, left
     better = (found.cost - max(SWITCH_LEAST, SWITCH_SHARE * found.cost)) / known.straight
     if not all_cost_more(better, ground, start, changed, search, weights_of(body), rules.backward):
-        return None
-    return replace(found, exact=True, short=math.dist(end, goal), kept=True)
+        return None, left
+    return replace(found, exact=True, short=math.dist(end, goal), kept=True), left
 
 
 def all_cost_more(

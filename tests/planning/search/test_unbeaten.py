@@ -114,7 +114,7 @@ def test_what_is_kept_without_a_search_is_kept_after_one(monkeypatch: pytest.Mon
             except NoRoute:
                 break
             with monkeypatch.context() as patch:
-                patch.setattr(sys.modules["planning.search.plan"], "unbeaten", lambda *_: None)
+                patch.setattr(sys.modules["planning.search.plan"], "unbeaten", lambda *_: (None, None))
                 want = plan(graph, grid, request, BODY)
             assert (got.nodes, got.cost, got.kept, got.short) == (
                 want.nodes,

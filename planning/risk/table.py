@@ -14,7 +14,7 @@ from planning.graph.graph import TraversalGraph
 from planning.risk.arcs import Arcs, arcs_of
 from planning.risk.body import BodyModel, terrain_of, weights_of
 from planning.risk.tables import Tables, carry_turns, evaluate_edges
-from planning.risk.terrain import Sampler
+from planning.risk.terrain import NOTHING, Changed, Sampler, Terrain, changed_cells
 
 MOST_TURNS = 1_000_000
 """Rows of turns that are kept for the next query: 16 MB."""
@@ -24,7 +24,7 @@ class RiskTable:
     """What queries on one graph, map and body share. Pass it to `plan`; it fills itself and never changes a result.
 
     When graph or map change, make a new one with the old as `previous`: edges and turns under which no cell changed keep
-    their evaluations.
+    their evaluations. It takes the terrain of the old one, which makes itself another where it is asked for it again.
     """
 
     def __init__(
@@ -38,8 +38,6 @@ class RiskTable:
         self.version = graph.version
         self.grid = grid
         self.body = body
-        self.terrain = terrain_of(grid, body)
-        self.sampler: Sampler = self.terrain.sampler(body.length, body.width)
         self._ids = graph.node_ids
         self._arcs: Arcs | None = None
         self._tables: dict[tuple[float, float], Tables] = {}
@@ -47,58 +45,88 @@ class RiskTable:
         """What `planning.search.again` keeps of the last search, for the next one."""
         self.chords: object = None
         """What `planning.search.chords` keeps of the last routes."""
+        self._terrain, changed = self._follow(previous)
+        self._same: tuple[object, NDArray[np.int64]] = None, np.empty(0, np.int64)
+        """`_ids` of the table that `_known` was, and the slots of these arcs there."""
+        self._known: RiskTable | None = previous
+        """The newest table with arcs, while this one has none: what that evaluated is asked for there."""
+        self._changed: Changed | None = changed
+        """Where the terrain is not what it was for that table; None: its cells are others."""
         if previous is not None and previous._arcs is None:  # nobody asked it for an edge
-            previous = previous._previous
-        self._previous: RiskTable | None = previous
+            self._known = previous._known
+            before = previous._changed
+            self._changed = None if changed is None or before is None else before.more(changed)
         if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
             self.searched, self.chords = previous.searched, previous.chords
+
+    def _follow(self, previous: RiskTable | None) -> tuple[Terrain, Changed | None]:
+        """The terrain of the grid, and where that of `previous` was another."""
+        if previous is not None and previous.body == self.body:
+            terrain = previous.terrain
+            if (changed := terrain.follow(self.grid)) is not None:
+                return terrain, changed
+        return terrain_of(self.grid, self.body), None
+
+    @property
+    def terrain(self) -> Terrain:
+        """That of the grid."""
+        if self._terrain.grid is not self.grid:  # it went to the table after this one
+            self._terrain = terrain_of(self.grid, self.body)
+        return self._terrain
+
+    @property
+    def sampler(self) -> Sampler:
+        """What the kernels take of it."""
+        return self.terrain.sampler(self.body.length, self.body.width)
 
     @property
     def arcs(self) -> Arcs:
         """The graph's edges; made when they are first asked for."""
         if self._arcs is None:
-            old, self._previous = self._previous, None
-            if old is None:
-                self._arcs = arcs_of(self.graph)
-            else:
-                was = slots_before(self.graph, old._ids, old.arcs)
-                self._arcs = arcs_of(self.graph, old.arcs, was)
-                if old.body == self.body and old.grid.resolution == self.grid.resolution:
-                    self._carry(old, was)
+            self._ask(self._known)
+        assert self._arcs is not None
         return self._arcs
 
     @arcs.setter
     def arcs(self, arcs: Arcs) -> None:
         self._arcs = arcs
 
+    def _ask(self, old: RiskTable | None) -> None:
+        """Make the arcs, with what `old` knows of them that is still true."""
+        self._known = None
+        if old is None:
+            self._arcs = arcs_of(self.graph)
+            return
+        self._same = old._ids, slots_before(self.graph, old._ids, old.arcs)
+        was = self._same[1]
+        self._arcs = arcs_of(self.graph, old.arcs, was)
+        if old.body == self.body and old.grid.resolution == self.grid.resolution:
+            self._carry(old, was)
+
+    def slots_before(self, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
+        """As the function: `ids` and arcs of an earlier table."""
+        return self._same[1] if self._same[0] is ids else slots_before(self.graph, ids, old)
+
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
 
-        Evaluations go both ways: `take_back` brings home what the query added.
+        What it comes to know is for the next query as well, once `take_back` has it.
         """
-        arcs, was = self.arcs, np.full(len(graph.indices), -1, np.int64)
-        was[kept] = np.arange(len(kept))
         out = copy.copy(self)
-        out.graph, out.arcs, out._tables, out._ids = (
-            graph,
-            arcs_of(graph, arcs, was),
-            {},
-            graph.node_ids,
-        )
-        for body, tables in self._each():
-            _copy_edges(kept, tables.edge, out.tables(body).edge)
-            out._take_turns(body, arcs, tables, kept)
+        out.graph, out._ids, out._arcs, out._tables = graph, graph.node_ids, None, {}
+        if self._arcs is None:
+            out._ask(self._known)
+            return out
+        was = np.full(len(graph.indices), -1, np.int64)
+        was[kept] = np.arange(len(kept))
+        out._known, out._arcs = None, arcs_of(graph, self._arcs, was)
+        out._take_all(self, kept)
         return out
 
-    def take_back(self, query: RiskTable, kept: NDArray[np.int64]) -> None:
-        """What a table that `for_query` made evaluated, and what its search and its routes keep."""
+    def take_back(self, query: RiskTable) -> None:
+        """A table that `for_query` made, with what it evaluated and what its search and its routes keep."""
         self.searched, self.chords = query.searched, query.chords
-        now = np.full(len(query.arcs.target), -1, np.int64)
-        now[kept] = np.arange(len(kept))
-        self._tables = {}
-        for body, tables in query._each():
-            _copy_edges(now, tables.edge, self.tables(body).edge)
-            self._take_turns(body, query.arcs, tables, now)
+        self._arcs, self._tables, self._known, self._changed = None, {}, query, NOTHING
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
         """True while the table belongs to these inputs."""
@@ -134,24 +162,29 @@ class RiskTable:
 
     def _carry(self, old: RiskTable, was: NDArray[np.int64]) -> None:
         """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground under them."""
-        offset = (
-            np.array([self.sampler.ox, self.sampler.oy]) - (old.sampler.ox, old.sampler.oy)
-        ) * self.sampler.inv
-        dc, dr = (int(v) for v in np.round(offset))
-        if np.abs(offset - (dc, dr)).max() > 1e-6:  # other cells
-            return
-        s, o = self.sampler, old.sampler
-        box, changed = _changed(s.height, s.trusted, s.stride, o.height, o.trusted, o.stride, dr, dc)
-        now = _unchanged(was, len(old.arcs.target), self.arcs, s, box, changed)
-        for body, tables in old._each():
-            _copy_edges(now, tables.edge, self.tables(body).edge)
-            self._take_turns(body, old.arcs, tables, now)
+        s, changed = self.sampler, self._changed
+        if changed is None:
+            before = old.terrain
+            offset = (np.array([s.ox, s.oy]) - before.origin) * s.inv
+            dc, dr = (int(v) for v in np.round(offset))
+            if np.abs(offset - (dc, dr)).max() > 1e-6:  # other cells
+                return
+            there = before.height.reshape(-1), before.trusted.reshape(-1), before.height.shape[1]
+            (row, col, *_), cells = changed_cells(s.height, s.trusted, s.stride, *there, dr, dc)
+            changed = Changed(row, col, cells)
+        count = np.zeros(np.add(changed.cells.shape, 1), np.int32)
+        count[1:, 1:] = changed.cells.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
+        self._take_all(
+            old, _unchanged(was, len(old.arcs.target), self.arcs, s, changed.row, changed.col, count)
+        )
 
-    def _take_turns(self, body: BodyModel, arcs: Arcs, old: Tables, now: NDArray[np.int64]) -> None:
-        """As `carry_turns`, unless there are so many that they are to be evaluated anew."""
-        if old.used[0] <= MOST_TURNS:
+    def _take_all(self, old: RiskTable, now: NDArray[np.int64]) -> None:
+        """Take over what `old` knows of its slots that are here as `now` tells, -1 = nowhere."""
+        for body, known in old._each():
             tables = self.tables(body)
-            self.keep(body, tables._replace(turns=carry_turns(now, arcs, old, self.arcs, tables)))
+            _copy_edges(now, known.edge, tables.edge)
+            if known.used[0] <= MOST_TURNS:  # more are evaluated anew
+                self.keep(body, tables._replace(turns=carry_turns(now, old.arcs, known, self.arcs, tables)))
 
     def _each(self) -> Iterator[tuple[BodyModel, Tables]]:
         """The body with each of the weights that were asked for, and the evaluations under them."""
@@ -191,67 +224,17 @@ def _same_slots(indptr: np.ndarray, target: np.ndarray, old: Arcs, node: np.ndar
 
 
 @njit(cache=True)
-def _changed(
-    height: np.ndarray,
-    trusted: np.ndarray,
-    stride: int,
-    old_height: np.ndarray,
-    old_trusted: np.ndarray,
-    old_stride: int,
-    dr: int,
-    dc: int,
-) -> tuple[tuple[int, int, int, int], np.ndarray]:
-    """Where cells are not what they were: the box around them, first row, first column, row and column after the last, and the summed-area table of
-    them in it; dr, dc: cell [0, 0] in the old."""
-    rows, old_rows = height.size // stride, old_height.size // old_stride
-    r0, c0, r1, c1 = rows, stride, 0, 0
-    for r in range(rows):
-        first, last, a = stride, -1, r + dr
-        # The columns that both have, without a branch.
-        begin, end = max(0, -dc), min(stride, old_stride - dc)
-        if not 0 <= a < old_rows or end <= begin:
-            first, last = 0, stride - 1
-        else:
-            i, j = r * stride, a * old_stride + dc
-            here, there = height[i + begin : i + end], old_height[j + begin : j + end]
-            known, knew = trusted[i + begin : i + end], old_trusted[j + begin : j + end]
-            differ = 0
-            for c in range(here.size):
-                differ += (here[c] != there[c]) | (known[c] != knew[c])
-            if differ > 0:
-                for c in range(here.size):
-                    if here[c] != there[c] or known[c] != knew[c]:
-                        first, last = min(first, c + begin), c + begin
-            if begin > 0:
-                first, last = 0, max(last, begin - 1)
-            if end < stride:
-                first, last = min(first, end), stride - 1
-        if last >= 0:
-            r0, r1, c0, c1 = min(r0, r), r + 1, min(c0, first), max(c1, last + 1)
-    table = np.zeros((max(r1 - r0, 0) + 1, max(c1 - c0, 0) + 1), np.int32)
-    for r in range(r0, r1):
-        total = 0
-        for c in range(c0, c1):
-            a, b = r + dr, c + dc
-            same = False
-            if 0 <= a < old_rows and 0 <= b < old_stride:
-                i, j = r * stride + c, a * old_stride + b
-                same = height[i] == old_height[j] and trusted[i] == old_trusted[j]
-            total += not same
-            table[r - r0 + 1, c - c0 + 1] = table[r - r0, c - c0 + 1] + total
-    return (r0, c0, r1, c1), table
-
-
-@njit(cache=True)
 def _unchanged(
     was: np.ndarray,
     old_slots: int,
     arcs: Arcs,
     sampler: Sampler,
-    box: tuple[int, int, int, int],
+    row: int,
+    col: int,
     changed: np.ndarray,
 ) -> np.ndarray:
-    """(old slots,) the slot of now of each edge that is the same, with no changed cell in the box that the footprint does not leave on its way; else -1."""
+    """(old slots,) the slot of now of each edge that is the same, with no changed cell in the box that the footprint does not leave on its way; else -1. `changed`: summed-area
+    table of the cells from `row` and `col` on."""
     rows, cols = sampler.seen.shape[0] - 1, sampler.stride
     x, y, source, target = arcs.x, arcs.y, arcs.source, arcs.target
     ox, oy, inv, reach = sampler.ox, sampler.oy, sampler.inv, sampler.reach
@@ -268,8 +251,8 @@ def _unchanged(
         r0, r1 = r0 - reach - 1, r1 + reach + 2
         if c0 < 0 or r0 < 0 or c1 > cols or r1 > rows:
             continue
-        r0, c0 = max(r0, box[0]) - box[0], max(c0, box[1]) - box[1]
-        r1, c1 = min(r1, box[2]) - box[0], min(c1, box[3]) - box[1]
+        r0, c0 = max(r0 - row, 0), max(c0 - col, 0)
+        r1, c1 = min(r1 - row, changed.shape[0] - 1), min(c1 - col, changed.shape[1] - 1)
         if r0 >= r1 or c0 >= c1 or changed[r1, c1] - changed[r0, c1] - changed[r1, c0] + changed[r0, c0] == 0:
             out[was[slot]] = slot
     return out

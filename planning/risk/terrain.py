@@ -64,10 +64,39 @@ class Sampler(NamedTuple):
     """Body width [m]."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+class Changed(NamedTuple):
+    """Cells of a terrain that are not what they were."""
+
+    row: int
+    col: int
+    """The first."""
+    cells: NDArray[np.bool_]
+    """(rows, cols) from there on."""
+
+    def more(self, other: Changed) -> Changed:
+        """These and those of another change of the same terrain."""
+        parts = [part for part in (self, other) if part.cells.size]
+        if len(parts) < 2:
+            return parts[0] if parts else self
+        row, col = (min(getattr(part, name) for part in parts) for name in ("row", "col"))
+        last = np.max(
+            [(part.row + part.cells.shape[0], part.col + part.cells.shape[1]) for part in parts], axis=0
+        )
+        cells = np.zeros(last - (row, col), np.bool_)
+        for part in parts:
+            r, c = part.row - row, part.col - col
+            cells[r : r + part.cells.shape[0], c : c + part.cells.shape[1]] |= part.cells
+        return Changed(row, col, cells)
+
+
+NOTHING = Changed(0, 0, np.zeros((0, 0), np.bool_))
+
+
+@dataclass(slots=True, eq=False)
 class Terrain:
     """An elevation grid made ready for footprint samples: filled, padded with untrusted edge values."""
 
+    grid: ElevationGrid
     height: NDArray[np.float32]
     """(rows, cols) [m], no NaN."""
     trusted: NDArray[np.uint8]
@@ -95,7 +124,49 @@ class Terrain:
         height, padded, seen = _pad(filled, grid.trusted & known, pad)
         step = pad * grid.resolution
         x, y = grid.origin
-        return cls(height, padded, seen, (x - step, y - step), grid.resolution, pad)
+        return cls(grid, height, padded, seen, (x - step, y - step), grid.resolution, pad)
+
+    def follow(self, grid: ElevationGrid) -> Changed | None:
+        """Become the terrain of a grid that came after this one's, of the same cells: what was made for it is brought up to date where it has changed. -> where; None, and nothing
+        done, where the cells are others."""
+        was = self.grid
+        if grid is was:
+            return NOTHING
+        if (grid.shape, grid.origin, grid.resolution) != (was.shape, was.origin, was.resolution):
+            return None
+        pad, cols, stride = self.pad, grid.shape[1], self.height.shape[1]
+        known, old = (
+            grid.trusted.reshape(-1).view(np.uint8),
+            (self.height.reshape(-1), self.trusted.reshape(-1)),
+        )
+        filled = grid.height
+        (r0, c0, r1, c1), cells = changed_cells(filled.reshape(-1), known, cols, *old, stride, pad, pad)
+        if not np.isfinite(filled[r0:r1, c0:c1]).all():  # elsewhere it is what this one has
+            filled = fill_unknown(grid.height)
+            (r0, c0, r1, c1), cells = changed_cells(filled.reshape(-1), known, cols, *old, stride, pad, pad)
+        self.grid = grid
+        if cells.size:
+            box = _patch(self.height, self.trusted, self.seen, filled, grid.trusted, pad, r0, c0, r1, c1)
+            for (length, width), sampler in self._samplers.items():
+                self._remake(sampler, _samples(length, width, self.resolution).window, *box)
+        return Changed(r0 + pad, c0 + pad, cells)
+
+    def _remake(self, sampler: Sampler, window: int, r0: int, c0: int, r1: int, c1: int) -> None:
+        """Make ceilings and what is known again where heights and trust have changed in a box of cells."""
+        rows, cols = self.height.shape
+        r0, c0, r1, c1 = (
+            max(r0 - 2 * window, 0),
+            max(c0 - 2 * window, 0),
+            min(r1 + 2 * window, rows),
+            min(c1 + 2 * window, cols),
+        )
+        inner = np.s_[r0 + window : r1 - window, c0 + window : c1 - window]
+        part = np.s_[window : r1 - r0 - window, window : c1 - c0 - window]
+        sampler.ceiling.reshape(rows, cols)[inner] = _dilate(
+            np.ascontiguousarray(self.height[r0:r1, c0:c1]), window
+        )[part]
+        seen = np.ascontiguousarray(self.seen[r0 : r1 + 1, c0 : c1 + 1])
+        sampler.known.reshape(rows, cols)[inner] = _known(seen, window)[part]
 
     def sampler(self, length: float, width: float) -> Sampler:
         """Kernel arguments for a body of this length and width [m]; made once."""
@@ -248,6 +319,92 @@ def _pad(height: np.ndarray, trusted: np.ndarray, pad: int) -> tuple[np.ndarray,
             total += ok[r, c]
             seen[r + 1, c + 1] = seen[r, c + 1] + total
     return out, ok, seen
+
+
+@njit(cache=True)
+def changed_cells(
+    height: np.ndarray,
+    trusted: np.ndarray,
+    stride: int,
+    old_height: np.ndarray,
+    old_trusted: np.ndarray,
+    old_stride: int,
+    dr: int,
+    dc: int,
+) -> tuple[tuple[int, int, int, int], np.ndarray]:
+    """Where cells are not what they were: the box around them, first row, first column, row and column after the last, and which of them in it; dr, dc: cell [0, 0] in
+    the old."""
+    rows, old_rows = height.size // stride, old_height.size // old_stride
+    r0, c0, r1, c1 = rows, stride, 0, 0
+    for r in range(rows):
+        first, last, a = stride, -1, r + dr
+        # The columns that both have, without a branch.
+        begin, end = max(0, -dc), min(stride, old_stride - dc)
+        if not 0 <= a < old_rows or end <= begin:
+            first, last = 0, stride - 1
+        else:
+            i, j = r * stride, a * old_stride + dc
+            here, there = height[i + begin : i + end], old_height[j + begin : j + end]
+            known, knew = trusted[i + begin : i + end], old_trusted[j + begin : j + end]
+            differ = 0
+            for c in range(here.size):
+                differ += (here[c] != there[c]) | (known[c] != knew[c])
+            if differ > 0:
+                for c in range(here.size):
+                    if here[c] != there[c] or known[c] != knew[c]:
+                        first, last = min(first, c + begin), c + begin
+            if begin > 0:
+                first, last = 0, max(last, begin - 1)
+            if end < stride:
+                first, last = min(first, end), stride - 1
+        if last >= 0:
+            r0, r1, c0, c1 = min(r0, r), r + 1, min(c0, first), max(c1, last + 1)
+    cells = np.zeros((max(r1 - r0, 0), max(c1 - c0, 0)), np.bool_)
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            a, b = r + dr, c + dc
+            same = False
+            if 0 <= a < old_rows and 0 <= b < old_stride:
+                i, j = r * stride + c, a * old_stride + b
+                same = height[i] == old_height[j] and trusted[i] == old_trusted[j]
+            cells[r - r0, c - c0] = not same
+    return (r0, c0, r1, c1), cells
+
+
+@njit(cache=True)
+def _patch(
+    height: np.ndarray,
+    trusted: np.ndarray,
+    seen: np.ndarray,
+    filled: np.ndarray,
+    known: np.ndarray,
+    pad: int,
+    r0: int,
+    c0: int,
+    r1: int,
+    c1: int,
+) -> tuple[int, int, int, int]:
+    """Bring what `_pad` makes up to date where cells of a box have changed: rows r0 to before r1, columns c0 to before c1. -> the box of padded cells."""
+    rows, cols = filled.shape
+    n, m = height.shape
+    a, b = (0 if r0 == 0 else r0 + pad), (n if r1 == rows else r1 + pad)
+    d, e = (0 if c0 == 0 else c0 + pad), (m if c1 == cols else c1 + pad)
+    differ = False
+    for r in range(a, b):
+        src = min(max(r - pad, 0), rows - 1)
+        for c in range(d, e):
+            height[r, c] = filled[src, min(max(c - pad, 0), cols - 1)]
+    for r in range(r0, r1):
+        for c in range(c0, c1):
+            differ |= trusted[pad + r, pad + c] != known[r, c]
+            trusted[pad + r, pad + c] = known[r, c]
+    if differ:
+        for r in range(r0 + pad, n):
+            total = seen[r + 1, c0 + pad] - seen[r, c0 + pad]
+            for c in range(c0 + pad, m):
+                total += trusted[r, c]
+                seen[r + 1, c + 1] = seen[r, c + 1] + total
+    return a, d, b, e
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from planning.risk.arcs import Arcs
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.cost import Weights
 from planning.risk.footprint import scratch
-from planning.risk.table import RiskTable, slots_before
+from planning.risk.table import RiskTable
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.search.bounds import Asked, ToGo, begin_to_go
@@ -87,7 +87,7 @@ def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep:
     how = asked.goal_yaw, asked.sweeps, asked.once, asked.backward, asked.turning
     key = key_of(body, float(arcs.x[end]), float(arcs.y[end]), float(exit_cost[end]), *how)
     if isinstance(old := table.searched, Search) and old.key == key:
-        was = slots_before(table.graph, old.ids, old.arcs)
+        was = table.slots_before(old.ids, old.arcs)
         go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
     else:
         go = begin_to_go(arcs, is_end, exit_cost)

@@ -42,17 +42,17 @@ class Endpoints:
     """[m] more for a route that begins backward."""
     ground: Ground | None = None
     """What tests a move beside the graph's edges; None on graphs that cannot."""
-    _origin: tuple[RiskTable, NDArray[np.int64]] | None = None
+    _origin: RiskTable | None = None
 
     @property
     def origin(self) -> TraversalGraph | None:
         """The graph without the nodes of this query, if it got any."""
-        return None if self._origin is None else self._origin[0].graph
+        return None if self._origin is None else self._origin.graph
 
     def close(self) -> None:
         """Keep what the query evaluated."""
         if self._origin is not None:
-            self._origin[0].take_back(self.table, self._origin[1])
+            self._origin.take_back(self.table)
 
 
 def endpoints(
@@ -116,7 +116,7 @@ def endpoints(
         not is_node(request.start),
         0.0 if is_node(request.start) else ground.back_cost(start_xy, yaw),
         ground,
-        (table, kept),
+        table,
     )
 
 

@@ -111,11 +111,13 @@ class PlannerStage:
         stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
-        layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height)) | {"elevation": height}
-        grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers).grid(filled=True)
+        layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height))
         # A goal on the map, again with what is driven and without, then one off it: the second needs no search, the third carries evaluations and search
         # over, the last looks for a frontier.
         for goal, driven in ((3.0, False), (3.0, True), (3.0, False), (9.0, False)):
+            height = height.copy()
+            height[5:10, 5:10] += np.float32(0.001)
+            grid = MapPatch((0.0, 0.0), 0.04, 0, 0, layers | {"elevation": height}).grid(filled=True)
             stage._map.refresh((2.0, 2.0), grid, [(5, 5, 10, 10)])
             stage._whole = stage._whole if driven else None
             stage._answer(msg.PlanRequest(start_x=1.0, start_y=1.0, goal_x=goal, goal_y=goal))

@@ -11,7 +11,8 @@ from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
-from planning.risk.table import RiskTable, _changed
+from planning.risk.table import RiskTable
+from planning.risk.terrain import changed_cells
 from planning.search.endpoints import endpoints
 from planning.search.plan import PlanRequest, plan
 from tests.planning.worlds import lattice, rough
@@ -108,14 +109,47 @@ def test_the_box_of_changed_cells_is_that_of_a_comparison_cell_by_cell(seed: int
     there[b0:b1, d0:d1] = True
     want = (changed | ~there)[r0:r1, c0:c1]
     flat = (new[0].ravel(), new[1].ravel(), c1 - c0, old[0].ravel(), old[1].ravel(), d1 - d0)
-    box, table = _changed(*flat, int(r0 - b0), int(c0 - d0))
+    box, cells = changed_cells(*flat, int(r0 - b0), int(c0 - d0))
     if not want.any():
-        assert table.max() == 0
+        assert cells.size == 0
         return
     rows, cols = np.flatnonzero(want.any(axis=1)), np.flatnonzero(want.any(axis=0))
     assert box == (rows[0], cols[0], rows[-1] + 1, cols[-1] + 1)
     inside = want[box[0] : box[2], box[1] : box[3]]
-    np.testing.assert_array_equal(table[1:, 1:], inside.cumsum(axis=0).cumsum(axis=1))
+    np.testing.assert_array_equal(cells, inside)
+
+
+def test_changes_add_up_over_tables_that_nobody_asked_for_an_edge() -> None:
+    rng = np.random.default_rng(4)
+    grid = ElevationGrid(ground(4), np.ones((110, 120), bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), 4)
+    table = RiskTable(graph, grid, BODY)
+    table.evaluate_edges()
+    for k in range(3):
+        height = grid.height.copy()
+        height[20 + 30 * k : 26 + 30 * k, 30:40] += rng.normal(0.0, 0.02, (6, 10))
+        grid = ElevationGrid(height, grid.trusted, (0.0, 0.0), 0.05)
+        graph.update(grid, [(20 + 30 * k, 30, 26 + 30 * k, 40)])
+        table = RiskTable(graph, grid, BODY, table)
+    carried = ~np.isnan(edges_of(table)[:, 0])
+    fresh = RiskTable(graph, grid, BODY)
+    fresh.evaluate_edges()
+    np.testing.assert_array_equal(edges_of(table)[carried], edges_of(fresh)[carried])
+    assert 0.4 < carried.mean() < 0.95
+
+
+def test_a_table_whose_terrain_went_on_makes_another() -> None:
+    grid = ElevationGrid(ground(4), np.ones((110, 120), bool), (0.0, 0.0), 0.05)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), 4)
+    table = RiskTable(graph, grid, BODY)
+    assert RiskTable(graph, grid, BODY, table).terrain is table.terrain
+    other = ElevationGrid(grid.height + np.float32(0.1), grid.trusted, (0.0, 0.0), 0.05)
+    terrain = table.terrain
+    after = RiskTable(graph, other, BODY, table)
+    assert after.terrain is terrain
+    for asked in (table, RiskTable(graph, grid, BODY, table)):
+        np.testing.assert_array_equal(asked.terrain.height, RiskTable(graph, grid, BODY).terrain.height)
+    np.testing.assert_array_equal(after.terrain.height, RiskTable(graph, other, BODY).terrain.height)
 
 
 def test_a_map_that_grows_keeps_what_was_known_inside() -> None:

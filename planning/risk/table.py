@@ -213,8 +213,11 @@ def _same_slots(indptr: np.ndarray, target: np.ndarray, old: Arcs, node: np.ndar
         if i < 0:
             continue
         for slot in range(indptr[at], indptr[at + 1]):
-            j = node[target[slot]]
+            j, alike = node[target[slot]], old_indptr[i] + slot - indptr[at]
             if j < 0:
+                continue
+            if alike < old_indptr[i + 1] and old_target[alike] == j:  # most rows are as they were
+                out[slot] = alike
                 continue
             for k in range(old_indptr[i], old_indptr[i + 1]):
                 if old_target[k] == j:

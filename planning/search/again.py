@@ -22,8 +22,6 @@ from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
 from planning.search.bounds import Asked, ToGo, begin_to_go
 
-KEPT, LOST = 1, 2
-
 
 @dataclass(frozen=True, slots=True)
 class Found:
@@ -115,7 +113,7 @@ def carried(
     """
     now = _unchanged(sampler, w, arcs, edge, old_arcs, old_edge, was)
     source, target = arcs.source, arcs.target
-    kept = _kept(now, is_end, target, old.h, old.after)
+    lost = _lost(now, is_end, target, old_arcs, old)
     old_h, old_settled, old_after = old
     h, settled, after = begin_to_go(arcs, is_end, exit_cost)
     again = np.zeros(arcs.x.size, np.bool_)
@@ -126,13 +124,15 @@ def carried(
             continue
         for way in range(2):
             to, state = 2 * slot + way, 2 * k + way
-            if kept[state] == KEPT:
-                h[to], settled[to] = old_h[state], old_settled[state]
-                follows = old_after[state]
-                if follows >= 0:
-                    after[to] = 2 * now[follows >> 1] + (follows & 1)
-            elif kept[state] == LOST:
+            if old_h[state] == np.inf:
+                continue
+            if lost[state]:
                 again[target[slot]] = True
+                continue
+            h[to], settled[to] = old_h[state], old_settled[state]
+            follows = old_after[state]
+            if follows >= 0:
+                after[to] = 2 * now[follows >> 1] + (follows & 1)
     for slot in range(was.size):
         if again[source[slot]]:
             settled[2 * slot] = settled[2 * slot + 1] = False
@@ -179,25 +179,26 @@ def _unchanged(
 
 
 @njit(cache=True)
-def _kept(
-    now: np.ndarray, is_end: np.ndarray, target: np.ndarray, h: np.ndarray, after: np.ndarray
-) -> np.ndarray:
-    """(old states,) KEPT where the whole way from a state that was reached is as it was, LOST where it is not, 0 for the others."""
-    out = np.zeros(h.size, np.int8)
-    for state in range(h.size):
-        if h[state] == np.inf or out[state] > 0:
-            continue
-        last = state
-        while out[last] == 0 and now[last >> 1] >= 0 and after[last] >= 0:
-            last = after[last]
-        verdict = out[last]
-        if verdict == 0:
-            there = now[last >> 1]
-            verdict = KEPT if there >= 0 and is_end[target[there]] else LOST
-        at = state
-        while out[at] == 0:
-            out[at] = verdict
-            if at == last:
-                break
-            at = after[at]
+def _lost(now: np.ndarray, is_end: np.ndarray, target: np.ndarray, old_arcs: Arcs, old: ToGo) -> np.ndarray:
+    """(old states,) whether something on the way from a state that was reached is not as it was: those where it changed, and on from them those that came over one that is lost."""
+    indptr, source, reverse = old_arcs.indptr, old_arcs.source, old_arcs.reverse
+    h, after = old.h, old.after
+    out, found = np.zeros(h.size, np.bool_), np.empty(h.size, np.int64)
+    n = 0
+    for slot in range(now.size):
+        gone = now[slot] < 0
+        for state in range(2 * slot, 2 * slot + 2):
+            if h[state] < np.inf and (gone or (after[state] < 0 and not is_end[target[now[slot]]])):
+                out[state], found[n] = True, state
+                n += 1
+    while n > 0:
+        n -= 1
+        state = found[n]
+        at = source[state >> 1]
+        for back in range(indptr[at], indptr[at + 1]):
+            into = reverse[back]
+            for before in range(2 * into, 2 * into + 2):
+                if h[before] < np.inf and after[before] == state and not out[before]:
+                    out[before], found[n] = True, before
+                    n += 1
     return out

@@ -39,7 +39,7 @@ class Route:
     forward_only: NDArray[np.bool_]
     """(n,) faces at each point are too high to be climbed backward."""
     moments: NDArray[np.float64]
-    """(n - 1, 3, 3, 4), see `route_moments`."""
+    """(n - 1, 3, 3, 4), see `route_moments`; nothing before `evaluate`."""
     start_back: float = 0.0
     """[m] more where it begins backward."""
 
@@ -60,7 +60,7 @@ class Route:
         nodes = (start, *arcs.target[slots].tolist())
         xy = np.column_stack([arcs.x[list(nodes)], arcs.y[list(nodes)]])
         flip = slots > arcs.reverse[slots]
-        out = cls(
+        return cls(
             nodes,
             xy,
             arcs.risk[slots].astype(np.float64),
@@ -74,8 +74,6 @@ class Route:
             np.empty((len(slots), 3, 3, 4)),
             start_back,
         )
-        out.evaluate(table.sampler, weights_of(table.body), 0, len(slots))
-        return out
 
     def evaluate(self, sampler: Sampler, w: Weights, first: int, last: int) -> None:
         """Bring the moments of transitions first..last - 1 up to date with `xy`."""

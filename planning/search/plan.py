@@ -295,6 +295,7 @@ def _search(
             break
     else:
         return None
+    found.evaluate(at.table.sampler, weights_of(at.table.body), 0, len(found.risk))
     cost = float(found.cost(weights_of(body)).sum())
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, at.table, found)

@@ -36,6 +36,8 @@ class Stretch(NamedTuple):
     """Box x0, y0, x1, y1 [m] of its points."""
     span: int
     """Edges that a chord replaced; less than two: no chord was taken."""
+    peaks: NDArray[np.float64]
+    """(k, 3) largest core features of the chords that cost less. The last one was taken, if any was: the others went beyond what the route has elsewhere."""
     parts: tuple[NDArray[np.generic], ...]
     """What a chord changed, see `_parts`."""
 
@@ -61,14 +63,19 @@ class Chords:
         kept.grid, kept.version = table.grid, graph.version
         return kept
 
-    def take(self, key: Key, route: Route, cost: NDArray[np.float64], i: int) -> int | None:
-        """Bring `route` and `cost` to what came of the stretch from point i before: how many edges were replaced; None where that is not known."""
+    def take(
+        self, key: Key, route: Route, cost: NDArray[np.float64], most: NDArray[np.float64], i: int
+    ) -> int | None:
+        """Bring `route` and `cost` to what came of the stretch from point i before: how many edges were replaced; None where that is not known. No chord may go beyond `most` (3,)."""
         cells, old = self.graph.cells, self.known.pop(key, None)
         if (
             old is None
             or cells is None
             or (old.version < self.version and _newest(cells, old.around) > old.version)
         ):
+            return None
+        fits = [bool((peaks <= most).all()) for peaks in old.peaks]
+        if sum(fits) != (old.span >= 2) or (old.span >= 2 and not fits[-1]):
             return None
         self.known[key] = old._replace(version=self.version)
         if old.span >= 2:
@@ -83,18 +90,17 @@ class Chords:
         cost: NDArray[np.float64],
         i: int,
         span: int,
+        peaks: list[NDArray[np.float64]],
         around: NDArray[np.float64],
     ) -> None:
         """Keep what came of the stretch from point i whose points lay `around`."""
         parts = tuple(part.copy() for part in _parts(route, cost, i, span)) if span >= 2 else ()
-        self.known[key] = Stretch(self.version, around, span, parts)
+        self.known[key] = Stretch(self.version, around, span, np.array(peaks).reshape(-1, 3), parts)
         if len(self.known) > MOST:
             del self.known[next(iter(self.known))]
 
 
-def key_of(
-    route: Route, cost: NDArray[np.float64], most: NDArray[np.float64], i: int, longest: int
-) -> tuple[Key, NDArray[np.float64]]:
+def key_of(route: Route, cost: NDArray[np.float64], i: int, longest: int) -> tuple[Key, NDArray[np.float64]]:
     """All that making straight a stretch of up to `longest` edges from point i > 0 depends on beside the ground, and the box of its points (see `Stretch`)."""
     last = len(route.risk)
     a, b = max(i - 1, 0), min(i + longest + 1, last)
@@ -108,7 +114,6 @@ def key_of(
         route.forward_only[i : b + 1],
         route.back[a:b],
         route.flip[i:b],
-        most,
     )
     return (
         route.rules,

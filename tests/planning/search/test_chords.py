@@ -137,6 +137,33 @@ def test_what_is_kept_knows_nothing_of_a_robot_beside_it() -> None:
     np.testing.assert_array_equal(before, bowed(graph, grid, table))
 
 
+def test_a_chord_is_judged_by_what_the_route_of_now_has_elsewhere() -> None:
+    """A low bump on a chord is too much for a route that is level, and not for one that begins on a bump."""
+    level = ElevationGrid(
+        np.zeros((ROWS, COLS), np.float32), np.ones((ROWS, COLS), bool), (0.0, 0.0), RESOLUTION
+    )
+    grid, _ = raised(raised(level, 6.5, 2.0, 0.008)[0], 1.0, 2.6, 0.05)
+    graph = TraversalGraph.build(grid, START, GraphParams(), 0)
+    s = np.linspace(0.0, 1.0, 17)
+    lead = np.column_stack([np.arange(1.0, 5.0, 0.25), np.full(16, 2.0)])
+    points = np.vstack([lead, np.column_stack([5.0 + 3.0 * s, 2.0 - np.sin(np.pi * s)])])
+    driven = Driven(points, np.arange(len(points)) == 0)
+
+    def straightened(begin: tuple[float, float], yaw: float, table: RiskTable) -> np.ndarray:
+        ground, ends = Ground(graph, grid), (begin, (8.0, 2.0))
+        request = PlanRequest(*ends, yaw, rules=RULES, driven=driven)
+        route = rest(ground, table.sampler, BODY, graph.nodes, request, (0, 1), ends, yaw, np.nan, 0.0)
+        assert route is not None
+        straight.straighten(ground, table, route)
+        return route.xy
+
+    table = RiskTable(graph, grid, BODY)
+    before = straightened((1.4, 2.0), 0.0, table)
+    after = straightened((1.0, 2.6), np.pi / 2, table)
+    np.testing.assert_array_equal(after, straightened((1.0, 2.6), np.pi / 2, RiskTable(graph, grid, BODY)))
+    assert np.abs(after - before)[1:].max() > 0.2
+
+
 def test_stretches_far_from_what_changed_are_not_tried_again(tried: list[int]) -> None:
     _, grid, graph = rolling(0)
     request = PlanRequest(START, GOAL, 0.0, rules=RULES)

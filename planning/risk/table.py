@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -46,16 +47,16 @@ class RiskTable:
         self.chords: object = None
         """What `planning.search.chords` keeps of the last routes."""
         self._terrain, changed = self._follow(previous)
-        self._same: tuple[object, NDArray[np.int64]] = None, np.empty(0, np.int64)
-        """`_ids` of the table that `_known` was, and the slots of these arcs there."""
+        self._same: tuple[object, Before] | None = None
+        """`_ids` of the table that `_known` was, and what is the same there."""
         self._known: RiskTable | None = previous
         """The newest table with arcs, while this one has none: what that evaluated is asked for there."""
         self._changed: Changed | None = changed
         """Where the terrain is not what it was for that table; None: its cells are others."""
         if previous is not None and previous._arcs is None:  # nobody asked it for an edge
             self._known = previous._known
-            before = previous._changed
-            self._changed = None if changed is None or before is None else before.more(changed)
+            was = previous._changed
+            self._changed = None if changed is None or was is None else was.more(changed)
         if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
             self.searched, self.chords = previous.searched, previous.chords
 
@@ -97,15 +98,16 @@ class RiskTable:
         if old is None:
             self._arcs = arcs_of(self.graph)
             return
-        self._same = old._ids, slots_before(self.graph, old._ids, old.arcs)
-        was = self._same[1]
+        self._same = old._ids, before(self.graph, old._ids, old.arcs)
+        was = self._same[1].slots
         self._arcs = arcs_of(self.graph, old.arcs, was)
         if old.body == self.body and old.grid.resolution == self.grid.resolution:
             self._carry(old, was)
 
-    def slots_before(self, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
+    def before(self, ids: NDArray[np.int64], old: Arcs) -> Before:
         """As the function: `ids` and arcs of an earlier table."""
-        return self._same[1] if self._same[0] is ids else slots_before(self.graph, ids, old)
+        same = self._same
+        return same[1] if same is not None and same[0] is ids else before(self.graph, ids, old)
 
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
@@ -164,12 +166,12 @@ class RiskTable:
         """Take over what `old` knows of edges that are the same here, in its slots `was`, and have the same ground under them."""
         s, changed = self.sampler, self._changed
         if changed is None:
-            before = old.terrain
-            offset = (np.array([s.ox, s.oy]) - before.origin) * s.inv
+            terrain = old.terrain
+            offset = (np.array([s.ox, s.oy]) - terrain.origin) * s.inv
             dc, dr = (int(v) for v in np.round(offset))
             if np.abs(offset - (dc, dr)).max() > 1e-6:  # other cells
                 return
-            there = before.height.reshape(-1), before.trusted.reshape(-1), before.height.shape[1]
+            there = terrain.height.reshape(-1), terrain.trusted.reshape(-1), terrain.height.shape[1]
             (row, col, *_), cells = changed_cells(s.height, s.trusted, s.stride, *there, dr, dc)
             changed = Changed(row, col, cells)
         count = np.zeros(np.add(changed.cells.shape, 1), np.int32)
@@ -192,15 +194,25 @@ class RiskTable:
             yield self.body.model_copy(update={"weight_mean": mean, "weight_tail": tail}), tables
 
 
-def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
-    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none; `ids` are the old nodes'."""
+class Before(NamedTuple):
+    """Where nodes and edges of a graph were in one before."""
+
+    nodes: NDArray[np.int64]
+    """(nodes,) index of the same node at the same place, -1 = none."""
+    slots: NDArray[np.int64]
+    """(slots,) slot of the edge between the same two, -1 = none."""
+
+
+def before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> Before:
+    """Where nodes and edges of `graph` are in `old`; `ids` are the old nodes'."""
     if not len(ids):
-        return np.full(len(graph.indices), -1, np.int64)
+        return Before(np.full(len(graph.nodes), -1, np.int64), np.full(len(graph.indices), -1, np.int64))
     known = np.argsort(ids, kind="stable")
     at = known[np.searchsorted(ids, graph.node_ids, sorter=known).clip(max=len(known) - 1)]
     x, y = graph.nodes[:, 0], graph.nodes[:, 1]
     here = (ids[at] == graph.node_ids) & (old.x[at] == x) & (old.y[at] == y)
-    return _same_slots(graph.indptr, graph.indices, old, np.where(here, at, -1))
+    nodes = np.where(here, at, -1)
+    return Before(nodes, _same_slots(graph.indptr, graph.indices, old, nodes))
 
 
 @njit(cache=True)

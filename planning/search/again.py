@@ -6,7 +6,9 @@ others are found again by going on with the search, from the states around them.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -20,7 +22,10 @@ from planning.risk.footprint import scratch
 from planning.risk.table import RiskTable
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.search.bounds import Asked, ToGo, begin_to_go
+from planning.search.bounds import Asked, ToGo, begin_to_go, come_nearer
+
+AFRESH = 5.0
+"""[m] from where it was worked out the cost to come is worked out anew: beside the way of the robot it falls below what is true by up to twice as much."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +38,21 @@ class Found:
     """Of that graph then."""
     come: NDArray[np.float64]
     """(nodes,) see `cost_to_come`."""
+    begun: tuple[float, float]
+    """x, y [m] of the start from which that was worked out anew, see `come_nearer`."""
     beyond: float
     """[m] A route over a state that is not settled costs at least so much."""
     straight: float
     """What the route that was found cost after it was made straight, as a share of what it cost before."""
+
+
+class Known(NamedTuple):
+    """What it costs at least to come to each node."""
+
+    come: NDArray[np.float64]
+    """`Found.come` from the start of now; empty: it is to be worked out."""
+    begun: tuple[float, float]
+    """`Found.begun`"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,27 +87,42 @@ def key_of(
     return np.array([*weights, goal_yaw, sweeps, once, backward, turning, x, y, exit_cost]).tobytes()
 
 
-def go_on(table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep: bool = True) -> ToGo:
-    """What is known of the way to the ends of `asked`, if `table` has kept a search to them with the weights of `body`.
+def go_on(
+    table: RiskTable, tables: Tables, body: BodyModel, asked: Asked, keep: bool = True
+) -> tuple[ToGo, Known]:
+    """What is known of the way to the ends of `asked`, and to come to each node, if `table` has kept a search to them with the weights of `body`.
 
     keep: for the next query. For more than one end (frontiers, which change with each map) nothing is kept.
     """
     arcs, w = table.arcs, weights_of(body)
     is_end, exit_cost = asked.is_end, asked.exit_cost
     ends = np.flatnonzero(is_end)
+    come = Known(np.empty(0), start_of(arcs, asked))
     if len(ends) != 1:
-        return begin_to_go(arcs, is_end, exit_cost)
+        return begin_to_go(arcs, is_end, exit_cost), come
     end = int(ends[0])
     how = asked.goal_yaw, asked.sweeps, asked.once, asked.backward, asked.turning
     key = key_of(body, float(arcs.x[end]), float(arcs.y[end]), float(exit_cost[end]), *how)
     if isinstance(old := table.searched, Search) and old.key == key:
-        was = table.slots_before(old.ids, old.arcs)
-        go = carried(table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was, old.go)
+        was = table.before(old.ids, old.arcs)
+        go, now = carried(
+            table.sampler, w, arcs, tables.edge, is_end, exit_cost, old.arcs, old.edge, was.slots, old.go
+        )
+        if old.found is not None and math.dist(old.found.begun, come.begun) <= AFRESH:
+            come = Known(
+                come_nearer(w, arcs, tables.edge, asked.start, old.found.come, was.nodes, was.slots, now),
+                old.found.begun,
+            )
     else:
         go = begin_to_go(arcs, is_end, exit_cost)
     if keep:
         table.searched = Search(key, table.graph.node_ids, arcs, tables.edge, go)
-    return go
+    return go, come
+
+
+def start_of(arcs: Arcs, asked: Asked) -> tuple[float, float]:
+    """x, y [m] of the start."""
+    return float(arcs.x[asked.start]), float(arcs.y[asked.start])
 
 
 @njit(cache=True)
@@ -106,8 +137,8 @@ def carried(
     old_edge: np.ndarray,
     was: np.ndarray,
     old: ToGo,
-) -> ToGo:
-    """The states of `old` whose whole way to an end is as it was; `was` (slots,) tells which slot of then is the same edge, -1 = none.
+) -> tuple[ToGo, np.ndarray]:
+    """The states of `old` whose whole way to an end is as it was; `was` (slots,) tells which slot of then is the same edge, -1 = none. And `_unchanged`.
 
     States from which a way may lead to one that was lost, or is new, are reached but not settled: the search finds it from them.
     """
@@ -136,7 +167,7 @@ def carried(
     for slot in range(was.size):
         if again[source[slot]]:
             settled[2 * slot] = settled[2 * slot + 1] = False
-    return ToGo(h, settled, after)
+    return ToGo(h, settled, after), now
 
 
 @njit(cache=True)

@@ -91,6 +91,70 @@ def cost_to_come(
     return total, g
 
 
+@njit(cache=True)
+def come_nearer(
+    w: Weights,
+    arcs: Arcs,
+    edge: np.ndarray,
+    start: int,
+    old: np.ndarray,
+    nodes: np.ndarray,
+    was: np.ndarray,
+    now: np.ndarray,
+) -> np.ndarray:
+    """(nodes,) bounds of what it costs to come to each node from `start`, from those of an earlier start on an earlier graph, `old`; empty where no node of then lies beside the start.
+
+    Costs of nodes that differ by no more than the edge between them costs, and are 0 at the start, are never above the true ones. So all become lower by what the start has come nearer, and
+    where an edge is new or costs less than it did, costs beyond it that are too high for it become lower as well. What has become dearer stays.
+    `nodes` and `was`: see `planning.risk.table.Before`; `now` (old slots,): the slot that costs what it did, -1 = none.
+    """
+    indptr, source, target, length, risk = arcs.indptr, arcs.source, arcs.target, arcs.length, arcs.risk
+    come = np.full(nodes.size, np.inf)
+    for i in range(nodes.size):
+        if nodes[i] >= 0:
+            come[i] = old[nodes[i]]
+    nearer = -np.inf
+    for out in range(indptr[start], indptr[start + 1]):
+        if come[target[out]] < np.inf:
+            nearer = max(nearer, come[target[out]] - _least_cost(w, length, risk, edge, out))
+    if nearer == -np.inf:
+        return np.empty(0)
+    for i in range(nodes.size):
+        come[i] = max(come[i] - nearer, 0.0)
+    come[start] = 0.0
+    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
+    n, slot, most = 0, 0, most_out(indptr) + 1
+    while slot < target.size or n > 0:
+        if n + most > f.size:
+            f, s, e = grown(f), grown(s), grown(e)
+        while slot < target.size and n + most <= f.size:
+            if was[slot] < 0 or now[was[slot]] != slot:
+                cost = come[source[slot]] + _least_cost(w, length, risk, edge, slot)
+                if cost < come[target[slot]]:
+                    come[target[slot]] = cost
+                    n = push(f, s, e, n, cost, target[slot], -1)
+            slot += 1
+        while slot == target.size and 0 < n <= f.size - most:
+            cost, i = f[0], s[0]
+            n = pop(f, s, e, n)
+            if cost > come[i]:
+                continue
+            for out in range(indptr[i], indptr[i + 1]):
+                beyond = cost + _least_cost(w, length, risk, edge, out)
+                if beyond < come[target[out]]:
+                    come[target[out]] = beyond
+                    n = push(f, s, e, n, beyond, target[out], -1)
+    return come
+
+
+@njit(cache=True)
+def _least_cost(w, length, risk, edge, out) -> float:
+    """What driving an edge forward costs, at least where it is not evaluated yet [m]."""
+    known = not np.isnan(edge[out, 0])
+    b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+    return transition_cost(w, length[out], risk[out], b, u)
+
+
 class Asked(NamedTuple):
     """What a search over pairs is asked for, as its kernels take it."""
 

@@ -54,16 +54,26 @@ class Guide(NamedTuple):
 
 @njit(cache=True)
 def guide_to(
-    sampler: Sampler, w: Weights, arcs: Arcs, tables: Tables, asked: Asked, gx: float, gy: float, go: ToGo
+    sampler: Sampler,
+    w: Weights,
+    arcs: Arcs,
+    tables: Tables,
+    asked: Asked,
+    gx: float,
+    gy: float,
+    go: ToGo,
+    come: np.ndarray,
 ) -> Guide:
     """The bounds for `asked`, no `Asked.exit_cost` of which is less than the way to (gx, gy) is long. `go` is what is known of the way to the ends
-    (`begin_to_go` at least); it comes to know more.
+    (`begin_to_go` at least); it comes to know more. `come` (nodes,): as of `cost_to_come`, or empty.
     """
-    total, come = cost_to_come(sampler, w, arcs, tables, asked.start, asked.is_end, asked.exit_cost, gx, gy)
-    if np.isinf(total):
-        return Guide(
-            arcs, come, go, Heap(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), 0), np.inf
-        )
+    if come.size == 0:
+        is_end, exit_cost = asked.is_end, asked.exit_cost
+        total, come = cost_to_come(sampler, w, arcs, tables, asked.start, is_end, exit_cost, gx, gy)
+        if np.isinf(total):
+            return Guide(
+                arcs, come, go, Heap(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), 0), np.inf
+            )
     heap = reached(w, arcs, tables, asked.start, come, asked.backward, go)
     least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, np.inf)
     if least < np.inf:  # sums in another order: states on the cheapest route may seem dearer than it

@@ -53,6 +53,7 @@ class RouteSearch:
             at.start_back,
         )
         self._guide: Guide | None = None
+        self._begun = (0.0, 0.0)
 
     def remember(self, cost: float, straightened: float) -> None:
         """Keep what the search knows for the next query: what its route costs, and what that costs straightened."""
@@ -64,7 +65,9 @@ class RouteSearch:
             and origin is not None
         ):
             beyond = float(guide.heap.f[0]) if guide.heap.n > 0 else np.inf
-            found = Found(origin, origin.version, guide.come, beyond, straightened / max(cost, 1e-9))
+            found = Found(
+                origin, origin.version, guide.come, self._begun, beyond, straightened / max(cost, 1e-9)
+            )
             self._at.table.searched = replace(known, found=found)
 
     def cheapest(self) -> Route | None:
@@ -92,12 +95,14 @@ class RouteSearch:
         on = table.sampler, weights_of(body), table.arcs, tables
         first = self._guide is None
         if self._guide is None:
-            self._guide = guide_to(*on, asked, *self._xy, go_on(table, tables, body, asked))
+            go, (come, self._begun) = go_on(table, tables, body, asked)
+            self._guide = guide_to(*on, asked, *self._xy, go, come)
         cost, route, self.expanded, turns, self._guide = search_pairs(
             *on, asked, self._guide, ALL if first else MOST
         )
         if np.isinf(cost) and not first:
-            self._guide = guide_to(*on, asked, *self._xy, go_on(table, tables, body, asked, keep=False))
+            go, _ = go_on(table, tables, body, asked, keep=False)
+            self._guide = guide_to(*on, asked, *self._xy, go, self._guide.come)
             cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL)
         table.keep(body, tables._replace(turns=turns))
         return cost, route

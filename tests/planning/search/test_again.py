@@ -13,7 +13,7 @@ from planning.errors import NoRoute
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.table import RiskTable
-from planning.search.again import go_on
+from planning.search.again import Known, go_on
 from planning.search.bounds import Asked, ToGo, cost_to_go, reached
 from planning.search.keep import nearest
 from planning.search.plan import DriveRules, Plan, PlanRequest, plan
@@ -113,10 +113,10 @@ def test_the_same_query_again_settles_little_also_where_the_guard_holds_turns(
     """It settles what leads out of the start, and one search backward serves all searches of the query."""
     searches = list[tuple[int, ToGo]]()
 
-    def noted(*args: object) -> ToGo:
-        go: ToGo = go_on(*args)  # type: ignore[arg-type]
+    def noted(*args: object) -> tuple[ToGo, Known]:
+        go, come = go_on(*args)  # type: ignore[arg-type]
         searches.append((int(go.settled.sum()), go))
-        return go
+        return go, come
 
     monkeypatch.setattr(sys.modules["planning.search.route_search"], "go_on", noted)
     graph, grid = among_posts(seed)
@@ -171,7 +171,7 @@ def settled(table: RiskTable, is_end: np.ndarray) -> tuple[ToGo, int]:
     """The search backward over everything, and how many states it had settled before it began."""
     w, arcs, tables, come = weights_of(BODY), table.arcs, table.tables(BODY), np.zeros(len(is_end))
     asked = Asked(0, is_end, np.zeros(len(is_end)), np.nan, np.nan, True, False, 1.3, 0.3, 0.0)
-    go = go_on(table, tables, BODY, asked)
+    go, _ = go_on(table, tables, BODY, asked)
     before = int(go.settled.sum())
     heap = reached(w, arcs, tables, 0, come, 1.3, go)
     cost_to_go(table.sampler, w, arcs, tables, asked, come, go, heap, 1e9)

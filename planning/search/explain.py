@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,11 +157,10 @@ def describe(
         route.turn_cost(0, count) if request.variant not in ("native", "edge-only") else np.zeros(len(length))
     )
     transitions = []
-    for t in range(len(length)):
-        sets = [k for k in range(3) if not np.isnan(route.moments[t, k, 0, 0])]
+    for t, moments in enumerate(route.moments.tolist()):
+        sets = [(SETS[k], each) for k, each in enumerate(moments) if not math.isnan(each[0][0])]
         mean, tail, peak = (
-            {SETS[k]: dict(zip(FEATURES, route.moments[t, k, m].tolist(), strict=True)) for k in sets}
-            for m in range(3)
+            {name: dict(zip(FEATURES, each[m], strict=True)) for name, each in sets} for m in range(3)
         )
         transitions.append(
             Transition(

@@ -155,6 +155,8 @@ def _within(nodes: np.ndarray, places: np.ndarray, reach: float) -> np.ndarray:
         for i in range(first, len(places)):
             if places[i, 0] > nodes[k, 0] + reach:
                 break
+            if abs(nodes[k, 1] - places[i, 1]) >= least[i]:
+                continue
             away = np.hypot(nodes[k, 0] - places[i, 0], nodes[k, 1] - places[i, 1])
             if away < least[i]:
                 out[i], least[i] = k, away

@@ -27,6 +27,7 @@ from planning.risk.table import RiskTable
 from planning.search.plan import PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot.config import load
+from rbtrg_robot.process.child import keep_what_is_loaded
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.planner import build
@@ -161,6 +162,7 @@ def stack_rows(report: Report, large: RiskTable) -> None:
         driven = ways.find(terrain, message, driven, 0).whole
 
     build(load(None, [])).warm_up()
+    keep_what_is_loaded()
     terrain.grid, terrain.graph, terrain.table = grid, graph, large
     report.add("large.stack_prepared_s", _timed(answer), "s", limit=0.5)
     terrain.table, driven, ways = None, None, _ways()

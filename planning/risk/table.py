@@ -115,7 +115,7 @@ class RiskTable:
         What it comes to know is for the next query as well, once `take_back` has it.
         """
         out = copy.copy(self)
-        out.graph, out._ids, out._arcs, out._tables = graph, graph.node_ids, None, {}
+        out.graph, out._ids, out._arcs, out._tables, out._same = graph, graph.node_ids, None, {}, None
         if self._arcs is None:
             out._ask(self._known)
             return out

@@ -102,6 +102,34 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
     assert kept > 0.5
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_plans_are_the_same_where_the_table_was_asked_for_its_edges_between_queries(seed: int) -> None:
+    """As the planner does that prepares for a map that has grown (`MapGraph.prepare`)."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
+    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
+    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
+    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    table, routes = RiskTable(graph, grid, BODY), 0
+    for k in range(8):
+        request = PlanRequest(tuple(rng.uniform(0.6, 3.0, 2).tolist()), (5.0, 5.1), 0.3, rules=RULES)
+        if k % 2:
+            grid, windows = updated(rng, grid)
+            graph.update(grid, windows, request.start)  # type: ignore[arg-type]
+            table = RiskTable(graph, grid, BODY, table)
+        table.evaluate_edges()
+        got, want = (
+            found(graph, grid, request, table),
+            found(graph, grid, request, RiskTable(graph, grid, BODY)),
+        )
+        assert (got is None) is (want is None)
+        if got is not None and want is not None:
+            routes += 1
+            assert (got.nodes, got.cost) == (want.nodes, want.cost)
+            np.testing.assert_array_equal(got.points, want.points)
+    assert routes >= 4
+
+
 HELD = PlanRequest((0.7, 0.7), (5.2, 5.2), 3.0, 0.5, rules=replace(RULES, guarded=True))
 """The guard holds turns of its cheapest route `among_posts`."""
 

@@ -124,12 +124,13 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
-def turn_edge(height, trusted, x0, y0, res, x, y):
+def turn_edge(height, trusted, x0, y0, res, x, y, least, climbed):
     """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope. Infinite where a
     part of the ground is steeper than `TURN_SLOPE`.
 
     Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
     nor part of a plate counts; what the map's noise makes of even ground is taken off.
+    What is higher than `climbed` [m] is a wall, and counts only where no other edge is higher than `least` [m]: in a narrow lane a wall is beside every kerb.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))
@@ -140,29 +141,34 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
     c_mid = math.floor((x - x0) / res + 0.5)
     side = 2 * n + 1
     mean = np.full((side, side), np.nan)
+    inner = (WHEEL_RING[0] / (stride * res)) ** 2
+    outer = (WHEEL_RING[1] / (stride * res)) ** 2
+    most = wall = 0.0
     for i in range(side):
         r = r_mid + (i - n) * stride
         for j in range(side):
             c = c_mid + (j - n) * stride
             total = 0.0
             count = 0
+            low = np.inf
+            high = -np.inf
             for a in range(max(0, r - half), min(rows, r + half + 1)):
                 for b in range(max(0, c - half), min(cols, c + half + 1)):
                     if trusted[a, b]:
                         total += height[a, b]
                         count += 1
-            if count > 0:
+                        low = min(low, height[a, b])
+                        high = max(high, height[a, b])
+            if high - low > climbed:  # the mean of a wall and its foot would look like a kerb
+                if inner <= (i - n) ** 2 + (j - n) ** 2 <= outer:
+                    wall = max(wall, high - low)
+            elif count > 0:
                 mean[i, j] = total / count
-    inner = (WHEEL_RING[0] / (stride * res)) ** 2
-    outer = (WHEEL_RING[1] / (stride * res)) ** 2
     rises = np.empty(side * side, np.float64)
-    most = 0.0
     for axis in range(2):
         di = base * (axis == 0)
         dj = base * (axis == 1)
         count = 0
-        low = np.inf
-        high = -np.inf
         for i in range(side - di):
             for j in range(side - dj):
                 d2 = (i + 0.5 * di - n) ** 2 + (j + 0.5 * dj - n) ** 2
@@ -170,15 +176,20 @@ def turn_edge(height, trusted, x0, y0, res, x, y):
                 if inner <= d2 <= outer and rise == rise:
                     rises[count] = rise
                     count += 1
-                    low = min(low, rise)
-                    high = max(high, rise)
         if count > 0:
             slope = select(rises, count, count // 2)
             for i in range(count):
                 rises[i] = abs(rises[i] - slope)
             noise = min(NOISE * select(rises, count, count // 2), MOST_NOISE)
-            most = max(most, max(high - slope, slope - low) - noise)
-    return np.inf if _steep(mean, base, n, inner, outer, base * stride * res) else most
+            for i in range(count):
+                edge = rises[i] - noise
+                if edge > climbed:
+                    wall = max(wall, edge)
+                else:
+                    most = max(most, edge)
+    if _steep(mean, base, n, inner, outer, base * stride * res):
+        return np.inf
+    return wall if most <= least and wall > 0.0 else most
 
 
 @njit(cache=True)
@@ -233,9 +244,9 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 @njit(cache=True)
 def describe_nodes(
     height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width,
-    frontier, headings, edge,
+    frontier, headings, edge, least, climbed,
 ):  # fmt: skip
-    """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `edge` of those that are in `near` as well."""
+    """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `edge` of those that are in `near` as well; least, climbed: as in `turn_edge`."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):
             if not todo[j, i]:
@@ -248,4 +259,4 @@ def describe_nodes(
                 if not near[j, i]:
                     continue
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
-                edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y)
+                edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y, least, climbed)

@@ -152,7 +152,7 @@ class Lattice:
         cells.node_revision[moved] = version
         describe_nodes(
             grid.height, grid.trusted, cells.flags, *cells.origin, cells.res, cells.chosen, cells.where, todo, near,
-            ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_edge,
+            ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_edge, p.max_turn_step, p.climbed,
         )  # fmt: skip
 
     @property

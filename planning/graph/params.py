@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
+from planning.graph.faces import FACE_NOISE
 
 Window = tuple[int, int, int, int]
 """row0, col0, row1, col1 of a part of the grid, ends exclusive."""
@@ -93,6 +94,11 @@ class GraphParams(GraphSettings):
         description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that depends "
         "on the map alone, not on how it came about",
     )
+
+    @property
+    def climbed(self) -> float:
+        """A face that the map has higher than this [m] is a wall."""
+        return self.max_step + FACE_NOISE
 
 
 def checked_start(grid: ElevationGrid, start_xy: tuple[float, float]) -> tuple[float, float]:

@@ -21,9 +21,11 @@ TURN_COST, STEEP_COST = 4.0, 8.0
 """[m/rad] over an edge, and on ground too steep for turns."""
 HIGH_EDGES = ((0.09, 13.0), (0.16, 50.0))
 """[m] above which an edge costs so much [m/rad] instead of TURN_COST."""
-FREE_TURN, FREE_HIGH = np.radians(30.0), np.radians(15.0)
-"""Turns over an edge, and over a high one, up to here [rad] are driven as a bend and cost nothing more: while the robot drove down a kerb of 19 cm
-1 of 40 fell in bends of 20 and 30 deg, 7 of 40 in those of 35 and 45 deg, none of 100 that drove straight."""
+LOW_BEND = HIGH_EDGES[0][1]
+FREE_TURN, BEND = np.radians(30.0), np.radians(15.0)
+"""[rad] Turns over an edge up to FREE_TURN are driven as a bend and cost nothing more. Over a high one every bend has its price, up to BEND the lower of HIGH_EDGES: while
+the robot drove down a kerb of 19 cm none of 100 fell that drove straight, 1 of 40 in bends of 20 and 30 deg, and 7 of 40 in those of 35 and 45 deg,
+and a bend of 50 deg is as well five of 10 deg, one after the other (lane 774 fell in one)."""
 FORWARD_ONLY = 10.0
 """What a metre driven backward costs more often over a face that is climbed forward only: 15 of 18 drives of the hybrid controller backward over bars of 15 and 20 cm were stuck."""
 _STEP = np.pi / HEADINGS
@@ -31,26 +33,23 @@ _STEP = np.pi / HEADINGS
 
 @njit(cache=True)
 def turn_cost(rate: float, turn: float, each: float) -> float:
-    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and the size of `rate` [m/rad] where it turns over an edge or on steep ground."""
-    return (each + (abs(rate) if abs(turn) > free_turn(rate) else 0.0)) * abs(turn)
-
-
-@njit(cache=True)
-def free_turn(rate: float) -> float:
-    """Up to which turn [rad] `rate` costs nothing."""
-    if rate == STEEP_COST or rate < 0.0:
-        return 0.0
-    return FREE_HIGH if rate > TURN_COST else FREE_TURN
+    """What a turn in place by `turn` [rad] costs more [m]: `each` [m/rad] anywhere, and what `rate` [m/rad] says where it turns over an edge or on steep ground."""
+    size, more = abs(turn), abs(rate)
+    if rate == TURN_COST and size <= FREE_TURN:
+        more = 0.0
+    elif rate > STEEP_COST and size <= BEND:
+        more = min(more, LOW_BEND)
+    return (each + more) * size
 
 
 def turn_rates(turn_edge: NDArray[np.floating] | float, params: GraphParams) -> NDArray[np.float64]:
     """`rate` [m/rad] at places with the highest edge `turn_edge` [m] under the wheels, in its shape. What is higher than the robot climbs stands beside it.
-    Negative, as the edge is, where the robot stands astride it: no angle is free there."""
+    Negative, as the edge is, where the robot stands astride it: the whole rate counts at any angle there."""
     edge, sign = np.abs(np.asarray(turn_edge, np.float64)), np.sign(turn_edge)
     rate = np.where(edge > params.max_turn_step, TURN_COST, 0.0)
     if params.max_turn_step < np.inf:
         for height, cost in HIGH_EDGES:
-            rate = np.where((edge > height) & (edge <= params.max_step + FACE_NOISE), cost, rate)
+            rate = np.where((edge > height) & (edge <= params.climbed), cost, rate)
         rate = np.where(np.isinf(edge), STEEP_COST, rate)
     return np.where(sign < 0.0, -rate, rate)
 
@@ -59,7 +58,7 @@ def forward_only(turn_edge: NDArray[np.floating] | float, params: GraphParams) -
     """Whether a face under the wheels, `turn_edge` [m], is too high to be climbed backward, in its shape. What is higher than the robot climbs stands beside it."""
     least = params.max_step if params.max_step_back is None else params.max_step_back
     edge = np.abs(np.asarray(turn_edge))
-    return np.asarray((edge > least + FACE_NOISE) & (edge <= params.max_step + FACE_NOISE))
+    return np.asarray((edge > least + FACE_NOISE) & (edge <= params.climbed))
 
 
 @njit(cache=True)

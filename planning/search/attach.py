@@ -75,7 +75,7 @@ def face_astride(graph: TraversalGraph, stand: tuple[float, float, float]) -> fl
     under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
     under &= cells.flags[rows, cols] & FIELD == 0
     height = 0.001 * np.abs(cells.faces[rows, cols][under]).max(axis=-1, initial=0)
-    return float(height[(height > HIGH_EDGES[0][0]) & (height <= p.max_step + FACE_NOISE)].max(initial=0.0))
+    return float(height[(height > HIGH_EDGES[0][0]) & (height <= p.climbed)].max(initial=0.0))
 
 
 def _around(
@@ -226,8 +226,9 @@ class Ground:
 
     def _turn_edges(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n,) `TraversalGraph.turn_edge` at places (n, 2) [m]; negative where the robot stands astride it."""
-        c, grid = self._cells, self._grid
-        out: NDArray[np.float64] = _turn_edges(grid.height, grid.trusted, *c.origin, c.res, xy)
+        c, grid, p = self._cells, self._grid, self.graph.params
+        ground = grid.height, grid.trusted, *c.origin, c.res
+        out: NDArray[np.float64] = _turn_edges(*ground, xy, p.max_turn_step, p.climbed)
         if self.astride > 0.0 and self._stand is not None:
             out[(xy == self._stand[:2]).all(axis=1)] = -self.astride
         return out
@@ -321,10 +322,10 @@ def _headings(flags, x0, y0, res, places, length, width):
 
 
 @njit(cache=True)
-def _turn_edges(height, trusted, x0, y0, res, places):
+def _turn_edges(height, trusted, x0, y0, res, places, least, climbed):
     out = np.empty(len(places))
     for k in range(len(places)):
-        out[k] = turn_edge(height, trusted, x0, y0, res, places[k, 0], places[k, 1])
+        out[k] = turn_edge(height, trusted, x0, y0, res, places[k, 0], places[k, 1], least, climbed)
     return out
 
 

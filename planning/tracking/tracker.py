@@ -276,7 +276,8 @@ class PathTracker:
             self._turn_began = now
         given_up = now - self._turn_began > _TURN_TIME * 1e9
         # A stop is carried through, and judged with hysteresis: at the edge of the tolerance it would start for ever.
-        if abs(turn) <= p.yaw_tolerance and (abs(predicted) <= 0.6 * p.yaw_tolerance or abs(wz) < 0.1):
+        near = abs(predicted) <= (p.yaw_tolerance if abs(wz) < 0.1 else 0.6 * p.yaw_tolerance)
+        if abs(turn) <= p.yaw_tolerance and near:
             self._stopping = True
         elif abs(turn) > 1.8 * p.yaw_tolerance:
             self._stopping = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
 from planning.risk.turns import (
-    FREE_HIGH,
+    BEND,
     FREE_TURN,
     HIGH_EDGES,
     STEEP_COST,
@@ -129,8 +129,30 @@ def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -
     for height, reach in ((crest, 0.2), (rough, 2.0)):
         noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
         for along in np.linspace(-reach, reach, 9):
-            edge = turn_edge(noisy, np.ones(x.shape, bool), 0.0, 0.0, 0.04, 2.5 + along, 1.5)
-            assert edge > GraphParams().max_turn_step
+            p = GraphParams()
+            ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, 0.04
+            assert turn_edge(*ground, 2.5 + along, 1.5, p.max_turn_step, p.climbed) > p.max_turn_step
+
+
+@pytest.mark.parametrize("res", [0.025, 0.04, 0.05])
+def test_a_wall_beside_a_kerb_does_not_hide_it_and_without_a_kerb_counts_itself(res: float) -> None:
+    p = GraphParams(max_step=0.2)
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[0 : round(3.0 / res), 0 : round(4.0 / res)] * res
+    for wall, kerb in product((0.0, 0.5), (0.0, 0.12, 0.19)):
+        for thick in (0.06, 1.0):
+            for at in np.arange(1.78, 1.99, 0.01):  # the wall's face anywhere between cells
+                height = np.where((y > at) & (y < at + thick), wall, kerb * (x > 2.0 + 0.4 * (y - 1.5)))
+                noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
+                ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, res
+                edge = turn_edge(*ground, 2.1, 1.5, p.max_turn_step, p.climbed)
+                if kerb > 0.0:
+                    assert edge == pytest.approx(kerb, abs=0.03), "0.5 while the highest edge counted"
+                elif wall > 0.0:
+                    assert edge < 0.02 or p.climbed < edge < 0.55, "the wheels reach it or they do not"
+                    assert edge > p.climbed or at > 1.8
+                else:
+                    assert edge < 0.02
 
 
 @pytest.mark.parametrize("towards", [(1.0, 0.0), (0.7, -0.7)])
@@ -265,18 +287,19 @@ def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:
     assert not may_turn_to(room, deg(90), deg(-33))
 
 
-def test_bends_are_free_over_edges_and_neither_on_steep_ground_nor_astride_an_edge() -> None:
-    high = HIGH_EDGES[-1][1]
-    for rate, free in (
-        (0.0, 4.0),
-        (TURN_COST, FREE_TURN),
-        (high, FREE_HIGH),
-        (STEEP_COST, 0.0),
-        (-high, 0.0),
+def test_bends_are_free_over_low_edges_alone() -> None:
+    (_, low), (_, high) = HIGH_EDGES
+    for rate, bend, most in (
+        (0.0, 0.0, 4.0),
+        (TURN_COST, 0.0, FREE_TURN),
+        (low, low, BEND),
+        (high, low, BEND),
+        (STEEP_COST, STEEP_COST, BEND),
+        (-high, high, BEND),
     ):
         for turn in (0.1, 0.2, -0.4, -0.5, 0.6, -3.0):
-            wanted = 0.3 * abs(turn) + (abs(rate * turn) if abs(turn) > free else 0.0)
-            assert turn_cost(rate, turn, 0.3) == pytest.approx(wanted)
+            more = bend if abs(turn) <= most else abs(rate)
+            assert turn_cost(rate, turn, 0.3) == pytest.approx((0.3 + more) * abs(turn))
 
 
 def test_a_turn_costs_more_the_higher_the_edge_under_the_wheels() -> None:
@@ -302,7 +325,7 @@ def test_a_robot_askew_before_a_kerb_that_goes_down_turns_away_from_it(seed: int
     heading = course + np.pi * np.array([t.backward for t in found.transitions])
     turn = np.abs(wrap(np.diff(np.append(yaw, heading))))
     beside = np.abs(found.points[:-1, 0] - 2.5) < 0.3
-    assert turn[beside].max() <= FREE_HIGH, "26 and 28 deg while such a turn cost as much as one on a bar"
+    assert turn[beside].max() <= BEND, "26 and 28 deg while such a turn cost as much as one on a bar"
     assert turn[~beside].sum() > np.radians(60)
 
 

@@ -19,6 +19,8 @@ CERTAIN, REFINED = 5.0, 3.0
 """Standard deviations beyond which a difference is believed: it is looked at after every scan. Fewer where a clock is corrected already."""
 WORTH, SMALL = 0.005, 0.001
 """Offset [s] from which a clock is corrected, `CERTAIN` times `CLOCK`, and what a correction may leave."""
+DOUBTFUL = 2.0
+"""Standard deviations beyond which a clock seems wrong: it is not corrected yet."""
 YOUNG = 5
 """Scans in the local map below which nothing is compared with it."""
 KNOWN = 0.001
@@ -136,6 +138,17 @@ class Calibration:
         """Whether the shift is all that the stamps are off: with the largest one the sweeps stay bent."""
         return abs(self.shift[name]) < round(self._max * NS)
 
+    def joins(self, name: LidarName) -> bool:
+        """Whether what this LiDAR sees is registered with the main one's sweep: nothing speaks against clocks and mounts. One whose clock was corrected is compared with
+        the map that the main one makes, and so must not lead to the place from which it is compared."""
+        return (
+            self.shift[name] == 0 and not self._mount_faults() and all(map(self._seems_right, ("main", name)))
+        )
+
+    def _seems_right(self, name: LidarName) -> bool:
+        x, sigma = self._known[name]
+        return abs(float(x[0]) - self.shift[name] / NS) < max(WORTH, DOUBTFUL * float(sigma[0]))
+
     def fits(self) -> tuple[LidarFit, ...]:
         """What is known, the main LiDAR first."""
         return tuple(
@@ -180,7 +193,10 @@ class Calibration:
 
     def fault(self) -> str:
         """What the operator must mend of clocks and mounts, in plain words; empty when all is well."""
-        words = [self.clock_fault()]
+        return "; ".join(filter(None, [self.clock_fault(), *self._mount_faults()]))
+
+    def _mount_faults(self) -> list[str]:
+        words = []
         for name, (x, sigma) in self._known.items():
             off = self._ground_fault(name)
             if name == "main":
@@ -191,7 +207,7 @@ class Calibration:
                 )
             if off:
                 words.append(f"the mount of the {name} LiDAR is off: {told(off)}")
-        return "; ".join(filter(None, words))
+        return words
 
     def _ground_fault(self, name: LidarName) -> dict[str, float]:
         """Roll, pitch [rad] and height [m] of the mount by the ground. What another LiDAR sees in the same way is the ground's."""

@@ -154,7 +154,9 @@ class LidarInertialOdometry:
         scans = self._engine.scans
         self._witness.moved(before, predicted)
         searching = self._monitor.doubts(sweep.end)
-        match = self._register(cloud, predicted, searching)
+        beside = [seen for name, seen in others.items() if self.calibration.joins(name)]
+        self._engine.take(cloud, beside)
+        match = self._register(predicted, searching)
         verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
@@ -183,9 +185,8 @@ class LidarInertialOdometry:
         clouds = {sweep.name: cloud, **others} if verdict.insert else {}
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
 
-    def _register(self, cloud: NDArray[np.float32], predicted: Array, searching: bool) -> Match:
-        """Where the cloud fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
-        self._engine.take(cloud)
+    def _register(self, predicted: Array, searching: bool) -> Match:
+        """Where the scan fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
         match = self._engine.align(predicted)
         young = self._engine.scans < self.params.health.young
         if self._monitor.fits_again(match, young) or not (searching or self._monitor.dropped(match)):

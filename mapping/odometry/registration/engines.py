@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from hal.rotation import rotation, turn
 from hal.types import Array
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
+
+if TYPE_CHECKING:
+    import small_gicp
 
 EngineName = Literal["kiss_icp", "small_gicp"]
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)
@@ -63,8 +67,9 @@ class Engine(Protocol):
     planes: VoxelPlanes
     """Of the local map."""
 
-    def take(self, cloud: NDArray[np.float32]) -> None:
-        """The deskewed cloud (n, 3) in base_link to register next."""
+    def take(self, cloud: NDArray[np.float32], beside: Sequence[NDArray[np.float32]] = ()) -> None:
+        """The deskewed cloud (n, 3) in base_link to register next, together with what other LiDARs saw at the same time, each (m, 3). Only `cloud` enters
+        the local map."""
 
     def align(self, guess: Array) -> Match:
         """Register the cloud near `guess` (4, 4)."""
@@ -121,14 +126,16 @@ class PlaneEngine:
         self.frame = self._source = np.empty((0, 3))
         self.scans = 0
 
-    def take(self, cloud: NDArray[np.float32]) -> None:
+    def take(self, cloud: NDArray[np.float32], beside: Sequence[NDArray[np.float32]] = ()) -> None:
         """See Engine."""
-        self.frame = voxel_down_sample(cloud, self._params.map_voxel)
+        finest = self._params.map_voxel
+        self.frame = voxel_down_sample(cloud, finest)
+        seen = np.concatenate([self.frame, *(voxel_down_sample(other, finest) for other in beside)])
         size = self._params.source_voxel
-        self._source = voxel_down_sample(self.frame, size)
-        while len(self._source) < self._params.min_source and size > self._params.map_voxel:
+        self._source = voxel_down_sample(seen, size)
+        while len(self._source) < self._params.min_source and size > finest:
             size *= 0.5  # open terrain: few returns, all of them needed
-            self._source = voxel_down_sample(self.frame, size)
+            self._source = voxel_down_sample(seen, size)
 
     def align(self, guess: Array) -> Match:
         """See Engine."""
@@ -155,18 +162,24 @@ class GicpEngine:
         self.planes = VoxelPlanes(0.4, max_range)
         self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
         self._map.set_lru(horizon=params.horizon, clear_cycle=10)
-        self.frame = np.empty((0, 3))
+        self.frame = self._points = np.empty((0, 3))
         self.scans = 0
 
-    def take(self, cloud: NDArray[np.float32]) -> None:
+    def take(self, cloud: NDArray[np.float32], beside: Sequence[NDArray[np.float32]] = ()) -> None:
         """See Engine."""
+        self._cloud = self._source = self._thinned(cloud)
+        self.frame = self._points = np.ascontiguousarray(self._cloud.points()[:, :3])
+        if len(beside):
+            self._source = self._thinned(np.concatenate([cloud, *beside]))
+            self._points = np.ascontiguousarray(self._source.points()[:, :3])
+
+    def _thinned(self, cloud: NDArray[np.float32]) -> small_gicp.PointCloud:
         import small_gicp
 
         p = self._params
-        self._cloud, _ = small_gicp.preprocess_points(
+        return small_gicp.preprocess_points(
             cloud.astype(np.float64), p.source_voxel, num_neighbors=p.neighbours, num_threads=1
-        )
-        self.frame = np.ascontiguousarray(self._cloud.points()[:, :3])
+        )[0]
 
     def align(self, guess: Array) -> Match:
         """See Engine."""
@@ -176,14 +189,14 @@ class GicpEngine:
         if self.scans:
             result = small_gicp.align(
                 self._map,
-                self._cloud,
+                self._source,
                 guess,
                 max_correspondence_distance=WIDE,
                 num_threads=1,
                 max_iterations=self._params.max_iterations,
             )
             pose = np.ascontiguousarray(result.T_target_source)
-        return _quality(self.planes, self.frame, pose)
+        return _quality(self.planes, self._points, pose)
 
     def insert(self, pose: Array) -> None:
         """See Engine."""

@@ -72,6 +72,38 @@ def test_offsets_are_found_and_corrected(samples: list[Sample], main: float, hea
     assert min(stamp, NS // 10 - stamp) < 2_000_000, "the pose has the stamp of the true end of the sweep"
 
 
+def test_a_lidar_joins_the_main_one_while_nothing_speaks_against_clock_and_mount(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calibration = Calibration({"main": XT16_MOUNT, "head": L1_MOUNT}, 0.05)
+    assert calibration.joins("head"), "nothing is known yet"
+
+    def found(name: LidarName, offset: float, sigma: float) -> None:
+        x, s = (v.copy() for v in calibration._known[name])
+        x[0], s[0] = offset, sigma
+        calibration._known[name] = x, s
+
+    for name in ("main", "head"):
+        for offset, sigma, joins in (
+            (0.004, 0.0005, True),
+            (0.02, 0.02, True),
+            (-0.02, 0.005, False),
+            (0.0, 0.001, True),
+        ):
+            found(name, offset, sigma)
+            assert calibration.joins("head") is joins
+    calibration.shift["main"] = 20_000_000
+    found("main", 0.02, 0.001)
+    assert calibration.joins("head"), "the main one's clock is corrected"
+    calibration.shift["head"] = 20_000_000
+    found("head", 0.02, 0.001)
+    assert not calibration.joins("head"), "its own was"
+    calibration.shift["head"] = 0
+    found("head", 0.0, 0.001)
+    monkeypatch.setattr(calibration, "_ground_fault", lambda name: {"z": 0.02} if name == "head" else {})
+    assert not calibration.joins("head")
+
+
 def test_an_offset_beyond_the_bound_is_a_fault_and_never_good_while_the_robot_turns(
     samples: list[Sample],
 ) -> None:

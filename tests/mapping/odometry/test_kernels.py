@@ -180,6 +180,23 @@ def test_leg_velocity_inverts_the_rolling_constraint() -> None:
         assert height == pytest.approx(stand_height(STAND))
 
 
+def test_wheels_that_disagree_count_less_and_in_height_a_hundred_times_so() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(10):
+        each = rng.normal(size=(4, 3))
+        dq = np.zeros(16)
+        for leg in range(4):
+            mine = [3 * leg, 3 * leg + 1, 3 * leg + 2, 12 + leg]
+            dq[mine] = joints_of(each[leg], np.zeros(3), STAND)[mine]
+        out, sigma, contact = np.empty(3), np.empty(3), np.empty(4, bool)
+        leg_velocity(STAND, dq, np.zeros(16), np.zeros(3), np.full(3, 0.05), out, sigma, contact)
+        np.testing.assert_allclose(out, each.mean(axis=0), atol=1e-5)
+        spread = ((each - each.mean(axis=0)) ** 2).sum(axis=0)
+        np.testing.assert_allclose(
+            sigma, np.sqrt(0.05**2 + np.array([0.25, 0.25, 100.0]) * spread / 4), rtol=1e-4
+        )
+
+
 def test_contact_follows_the_ground_force_seen_by_the_joints() -> None:
     from hal.go2w import wheel_jacobians
 

@@ -13,11 +13,13 @@ import pytest
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig, only
 from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene
-from hal.types import LidarScan, Sample
+from hal.types import NS, LidarScan, Sample
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
+from rbtrg_robot.wire.messages import stamp_of
+from tests.rbtrg_robot.hosts.test_guard import by_hand
 
 RESOLUTION = 0.02
 WIDTH = 1.12
@@ -31,6 +33,11 @@ def ramps(x: np.ndarray) -> np.ndarray:
 def pit(x: np.ndarray) -> np.ndarray:
     """Its near edge is nearer than the 1.9 m from which on the main LiDAR sees level ground."""
     return -0.6 * ((x >= 0.95) & (x < 1.5))
+
+
+def plate(x: np.ndarray) -> np.ndarray:
+    """Two kerbs of 0.2 m, one up and one down."""
+    return 0.2 * ((x >= 1.0) & (x < 2.2))
 
 
 def lane(ground: Callable[[np.ndarray], np.ndarray] = ramps, first: float = -1.5) -> Scene:
@@ -191,3 +198,20 @@ def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> N
         held = made.newest[t.ODOM].pose.pose.position
         assert abs(held.x - moved(made)) < 0.15
         assert made.newest[t.ROBOT_STATE].hold == ""
+
+
+def test_over_kerbs_in_a_narrow_lane_odometry_keeps_its_height(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The main LiDAR sees little ground there, and a wheel that climbs a face tells a velocity that it does not have."""
+    scene = lane(plate)
+    monkeypatch.setattr(StackConfig, "load_scene", lambda self: scene)
+    with stack(DEFAULT_LIDARS) as robot:
+        robot.wait_ready()
+        true, told = [], []
+        while robot.newest[t.TRUTH].pose.pose.position.x < 3.0:
+            assert robot.seconds < 16.0
+            by_hand(robot, 0.04, 0.45)
+            for rows, topic in ((true, t.TRUTH), (told, t.ODOM)):
+                rows.append((stamp_of(robot.newest[topic]) / NS, robot.newest[topic].pose.pose.position.z))
+    stamps, high = np.array(told).T
+    assert high.max() > 0.5, "it was up there"
+    assert np.abs(high - np.interp(stamps, *np.array(true).T)).max() < 0.03, "0.114 before"

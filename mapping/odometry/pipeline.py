@@ -4,7 +4,7 @@
                  (filter)     (to scan end)  (engine)   (health)   (filter)
                                   └──> search, second opinion (KISS-ICP) ──^
 
-Of several LiDARs the main one is registered; the sweeps of the others come deskewed to the same stamp, for the map. While the main
+The sweeps of several LiDARs come deskewed to the same stamp and are registered together; the main one makes the local map. While the main
 one is silent the other takes its place, and the health is `degraded`.
 
 Results are a function of the samples, not of the order in which topics arrive: a scan waits until IMU and joints have

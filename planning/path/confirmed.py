@@ -33,6 +33,8 @@ CREEP = 0.35
 """[m] that a robot creeps until it asks again, half of its length."""
 TURN_SPACING, WHEEL = 0.05, (-TREAD_WIDTH / 2, 0.0, TREAD_WIDTH / 2)
 """[rad] and [m] across a wheel between places that are looked at."""
+DRIFT = 0.07
+"""[m] ahead and aside by which a wheel may come farther out while the robot turns on the spot: it drifted by 0.08 m beside a pit that nobody saw, and fell."""
 BENDS = 0.3
 """[rad] A robot whose heading is off by less begins with a bend: the tracker turns from 0.35 on."""
 STAND = (0.25, 0.05)
@@ -161,12 +163,13 @@ def creeping(path: Path, graph: TraversalGraph, width: float, creep: float) -> P
 
 
 def _turns_onto_hidden(path: Path, graph: TraversalGraph, width: float) -> bool:
-    """Whether the turn on the spot before a path leads a wheel onto virtual ground."""
+    """Whether the turn on the spot before a path may lead a wheel onto virtual ground."""
     turn = path.initial_turn or 0.0
     if graph.cells is None or abs(turn) < BENDS:
         return False
     angles = path.yaw[0] - np.linspace(turn, 0.0, math.ceil(abs(turn) / TURN_SPACING) + 1)[:, None]
-    u, v = (a.ravel() for a in np.meshgrid((-AXLE, AXLE), np.add.outer((-TREAD, TREAD), WHEEL).ravel()))
+    axle, tread = AXLE + DRIFT, TREAD + DRIFT
+    u, v = (a.ravel() for a in np.meshgrid((-axle, axle), np.add.outer((-tread, tread), WHEEL).ravel()))
     x = path.points[0, 0] + u * np.cos(angles) - v * np.sin(angles)
     y = path.points[0, 1] + u * np.sin(angles) + v * np.cos(angles)
     return bool(_hidden(path, float(path.yaw[0]) - turn, x, y, graph, width).any())

@@ -129,9 +129,9 @@ def test_it_creeps_neither_backward_nor_over_what_needs_more_speed() -> None:
     assert creeping(replace(path, yaw=path.yaw + np.pi), graph, BODY.width, 0.1) is None
 
 
-@pytest.mark.parametrize(("low", "turns"), [(1.15, False), (1.9, True)])
+@pytest.mark.parametrize(("low", "turns"), [(1.15, False), (1.85, False), (2.0, True)])
 def test_it_turns_no_wheel_onto_ground_that_nobody_saw(low: float, turns: bool) -> None:
-    """It stands across the way. What lies 0.35 m beside it, where it turns its wheels to, was seen or not."""
+    """It stands across the way. What lies 0.35 m beside it, where it turns its wheels to or may drift to, was seen or not."""
     level = flat(5.0, 3.0, 0.04)
     _, path, _ = onto_unseen(np.pi / 2, 0.0)
     assert abs(path.initial_turn or 0.0) == pytest.approx(np.pi / 2, abs=0.1)

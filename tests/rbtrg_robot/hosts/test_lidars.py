@@ -154,9 +154,9 @@ def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_
         end = made.seconds + (20.0 if creep == 0.0 else 80.0)
         while made.seconds < end and not GoalState(made.statuses[-1].state).terminal:
             run(made, 0.1)
-            assert moved(made) > (
-                -0.74 if creep == 0.0 else -0.82
-            )  # its wheels stand before the pit, or feel its edge
+            assert (
+                moved(made) > (-0.74 if creep == 0.0 else -0.84)
+            )  # its wheels stand before the pit, or feel its edge; one that turned beside it fell from -0.86 on
         assert (made.statuses[-1].state, made.statuses[-1].reason) == ("aborted", "no_route")
         reason = "drive it by hand, slowly" if creep == 0.0 else "the wheels felt an edge that goes down"
         assert reason in made.statuses[-1].detail

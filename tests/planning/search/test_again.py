@@ -44,13 +44,20 @@ def updated(
     return ElevationGrid(height, trusted, grid.origin, grid.resolution), windows
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_plans_are_those_of_a_new_search(seed: int) -> None:
+def rolling(seed: int, noise: float = 0.0) -> tuple[np.random.Generator, ElevationGrid, TraversalGraph]:
+    """Rolling ground with noise [m], and its graph."""
     rng = np.random.default_rng(seed)
     y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
-    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y) + rng.normal(0.0, 0.004, x.shape)
+    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
+    if noise > 0.0:
+        height += rng.normal(0.0, noise, x.shape)
     grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
-    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    return rng, grid, TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_plans_are_those_of_a_new_search(seed: int) -> None:
+    rng, grid, graph = rolling(seed, noise=0.004)
     table: RiskTable | None = None
     routes = 0
     goals = rng.uniform(4.0, 5.5, (2, 2))
@@ -77,11 +84,7 @@ def test_plans_are_those_of_a_new_search(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int) -> None:
     """All states settled, without a bound that depends on the start."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
-    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
-    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
-    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    rng, grid, graph = rolling(seed)
     goal_id = int(graph.node_ids[-1])
     kept = 0.0
     table = RiskTable(graph, grid, BODY)
@@ -105,11 +108,7 @@ def test_costs_to_the_goal_are_those_of_a_new_search_and_most_are_kept(seed: int
 @pytest.mark.parametrize("seed", range(3))
 def test_plans_are_the_same_where_the_table_was_asked_for_its_edges_between_queries(seed: int) -> None:
     """As the planner does that prepares for a map that has grown (`MapGraph.prepare`)."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[0:CELLS, 0:CELLS] * RESOLUTION
-    height = 0.08 * np.sin(1.7 * x + seed) * np.cos(1.3 * y)
-    grid = ElevationGrid(height.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), RESOLUTION)
-    graph = TraversalGraph.build(grid, (1.0, 1.0), GraphParams(), seed)
+    rng, grid, graph = rolling(seed)
     table, routes = RiskTable(graph, grid, BODY), 0
     for k in range(8):
         request = PlanRequest(tuple(rng.uniform(0.6, 3.0, 2).tolist()), (5.0, 5.1), 0.3, rules=RULES)

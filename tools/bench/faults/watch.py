@@ -17,6 +17,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import BASE
 from rbtrg_robot.wire.messages import decode, header, stamp_of
 from tools.bench.faults.fault import Outcome
+from tools.bench.raised import Raised
 
 REST_SPEED = 0.05
 """[m/s] slower is at rest; yaw rates double, in rad/s."""
@@ -56,11 +57,8 @@ class Watch:
         self._moving_at: int | None = None
         self._fell = False
         self._error = 0.0
-        self._words: dict[str, None] = {}
-        stack.host.listen(
-            self._hear,
-            {t.TRUTH, t.ODOM, t.ODOM_HEALTH, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.TRACKER_STATE},
-        )
+        self._raised = Raised(stack)
+        stack.host.listen(self._hear, {t.TRUTH, t.ODOM, t.ODOM_HEALTH})
         self._good = stack.newest[t.ODOM_HEALTH].health == "good"
         self._offset = self._apart(stack.newest[t.ODOM])
 
@@ -77,18 +75,8 @@ class Watch:
             self._follow(message, now)
         elif topic is t.ODOM_HEALTH:
             self._good = message.health == "good"
-            self._say(message.reason, message.calibration)
-        elif topic is t.ODOM:
-            if self._good:
-                self._error = max(self._error, float(np.linalg.norm(self._apart(message) - self._offset)))
-        elif topic is t.ROBOT_STATE:
-            self._say(message.cause, message.estop_cause, message.hold)
-        elif topic is t.MAP_STATUS:
-            self._say(message.warning, message.detail)
-        elif topic is t.TRACKER_STATE:
-            self._say(message.hold)
-        else:
-            self._say(message.reason, message.detail)
+        elif self._good:
+            self._error = max(self._error, float(np.linalg.norm(self._apart(message) - self._offset)))
 
     def _follow(self, truth: Any, now: int) -> None:
         self._truth = truth
@@ -100,13 +88,10 @@ class Watch:
             self._moving_at = now
         self._fell |= 1.0 - 2.0 * (q.x * q.x + q.y * q.y) < FALLEN
 
-    def _say(self, *words: str) -> None:
-        self._words |= dict.fromkeys(filter(None, words))
-
     @property
     def words(self) -> str:
         """All that the operator could read since the fault, each once."""
-        return "\n".join(self._words)
+        return self._raised.words
 
     def outcome(self) -> Outcome:
         """What came of the fault until now. A robot that moved within the last half second does not rest."""

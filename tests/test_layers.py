@@ -25,7 +25,7 @@ ROOMS: dict[str, str] = {
     "hal.mujoco.postures": "hal",
     "hal.mujoco": "hal hal.lidar hal.locomotion hal.scenes hal.mujoco.postures",
     "hal.mujoco.view": "hal hal.scenes hal.mujoco",
-    "hal.unitree": "hal hal.lidar",
+    "hal.unitree": "hal hal.lidar hal.safety.monitors",
     "mapping": "hal",  # which says where numba keeps kernels
     "mapping.odometry.registration": "hal",
     "mapping.odometry": "hal mapping.odometry.registration",

@@ -135,6 +135,44 @@ def taken_out(*names: str) -> Iterator[None]:
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
+CLOCK_DRIFT = Monitor(
+    "clock drift",
+    "LowState, clouds, IMU of the L1",
+    Check.CLOCK,
+    Consequence.HOLD,
+    "robot",
+    "telemetry of the robot arrives {late:.1f} s late",
+    "look at the network and at the load of this computer; it goes on when messages are on time again. If none was slow, the clock of the "
+    "robot was set: restart the stack",
+    high=100.0,  # two crystals of 50 ppm each; temperature is in that figure
+    unit="ppm that an offset grows",
+    against="the receive times",
+    test="hal/unitree/test_clock.py",
+)
+CLOCK_STEP = Monitor(
+    "clock step",
+    "LowState, clouds, IMU of the L1",
+    Check.CLOCK,
+    Consequence.TELL,
+    "robot",
+    "the clock of {source} stepped by {step:+.2f} s",
+    "nothing, it is followed; if it repeats, find out what sets that clock (`trust_stamps: false` drives without a LiDAR's)",
+    against="the receive times, the round trip of a request",
+    test="hal/unitree/test_clock.py",
+)
+SWEEP_LATE = Monitor(
+    "late sweeps",
+    "clouds",
+    Check.AGE,
+    Consequence.TELL,
+    "robot",
+    "sweeps of the {name} LiDAR arrive {late:.1f} s late",
+    "look at its network and driver. If its clock was set while it was silent: restart the stack, or `trust_stamps: false`",
+    high=0.3,  # the guard's reaction, for which speeds are chosen
+    unit="s later than the shortest way",
+    against="the receive times",
+    test="hal/unitree/test_lidars.py",
+)
 
 # -- localisation -------------------------------------------------------------------------------------------------------
 

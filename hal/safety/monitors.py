@@ -173,6 +173,19 @@ SWEEP_LATE = Monitor(
     against="the receive times",
     test="hal/unitree/test_lidars.py",
 )
+POINT_TIMES = Monitor(
+    "point times",
+    "clouds",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "point field {field!r} holds {held}: not the times of a sweep",
+    "set the driver to a time per point, in seconds, milli-, micro- or nanoseconds, relative to the header or absolute",
+    low=0.01,  # 50 Hz, half of the turn empty
+    high=0.6,  # 2 Hz
+    unit="s from the first point to the last",
+    test="hal/test_sweep_times.py",
+)
 
 # -- localisation -------------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from hal.lidar.config import LidarConfig
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import CLOCK_STEP, SWEEP_LATE
 from hal.types import NS, POINT_DTYPE, LidarScan, MountedLidar
+from hal.unitree.api import WireError
 from hal.unitree.clock import RemoteClock
 from hal.unitree.cloud import Mount, RawCloud, decode_cloud, sweep
 from hal.unitree.link import CUSTOM, Link
@@ -17,6 +18,8 @@ from hal.unitree.livox import decode_livox
 
 SILENT = 2 * NS
 """Without a cloud for this long [ns] a LiDAR counts as silent."""
+UNREAD = NS // 2
+"""[ns] without a usable cloud, after which the reason is told."""
 STEP_TOLD = 10 * NS
 """[ns] for which a step of a LiDAR's clock is told."""
 CLOUD = "cloud"
@@ -51,6 +54,10 @@ class LidarInput:
         """Clouds without a time per point: they cannot be deskewed."""
         self.refused = 0
         """Clouds whose stamps no delay explains."""
+        self._unread = ""
+        """Why the newest cloud could not be used; empty when it was."""
+        self._unit: float | None = None
+        """[s] of the times of its points, once it is known."""
         self._start: int | None = None
         self._offset = round(lidar.time_offset * NS)
         self._trusted = lidar.trust_stamps
@@ -62,7 +69,11 @@ class LidarInput:
 
     def take(self, topic: str, data: bytes, now: int) -> list[LidarScan]:
         """The scan in a message of one of `inputs`, received by `now` [ns]; none without points. Raises WireError."""
-        start, points = sweep(self.inputs[topic](data), self.mount)
+        try:
+            start, points, self._unit = sweep(self.inputs[topic](data), self.mount, self._unit)
+        except WireError as error:
+            self._unread = str(error)
+            raise
         if not len(points):
             self.empty += 1
             return []
@@ -70,14 +81,14 @@ class LidarInput:
             self.frozen += 1
             return []
         # The end of the sweep is what was just received; its start lies a sweep earlier.
-        duration = round(float(points["time"].max(initial=0.0, where=np.isfinite(points["time"]))) * NS)
+        duration = round(float(points["time"].max()) * NS)
         self.untimed += duration == 0
         if not self._trusted:
             start = now - duration
         elif not self.clock.hear(start + duration, now, CLOUD, max(duration // 2, 1)):
             self.refused += 1
             return []
-        self.heard_at = now
+        self.heard_at, self._unread = now, ""
         self._count_missed(start, duration)
         end = min((self.clock.date(start + duration, now) if self._trusted else now) + self._offset, now)
         stamp = end - duration
@@ -88,6 +99,8 @@ class LidarInput:
 
     def note(self, now: int) -> str:
         """What is wrong with its stamps, in words; empty when they are right. `now` [ns, host clock]."""
+        if self._unread and now - (self.heard_at or 0) > UNREAD:
+            return f"the {self.name} LiDAR: {self._unread}"
         late, since = self.clock.late(CLOUD), self.clock.stepped_at
         if SWEEP_LATE.outside(late):
             return SWEEP_LATE.tell(name=self.name, late=late)

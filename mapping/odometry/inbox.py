@@ -95,7 +95,7 @@ class Inbox:
             return
         p = self._params
         near = p.min_range if scan.name == "main" else NEAR
-        sweep = clean_scan(scan, near, p.max_range, p.max_points, 0.5, self._counters)
+        sweep = clean_scan(scan, near, p.max_range, p.max_points, self._counters)
         if sweep is not None:
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)

@@ -9,8 +9,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import POINT_TIMES
+from hal.sweep_times import TimesError, sweep_times
 from hal.types import NS, Array, LidarName, LidarScan
 
+HIT = 0.01
+"""A point nearer than this [m] is none: drivers write misses as 0, 0, 0."""
 JUMP_BACK = NS
 JUMP_AHEAD = 10 * NS
 """A step of a topic's stamps beyond these [ns] is a wrong stamp, or, when the following samples confirm it, a new clock."""
@@ -127,12 +131,7 @@ class Sweep:
 
 
 def clean_scan(
-    scan: LidarScan,
-    min_range: float,
-    max_range: float,
-    max_points: int,
-    max_duration: float,
-    counters: Counter[str],
+    scan: LidarScan, min_range: float, max_range: float, max_points: int, counters: Counter[str]
 ) -> Sweep | None:
     """A scan reduced to usable points; None when its layout cannot be read."""
     points = scan.points
@@ -147,41 +146,46 @@ def clean_scan(
     if len(points) > max_points:
         counters["scan_too_many_points"] += 1
         points = points[:: -(-len(points) // max_points)]
+    problem = ""
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = (np.ascontiguousarray(points[axis], np.float32) for axis in "xyz")
-        time = np.ascontiguousarray(points["time"], np.float64)
-    xyz, times = np.empty((len(points), 3), np.float32), np.empty(len(points))
+        square = x * x + y * y + z * z
+        hit = (square >= HIT**2) & (square < np.inf)
+        try:
+            times = sweep_times(points["time"], hit)
+            before = min(times.first, 0)  # where the stamp is that of the end
+            start, time = start + before, times.seconds(since_first=before < 0)
+        except TimesError as error:
+            counters["scan_times"] += 1
+            problem = POINT_TIMES.tell(field="time", held=error)
+            time = np.full(len(points), np.nan)
+    xyz, kept_times = np.empty((len(points), 3), np.float32), np.empty(len(points))
     limits = np.array([min_range**2, max_range**2], np.float32)
-    kept, strange, late, longest = _usable(x, y, z, time, limits, max_duration, xyz, times)
-    if strange:
+    kept, longest = _usable(x, y, z, time, limits, xyz, kept_times)
+    if strange := len(points) - int(np.count_nonzero(hit & np.isfinite(points["time"]))):
         counters["scan_points_not_finite"] += strange
-    if late:
+    if late := int(np.count_nonzero(hit & np.isfinite(points["time"]) & ~np.isfinite(time))):
         counters["scan_points_out_of_time"] += late
     end = start + round(longest * NS)
-    problem = ""
     if not len(points):
         counters["scan_empty"] += 1
         problem = "scan is empty"
-    elif not kept:
+    elif not kept and not problem:
         counters["scan_no_usable_points"] += 1
         problem = "scan has no usable points"
-    return Sweep(start, end, xyz[:kept], times[:kept], problem, scan.name)
+    return Sweep(start, end, xyz[:kept], kept_times[:kept], problem, scan.name)
 
 
 @njit(cache=True)
-def _usable(x, y, z, time, limits, max_duration, xyz, times):  # pragma: no cover - compiled
-    """Copy the points of squared ranges within `limits` and times from 0 to `max_duration` to the front of `xyz`, `times`.
+def _usable(x, y, z, time, limits, xyz, times):  # pragma: no cover - compiled
+    """Copy the points of squared ranges within `limits` that have a time to the front of `xyz`, `times`.
 
-    Returns their number, how many points are not finite, how many finite ones are out of time, and the latest time of the others [s].
+    Returns their number and the latest time of all that are finite [s].
     """
-    kept = strange = late = 0
+    kept = 0
     longest = 0.0
     for i in range(len(x)):
         if not (np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i]) and np.isfinite(time[i])):
-            strange += 1
-            continue
-        if not 0.0 <= time[i] <= max_duration:
-            late += 1
             continue
         longest = max(longest, time[i])
         square = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
@@ -189,4 +193,4 @@ def _usable(x, y, z, time, limits, max_duration, xyz, times):  # pragma: no cove
             xyz[kept, 0], xyz[kept, 1], xyz[kept, 2] = x[i], y[i], z[i]
             times[kept] = time[i]
             kept += 1
-    return kept, strange, late, longest
+    return kept, longest

@@ -160,3 +160,32 @@ def test_a_sweep_whose_stamps_are_not_trusted_ended_when_it_came() -> None:
         lidar = LidarInput(config, config.mounted(), "cloud")
         scans = [s for now in came for s in lidar.take("cloud", encode_cloud(NS, "", ring()), now)]
         assert [s.stamp + round(float(s.points["time"].max()) * NS) for s in scans] == wanted
+
+
+@pytest.mark.parametrize("late", [0.08, 0.3, 20.0])
+def test_one_late_point_moves_neither_its_sweep_nor_those_that_follow(late: float) -> None:
+    config = only("xt16")[0]
+    lidar = LidarInput(config, config.mounted(), "cloud")
+    ends = []
+    for k in range(1, 100):
+        points = ring()
+        if k == 30:
+            points["time"][17] += late + 0.1
+        now = k * NS // 10
+        scans = lidar.take("cloud", encode_cloud(now - NS // 10, "", points), now + 5_000_000)
+        ends += [s.stamp + round(float(s.points["time"].max()) * NS) - now for s in scans]
+    assert len(ends) == 99
+    np.testing.assert_allclose(ends, 5_000_000, atol=2 * TIME_QUANTUM * NS)
+
+
+def test_clouds_whose_times_are_none_are_told_with_what_the_field_held() -> None:
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("xt16")))  # type: ignore[arg-type]
+    for k in range(30):
+        points = ring()
+        if k > 10:
+            points["time"][::3] = -40.0
+        wire.inbox["rt/lidar_points"] = [encode_cloud(k * NS // 10, "lidar", points)]
+        telemetry.read(HOST + k * NS // 10)
+    told = telemetry.lidar_note(HOST + 3 * NS)
+    assert told == "the main LiDAR: point field 'time' holds -40 to 0.0924623: not the times of a sweep"

@@ -60,6 +60,12 @@ def poison(scan: LidarScan, field: str, value: float) -> LidarScan:
     return LidarScan(scan.stamp, points)
 
 
+def stray(scan: LidarScan, late: float) -> LidarScan:
+    points = scan.points.copy()
+    points["time"][5] += late
+    return LidarScan(scan.stamp, points)
+
+
 def all_at_once(scan: LidarScan, time: float) -> LidarScan:
     points = scan.points.copy()
     points["time"] = time
@@ -69,7 +75,8 @@ def all_at_once(scan: LidarScan, time: float) -> LidarScan:
 SPOILED = {
     "scan_empty": lambda s: with_points(s, s.points[:0]),
     "scan_points_not_finite": lambda s: poison(s, "y", np.nan),
-    "scan_points_out_of_time": lambda s: poison(s, "time", -3.0),
+    "scan_points_out_of_time": lambda s: stray(s, 20.0),
+    "scan_times": lambda s: poison(s, "time", -3.0),
     "scan_too_many_points": lambda s: with_points(s, np.repeat(s.points, 60)),
     "scan_layout": lambda s: with_points(s, np.zeros((500, 3), np.float32)),  # type: ignore[arg-type]
     "scan_no_usable_points": lambda s: poison(with_points(s, s.points[:1]), "x", np.inf),
@@ -225,7 +232,7 @@ def test_scan_end_is_the_last_point_in_time() -> None:
     points = np.zeros(4, POINT_DTYPE)
     points["x"] = (1.0, 2.0, 100.0, 3.0)
     points["time"] = (0.01, 0.02, 0.09, 7.0)
-    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 1000, 0.5, Counter())
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 1000, Counter())
     assert sweep is not None
     assert sweep.end == pytest.approx(NS + 90_000_000, abs=10)
     assert sweep.xyz[:, 0].tolist() == [1.0, 2.0]
@@ -243,27 +250,53 @@ def test_warm_up_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not odometry.counters
 
 
-def test_usable_points_equal_numpy() -> None:
+@pytest.mark.parametrize("before", [0.0, -0.4])
+def test_usable_points_equal_numpy(before: float) -> None:
+    """Stamped at the begin, or at the end."""
     rng = np.random.default_rng(4)
     points = np.zeros(4000, POINT_DTYPE)
     for axis in "xyz":
         points[axis] = rng.uniform(-8.0, 8.0, len(points))
         points[axis][rng.integers(0, len(points), 40)] = rng.choice([np.nan, np.inf, -np.inf], 40)
-    points["time"] = rng.uniform(-0.02, 0.52, len(points))
+    points["time"] = before + rng.uniform(0.0, 0.4, len(points))
     points["time"][rng.integers(0, len(points), 40)] = np.nan
+    points["time"][rng.integers(0, len(points), 40)] = rng.uniform(2.0, 9.0, 40)
     counters: Counter[str] = Counter()
-    sweep = clean_scan(LidarScan(7, points), 1.0, 10.0, 100_000, 0.5, counters)
+    sweep = clean_scan(LidarScan(7 * NS, points), 1.0, 10.0, 100_000, counters)
     assert sweep is not None
 
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
     time = points["time"].astype(np.float64)
     finite = np.isfinite(xyz).all(axis=1) & np.isfinite(time)
-    in_time = finite & (time >= 0.0) & (time <= 0.5)
+    in_time = finite & (time <= 0.4)
     square = (xyz[:, 0] * xyz[:, 0] + xyz[:, 1] * xyz[:, 1]) + xyz[:, 2] * xyz[:, 2]
     keep = in_time & (square >= np.float32(1.0)) & (square <= np.float32(100.0))
     assert 0 < keep.sum() < in_time.sum() < finite.sum() < len(points)
+    shift = time[in_time].min() if before else 0.0
     np.testing.assert_array_equal(sweep.xyz, xyz[keep])
-    np.testing.assert_array_equal(sweep.time, time[keep])
-    assert sweep.end == 7 + round(float(time[in_time].max()) * NS)
+    np.testing.assert_allclose(sweep.time, time[keep] - shift, rtol=0.0, atol=0.0 if not before else 1e-12)
+    assert sweep.start == 7 * NS + round(float(shift) * NS)
+    assert sweep.end == sweep.start + round(float((time - shift)[in_time].max()) * NS)
     assert counters["scan_points_not_finite"] == (~finite).sum()
     assert counters["scan_points_out_of_time"] == (finite & ~in_time).sum()
+
+
+@pytest.mark.parametrize("miss", [0.0, np.nan])
+def test_points_that_hit_nothing_have_no_time(miss: float) -> None:
+    points = np.zeros(1000, POINT_DTYPE)
+    points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 1000)
+    points["x"][::2], points["time"][::2] = miss, -7.0
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, Counter())
+    assert sweep is not None
+    assert (len(sweep.xyz), sweep.problem) == (500, "")
+    assert sweep.end == pytest.approx(1.1 * NS, abs=100)
+
+
+def test_times_of_no_sweep_are_refused_with_what_the_field_held() -> None:
+    points = np.zeros(1000, POINT_DTYPE)
+    points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 1000)
+    points["time"][::3] = -3.0
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, Counter())
+    assert sweep is not None
+    assert len(sweep.xyz) == 0
+    assert sweep.problem.startswith("point field 'time' holds -3 to 0.09")

@@ -310,8 +310,8 @@ class UnitreeBackend:
         # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
         seen = t.speed > 0.05 or t.yaw_rate > 0.1 or self._phase is Phase.MOVING
         if self._mover.moving and seen and ignored < 1.5:
-            return Phase.MOVING, note or t.lidar_note(now) or "following velocity"
-        return Phase.READY, note or t.order_note or t.lidar_note(now) or "balance stand, takes velocity"
+            return Phase.MOVING, note or t.note(now) or "following velocity"
+        return Phase.READY, note or t.note(now) or t.order_note or "balance stand, takes velocity"
 
     def _trouble(self, t: Telemetry, now: int) -> str:
         """The reason of a fault now, in words; empty without a fault."""

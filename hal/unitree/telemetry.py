@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from hal import go2w
+from hal.plausible import ImuCheck, impossible_joints, lost_motor
 from hal.rotation import rotation_rpy, up_of
 from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
 from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
@@ -31,6 +32,8 @@ JOINT_PERIOD = 20
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
+REFUSAL_TOLD = 2 * NS
+"""[ns] for which an impossible sample is told."""
 STICK_REST, STICK_MOST = 0.1, 1.5
 """A stick nearer to 0 than this is at rest; beyond the other the bytes are no stick."""
 _STICKS = [0, 1, 2, 4]
@@ -57,6 +60,11 @@ class Telemetry:
         ]
         self._l1 = next((lidar for lidar in self.lidars if lidar.model == "l1"), None)
         self._leak = np.array([*options.l1_gyro_leak, 0.0])
+        self._checks = {"lowstate": ImuCheck("IMU"), "l1": ImuCheck("IMU of the L1")}
+        self.impossible = 0
+        """Samples with values that cannot be."""
+        self._refused: dict[str, tuple[str, int]] = {}
+        """By stream why its newest impossible sample was not passed on, and when [ns]."""
         self.low_clock = RemoteClock(answers=True)
         self._link_quality = LinkQuality()
         self.low: np.void | None = None
@@ -162,15 +170,14 @@ class Telemetry:
         unwrapped = self._tick + (tick - self._tick + 2**31) % 2**32 - 2**31
         stamp = self.low_clock.date(unwrapped * 1_000_000, now)
         out: list[ImuSample | JointSample | LidarScan] = []
-        if self._options.imu == "lowstate" and self._is_due(IMU_PERIOD):
-            imu = low["imu_state"]
-            out += self._imu(
-                stamp, self._imu_rotation @ imu["gyroscope"], self._imu_rotation @ imu["accelerometer"]
-            )
+        if self._is_due(IMU_PERIOD):
+            imu, turn = low["imu_state"], self._imu_rotation
+            out += self._imu("lowstate", stamp, now, turn @ imu["gyroscope"], turn @ imu["accelerometer"])
         if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
             q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
-            if math.isfinite(q.sum() + dq.sum() + tau.sum()):
+            self._refuse("motors", lost_motor(motors["lost"][:16], motors["reserve"][:16, 0]), now)
+            if not self._refuse("joints", impossible_joints(q, dq, tau), now):
                 out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
         return out
 
@@ -182,10 +189,19 @@ class Telemetry:
         self._due[period] = period + (due if self._elapsed < due + period else self._elapsed)
         return True
 
-    def _imu(self, stamp: int, gyro: Array, accel: Array) -> list[ImuSample | JointSample | LidarScan]:
-        if not math.isfinite(gyro.sum() + accel.sum()):
+    def _imu(
+        self, stream: str, stamp: int, now: int, gyro: Array, accel: Array
+    ) -> list[ImuSample | JointSample | LidarScan]:
+        check = self._checks[stream]
+        if self._refuse(stream, check.impossible(gyro, accel) or check.contradicted(stamp, gyro, accel), now):
             return []
-        return [ImuSample(self._after(ImuSample, stamp), gyro, accel)]
+        return [ImuSample(self._after(ImuSample, stamp), gyro, accel)] if self._options.imu == stream else []
+
+    def _refuse(self, stream: str, reason: str, now: int) -> bool:
+        if reason:
+            self._refused[stream] = reason, now
+            self.impossible += 1
+        return bool(reason)
 
     def _after(self, kind: type, stamp: int) -> int:
         """`stamp`, or just after the last one of its kind: a better clock offset must not turn time back."""
@@ -205,18 +221,21 @@ class Telemetry:
         self._l1_stamp = raw.stamp
         rotation = self._l1.mount.rotation
         gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
-        self._judge_mount(raw, gyro, accel)
+        if self._refuse("l1", self._checks["l1"].impossible(gyro, accel), now):
+            return []
+        self._judge_mount(raw, gyro, accel, now)
         if self._options.imu != "l1":
             return []
-        return self._imu(self._l1.clock.date(raw.stamp, now), gyro, accel)
+        return self._imu("l1", self._l1.clock.date(raw.stamp, now), now, gyro, accel)
 
-    def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array) -> None:
+    def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array, now: int) -> None:
         """Compare gravity through the configured mount with the trunk's own, at rest."""
-        if self.low is None or not np.abs(gyro).max() < 0.1 or not np.isfinite(accel).all():
+        if self.low is None or not np.abs(gyro).max() < 0.1:
+            return
+        if now - self._refused.get("lowstate", ("", -NS))[1] < NS:  # the trunk's tells nothing then
+            self._gravity, self._own_gravity, self._gravity_count = np.zeros(3), np.zeros(3), 0
             return
         own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
-        if not np.isfinite(own).all():
-            return
         self._gravity += accel
         self._own_gravity += own  # as many samples as of the L1: a jolt is in both or in neither
         self._gravity_count += 1
@@ -239,6 +258,11 @@ class Telemetry:
                 f"the L1 stores its quaternion {order}: set unitree.l1_imu_wxyz={str(not wxyz).lower()}"
             )
 
+    def note(self, now: int) -> str:
+        """What the newest samples lack, in words; empty when all is well."""
+        told = [reason for reason, at in self._refused.values() if now - at < REFUSAL_TOLD]
+        return "; ".join(filter(None, [*told, self.lidar_note(now)]))
+
     def lidar_note(self, now: int) -> str:
         """Which LiDAR does not speak, in words, and where else clouds are sent, or whose stamps are wrong; empty when all is well."""
         notes = (self._silence.words(self.lidars, now), *(lidar.note(now) for lidar in self.lidars))
@@ -252,6 +276,7 @@ class Telemetry:
             **self._link_quality.figures(),
             "clock_jumps": sum(clock.steps for clock in clocks.values()),
             "robot_restarts": self.restarts,
+            "impossible_samples": self.impossible,
             **{f"lidar_{lidar.name}_empty": lidar.empty for lidar in self.lidars},
             **{f"lidar_{lidar.name}_missed": lidar.missed for lidar in self.lidars},
             **{f"lidar_{lidar.name}_frozen": lidar.frozen for lidar in self.lidars},

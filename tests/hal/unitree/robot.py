@@ -63,6 +63,12 @@ class Faults:
     """The counter of LowState is off by this much: it was set, with no restart."""
     lidar_step: float = 0.0
     """The same of the LiDAR's clock."""
+    accel_scale: float = 1.0
+    """On what LowState's accelerometer tells: 1 / 9.81 is g, -1 has the signs reversed."""
+    l1_accel: float = 0.0
+    """Added to the accelerations of the L1 [m/s^2]."""
+    lost: int = 0
+    """Messages that a motor has lost."""
     wxyz: bool = True
     """The L1's quaternion order, as on the real robot."""
     upright_l1: bool = False
@@ -367,7 +373,7 @@ class RobotSide:
                 stamp + round(f.lidar_step * NS),
                 _product(self._quaternion(), self._turned),
                 gyro + np.array([self.faults.l1_leak * gyro[2], 0.0, 0.0]),
-                turn @ self.body.accel,
+                turn @ self.body.accel + self.faults.l1_accel,
             )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
         points = self.body.scan()
@@ -405,6 +411,8 @@ class RobotSide:
         motors["temperature"][:16] = 38
         imu = low["imu_state"]
         imu["quaternion"], imu["gyroscope"], imu["accelerometer"] = self._quaternion(), body.gyro, body.accel
+        imu["accelerometer"] *= self.faults.accel_scale
+        motors["lost"][5], motors["reserve"][5, 0] = self.faults.lost, 4 * (self.faults.lost > 0)
         low["bms_state"]["soc"] = 87
         low["foot_force"] = 60
         # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly

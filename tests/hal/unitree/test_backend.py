@@ -770,6 +770,63 @@ def test_a_clock_set_from_1970_while_running_does_not_break_the_stamps():
     assert world.backend.diagnostics()["clock_jumps"] == 1
 
 
+IMPOSSIBLE = {
+    "IMU in g": (
+        "accel_scale",
+        1 / 9.81,
+        "IMU measures 1.0 m/s^2 on average, gravity has 9.8: its unit is wrong",
+    ),
+    "IMU reversed": (
+        "accel_scale",
+        -1.0,
+        "IMU: gravity is 180 deg from where its gyro tells: signs or units are wrong",
+    ),
+    "IMU too large": (
+        "accel_scale",
+        1e28,
+        "IMU: an acceleration of 9.81e+28 m/s^2, possible are -160 to 160",
+    ),
+    "L1 too large": (
+        "l1_accel",
+        1e28,
+        "IMU of the L1: an acceleration of -7.05e+27 m/s^2, possible are -160 to 160",
+    ),
+    "motor": ("lost", 9999, "motor FL_calf has lost 9999 messages, error bits 0x4"),
+}
+
+
+@pytest.mark.parametrize("kind", IMPOSSIBLE)
+def test_what_cannot_be_is_refused_and_told_with_stream_value_and_range(kind: str):
+    name, value, words = IMPOSSIBLE[kind]
+    world = ready()
+    world.run(1.0)
+    usual = getattr(world.faults, name)
+    setattr(world.faults, name, value)
+    world.run(2.0)
+    samples = world.run(1.0)
+    assert words in world.cause
+    assert world.phase is Phase.READY, "no lasting fault"
+    imu = [s for s in samples if isinstance(s, ImuSample)]
+    assert bool(imu) == (name != "accel_scale"), "the gate holds for want of an IMU"
+    assert any(isinstance(s, LidarScan) for s in samples)
+    setattr(world.faults, name, usual)
+    world.run(4.0)
+    assert world.cause == "balance stand, takes velocity"
+    assert len([s for s in world.run(1.0) if isinstance(s, ImuSample)]) == 250
+
+
+def test_an_imu_whose_signs_were_reversed_from_the_start_is_told_from_a_robot_on_its_back():
+    world = World(Faults(accel_scale=-1.0))
+    world.backend.connect()
+    assert not [s for s in world.run(2.0) if isinstance(s, ImuSample)]
+    assert world.phase is Phase.READY, "its own attitude says that it stands"
+    assert "IMU tells that the robot lies on its side or back, tilted by 180 deg" in world.cause
+    world = World(Faults(fallen=True))
+    world.backend.connect()
+    world.run(1.0)
+    assert "fallen" in world.cause
+
+
 _action = st.one_of(
     st.tuples(st.just("run"), st.floats(0.02, 1.5), st.floats(-1, 1)),
     st.tuples(st.just("mode"), st.sampled_from(list(ModeRequest))),

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hal.lidar import LIDARS
+from hal.safety.monitors import GRAVITY_SIDE, GRAVITY_SIZE, STAMP_AHEAD, SWEEP_CLOCK, taken_out
 from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
@@ -130,10 +131,11 @@ def test_bad_inertial_and_joint_values_are_dropped(samples: list[Sample]) -> Non
             s = JointSample(s.stamp, s.position, np.full(16, np.inf), s.effort)
         spoiled.append(s)
     results = feed(odometry, spoiled)
-    assert odometry.counters["imu_not_finite"] > 50
-    assert odometry.counters["joints_not_finite"] > 10
+    assert odometry.counters["imu_impossible"] > 20
+    assert odometry.counters["joints_impossible"] > 10
     assert sane(results)
-    assert results[-1].health is Health.GOOD
+    assert results[-1].health is Health.DEGRADED
+    assert "IMU: a turn rate of nan rad/s, possible are -35 to 35" in results[-1].reason
 
 
 @pytest.mark.parametrize("offset", [1_700_000_000 * NS, -5 * NS])
@@ -198,15 +200,17 @@ def test_topic_clock_follows_only_a_confirmed_jump() -> None:
 
     counters: Counter[str] = Counter()
     clock = TopicClock("imu", 3, counters)
-    assert [clock.admit(t * NS) for t in (100, 101, 101, 100)] == ["ok", "ok", "drop", "drop"]
-    assert [clock.admit(t * NS) for t in (5000, 102)] == ["drop", "ok"]
+    stamps = [round(t * NS) for t in (100, 100.1, 100.1, 100)]
+    assert [clock.admit(t) for t in stamps] == ["ok", "ok", "drop", "drop"]
+    assert [clock.admit(round(t * NS)) for t in (5000, 100.2)] == ["drop", "ok"]
     assert [clock.admit(5000 * NS + k) for k in range(3)] == ["drop", "drop", "jump"]
     assert clock.newest == 5000 * NS + 2
     assert clock.admit("now") == "drop"
+    assert [clock.admit(5003 * NS + k) for k in range(4)] == ["ahead", "ahead", "ok", "ok"]
     assert counters == {
         "imu_duplicate": 1,
         "imu_backward": 1,
-        "imu_strange_stamp": 3,
+        "imu_strange_stamp": 5,
         "imu_clock_jump": 1,
         "imu_stamp": 1,
     }
@@ -300,3 +304,91 @@ def test_times_of_no_sweep_are_refused_with_what_the_field_held() -> None:
     assert sweep is not None
     assert len(sweep.xyz) == 0
     assert sweep.problem.startswith("point field 'time' holds -3 to 0.09")
+
+
+def moved(results: list[ScanOdometry], clean: list[ScanOdometry]) -> float:
+    """How far results came off those of the same stamp without a fault [m]."""
+    true = {r.stamp: r.position for r in clean}
+    return max(float(np.linalg.norm(r.position - true[r.stamp])) for r in results if r.stamp in true)
+
+
+@pytest.mark.parametrize("ahead", [0.3, 3.0])
+def test_one_imu_stamp_ahead_costs_its_sample_and_is_told(samples: list[Sample], ahead: float) -> None:
+    def run() -> tuple[float, list[str]]:
+        at = [k for k, s in enumerate(samples) if isinstance(s, ImuSample)][420]
+        wrong = [
+            replace(s, stamp=s.stamp + round(ahead * NS)) if k == at else s for k, s in enumerate(samples)
+        ]
+        results = feed(LidarInertialOdometry(), wrong)
+        return moved(results, feed(LidarInertialOdometry(), samples)), [r.reason for r in results]
+
+    off, reasons = run()
+    assert off < 0.005
+    assert sum(f"IMU: a stamp {ahead:.1f} s ahead of the one before" in r for r in reasons) == 1
+    with taken_out(STAMP_AHEAD.name):
+        assert not any("ahead" in r for r in run()[1])
+
+
+@pytest.mark.parametrize("step", [-0.3, -0.08, 0.25, 0.9, -7.0, 50.0])
+def test_a_lidar_whose_clock_steps_alone_is_not_used_and_the_text_names_its_clock(
+    samples: list[Sample], step: float
+) -> None:
+    when = samples[0].stamp + 2 * NS
+    wrong = [
+        replace(s, stamp=s.stamp + round(step * NS)) if isinstance(s, LidarScan) and s.stamp > when else s
+        for s in samples
+    ]
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, wrong)
+    assert results[-1].stamp <= when + NS // 5, "no sweep of the wrong clock is registered"
+    told = odometry._inbox.refused()
+    assert told == [f"the clock of the main LiDAR is {step:+.2f} s off the IMU's, its sweeps are not used"]
+    with taken_out(SWEEP_CLOCK.name):
+        odometry = LidarInertialOdometry()
+        feed(odometry, wrong)
+        assert not odometry._inbox.refused()
+
+
+@pytest.mark.parametrize("late", [0.1, 0.3])
+def test_sweeps_that_are_late_agree_with_the_imu(samples: list[Sample], late: float) -> None:
+    """Their stamps are right: they are used, and the pose is the same."""
+    when = samples[0].stamp + 2 * NS
+    late_ns = round(late * NS)
+    order = sorted(
+        samples,
+        key=lambda s: (
+            s.stamp
+            + (late_ns if isinstance(s, LidarScan) and s.stamp > when else 0)
+            + (NS // 10 if isinstance(s, LidarScan) else 0)
+        ),
+    )
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, order)
+    assert results[-1].stamp > when + NS // 2
+    assert moved(results, feed(LidarInertialOdometry(), samples)) < 0.01
+    assert not any("clock" in r.reason for r in results)
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(1 / 9.81, "its unit is wrong"), (-1.0, "signs or units are wrong")]
+)
+def test_an_imu_of_another_unit_or_side_is_refused_and_told(
+    samples: list[Sample], scale: float, words: str
+) -> None:
+    when = samples[0].stamp + 3 * NS // 2
+    wrong = [
+        replace(s, accel=scale * s.accel) if isinstance(s, ImuSample) and s.stamp > when else s
+        for s in samples
+    ]
+    results = feed(LidarInertialOdometry(), wrong)
+    assert any(words in r.reason for r in results)
+    assert results[-1].health is not Health.GOOD
+    off = moved(results, feed(LidarInertialOdometry(), samples))
+    assert off < 0.3, "it is dead reckoned, and degraded"
+    from_the_start = feed(
+        LidarInertialOdometry(),
+        [replace(s, accel=scale * s.accel) if isinstance(s, ImuSample) else s for s in samples],
+    )
+    assert not any(r.health is Health.GOOD for r in from_the_start)
+    with taken_out(GRAVITY_SIZE.name, GRAVITY_SIDE.name):
+        assert moved(feed(LidarInertialOdometry(), wrong), feed(LidarInertialOdometry(), samples)) > 3.0

@@ -21,7 +21,7 @@ SILENT = 2 * NS
 UNREAD = NS // 2
 """[ns] without a usable cloud, after which the reason is told."""
 STEP_TOLD = 10 * NS
-"""[ns] for which a step of a LiDAR's clock is told."""
+"""[ns] for which a step of a clock is told."""
 CLOUD = "cloud"
 """The stream of a LiDAR's clock beside its IMU."""
 SEARCH_PERIOD = NS

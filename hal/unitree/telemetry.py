@@ -19,7 +19,7 @@ from hal.unitree.clock import RemoteClock
 from hal.unitree.cloud import RawImu, decode_imu
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
-from hal.unitree.lidars import LidarInput, Silence
+from hal.unitree.lidars import STEP_TOLD, LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 from hal.unitree.quality import LinkQuality
 
@@ -261,6 +261,9 @@ class Telemetry:
     def note(self, now: int) -> str:
         """What the newest samples lack, in words; empty when all is well."""
         told = [reason for reason, at in self._refused.values() if now - at < REFUSAL_TOLD]
+        clock = self.low_clock
+        if clock.stepped_at is not None and now - clock.stepped_at < STEP_TOLD:
+            told.append(CLOCK_STEP.tell(source="the robot", step=clock.step / NS))
         return "; ".join(filter(None, [*told, self.lidar_note(now)]))
 
     def lidar_note(self, now: int) -> str:

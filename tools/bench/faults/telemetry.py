@@ -61,8 +61,8 @@ class Peer:
                 command.twist.linear.x = self.speed
                 self._stage.on(t.TELEOP, command, "hands")
             self._ticks += 1
-            for topic, message in self._stage.tick(self.world.now):
-                if topic is t.ROBOT_STATE:
+            for _, message in self._stage.tick(self.world.now):
+                if isinstance(message, msg.RobotState):
                     self._told |= dict.fromkeys((message.cause, message.hold, message.estop_cause))
             if abs(self.world.body.v) > REST_SPEED:
                 self.moving_at = self.world.elapsed

@@ -84,7 +84,7 @@ POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SE
 HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one", recorded="full standard")
 CAMERA         = Topic("/camera/front/image/compressed", msg.CompressedImage, 0, Qos.SENSOR, 1, "camera", "JPEG, frame camera_front, stamped at the exposure; while somebody looks, and once a second while it is recorded", recorded="full standard")
 CAMERA_INFO    = Topic("/camera/front/camera_info", msg.CameraInfo,    0, Qos.LATCHED,   1, "camera",    "its intrinsics", recorded="full standard")
-CAMERA_REQUEST = Topic("/camera/request",        msg.String,           0, Qos.STATE,     1, "",          "somebody looks: frames for the next 2 s", recorded="", publish_by=Role.OBSERVER)
+CAMERA_REQUEST = Topic("/camera/request",        msg.String,           0, Qos.STATE,     1, "",          "somebody looks: frames for the next 2 s", recorded="")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from hal.npzfile import DamagedFile, read_npz
 from hal.regular import open_regular
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
@@ -110,9 +110,8 @@ def _read_png(
 
 def _read_npz(path: Path, start: Pose | None) -> Scene:
     try:
-        with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        data = read_npz(path)
+    except (OSError, DamagedFile) as error:
         raise SceneError(f"{path.name}: not a readable .npz file ({error})") from error
     missing = [key for key in ("height", "resolution", "origin") if key not in data]
     if missing:

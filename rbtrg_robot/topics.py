@@ -82,6 +82,7 @@ IMU            = Topic("/imu/data",              msg.Imu,            200, Qos.SE
 JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
 POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time", recorded="full standard")
 HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one", recorded="full standard")
+WHEELS         = Topic("/wheels/odom",           msg.Odometry,          0, Qos.SENSOR,  100, "",          "speed that the wheels of another robot tell, base_link: in imported logs", recorded="full standard")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")
 ROBOT_COMMAND  = Topic("/robot/command",         msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "stand, sit, stop, resume", safe_to_replay=False, publish_by=Role.OPERATOR)
 ROBOT_STOP     = Topic("/robot/stop",            msg.RobotCommand,     0, Qos.COMMAND,   8, "",          "the emergency stop, whatever mode it names; everybody may", safe_to_replay=False, publish_by=Role.OBSERVER)

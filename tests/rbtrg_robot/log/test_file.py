@@ -245,7 +245,7 @@ def test_a_chunk_never_takes_more_memory_than_it_says(tmp_path: Path) -> None:
 def test_a_log_of_more_topics_than_a_file_can_number_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(log_write, "MOST_TOPICS", 1)
     write(tmp_path / "a.mcap")
+    monkeypatch.setattr(log_write, "MOST_TOPICS", 1)
     with pytest.raises(LogError, match="more than 1 topics"):
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")

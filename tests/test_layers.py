@@ -55,6 +55,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.orders": "hal mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.navigation rbtrg_robot.missions",
     "rbtrg_robot.bridge": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.orders",
     "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
+    "rbtrg_robot.importer": "hal hal.lidar hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.log",
     "rbtrg_robot.hosts": "hal mapping.odometry hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
     "rbtrg_robot.process": "hal hal.safety.monitors hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.mission rbtrg_robot.log "
@@ -62,7 +63,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.console": "hal mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
     "rbtrg_robot.cli": "hal hal.locomotion hal.mujoco.view hal.scenes hal.unitree mapping.elevation rbtrg_robot "
-    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
+    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process",
 }
 FLOORS = ("hal", "mapping", "planning", "rbtrg_robot", "tools")
 FILES = [f.relative_to(ROOT) for floor in FLOORS for f in sorted((ROOT / floor).rglob("*.py"))]

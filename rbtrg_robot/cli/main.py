@@ -12,6 +12,7 @@ from rbtrg_robot.cli import (
     calibrate,
     drive,
     foxglove,
+    importing,
     inspect,
     keys,
     logs,
@@ -55,6 +56,7 @@ drive.register(app)
 mission.register(app)
 teleop.register(app)
 logs.register(app)
+importing.register(app)
 foxglove.register(app)
 topic.register(app)
 inspect.register(app)

@@ -162,6 +162,37 @@ class _Rosbag(_Part):
                 self.damage = f"{self._path.name} ends early: {type(error).__name__}: {error}"
 
 
+class Decoder:
+    """Messages of any type whose definition the bag brings, or that we know."""
+
+    def __init__(self) -> None:
+        self._stores: dict[Source, Any] = {}
+
+    def decode(self, source: Source, data: bytes) -> Any:
+        """The message; None where it is no CDR, nobody says what it holds, or it is broken."""
+        if source not in self._stores:
+            self._stores[source] = _store_of(source)
+        store = self._stores[source]
+        try:
+            return None if store is None else store.deserialize_cdr(data, source.type)
+        except Exception:  # noqa: BLE001  whatever the broken bytes trip over
+            return None
+
+
+def _store_of(source: Source) -> Any:
+    if source.encoding != "cdr" or not source.type:
+        return None
+    if source.type in STORE.fielddefs:
+        return STORE
+    text = source.schema.data.decode(errors="replace") if source.schema else ""
+    try:
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(text, source.type))
+    except Exception:  # noqa: BLE001  a definition may hold anything
+        return None
+    return store
+
+
 def _source(
     topic: str, kind: str, count: int, text: str, metadata: dict[str, str], encoding: str = "cdr"
 ) -> Source:
@@ -178,7 +209,9 @@ def _from_ros1(kind: str, text: str) -> tuple[Callable[[bytes], bytes] | None, s
         store = get_typestore(Stores.EMPTY)
         types = get_types_from_msg(text, kind)
         store.register(types | {name: STORE.fielddefs[name] for name in (HEADER, TIME)})
-        return (lambda raw: bytes(store.ros1_to_cdr(raw, kind))), store.generate_msgdef(kind, ros_version=2)[0]
+        return (lambda raw: bytes(store.ros1_to_cdr(raw, kind))), store.generate_msgdef(kind, ros_version=2)[
+            0
+        ]
     except Exception:  # noqa: BLE001  a definition may hold anything
         return None, text
 
@@ -204,7 +237,7 @@ def _kind(path: Path) -> str:
         raise LogError(
             f"{path} is compressed with zstd: name the folder with its {METADATA_YAML}, or `zstd -d` it"
         )
-    if begin.startswith(b"version https://g"):
+    if begin.startswith(b"version https://"):
         raise LogError(f"{path} is a Git LFS pointer, not the bag: `git lfs pull` fetches it")
     raise LogError(
         f"{path} is no bag: MCAP, rosbag2 (.db3) and ROS 1 (.bag) are read; it begins with {begin[:8]!r}"

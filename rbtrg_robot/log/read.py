@@ -100,11 +100,20 @@ def read_log(
             found.indexed = True
             stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
             if stream.read() != MCAP0_MAGIC:
-                found.damage = f"after {count} messages: more bytes stand behind its end, and other programs refuse it"
+                found.damage = (
+                    f"after {count} messages: more bytes stand behind its end, and other programs refuse it"
+                )
         except BROKEN as error:
             if not found.channels and not found.metadata:
-                raise LogError(f"{path} is not an MCAP file") from error
+                raise LogError(_refusal(path, stream)) from error
             found.damage = f"after {count} messages: {type(error).__name__}"
+
+
+def _refusal(path: Path, stream: BinaryIO) -> str:
+    stream.seek(0)
+    if stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+        return f"{path} is an MCAP file that ends, or is damaged, before its first message"
+    return f"{path} is not an MCAP file; `rbtrg-robot import` reads rosbag2 (.db3) and ROS 1 (.bag)"
 
 
 def _records(stream: BinaryIO) -> Iterator[McapRecord]:

@@ -23,6 +23,8 @@ from rbtrg_robot.wire.bus import Bus
 
 LATE = 0.05
 """A message published this late [s] counts as late."""
+LONGEST_PAUSE = 60.0
+"""Nothing for longer [s] is no pause but a clock that was set, or a stamp that rolled over: it is told and not waited for."""
 RATE_STEP = 1.1
 OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
 """Told by processes that do not run in a replay."""
@@ -64,6 +66,8 @@ class Report:
     worst: float = 0.0
     """Greatest lateness [s]."""
     seconds: float = 0.0
+    jumps: list[tuple[float, float]] = field(default_factory=list)
+    """Where the log stands still or steps back for longer than LONGEST_PAUSE, and by how much [s]."""
 
 
 @dataclass(slots=True)
@@ -142,6 +146,10 @@ def play(
     wall = time.monotonic()
     for log_time, group in groupby(chosen(read_run(log), patterns, report), lambda pair: pair[1].log_time):
         zero = log_time if zero is None else zero
+        gap = (log_time - zero) / 1e9 - position
+        if abs(gap) > LONGEST_PAUSE:
+            report.jumps.append((position, gap))
+            zero += round(gap * 1e9)
         position = (log_time - zero) / 1e9
         pairs = list(group)
         if position < start_offset:

@@ -11,7 +11,15 @@ from mcap.records import Channel, Schema
 from mcap.summary import Summary
 
 from hal.regular import open_regular
-from rbtrg_robot.log.read import BROKEN, METADATA, LogContents, first_of, is_being_written, log_files, read_log
+from rbtrg_robot.log.read import (
+    BROKEN,
+    METADATA,
+    LogContents,
+    first_of,
+    is_being_written,
+    log_files,
+    read_log,
+)
 
 
 @dataclass(slots=True)
@@ -87,16 +95,20 @@ def overview(path: Path) -> Overview:
     return found
 
 
-def _channels(
-    path: Path, contents: LogContents
-) -> Iterator[tuple[Schema | None, Channel, int, int, int]]:
+def _channels(path: Path, contents: LogContents) -> Iterator[tuple[Schema | None, Channel, int, int, int]]:
     """Schema, channel, messages, and first and last message of the file [ns]. `contents` tells damage where the file was read."""
     summary = summary_of(path)
     if summary is not None and summary.statistics is not None:
         told = summary.statistics
         for number, channel in summary.channels.items():
             count = told.channel_message_counts.get(number, 0)
-            yield summary.schemas.get(channel.schema_id), channel, count, told.message_start_time, told.message_end_time
+            yield (
+                summary.schemas.get(channel.schema_id),
+                channel,
+                count,
+                told.message_start_time,
+                told.message_end_time,
+            )
         return
     counts: dict[int, int] = {}
     begin = end = 0

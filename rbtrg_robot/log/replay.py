@@ -16,6 +16,7 @@ from itertools import groupby
 from pathlib import Path
 
 from hal.errors import OperatorError
+from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.read import Entry, read_run
 from rbtrg_robot.topics import Qos, Topic
@@ -143,14 +144,16 @@ def play(
     zero: int | None = None
     latched: dict[Topic, Entry] = {}
     source = position = 0.0
+    at = 0
     wall = time.monotonic()
     for log_time, group in groupby(chosen(read_run(log), patterns, report), lambda pair: pair[1].log_time):
         zero = log_time if zero is None else zero
-        gap = (log_time - zero) / 1e9 - position
-        if abs(gap) > LONGEST_PAUSE:
-            report.jumps.append((position, gap))
-            zero += round(gap * 1e9)
-        position = (log_time - zero) / 1e9
+        gap = log_time - zero - at
+        if abs(gap) > LONGEST_PAUSE * NS:
+            report.jumps.append((position, gap / NS))
+            zero += gap
+        at = log_time - zero
+        position = at / NS
         pairs = list(group)
         if position < start_offset:
             latched |= {topic: entry for topic, entry in pairs if topic.qos is Qos.LATCHED}

@@ -156,8 +156,8 @@ class RecorderConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     profile: Literal["full", "standard", "lean"] = Field(
-        "full",
-        description="full: everything; standard: what odometry and map can be made from again, sweeps packed; lean: no clouds, no re-run",
+        "standard",
+        description="standard: what odometry and map can be made from again, sweeps packed; full: everything, ten times as much; lean: no clouds, no re-run",
     )
     flush_period: float = Field(
         0.25, gt=0, description="most that a killed recorder loses, beside what comes until it is back [s]"

@@ -30,7 +30,7 @@ MAGIC = ((b"\x89MCAP0\r\n", "mcap"), (b"SQLite format 3\0", "db3"), (b"#ROSBAG V
 METADATA_YAML = "metadata.yaml"
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
 """Those of ROS 2: the header of ROS 1 has one field more, which the conversion drops."""
-LATCHED = ("durability: transient_local", "durability: 1", "latching: true")
+LATCHED = ("durability: transient_local", "durability: 1\n")
 """What the QoS of a latched topic holds, in the words of the versions of rosbag2."""
 
 
@@ -47,6 +47,11 @@ class Source:
     """Of what `Bag.messages` yields: `cdr`, or what is handed on as it is."""
     schema: Schema | None
     channel: Channel
+
+    @property
+    def latched(self) -> bool:
+        """Who comes late gets the newest."""
+        return any(words in self.channel.metadata.get("offered_qos_profiles", "") for words in LATCHED)
 
 
 class Bag:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,7 @@ from rbtrg_robot.importer.roles import (
     turned,
 )
 from rbtrg_robot.log.bag import describe
-from rbtrg_robot.log.read import CONFIG, LogError
+from rbtrg_robot.log.read import CONFIG, Entry, LogError
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import imu_msg, joint_msg, odometry_msg, scan_msg, xyz
@@ -277,6 +277,8 @@ def convert_bag(
     counts: Counter[str] = Counter()
     converter = Converter(found)
     number = 0
+    latched: dict[str, tuple[Entry, Source]] = {}
+    """Newest of each latched topic, for the head of the next file."""
     writer = LogWriter(out / "log_0.mcap", metadata, attachments)
     try:
         for done, (source, log_time, published, data) in enumerate(bag.messages()):
@@ -284,6 +286,8 @@ def convert_bag(
                 writer.close()
                 number += 1
                 writer = LogWriter(out / f"log_{number}.mcap", metadata, attachments)
+                for entry, told in latched.values():
+                    writer.copy(replace(entry, log_time=log_time), told.schema, told.channel)
             if (made := converter.convert(source, data)) is not None:
                 topic, payload, stamp = made
                 counts[topic.name] += 1
@@ -293,6 +297,8 @@ def convert_bag(
                 counts[name] += 1
                 entry = entry_of(source, name, log_time, published, counts[name], data)
                 writer.copy(entry, source.schema, source.channel)
+                if source.latched:
+                    latched[name] = entry, source
             if done % 50 == 0:
                 progress(done)
     finally:

@@ -47,6 +47,8 @@ def _information(parts: list[tuple[Path, Summary]]) -> dict[str, Any]:
             }
         )
         for number, channel in summary.channels.items():
+            if channel.message_encoding != "cdr":
+                continue  # one other encoding and rosbags refuses the whole folder
             schema = summary.schemas.get(channel.schema_id)
             topic = topics.setdefault(
                 channel.topic,

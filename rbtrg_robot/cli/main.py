@@ -17,6 +17,7 @@ from rbtrg_robot.cli import (
     keys,
     logs,
     mission,
+    plan,
     policy,
     service,
     stack,
@@ -57,6 +58,7 @@ mission.register(app)
 teleop.register(app)
 logs.register(app)
 importing.register(app)
+plan.register(app)
 foxglove.register(app)
 topic.register(app)
 inspect.register(app)

@@ -23,7 +23,7 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.convert import lidar_scan
 from rbtrg_robot.wire.messages import decode, encode, header
 from tests.places import SHARED, needs_shared
-from tests.rbtrg_robot.importer import foreign
+from tools.bench.outside import foreign
 
 LAYOUTS = [*foreign.LAYOUTS, "livox custom", "organised"]
 

@@ -38,8 +38,6 @@ FEW = 50
 """Points on known planes below which that share says nothing."""
 POSITION_SIGMA, ROTATION_SIGMA = 0.05, math.radians(1.0)
 """Of a pose of KISS-ICP relative to its map: a tenth of its voxels."""
-LONGEST = 0.5
-"""A sweep that lasts longer is none [s]."""
 REPORT = NS // 10
 """[ns] between two poses of wheels and IMU."""
 
@@ -83,7 +81,7 @@ class LidarAlone:
             self._last = 0
         if admitted != "drop":
             p = self._params
-            sweep = clean_scan(scan, p.min_range, ALONE_RANGE, p.max_points, LONGEST, self.counters)
+            sweep = clean_scan(scan, p.min_range, ALONE_RANGE, p.max_points, self.counters)
             self._sweeps.extend([sweep] if sweep is not None else [])
 
     def resume(self, _pose: Array, _cloud: NDArray[np.float32]) -> None:

@@ -170,6 +170,8 @@ def _check(log: Path, names: list[str], held: dict[str, Held], config: StackConf
                 if fits
                 else ""
             )
+            if not fits and not ours:
+                lead = "; none of its topics is ours: `rbtrg-robot import` makes a run of a foreign bag"
             raise LogError(f"{log} holds no {what} ({group[0].type}), which {name} needs{lead}")
     if "odometry" in names:
         wanted = set(t.SWEEPS.values()) & ours

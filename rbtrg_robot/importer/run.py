@@ -208,6 +208,8 @@ class Converter:
             for name, m in found.mounts.items()
         }
         self._turn: Array = rotation_rpy(*found.mounts.get("imu", Extrinsics((0.0, 0.0, 0.0))).rpy)
+        self._units: dict[str, float | None] = dict.fromkeys(LIDARS)
+        """Of each LiDAR's times [s], once a sweep has told it."""
         self.refused: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
 
@@ -218,7 +220,7 @@ class Converter:
             return None
         try:
             made = self._made(role, source, data)
-        except (WireError, MessageError, ValueError) as error:
+        except (WireError, MessageError) as error:
             made = None
             self.reasons.setdefault(source.topic, str(error))
         if made is None:
@@ -235,7 +237,8 @@ class Converter:
         shift = self._found.shifts.get(source.topic, 0)
         for name in LIDARS:
             if role == name:
-                start, points = sweep(read_cloud(source, data), self._mount[name])
+                cloud = read_cloud(source, data)
+                start, points, self._units[name] = sweep(cloud, self._mount[name], self._units[name])
                 return (
                     (t.SWEEPS[name], scan_msg(LidarScan(start + shift, points, name)))
                     if len(points)
@@ -248,11 +251,15 @@ class Converter:
             return t.IMU, imu_msg(ImuSample(stamp_of(imu) + shift, gyro, accel))
         if role == "joints":
             joints = decode(data, msg.JointState)
-            order = [list(joints.name).index(motor) for motor in MOTORS]
-            full = [
-                np.asarray(v)[order] if len(v) else np.zeros(len(order))
-                for v in (joints.position, joints.velocity, joints.effort)
-            ]
+            place = {name: k for k, name in enumerate(joints.name)}
+            if not set(MOTORS) <= set(place):
+                raise WireError("it lacks some of the motors of a Go2-W")
+            order = [place[motor] for motor in MOTORS]
+            full = []
+            for values in (joints.position, joints.velocity, joints.effort):
+                if len(values) not in (0, len(joints.name)):
+                    raise WireError(f"{len(values)} values for {len(joints.name)} joints")
+                full.append(np.asarray(values)[order] if len(values) else np.zeros(len(order)))
             return t.JOINTS, joint_msg(JointSample(stamp_of(joints) + shift, *full))
         if source.type == msg.TwistStamped.__msgtype__:
             twist = decode(data, msg.TwistStamped)

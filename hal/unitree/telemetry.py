@@ -297,16 +297,17 @@ class Telemetry:
 
     def low_trouble(self, now: int) -> str:
         """Why LowState is old, in words."""
-        if self._heard_at is None or (now - self._heard_at) / NS > self._options.state_timeout:
-            why = f"unreadable, {self.low_unread}" if self.low_unread else "check cable and robot"
-            since = math.inf if self._heard_at is None else (now - self._heard_at) / NS
-            return f"no LowState for {since:.1f} s: {why}"
-        if self.low_clock.back:
+        silent = math.inf if self._heard_at is None else (now - self._heard_at) / NS
+        late = self.low_clock.late()
+        if self.low_clock.back and silent <= self._options.state_timeout:
             return (
                 CLOCK_STEP.tell(source="the robot", step=-self.low_clock.back)
                 + ", waiting for prompt answers"
             )
-        return CLOCK_DRIFT.tell(late=self.low_age(now))
+        if late > silent:
+            return CLOCK_DRIFT.tell(late=late)
+        why = f"unreadable, {self.low_unread}" if self.low_unread else "check cable and robot"
+        return f"no LowState for {silent:.1f} s: {why}"
 
     def sport_age(self, now: int) -> float:
         """Seconds since the last sportmodestate with a new stamp; infinite before the first."""

@@ -120,14 +120,10 @@ def taken_out(*names: str) -> Iterator[None]:
 # -- localisation -------------------------------------------------------------------------------------------------------
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
-_TOUCHED = "touched something that the LiDAR does not see at {where}"
-_LOOK = "look at the place; drive around it, or forget it with `rbtrg-robot map clear`"
-TOUCHED_BODY = Monitor(
-    "touched body", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot", _TOUCHED, _LOOK,
-    high=45.0, unit="N", against="map", test="hal/safety/test_touch.py",
-)  # fmt: skip
-TOUCHED_WHEEL = Monitor(
-    "touched wheel", "joints", Check.CONTACT, Consequence.HOLD, "robot", _TOUCHED, _LOOK,
+TOUCHED = Monitor(
+    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
+    "touched something that the LiDAR does not see at {where}",
+    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
     high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH, HIP_Y, MASS, SY, THIGH_Y, TREAD_Y
-from hal.safety.monitors import TOUCHED_BODY, TOUCHED_WHEEL, Monitor
+from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Surroundings
 from hal.types import NS, Array, ImuSample, JointSample
 from hal.wheel_force import wheel_pushes
@@ -36,6 +36,8 @@ BODY_TIME, WHEEL_TIME = 0.05, 0.09
 """[s] that it lasts: three and five joint samples. A wheel that jumps over a pebble is held for less."""
 AHEAD = 0.2
 """[m] beyond the end of the body: what lies farther away holds no wheel."""
+BESIDE = 0.05
+"""[m] beside the body: a wall there holds a wheel that scrapes it. It explains no touch of the body."""
 CELLS = 3
 """Cells that must lie off the plane: one may be noise."""
 LONGEST = 0.05
@@ -49,8 +51,6 @@ class Touch(NamedTuple):
     """1.0 ahead, -1.0 behind."""
     left: float
     """[m] of the wheel that is held, left of the middle; 0 of the body."""
-    row: Monitor
-    """Which check tells it."""
 
 
 class TouchWatch:
@@ -85,20 +85,20 @@ class TouchWatch:
         back = -way * wheel_pushes(sample.position, sample.effort)
         held = -way * self._force[0] - back.sum()
         rough = uneven > FACE
-        pushed = uneven < TALL and TOUCHED_BODY.outside(held / (ROUGH if rough else 1.0))
+        pushed = uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))
         self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
         alone = (back > PUSHED) & (beside < STRAIN * back)
         worst = np.where(alone, back - others - TURN * abs(wz), 0.0)
         for leg in range(4):
-            more = not rough and TOUCHED_WHEEL.outside(float(worst[leg]))
+            more = not rough and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
         if self._body >= BODY_TIME:
-            return self._tell(Touch(way, 0.0, TOUCHED_BODY))
+            return self._tell(Touch(way, 0.0))
         if self._wheel.max() >= WHEEL_TIME:
             leg = int(self._wheel.argmax())
-            return self._tell(Touch(way, float(SY[leg]) * (HIP_Y + THIGH_Y + TREAD_Y), TOUCHED_WHEEL))
+            return self._tell(Touch(way, float(SY[leg]) * (HIP_Y + THIGH_Y + TREAD_Y)))
         return None
 
     def _tell(self, touch: Touch) -> Touch:
@@ -113,7 +113,7 @@ def uneven(around: Surroundings, pose: tuple[float, float, float], way: float) -
     """
     x, y, yaw = (float(v) for v in pose)
     front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution
-    reach = math.ceil(math.hypot(front + AHEAD, side) / resolution)
+    reach = math.ceil(math.hypot(front + AHEAD, side + BESIDE) / resolution)
     row, col = round((y - around.origin[1]) / resolution), round((x - around.origin[0]) / resolution)
     rows, cols = slice(max(row - reach, 0), row + reach + 1), slice(max(col - reach, 0), col + reach + 1)
     height = around.height[rows, cols]
@@ -125,11 +125,13 @@ def uneven(around: Surroundings, pose: tuple[float, float, float], way: float) -
     )
     c, s = math.cos(yaw), math.sin(yaw)
     along, across = way * (c * dx + s * dy), c * dy - s * dx
-    near = (along >= -front) & (along <= front + AHEAD) & (np.abs(across) <= side)
+    near = (along >= -front) & (along <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
     terms = np.column_stack([np.ones_like(along), along, across])[near]
     ground = height[r, k][near].astype(float)
-    under = terms[:, 1] <= front
+    beside = np.abs(terms[:, 2]) > side
+    under = (terms[:, 1] <= front) & ~beside
     if np.count_nonzero(under) < CELLS or len(ground) <= CELLS:
         return 0.0
     plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
-    return float(np.sort(np.abs(ground - terms @ plane))[-CELLS])
+    off = np.abs(ground - terms @ plane)
+    return float(np.sort(np.where(beside, np.minimum(off, 0.5 * TALL), off))[-CELLS])

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH
+from hal.safety import monitors
 from hal.safety.gate_types import MotionLimits
 from hal.safety.touch import FACE, Touch, TouchWatch
 from hal.types import NS, ImuSample, JointSample, VelocityCommand
@@ -60,7 +61,7 @@ class Feeling:
                 (t.TOUCHED, msg.PoseStamped(header(sample.stamp, MAP), msg.Pose(point((x, y, z)), towards)))
             )
             where = f"({x:.1f}, {y:.1f})"
-        self._last = touch, sample.stamp, touch.row.tell(where=where)
+        self._last = touch, sample.stamp, monitors.TOUCHED.tell(where=where)
         return outputs
 
     def may_climb(self, vx: float) -> bool:
@@ -71,7 +72,7 @@ class Feeling:
         """The guard's, and no motion but away from what was just touched."""
         if self._limits is None or self._last is None or not 0 <= now - self._last[1] < HOLD:
             return self._limits
-        (way, _, _), _, words = self._last
+        (way, _), _, words = self._last
         held = replace(self._limits, left=0.0, right=0.0, reason=words)
         return replace(held, forward=0.0) if way > 0.0 else replace(held, backward=0.0)
 

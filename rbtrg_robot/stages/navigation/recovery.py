@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
-from hal.safety.monitors import TOUCHED_BODY
+from hal.safety.monitors import TOUCHED
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.progress import Pose2
 
@@ -79,7 +79,7 @@ class Recovery:
         said = [f"the wheels felt an edge that goes down {edges}"] if edges else []
         if self._touched:
             where = " and ".join(f"({x:.1f}, {y:.1f})" for x, y in self._touched)
-            said.append(TOUCHED_BODY.tell(where=where))
+            said.append(TOUCHED.tell(where=where))
         return "; ".join(said)
 
     def touched(self, x: float, y: float) -> Measure:

@@ -46,7 +46,8 @@ class Run:
                 return
             self.driver.step(vx, wz)
             state, now = self.simulation.low_state(), self.simulation.time
-            if self.met == np.inf and (np.abs(self.simulation.contacts().normals[:, 2]) < 0.5).any():
+            contacts = self.simulation.contacts()
+            if self.met == np.inf and ((np.abs(contacts.normals[:, 2]) < 0.5) & (contacts.forces > 1.0)).any():
                 self.met = now
             self.watch.imu(imu_sample(round(now * NS), state))
             if k % 4 == 0:

@@ -12,12 +12,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hal.go2w import BODY_LENGTH, BODY_WIDTH, HIP_Y, MASS, SY, THIGH_Y, TREAD_Y
+from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SY, THIGH_LINK, THIGH_Y, TREAD_Y
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Surroundings
 from hal.types import NS, Array, ImuSample, JointSample
 from hal.wheel_force import wheel_pushes
 
+SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
+"""[kg] that the legs push; shanks and wheels get their share from the ground itself."""
+SHORT = 0.85
+"""A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against each other in a bend."""
 DRIVES = 0.03
 """[m/s] A robot that is commanded slower than this drives nowhere."""
 PUSHED = 12.0
@@ -58,7 +62,7 @@ class TouchWatch:
 
     def __init__(self) -> None:
         self._force: Array = np.zeros(3)
-        """[N] mass times the mean specific force since the last joint sample."""
+        """[N] sprung mass times the mean specific force since the last joint sample."""
         self._sum, self._count = np.zeros(3), 0
         self._stamp = 0
         self._body = 0.0
@@ -70,13 +74,15 @@ class TouchWatch:
         self._sum += sample.accel
         self._count += 1
 
-    def joints(self, sample: JointSample, vx: float, wz: float, uneven: float) -> Touch | None:
+    def joints(
+        self, sample: JointSample, vx: float, wz: float, uneven: float, speed: float | None = None
+    ) -> Touch | None:
         """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is `uneven` [m] ahead of the wheels and
-        under them."""
+        under them. `speed`: measured, forward [m/s]; None: not known."""
         elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
         self._stamp = sample.stamp
         if self._count:
-            self._force = MASS * self._sum / self._count
+            self._force = SPRUNG * self._sum / self._count
             self._sum, self._count = np.zeros(3), 0
         if abs(vx) < DRIVES:
             self._body, self._wheel = 0.0, np.zeros(4)
@@ -85,14 +91,15 @@ class TouchWatch:
         back = -way * wheel_pushes(sample.position, sample.effort)
         held = -way * self._force[0] - back.sum()
         rough = uneven > FACE
-        pushed = uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))
+        slow = speed is None or way * speed < SHORT * abs(vx)
+        pushed = slow and uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))
         self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
         alone = (back > PUSHED) & (beside < STRAIN * back)
         worst = np.where(alone, back - others - TURN * abs(wz), 0.0)
         for leg in range(4):
-            more = not rough and monitors.TOUCHED.outside(float(worst[leg]))
+            more = slow and not rough and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
         if self._body >= BODY_TIME:
             return self._tell(Touch(way, 0.0))

@@ -43,10 +43,14 @@ class Feeling:
         self._limits = limits
 
     def joints(
-        self, sample: JointSample, driven: VelocityCommand, place: tuple[NDArray[np.float64], float] | None
+        self,
+        sample: JointSample,
+        driven: VelocityCommand,
+        place: tuple[NDArray[np.float64], float] | None,
+        speed: float | None = None,
     ) -> Outputs:
-        """`place`: position (3,) [m] and yaw [rad] of base_link in `map`; None where nobody knows it."""
-        touch = self._watch.joints(sample, driven.vx, driven.wz, self._uneven(driven.vx))
+        """`place`: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured, forward [m/s]; None where nobody knows it."""
+        touch = self._watch.joints(sample, driven.vx, driven.wz, self._uneven(driven.vx), speed)
         if touch is None:
             return []
         outputs: Outputs = []

@@ -236,17 +236,15 @@ class RobotStage:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
         return GateInputs(state, self._tilt.tilt, velocity, pose, self._feeling.limits(now), self._stamps)
 
-    def _place(self) -> tuple[NDArray[np.float64], float] | None:
-        """Position (3,) and yaw of base_link in `map`, by the newest pose; None where there is none that is fresh."""
-        if (
-            self._pose is None
-            or abs(self._now - stamp_of(self._pose)) / NS >= POSE_LIMIT
-            or not self._frame.known
-        ):
-            return None
-        place = self._pose.pose.pose
+    def _motion(self) -> tuple[tuple[NDArray[np.float64], float] | None, float | None]:
+        """Position (3,) and yaw of base_link in `map`, and its forward speed [m/s], by the newest pose; None what is not known."""
+        if self._pose is None or abs(self._now - stamp_of(self._pose)) / NS >= POSE_LIMIT:
+            return None, None
+        place, speed = self._pose.pose.pose, self._pose.twist.twist.linear.x
+        if not self._frame.known:
+            return None, speed
         position, _ = self._frame.pose3(xyz(place.position), xyzw(place.orientation))
-        return position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]
+        return (position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]), speed
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
@@ -256,7 +254,10 @@ class RobotStage:
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
-            return [(t.JOINTS, joint_msg(sample)), *self._feeling.joints(sample, self._driven, self._place())]
+            return [
+                (t.JOINTS, joint_msg(sample)),
+                *self._feeling.joints(sample, self._driven, *self._motion()),
+            ]
         if isinstance(sample, LidarScan):
             # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
             self._stamps["lidar"] = max(sample.stamp, self._stamps.get("lidar", 0))

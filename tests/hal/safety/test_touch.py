@@ -54,7 +54,13 @@ class Run:
                 self.met = now
             self.watch.imu(imu_sample(round(now * NS), state))
             if k % 4 == 0:
-                touch = self.watch.joints(joint_sample(round(now * NS), state), vx, wz, uneven)
+                touch = self.watch.joints(
+                    joint_sample(round(now * NS), state),
+                    vx,
+                    wz,
+                    uneven,
+                    float(self.simulation.linear_velocity[0]),
+                )
                 self.touches += [(now, touch)] if touch else []
 
 

@@ -47,10 +47,7 @@ class Run:
             self.driver.step(vx, wz)
             state, now = self.simulation.low_state(), self.simulation.time
             contacts = self.simulation.contacts()
-            if (
-                self.met == np.inf
-                and ((np.abs(contacts.normals[:, 2]) < 0.5) & (contacts.forces > 1.0)).any()
-            ):
+            if self.met == np.inf and ((contacts.places[:, 2] > 0.03) & (contacts.forces > 1.0)).any():
                 self.met = now
             self.watch.imu(imu_sample(round(now * NS), state))
             if k % 4 == 0:

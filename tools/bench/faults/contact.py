@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from hal.lowlevel import Controller
 from hal.safety.monitors import TOUCHED
 from rbtrg_robot import topics as t
@@ -53,9 +51,9 @@ def stack_before(box: Box, controller: Controller, seed: int) -> Lockstep:
 
 
 def met(stack: Lockstep) -> bool:
-    """Whether something stands against a part of the robot just now, by the truth."""
+    """Whether something above the flat ground is against a part of the robot just now, by the truth."""
     contacts = stack.robot.backend.simulation.contacts()  # type: ignore[attr-defined]
-    return bool(((np.abs(contacts.normals[:, 2]) < 0.5) & (contacts.forces > 1.0)).any())
+    return bool(((contacts.places[:, 2] > 0.03) & (contacts.forces > 1.0)).any())
 
 
 def push(box: Box, controller: Controller, speed: float, seed: int) -> Outcome:

@@ -14,6 +14,7 @@ from hal.safety.gate_types import MotionLimits
 from hal.safety.mux import TELEOP, TRACKER
 from hal.safety.tilt import TiltFilter
 from hal.types import (
+    FELT_EDGE,
     NS,
     GroundTruth,
     ImuSample,
@@ -254,10 +255,10 @@ class RobotStage:
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
-            return [
-                (t.JOINTS, joint_msg(sample)),
-                *self._feeling.joints(sample, self._driven, *self._motion()),
-            ]
+            # Where the wheels feel an edge their reflex moves the robot, not the command.
+            reflex = self.backend.state().cause.startswith(FELT_EDGE)
+            driven = VelocityCommand(self._now) if reflex else self._driven
+            return [(t.JOINTS, joint_msg(sample)), *self._feeling.joints(sample, driven, *self._motion())]
         if isinstance(sample, LidarScan):
             # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
             self._stamps["lidar"] = max(sample.stamp, self._stamps.get("lidar", 0))

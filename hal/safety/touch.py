@@ -15,11 +15,14 @@ import numpy as np
 from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SY, THIGH_LINK, THIGH_Y, TREAD_Y
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Surroundings
-from hal.types import NS, Array, ImuSample, JointSample
-from hal.wheel_force import wheel_pushes
+from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
+from hal.wheel_force import wheel_loads, wheel_pushes
 
 SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
-"""[kg] that the legs push; shanks and wheels get their share from the ground itself."""
+"""[kg] that the legs push, without payload; shanks and wheels get their share from the ground itself."""
+HEAVIEST, WEIGH_TIME = 40.0, 1.0
+"""[kg] with payload at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes nothing."""
+UP = np.array([0.0, 0.0, 1.0])
 SHORT = 0.85
 """A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against each other in a bend."""
 DRIVES = 0.03
@@ -61,9 +64,10 @@ class TouchWatch:
     """Feeds on IMU and joint samples as they come."""
 
     def __init__(self) -> None:
-        self._force: Array = np.zeros(3)
-        """[N] sprung mass times the mean specific force since the last joint sample."""
+        self._accel: Array = np.array([0.0, 0.0, GRAVITY])
+        """[m/s^2] mean specific force since the joint sample before."""
         self._sum, self._count = np.zeros(3), 0
+        self._mass = SPRUNG
         self._stamp = 0
         self._body = 0.0
         """For how long the body was pushed back [s]; `_wheel`: one of the wheels."""
@@ -82,14 +86,18 @@ class TouchWatch:
         elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
         self._stamp = sample.stamp
         if self._count:
-            self._force = SPRUNG * self._sum / self._count
+            self._accel = self._sum / self._count
             self._sum, self._count = np.zeros(3), 0
+        weighed = float(wheel_loads(sample.position, sample.effort, UP).sum()) / max(
+            float(self._accel[2]), 0.5 * GRAVITY
+        )
+        self._mass += elapsed / WEIGH_TIME * (min(max(weighed, SPRUNG), HEAVIEST) - self._mass)
         if abs(vx) < DRIVES:
             self._body, self._wheel = 0.0, np.zeros(4)
             return None
         way = math.copysign(1.0, vx)
         back = -way * wheel_pushes(sample.position, sample.effort)
-        held = -way * self._force[0] - back.sum()
+        held = -way * self._mass * self._accel[0] - back.sum()
         rough = uneven > FACE
         slow = speed is None or way * speed < SHORT * abs(vx)
         pushed = slow and uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))

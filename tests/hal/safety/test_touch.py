@@ -28,9 +28,14 @@ class Run:
     """The bare robot at the origin, driven by hand; what the watch tells of it, and when something but a wheel's tread on the ground touched it."""
 
     def __init__(
-        self, height: np.ndarray, *box: tuple[tuple[float, float, float], tuple[float, float, float], float]
+        self,
+        height: np.ndarray,
+        *box: tuple[tuple[float, float, float], tuple[float, float, float], float],
+        payload: float = 0.0,
     ) -> None:
-        self.simulation = Simulation(height, RES, (-3.0, -3.0), boxes=[size for _, size, _ in box])
+        self.simulation = Simulation(
+            height, RES, (-3.0, -3.0), boxes=[size for _, size, _ in box], payload=payload
+        )
         self.simulation.reset()
         for k, (centre, _, yaw) in enumerate(box):
             self.simulation.place_box(k, centre, yaw)
@@ -110,11 +115,16 @@ def test_starts_stops_and_turns_are_no_touch() -> None:
     assert not run.touches
 
 
+@pytest.mark.parametrize("payload", [0.0, 8.0])
 @pytest.mark.parametrize("slope", [0.36, -0.36])
-def test_a_ramp_whose_foot_and_crest_the_map_tells_is_no_touch(slope: float) -> None:
-    run = Run(ground(lambda x: slope * np.clip(x - 0.6, 0.0, 1.0)))
-    run.drive(0.5, 0.0, 5.0, uneven=0.08)
-    assert run.simulation.position[0] > 1.6
+def test_a_ramp_whose_foot_the_map_tells_is_no_touch_whatever_is_carried(
+    slope: float, payload: float
+) -> None:
+    run = Run(ground(lambda x: slope * np.clip(x - 0.6, 0.0, 1.5)), payload=payload)
+    run.drive(0.5, 0.0, 1.6, uneven=0.08)
+    assert run.simulation.position[0] > 0.6
+    run.drive(0.5, 0.0, 1.8)
+    assert run.simulation.position[0] > 1.2
     assert not run.touches
 
 

@@ -41,10 +41,15 @@ def bar(height: float) -> Box:
 
 
 def stack_before(box: Box, controller: Controller, seed: int) -> Lockstep:
-    """On flat ground, ready, the box ahead; the heading differs by seed."""
-    yaw = math.radians((seed % 5 - 2) * 2.0)
+    """On flat ground, ready, the box ahead; a few centimetres aside by seed."""
     sim = {"obstacles": [box], "lidar_step": 8}
-    flags = {"scene": "flat", "origin": (0.0, 0.0, yaw), "sim": sim, "controller": controller, "seed": seed}
+    flags = {
+        "scene": "flat",
+        "origin": (0.0, 0.01 * (seed % 5 - 2), 0.0),
+        "sim": sim,
+        "controller": controller,
+        "seed": seed,
+    }
     stack = Lockstep(load(None, ["record=false"], **flags))
     stack.wait_ready()
     return stack

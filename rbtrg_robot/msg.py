@@ -417,6 +417,7 @@ class MapStatus(Message):
     restoring: bool = False
     warning: str = ""
     prior: str = ""
+    touched: int = 0
     refused: int = 0
     detail: str = ""
     location: str = ""
@@ -535,6 +536,8 @@ class MotionLimits(Message):
     left: float = 0.0
     right: float = 0.0
     reason: str = ""
+    uneven_ahead: float = 0.0
+    uneven_behind: float = 0.0
 
 
 @dataclass(slots=True, eq=False)

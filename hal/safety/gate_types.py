@@ -113,6 +113,9 @@ class MotionLimits:
     """[rad/s], not negative."""
     reason: str = ""
     """The obstacle; empty without one."""
+    uneven_ahead: float = 0.0
+    uneven_behind: float = 0.0
+    """[m] how far the map's ground lies off the plane that the robot stands on; see `hal.safety.touch`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -308,6 +308,12 @@ SWEEP_CLOCK = Monitor(
 )
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
+TOUCHED = Monitor(
+    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
+    "touched something that the LiDAR does not see at {where}",
+    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
+    high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
+)  # fmt: skip
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 

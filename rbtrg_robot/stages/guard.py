@@ -25,6 +25,7 @@ from hal.safety.swept import (
     PLANTS,
     POINTS,
     SPACING,
+    TOUCHED,
     WHEELS,
     Body,
     Reach,
@@ -38,6 +39,7 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
+from hal.safety.touch import uneven
 from hal.types import NS, Array, Capabilities
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
@@ -188,7 +190,7 @@ class GuardStage:
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
-            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS)), source, 0).astype(np.uint8),
+            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, TOUCHED)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,
@@ -285,6 +287,8 @@ class GuardStage:
             left=speeds[2],
             right=speeds[3],
             reason="; ".join(words),
+            uneven_ahead=uneven(self._around, here, 1.0),
+            uneven_behind=uneven(self._around, here, -1.0),
         )
         return [(t.MOTION_LIMITS, limits)]
 

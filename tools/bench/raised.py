@@ -23,7 +23,7 @@ class Raised:
 
     def __init__(self, stack: Lockstep) -> None:
         self._words: dict[str, None] = {}
-        stack.host.listen(self._hear, TOLD)
+        stack.host.listen(self._hear, list(TOLD))
 
     def _hear(self, topic: Topic, payload: bytes, _now: int) -> None:
         message = decode(payload, topic.kind)

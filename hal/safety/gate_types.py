@@ -49,9 +49,17 @@ class GateConfig(BaseModel):
     not_moving_stop: float = Field(
         default=12.0, gt=0, le=60.0, description="[s] the same, latches; longer than a recovery"
     )
-    moving_stop: float = Field(default=1.0, gt=0, le=5.0, description="[s] moving but not commanded, latches")
+    moving_stop: float = Field(
+        default=0.5,
+        ge=0.2,
+        le=1.0,
+        description="[s] over which motion that was not commanded is averaged; latches",
+    )
     moving_speed: float = Field(
-        default=0.3, gt=0, le=1.0, description="[m/s] counts as moving; yaw rates double, in rad/s"
+        default=0.05,
+        ge=0.03,
+        le=0.1,
+        description="[m/s] the mean counts as moving; yaw rates double, in rad/s",
     )
     braking_time: float = Field(
         default=1.0, gt=0, le=5.0, description="[s] in which a moving robot comes to rest"
@@ -123,7 +131,11 @@ class GateInputs:
     tilt: float | None = None
     """Angle between the trunk's z axis and gravity [rad], see `hal.safety.tilt.TiltFilter`."""
     velocity: tuple[float, float, float] | None = None
-    """Measured vx, vy [m/s], wz [rad/s] in base_link; None skips the two motion checks."""
+    """Measured vx, vy [m/s], wz [rad/s] in base_link, by odometry; None: nobody sees whether a command is followed."""
+    wheels: tuple[float, float] | None = None
+    """Speed of the wheels [m/s] and yaw rate of the gyro [rad/s]: the second witness of motion that was not commanded."""
+    lean: tuple[float, float] = (0.0, 0.0)
+    """x and y of the upward direction in base_link: (0.1, 0) has the nose up by 0.1 rad."""
     pose: tuple[float, float, float] | None = None
     """x, y [m], yaw [rad] in `map`; needed only with a geofence."""
     limits: MotionLimits | None = None
@@ -144,7 +156,9 @@ class GateStatus:
     not_moving: bool
     """Commanded but not moving for longer than `not_moving_warn`."""
     motion_unchecked: bool
-    """No measured velocity: neither "commanded but not moving" nor "moving but not commanded" would be noticed."""
+    """No measured velocity: "commanded but not moving" would not be noticed."""
+    creeps: float
+    """[m/s] at which it rolls down a slope without a command; 0 where it does not."""
     accepted: int
     refused: dict[str, int]
     """Count by RefusalReason, in the order of the enum; only reasons that occurred."""

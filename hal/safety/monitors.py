@@ -141,6 +141,68 @@ def taken_out(*names: str) -> Iterator[None]:
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
+ROLLS_ON = Monitor(
+    "rolls on",
+    stream="rt/lowstate, rt/sportmodestate",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot, guardian, sentry",
+    words="StopMove is not followed: {speed} after {after}",
+    remedy="use the hardware stop; find out who else commands the robot, then `posture recover` and `resume`",
+    high=0.05,
+    unit="m/s",
+    against="StopMove",
+    test="hal/unitree/test_motion.py",
+)
+MOVES_UNTOLD = Monitor(
+    "moves untold",
+    stream="/odom/fast, /joint_states",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot",
+    words="it moves by {speed} m/s at a command of zero",
+    remedy="somebody else drives or pushes the robot, it slides, or odometry errs: find out, then `resume`",
+    high=0.05,
+    unit="m/s over 0.5 s",
+    setting="gate.moving_speed",
+    against="/cmd_vel",
+    test="hal/safety/test_gate.py",
+)
+TWO_ROBOTS = Monitor(
+    "two robots",
+    stream="rt/lowstate, rt/api/sport/response",
+    check=Check.OWNER,
+    consequence=Consequence.REFUSE,
+    judge="robot",
+    words="more than one robot on this DDS domain: {found}",
+    remedy="unplug one of them, or give it another DDS domain (`unitree.domain`); then `posture recover` and `resume`",
+    test="hal/unitree/test_two_robots.py",
+)
+OLD_HANDS = Monitor(
+    "old hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="old hands: their sender saw the robot {age} s ago, limit {limit} s",
+    remedy="let go until the link is quicker; move nearer",
+    low=0.0,
+    high=0.5,
+    unit="s",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
+BLIND_HANDS = Monitor(
+    "blind hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="hands without an echo: the stamp is {stamp}, not one that the robot told",
+    remedy="set header.stamp to the newest stamp of the robot that was seen, for example of /robot/state (docs/ros.md)",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from hal.contract import UP, Backend
+from hal.go2w import WHEEL_RADIUS, WHEELS
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
 from hal.safety.mux import TELEOP, TRACKER
@@ -90,6 +91,8 @@ class RobotStage:
         self._figures: dict[str, float] = {}
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
+        self._rolls = self._turns = 0.0
+        """Speed of the wheels [m/s], yaw rate of the gyro [rad/s]."""
         self._driven = VelocityCommand(0)
         self._trunk = PostureCommand(0)
         self._commands = CommandPath(gate)
@@ -194,6 +197,7 @@ class RobotStage:
             self._commands.taken(now),
             status.not_moving,
             status.motion_unchecked,
+            status.creeps > 0.0,
         )
         if now >= self._state_due or shown != self._shown:
             self._shown = shown
@@ -235,15 +239,28 @@ class RobotStage:
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
-        return GateInputs(state, self._tilt.tilt, velocity, pose, self._limits, self._stamps)
+        wheels = (self._rolls, self._turns)
+        fresh = all(0 <= now - self._stamps.get(x, -NS) < POSE_LIMIT * NS for x in ("imu", "joints"))
+        return GateInputs(
+            state,
+            self._tilt.tilt,
+            velocity,
+            wheels if fresh else None,
+            self._tilt.lean,
+            pose,
+            self._limits,
+            self._stamps,
+        )
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
             self._stamps["imu"] = sample.stamp
+            self._turns = float(sample.gyro[2])
             self._tilt.update(sample)
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
+            self._rolls = float(sample.velocity[WHEELS].mean()) * WHEEL_RADIUS
             return [(t.JOINTS, joint_msg(sample))]
         if isinstance(sample, LidarScan):
             # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
@@ -292,6 +309,8 @@ def _remark(state: RobotState, status: GateStatus) -> str:
     """Remark of the gate after the robot's own words."""
     if status.not_moving:
         return "; commanded but not moving"
+    if status.creeps:
+        return f"; it creeps down a slope at {status.creeps:.2f} m/s"
     return (
         "; motion is not checked, odometry is silent" if status.motion_unchecked and state.phase in UP else ""
     )

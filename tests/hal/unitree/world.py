@@ -41,6 +41,9 @@ class World:
         self.backend = UnitreeBackend(
             "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
         )
+        self.other: RobotSide | None = None
+        """Another robot on the same network."""
+        self._speakers: dict[str, list[int]] = {}
         self.states: list[RobotState] = []
         self.samples: list = []
 
@@ -52,13 +55,18 @@ class World:
     def send(self, service: str, request: Request) -> None:
         self.sent.append((self.elapsed, service, request))
         if not self.cut:
-            self.robot.handle(service, Request.unpack(request.pack()), self.elapsed)
+            for robot in self._robots:
+                robot.handle(service, Request.unpack(request.pack()), self.elapsed)
 
     def responses(self, service: str) -> list[Response]:
         return self._answers.pop(service, [])
 
     def take(self, topic: str) -> list[bytes]:
+        self._spoke = self._speakers.pop(topic, [])
         return self._inbox.pop(topic, [])
+
+    def speakers(self, topic: str) -> list[int]:
+        return self._spoke
 
     def reachable(self, service: str) -> bool:
         return service in SERVICES
@@ -74,13 +82,19 @@ class World:
         end = self.elapsed + round(seconds * NS)
         while self.elapsed < end:
             self.elapsed = min(end, self.elapsed + 2_000_000)
-            self.robot.step(self.elapsed)
-            for service, response in self.robot.responses(self.elapsed):
-                if not self.cut:
-                    self._answers.setdefault(service, []).append(response)
-            for topic, messages in self.robot.outbox().items():
-                if not self.cut:
-                    self._inbox.setdefault(topic, []).extend(messages)
+            for number, robot in enumerate(self._robots):
+                robot.step(self.elapsed)
+                for service, response in robot.responses(self.elapsed):
+                    if not self.cut:
+                        self._answers.setdefault(service, []).append(response)
+                for topic, messages in robot.outbox().items():
+                    if not self.cut:
+                        self._inbox.setdefault(topic, []).extend(messages)
+                        self._speakers.setdefault(topic, []).extend([number] * len(messages))
+
+    @property
+    def _robots(self) -> list[RobotSide]:
+        return [self.robot] if self.other is None else [self.robot, self.other]
 
     def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list:
         """The host's 50 Hz loop."""

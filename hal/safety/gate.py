@@ -85,14 +85,18 @@ class SafetyGate:
         """Take a command at `now` [ns], or say why not."""
         refusal = self._check(command, now)
         if refusal is not None:
-            self._refused[refusal.reason] += 1
-            self._refusal = refusal, now
+            self.refuse(refusal, now)
             return refusal
         self._accepted = command
         # A stamp slightly ahead of the clock must not prolong the command's life.
         self._fresh_from = min(command.stamp, now)
         self._count += 1
         return None
+
+    def refuse(self, refusal: Refusal, now: int) -> None:
+        """Count a command that does not count, and say why nothing moves."""
+        self._refused[refusal.reason] += 1
+        self._refusal = refusal, now
 
     def posture(self, command: PostureCommand, now: int) -> Refusal | None:
         """Take a tilt of the trunk at `now` [ns], or say why not. Like a velocity it must be repeated; the height is not passed on."""

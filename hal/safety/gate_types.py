@@ -85,6 +85,8 @@ class RefusalReason(StrEnum):
     OUT_OF_ORDER = "out of order"
     LATCHED = "stopped until resume"
     NOT_STANDING = "not standing still"
+    OLD_HANDS = "old hands"
+    BLIND_HANDS = "blind hands"
 
 
 class StopCause(StrEnum):

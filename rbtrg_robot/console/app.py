@@ -201,7 +201,7 @@ class Site:
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":
-                self._desk.alive(page, time.monotonic(), watched=bool(wish.get("watched")))
+                self._desk.alive(page, time.monotonic(), wish)
             elif what == "take over":
                 self._desk.take_over(page, time.monotonic())
                 reply(True, "this page operates")

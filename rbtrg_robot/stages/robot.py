@@ -131,17 +131,17 @@ class RobotStage:
         """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.drive(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.drive(TRACKER, message, sender, self._now)
         elif t.TRUNK.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.tilt(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.tilt(TRACKER, message, sender, self._now)
         elif t.TELEOP.carried(message, topic):
-            # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
+            # The guard is all that hands need.
             if GUARD not in self._missing:
-                self._commands.drive(TELEOP, message, self._now, sender, self._now)
+                self._commands.drive(TELEOP, message, sender, self._now)
         elif t.TELEOP_TRUNK.carried(message, topic):
             if GUARD not in self._missing:
-                self._commands.tilt(TELEOP, message, self._now, sender, self._now)
+                self._commands.tilt(TELEOP, message, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
@@ -301,6 +301,7 @@ class RobotStage:
             refused_reason=list(refused),
             refused_count=array(list(refused.values()), "uint32"),
             hold=hold,
+            hands=self._commands.hands(now),
             realtime_factor=self.realtime_factor,
         )
 

@@ -135,6 +135,46 @@ def taken_out(*names: str) -> Iterator[None]:
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
+GUARD_BLIND = Monitor(
+    "guard is blind",
+    stream="/cloud/main, /cloud/head",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="guard",
+    words="no sweep of any LiDAR for {age} s: nobody sees what steps into the way",
+    remedy="power, cable and driver of the LiDARs; `status` lists their topics",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+MAIN_SILENT = Monitor(
+    "main LiDAR is silent",
+    stream="/cloud/main",
+    check=Check.AGE,
+    consequence=Consequence.TELL,
+    judge="guard",
+    words="the main LiDAR is silent for {age} s: 0.2 m/s and 0.3 rad/s at most, only the head's LiDAR sees what steps into the way",
+    remedy="power, cable and driver of the main LiDAR; `status` lists its topic",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+TRACKER_STALE = Monitor(
+    "tracker's inputs",
+    stream="/odom/fast, /odom, /elevation_map/status, /goal/status",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="tracker",
+    words="{topic} tells of {age} s ago, limit {limit} s",
+    remedy="if it lasts: `status` shows which process is slow or silent, its log says why",
+    setting="freshness",
+    against="clock",
+    test="rbtrg_robot/stages/test_tracker.py",
+)
 
 # -- localisation -------------------------------------------------------------------------------------------------------
 

@@ -210,9 +210,9 @@ def test_a_stale_sensor_holds_and_its_return_releases(sensor: str, limit: float)
 
 
 def test_no_setting_takes_a_sensor_out_of_the_checks():
-    one = GateConfig.model_validate({"sensor_timeout": {"lidar": 2.0}})
+    one = GateConfig.model_validate({"sensor_timeout": {"lidar": 1.5}})
     none = GateConfig.model_validate({"sensor_timeout": {}})
-    assert one.sensor_timeout.lidar == 2.0
+    assert one.sensor_timeout.lidar == 1.5
     for params in (one, none):
         for sensor in ("state", "imu", "joints", "lidar"):
             gate = SafetyGate(CAPS, params)

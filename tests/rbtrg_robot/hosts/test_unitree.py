@@ -54,8 +54,8 @@ class Wired:
     def diagnostics(self) -> dict[str, float]:
         return self.backend.diagnostics()
 
-    def close(self) -> None:
-        self.backend.close()
+    def close(self, *, lie_down: bool = True) -> None:
+        self.backend.close(lie_down=lie_down)
 
 
 @pytest.fixture

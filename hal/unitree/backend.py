@@ -36,7 +36,7 @@ from hal.unitree.transitions import Failed, Steps, Transitions
 log = logging.getLogger(__name__)
 
 RECOVERING = "recovering"
-LISTEN = 0.3
+LISTEN = 0.1
 """[s] at the start, before and after the first requests: long enough for another robot's LowState (500 Hz) and answer."""
 _STATE_PERIOD = NS // 25
 """[ns] between RobotState samples while nothing changes."""

@@ -13,6 +13,7 @@ TOLD = {
     t.ODOM_HEALTH: ("reason", "calibration"),
     t.MAP_STATUS: ("warning", "detail"),
     t.TRACKER_STATE: ("hold",),
+    t.MOTION_LIMITS: ("reason",),
     t.GOAL_STATUS: ("reason", "detail"),
 }
 """Fields that an operator reads."""

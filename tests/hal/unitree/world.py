@@ -77,6 +77,10 @@ class World:
     def close(self) -> None:
         pass
 
+    def begin(self) -> None:
+        """From now on the host's clock counts from 0: whoever drives it began with that while this one was connecting."""
+        self.epoch = -self.elapsed
+
     # -- time ----------------------------------------------------------------------------------------------------
     def advance(self, seconds: float) -> None:
         end = self.elapsed + round(seconds * NS)

@@ -34,6 +34,7 @@ class Wired:
 
     def connect(self) -> None:
         self.backend.connect()
+        self.world.begin()
 
     def read(self, now: int) -> list[Sample]:
         self.world.advance(max(now - self.world.now, 0) / 1e9)

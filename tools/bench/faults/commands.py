@@ -7,7 +7,7 @@ import random
 
 from hal.contract import BackendError
 from hal.lidar.config import DEFAULT_LIDARS
-from hal.safety.monitors import GUARD_BLIND, MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
+from hal.safety.monitors import MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
 from hal.types import NS, LidarScan, Sample
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -135,14 +135,6 @@ FAULTS = (
         says=("more than one robot",),
     ),
     Fault("old_hands", (OLD_HANDS,), (0.7, 3.0), _old_hands, rest=0.0, says=("their sender saw the robot",)),
-    Fault(
-        "all_lidars_silent",
-        (GUARD_BLIND,),
-        (0.2, 0.5),
-        lambda speed, seed: _silent(("main", "head"), speed, seed),
-        rest=1.0,  # 0.5 s without a sweep, then the brakes
-        says=("no sweep of any LiDAR",),
-    ),
     Fault(
         "main_lidar_silent",
         (MAIN_SILENT,),

@@ -12,6 +12,7 @@ from hal.unitree.config import UnitreeConfig
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS
+EVERYTHING = "all topics"
 L1 = UnitreeConfig(lidars=only("l1"))
 
 
@@ -36,14 +37,16 @@ class World:
         self.elapsed = 0
         self.cut = False
         self.sent: list[tuple[int, str, Request]] = []
-        self._inbox: dict[str, list[bytes]] = {}
-        self._answers: dict[str, list[Response]] = {}
+        self.late: dict[str, float] = {}
+        """[s] that messages of a topic take, and answers of a service; `EVERYTHING` for all topics."""
+        self._way: dict[str, list[tuple[int, Any]]] = {}
+        """What is under way, by topic and service: when it comes [ns], and what."""
         self.backend = UnitreeBackend(
             "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
         )
         self.other: RobotSide | None = None
         """Another robot on the same network."""
-        self._speakers: dict[str, list[int]] = {}
+        self._spoke: list[int] = []
         self.states: list[RobotState] = []
         self.samples: list = []
 
@@ -59,11 +62,23 @@ class World:
                 robot.handle(service, Request.unpack(request.pack()), self.elapsed)
 
     def responses(self, service: str) -> list[Response]:
-        return self._answers.pop(service, [])
+        return self._come(service)
 
     def take(self, topic: str) -> list[bytes]:
-        self._spoke = self._speakers.pop(topic, [])
-        return self._inbox.pop(topic, [])
+        return self._come(topic)
+
+    def _leave(self, name: str, what: Any, late: float, speaker: int) -> None:
+        """Onto the way, which keeps the order."""
+        way = self._way.setdefault(name, [])
+        due = self.elapsed + round(late * NS)
+        way.append((max(due, way[-1][0]) if way else due, what, speaker))
+
+    def _come(self, name: str) -> list:
+        way = self._way.get(name, [])
+        here = [(what, speaker) for due, what, speaker in way if due <= self.elapsed]
+        self._way[name] = way[len(here) :]
+        self._spoke = [speaker for _, speaker in here]
+        return [what for what, _ in here]
 
     def speakers(self, topic: str) -> list[int]:
         return self._spoke
@@ -90,11 +105,11 @@ class World:
                 robot.step(self.elapsed)
                 for service, response in robot.responses(self.elapsed):
                     if not self.cut:
-                        self._answers.setdefault(service, []).append(response)
+                        self._leave(service, response, self.late.get(service, 0.0), number)
                 for topic, messages in robot.outbox().items():
-                    if not self.cut:
-                        self._inbox.setdefault(topic, []).extend(messages)
-                        self._speakers.setdefault(topic, []).extend([number] * len(messages))
+                    late = self.late.get(topic, self.late.get(EVERYTHING, 0.0))
+                    for message in () if self.cut else messages:
+                        self._leave(topic, message, late, number)
 
     @property
     def _robots(self) -> list[RobotSide]:

@@ -677,6 +677,7 @@ class RobotState(Message):
     refused_reason: list[str] = field(default_factory=list)
     refused_count: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
     hold: str = ""
+    hands: float = 0.0
     realtime_factor: float = 0.0
 
 

@@ -106,6 +106,8 @@ class ElevationStage:
         """The robot is on ground that nobody saw, or was sent there."""
         self._odom: msg.Odometry | None = None
         self._scans = 0
+        self._fused = 0
+        """Stamp of the newest scan in the map [ns]."""
         self._now = 0
         self._detail = ""
         self._status_due = 0
@@ -185,6 +187,7 @@ class ElevationStage:
         self._course.follow(position, stamp)
         sigmas = self._sigmas(odom)
         self._scans += 1
+        self._fused = stamp
         seen = []
         for name, sensor in self._sensors.items():
             points = clouds.get(name, NOTHING)
@@ -347,7 +350,7 @@ class ElevationStage:
         return []
 
     def tick(self, now: int) -> Outputs:
-        """Status twice a second."""
+        """Status twice a second, with the stamp of the newest scan in the map: who depends on the map sees how old it is."""
         self._now = now
         if self._handover.overdue(now):
             return self._give_up()
@@ -357,7 +360,7 @@ class ElevationStage:
         self._status_due = now + STATUS_PERIOD
         tiles, known, trusted = self.map.store.counts()
         status = msg.MapStatus(
-            header=header(now, "map"),
+            header=header(self._fused, "map"),
             epoch=self.map.epoch,
             scans=self._scans,
             tiles=tiles,

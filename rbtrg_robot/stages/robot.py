@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.contract import UP, Backend
+from hal.go2w import WHEEL_RADIUS, WHEELS
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
 from hal.safety.mux import TELEOP, TRACKER
@@ -95,6 +96,8 @@ class RobotStage:
         self._figures: dict[str, float] = {}
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
+        self._rolls = self._turns = 0.0
+        """Speed of the wheels [m/s], yaw rate of the gyro [rad/s]."""
         self._driven = VelocityCommand(0)
         self._trunk = PostureCommand(0)
         self._commands = CommandPath(gate)
@@ -133,17 +136,17 @@ class RobotStage:
         """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.drive(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.drive(TRACKER, message, sender, self._now)
         elif t.TRUNK.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.tilt(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.tilt(TRACKER, message, sender, self._now)
         elif t.TELEOP.carried(message, topic):
-            # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
+            # The guard is all that hands need.
             if GUARD not in self._missing:
-                self._commands.drive(TELEOP, message, self._now, sender, self._now)
+                self._commands.drive(TELEOP, message, sender, self._now)
         elif t.TELEOP_TRUNK.carried(message, topic):
             if GUARD not in self._missing:
-                self._commands.tilt(TELEOP, message, self._now, sender, self._now)
+                self._commands.tilt(TELEOP, message, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
@@ -194,6 +197,7 @@ class RobotStage:
             self._commands.taken(now),
             status.not_moving,
             status.motion_unchecked,
+            status.creeps > 0.0,
         )
         if now >= self._state_due or shown != self._shown:
             self._shown = shown
@@ -235,7 +239,18 @@ class RobotStage:
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
-        return GateInputs(state, self._tilt.tilt, velocity, pose, self._feeling.limits(now), self._stamps)
+        wheels = (self._rolls, self._turns)
+        fresh = all(0 <= now - self._stamps.get(x, -NS) < POSE_LIMIT * NS for x in ("imu", "joints"))
+        return GateInputs(
+            state,
+            self._tilt.tilt,
+            velocity,
+            wheels if fresh else None,
+            self._tilt.lean,
+            pose,
+            self._feeling.limits(now),
+            self._stamps,
+        )
 
     def _motion(self) -> tuple[tuple[NDArray[np.float64], float] | None, float | None]:
         """Position (3,) and yaw of base_link in `map`, and its forward speed [m/s], by the newest pose; None what is not known."""
@@ -250,11 +265,13 @@ class RobotStage:
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
             self._stamps["imu"] = sample.stamp
+            self._turns = float(sample.gyro[2])
             self._tilt.update(sample)
             self._feeling.imu(sample)
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
+            self._rolls = float(sample.velocity[WHEELS].mean()) * WHEEL_RADIUS
             # Where the wheels feel an edge their reflex moves the robot, not the command.
             reflex = self.backend.state().cause.startswith(FELT_EDGE)
             driven = VelocityCommand(self._now) if reflex else self._driven
@@ -298,6 +315,7 @@ class RobotStage:
             refused_reason=list(refused),
             refused_count=array(list(refused.values()), "uint32"),
             hold=hold,
+            hands=self._commands.hands(now),
             realtime_factor=self.realtime_factor,
         )
 
@@ -306,6 +324,8 @@ def _remark(state: RobotState, status: GateStatus) -> str:
     """Remark of the gate after the robot's own words."""
     if status.not_moving:
         return "; commanded but not moving"
+    if status.creeps:
+        return f"; it creeps down a slope at {status.creeps:.2f} m/s"
     return (
         "; motion is not checked, odometry is silent" if status.motion_unchecked and state.phase in UP else ""
     )

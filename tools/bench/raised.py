@@ -8,11 +8,12 @@ from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
 
-TOLD = {
+TOLD: dict[Topic, tuple[str, ...]] = {
     t.ROBOT_STATE: ("cause", "estop_cause", "hold"),
     t.ODOM_HEALTH: ("reason", "calibration"),
     t.MAP_STATUS: ("warning", "detail"),
     t.TRACKER_STATE: ("hold",),
+    t.MOTION_LIMITS: ("reason",),
     t.GOAL_STATUS: ("reason", "detail"),
 }
 """Fields that an operator reads."""

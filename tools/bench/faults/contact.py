@@ -43,7 +43,7 @@ def bar(height: float) -> Box:
 def stack_before(box: Box, controller: Controller, seed: int) -> Lockstep:
     """On flat ground, ready, the box ahead; a few centimetres aside by seed."""
     sim = {"obstacles": [box], "lidar_step": 8}
-    flags = {
+    flags: dict[str, Any] = {
         "scene": "flat",
         "origin": (0.0, 0.01 * (seed % 5 - 2), 0.0),
         "sim": sim,

@@ -28,7 +28,7 @@ ROOMS: dict[str, str] = {
     "hal.unitree": "hal hal.lidar",
     "mapping": "hal",  # which says where numba keeps kernels
     "mapping.odometry.registration": "hal",
-    "mapping.odometry": "hal mapping.odometry.registration",
+    "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",
     "mapping.relocalise": "hal mapping",
     "mapping.elevation": "hal hal.lidar hal.scenes mapping",
     "planning": "hal",

@@ -118,6 +118,18 @@ def taken_out(*names: str) -> Iterator[None]:
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
 
 # -- localisation -------------------------------------------------------------------------------------------------------
+MOVED_WHILE_STILL = Monitor(
+    "moved_while_still",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "wheels and gyro stand still, the scans moved by {moved:.2f} m and {turned:.0f} deg: is the robot carried, or its floor moving?",
+    "put the robot on firm ground; people who walk past are not taken for it",
+    high=10,
+    unit="scans in a row",
+    against="wheels, IMU",
+)
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
 

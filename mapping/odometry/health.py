@@ -9,18 +9,16 @@ from enum import StrEnum
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.safety.monitors import MOVED_WHILE_STILL
 from hal.types import Array
 from mapping.odometry.registration.engines import Match
+from mapping.odometry.registration.observability import observed
 
 INDEPENDENT = 60
 """Points of a scan whose errors are independent."""
 SCATTER = 0.6
 """Share of the scatter of a scan about the map that does not average out. More of it serves sparse LiDARs where wheels roll
 cleanly (synthetic runs), less of it where they slip and bump (physics)."""
-SLIDING = 0.8
-"""Standard deviation of a registration along a direction that nothing constrains [m]."""
-NORMAL_NOISE = 0.002
-"""Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
 FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
 USUAL = 2.0
@@ -112,6 +110,8 @@ class Verdict:
     """Share of the surface that faces this direction [0..1/3]; 0 means sliding freely."""
     strange: bool = False
     """Far from the prediction, more than its covariance allows."""
+    held: bool = False
+    """The robot stands: the pose corrects height and tilt alone."""
 
 
 class HealthMonitor:
@@ -126,6 +126,8 @@ class HealthMonitor:
         """Nothing but a second opinion speaks for that: scan after scan fitted."""
         self._last_fit = 0
         self._fits = 0
+        self._against = 0
+        """Scans in a row that say that a robot moved whose wheels and gyro stand still."""
         self._usual = np.array(FITS_AGAIN) / USUAL
         """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
         self._last = 0.0, 0.0
@@ -169,12 +171,19 @@ class HealthMonitor:
         return match.overlap < self._last[0] - DROP[0] or match.inliers < self._last[1] - DROP[1]
 
     def judge(
-        self, stamp: int, match: Match, predicted: Array, prior: Array, scans: int, sigma: float
+        self,
+        stamp: int,
+        match: Match,
+        predicted: Array,
+        prior: Array,
+        scans: int,
+        sigma: float,
+        still: bool = False,
     ) -> Verdict:
         """Weigh a registration.
 
         `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
-        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m].
+        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m]; `still`: wheels and gyro say that the robot stands.
         """
         s = self.params
         covariance, direction, share = pose_covariance(match, sigma)
@@ -187,7 +196,7 @@ class HealthMonitor:
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         turned = math.degrees(float(np.linalg.norm(difference[3:])))
-        bad, weak, again, strange = "", "", False, False
+        bad, weak, again, strange, held = "", "", False, False, False
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
         elif scans:
@@ -195,6 +204,11 @@ class HealthMonitor:
             few = match.on_planes < max(ON_PLANES * match.points, s.min_on_planes)
             again = self.doubts(stamp)
             strange = off > s.disagreement and (moved > s.strange or turned > s.strange_deg)
+            held = still and not again
+            if held:
+                self._against = self._against + 1 if strange else 0
+                strange = MOVED_WHILE_STILL.outside(self._against)
+                held = not strange
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif few and (match.overlap < s.overlap_low or match.on_planes < s.min_on_planes) and not young:
@@ -219,6 +233,8 @@ class HealthMonitor:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
         if strange:
             self.doubt("scan and dead reckoning disagree")
+            if still:
+                weak = weak or MOVED_WHILE_STILL.tell(moved=moved, turned=turned)
         elif again and not self._doubt:
             self.doubt("no scan fitted for a while")
         if bad:
@@ -236,7 +252,7 @@ class HealthMonitor:
         if scans >= s.young and self.fits_again(match, False):
             self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
-        return Verdict(health, weak, True, True, covariance, direction, share, strange)
+        return Verdict(health, weak, True, True, covariance, direction, share, strange, held)
 
     def _only_asked(self, stamp: int, strange: bool) -> bool:
         """Whether a second opinion is all that speaks against the tracker at `stamp` [ns]."""
@@ -263,22 +279,17 @@ class HealthMonitor:
 
 
 def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
-    """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
+    """Covariance (6, 6) of a registration, least constrained direction (3,) of the position and its share of facing surface.
 
     Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
-    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
-    towards where the last one was, and the normals that seem to face them are noise.
+    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. What is not observed says nothing.
     """
-    h = match.information
-    scale2 = _variance(match, sigma) / INDEPENDENT
-    free = scale2 / SLIDING**2
-    covariance = scale2 * np.linalg.inv(h + np.diag([free] * 3 + [1e-3] * 3))
+    seen = observed(match.information)
+    covariance = seen.covariance(_variance(match, sigma) / INDEPENDENT)
+    h = match.information / max(seen.weight, 1e-9)
     position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
-    values = np.maximum(values, 0.0)
-    facing = np.maximum(values - NORMAL_NOISE, 0.0)
-    covariance[:3, :3] += vectors @ np.diag(scale2 / (facing + free) - scale2 / (values + free)) @ vectors.T
-    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(values[0])
+    return 0.5 * (covariance + covariance.T), vectors[:, 0], max(float(values[0]), 0.0)
 
 
 def _variance(match: Match, sigma: float) -> float:

@@ -38,14 +38,18 @@ from mapping.odometry.inertial_kernels import SILENCE
 from mapping.odometry.intake import Sweep
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
+from mapping.odometry.registration.observability import UNKNOWN
 from mapping.odometry.registration.witness import Witness
 from mapping.odometry.rehearsal import rehearse
 from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
+from mapping.odometry.stillness import still
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities
 
 ZERO = np.zeros(6)
+OVER_GROUND = [0, 1, 5]
+"""Position in the plane and heading, of a (6, 6) covariance."""
 
 
 class LidarInertialOdometry:
@@ -75,6 +79,8 @@ class LidarInertialOdometry:
         self._before: Before | None = None
         self._scale = WheelScale()
         self._rolled = math.nan
+        self._still = False
+        """Wheels and gyro say that the robot stood since the last scan."""
         self._misfits = 0
         self._looks = 0
         self._notes: list[str] = []
@@ -157,12 +163,16 @@ class LidarInertialOdometry:
         beside = [seen for name, seen in others.items() if self.calibration.joins(name)]
         self._engine.take(cloud, beside)
         match = self._register(predicted, searching)
-        verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
+        verdict = self._monitor.judge(
+            sweep.end, match, predicted, prior, scans, self._engine.sigma, self._still
+        )
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
             # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
             # scan to scan: gravity has the last word there.
             measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+            if verdict.held:
+                measured[OVER_GROUND, OVER_GROUND] += UNKNOWN**2
             if verdict.strange:
                 apart = np.linalg.inv(predicted) @ match.pose
                 moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
@@ -268,7 +278,13 @@ class LidarInertialOdometry:
         self._rolled = (
             float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )
-        return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+        x, variance = state.x.copy(), np.diag(state.p)[[0, 1, 8]]
+        inside = imu[imu_stamp <= end]
+        self._still = still(inside, x[10:13], joints, wheel)
+        stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+        if self._still:
+            state.hold(x, variance, float(inside[:, 2].mean()))
+        return stamps, track
 
     def _learn_scale(self, before: Array, interval: int, verdict: Verdict) -> None:
         """Compare what the wheels rolled since `before` (4, 4), `interval` [ns] ago, with what the scans say, where they constrain the way ahead."""

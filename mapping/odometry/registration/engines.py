@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.rotation import rotation, turn
 from hal.types import Array
+from mapping.odometry.registration.observability import observed
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 
@@ -24,9 +25,6 @@ STEPS = 12
 """Most point to plane steps of a scan."""
 CONVERGED = 1e-4
 """Smallest step [m, rad] that is followed by another."""
-DAMPING = 2e-3
-"""Share of facing surface below which a direction is not registered: it stays as predicted."""
-_DAMPED = DAMPING * np.eye(6)
 WIDE = 0.6
 """Reach of correspondences of small_gicp [m]."""
 FEW_PLANES = 50
@@ -206,13 +204,13 @@ class GicpEngine:
 
 
 def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
-    """Point to plane steps from `pose` (4, 4). Directions that no plane faces stay as they are."""
+    """Point to plane steps from `pose` (4, 4). Directions that are not observed stay as they are."""
     pose = np.ascontiguousarray(pose)
     for _ in range(STEPS):
         h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
         if inliers < FEW_PLANES:
             break
-        step = -np.linalg.solve(h / inliers + _DAMPED, b / inliers)
+        step = observed(h / inliers).step(b / inliers)
         largest = np.abs(step).max()
         if not largest < 0.2:
             break

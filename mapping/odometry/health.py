@@ -130,13 +130,15 @@ class HealthMonitor:
         """Scans in a row that say that a robot moved whose wheels and gyro stand still."""
         self._usual = np.array(FITS_AGAIN) / USUAL
         """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
+        self._sigma_fit = 0.0
+        """Position uncertainty when a scan last fitted [m]."""
         self._last = 0.0, 0.0
         """Overlap and share on surfaces of the last scan that was used."""
 
     def start(self, stamp: int, lost: bool = False) -> None:
         """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
         self.lost, self._doubt, self._last_fit, self._fits = lost, "", stamp, 0
-        self._tracked = False
+        self._tracked, self._sigma_fit = False, 0.0
 
     def doubt(self, reason: str, tracked: bool = False) -> None:
         """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row.
@@ -158,13 +160,17 @@ class HealthMonitor:
     def without_match(self, stamp: int, sigma: float, reason: str) -> tuple[Health, str]:
         """No registration at `stamp` [ns]; `sigma`: position uncertainty [m] of the dead reckoning."""
         gap = self.gap(stamp)
-        if gap > self.params.gap_lost or sigma > self.params.sigma_lost:
-            self.lost, self._fits = True, 0
-        if self.lost:
-            return Health.LOST, f"{reason}; dead reckoning for {gap:.1f} s"
+        sigma = math.sqrt(max(sigma**2 - self._sigma_fit**2, 0.0))  # on open ground it was large before
+        if self.lost or gap > self.params.gap_lost or sigma > self.params.sigma_lost:
+            return self.lose(stamp, reason)
         if gap > self.params.gap_degraded or reason:
             return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
         return Health.GOOD, ""
+
+    def lose(self, stamp: int, reason: str) -> tuple[Health, str]:
+        """At `stamp` [ns] nobody can know where the robot is, for this `reason`: scans must fit again, `recover` of them in a row."""
+        self.lost, self._fits = True, 0
+        return Health.LOST, f"{reason}; dead reckoning for {self.gap(stamp):.1f} s"
 
     def dropped(self, match: Match) -> bool:
         """The scan fits much worse than the one before: the robot sees something new, or is elsewhere."""
@@ -242,6 +248,7 @@ class HealthMonitor:
             health, reason = self.without_match(stamp, _sigma(prior), bad)
             return Verdict(health, reason, False, False, covariance, direction, share)
         self._last_fit, self._last = stamp, (match.overlap, match.inliers)
+        self._sigma_fit = _sigma(prior)
         self._fits += 1
         if (self.lost or self._doubt) and self._fits < s.recover:
             health = Health.LOST if self.lost else Health.DEGRADED

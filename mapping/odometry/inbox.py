@@ -11,9 +11,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from hal.safety.monitors import IMU_REPEATS, JOINTS_REPEAT, LIDAR_REPEATS
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, TopicClock, clean_scan
+from mapping.odometry.repeats import Repeats
 from mapping.odometry.types import OdometryConfig
 
 SWEEP_PERIOD = NS // 10
@@ -50,11 +53,22 @@ class Inbox:
         """Newest stamp of any topic [ns], 0 before the first."""
         self._joint_stamp = -NS
         self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
+        self.streams: dict[str, Repeats] = {
+            "imu": Repeats(IMU_REPEATS),
+            "joints": Repeats(JOINTS_REPEAT),
+            **{name: Repeats(LIDAR_REPEATS, name) for name in self._sweeps},
+        }
         self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
             **{name: TopicClock("scan", 2, counters) for name in self._sweeps},
         }
+
+    def _repeats(self, topic: str, payload: NDArray) -> bool:
+        dead = self.streams[topic].dead(payload)
+        if dead:
+            self._counters[f"{topic}_repeated"] += 1
+        return dead
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -66,7 +80,7 @@ class Inbox:
         if row is None or not all(abs(v) <= 1e3 for v in row.tolist()):  # nor where one is not a number
             self._counters["imu_not_finite"] += 1
             return None
-        if not self._admit("imu", sample.stamp):
+        if not self._admit("imu", sample.stamp) or self._repeats("imu", row):
             return None
         self.imu.append(int(sample.stamp), row)
         return row
@@ -77,7 +91,7 @@ class Inbox:
         if row is None or not np.isfinite(row).all() or np.abs(row[16:32]).max() > 1e3:
             self._counters["joints_not_finite"] += 1
             return None
-        if not self._admit("joints", sample.stamp):
+        if not self._admit("joints", sample.stamp) or self._repeats("joints", row):
             return None
         stamp = int(sample.stamp)
         if 0 < stamp - self._joint_stamp < JOINT_PERIOD:
@@ -93,12 +107,18 @@ class Inbox:
             return
         if not self._admit(scan.name, scan.stamp):
             return
+        dead = self._repeats(scan.name, scan.points)
+        if dead and scan.name != self.pace:
+            self._ends.pop(scan.name, None)  # it is not waited for
+            return
         p = self._params
         near = p.min_range if scan.name == "main" else NEAR
         sweep = clean_scan(scan, near, p.max_range, p.max_points, 0.5, self._counters)
         if sweep is not None:
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
+            if dead:
+                sweep = replace(sweep, problem=self.streams[scan.name].words)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 

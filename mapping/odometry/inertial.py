@@ -179,6 +179,11 @@ class InertialFilter:
         self.p -= gain @ self.p[rows]
         self.p = 0.5 * (self.p + self.p.T)
 
+    def refuse(self, x: Array) -> None:
+        """What was integrated since the state `x` (16,) cannot be: the body is taken to be where it was then, at rest, with room for what it may have moved."""
+        self.x[:] = x
+        settle(self.x, self.p)
+
     def misplaced(self, moved: float, turned: float) -> None:
         """The body was put elsewhere, about `moved` [m] and `turned` [rad] from here; how fast it is stays known."""
         self.p[:3, :3] += moved**2 * np.eye(3)

@@ -256,7 +256,7 @@ def test_planes_measure_the_distance_and_the_free_direction_of_a_floor() -> None
     planes.insert(floor, np.eye(4), settled=True)
     pose = np.eye(4)
     pose[2, 3] = 0.03
-    h, b, seen, planar, inliers, total = planes.fit(floor[:500], pose, 0.15, 0.05)
+    h, b, seen, planar, inliers, total, _ = planes.fit(floor[:500], pose, 0.15, 0.05)
     assert seen > 450
     assert inliers == planar > 400
     assert np.sqrt(total / inliers) == pytest.approx(0.03, abs=0.001)
@@ -329,7 +329,7 @@ def test_a_surface_earns_its_weight_scan_by_scan(seen: list[int], weight: float)
     for there in seen:
         patch = np.column_stack([rng.uniform(0.0, 0.3, (20, 2)), rng.normal(0.0, 0.001, 20)]) + where
         planes.insert(patch if there else patch + 5.0, np.eye(4))
-    h, _, _, planar, inliers, _ = planes.fit(np.tile([0.2, 0.2, 0.05], (50, 1)), np.eye(4), 0.15, 1e3)
+    h, _, _, planar, inliers, *_ = planes.fit(np.tile([0.2, 0.2, 0.05], (50, 1)), np.eye(4), 0.15, 1e3)
     assert planar == inliers == 50
     assert np.trace(h[:3, :3]) / inliers == pytest.approx(weight, rel=1e-3)
 
@@ -402,7 +402,7 @@ def test_a_faded_surface_is_moved_by_what_comes_now_and_stays_a_surface() -> Non
         return np.column_stack([random.uniform(0.0, 4.0, (20_000, 2)), np.full(20_000, height)])
 
     def beside(planes: VoxelPlanes) -> tuple[float, int]:
-        _, b, _, planar, inliers, _ = planes.fit(floor(0.1), np.eye(4), 0.15, 1e3)
+        _, b, _, planar, inliers, *_ = planes.fit(floor(0.1), np.eye(4), 0.15, 1e3)
         return b[2] / max(inliers, 1), planar
 
     planes, settled = VoxelPlanes(0.4, 20.0), VoxelPlanes(0.4, 20.0)

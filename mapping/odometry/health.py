@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hal.safety.monitors import MOVED_WHILE_STILL
-from hal.types import Array
+from hal.types import NS, Array
 from mapping.odometry.registration.engines import Match
 from mapping.odometry.registration.observability import observed
 
@@ -31,6 +31,10 @@ DROP = 0.25, 0.1
 """Loss of overlap and of points on surfaces [0..1] from one scan to the next that shows that the view is another."""
 TURN_SLACK = 0.1
 """Turn [rad] that the gyro does not tell, beside its own uncertainty: a square room fits four times."""
+SUSPECT = 0.5
+"""Share of what is strange that is suspect while wheels and gyro stand still."""
+CARRIED_FOR = 5 * NS
+"""How long a robot that was moved while it stood still counts as carried [ns]."""
 MEMORY = 0.1
 """Weight of a scan in what is usual."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
@@ -130,6 +134,8 @@ class HealthMonitor:
         """Scans in a row that say that a robot moved whose wheels and gyro stand still."""
         self._usual = np.array(FITS_AGAIN) / USUAL
         """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
+        self._carried_until = 0
+        """No scan is held against until then [ns]: the robot is carried, or its floor moves."""
         self._sigma_fit = 0.0
         """Position uncertainty when a scan last fitted [m]."""
         self._last = 0.0, 0.0
@@ -210,11 +216,16 @@ class HealthMonitor:
             few = match.on_planes < max(ON_PLANES * match.points, s.min_on_planes)
             again = self.doubts(stamp)
             strange = off > s.disagreement and (moved > s.strange or turned > s.strange_deg)
-            held = still and not again
+            held = still and not again and stamp > self._carried_until
             if held:
-                self._against = self._against + 1 if strange else 0
+                suspect = off > s.disagreement and (
+                    moved > SUSPECT * s.strange or turned > SUSPECT * s.strange_deg
+                )
+                self._against = self._against + 1 if suspect else 0
                 strange = MOVED_WHILE_STILL.outside(self._against)
                 held = not strange
+                if strange:
+                    self._carried_until = stamp + CARRIED_FOR
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif few and (match.overlap < s.overlap_low or match.on_planes < s.min_on_planes) and not young:
@@ -238,9 +249,8 @@ class HealthMonitor:
             elif off > s.disagreement:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
         if strange:
-            self.doubt("scan and dead reckoning disagree")
-            if still:
-                weak = weak or MOVED_WHILE_STILL.tell(moved=moved, turned=turned)
+            words = MOVED_WHILE_STILL.tell(moved=moved, turned=turned)
+            self.doubt(words if still else "scan and dead reckoning disagree")
         elif again and not self._doubt:
             self.doubt("no scan fitted for a while")
         if bad:
@@ -252,14 +262,15 @@ class HealthMonitor:
         self._fits += 1
         if (self.lost or self._doubt) and self._fits < s.recover:
             health = Health.LOST if self.lost else Health.DEGRADED
-            return Verdict(
-                health, "scans fit again, confirming", True, False, covariance, direction, share, strange
-            )
+            reason = "; ".join(filter(None, [self._doubt, "scans fit again, confirming"]))
+            return Verdict(health, reason, True, False, covariance, direction, share, strange)
         self.lost, self._doubt, self._tracked = False, "", False
         if scans >= s.young and self.fits_again(match, False):
             self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
-        return Verdict(health, weak, True, True, covariance, direction, share, strange, held)
+        # What seems to move past a robot that stands must not become the map that shows it standing.
+        mapped = not (held and self._against)
+        return Verdict(health, weak, True, mapped, covariance, direction, share, strange, held)
 
     def _only_asked(self, stamp: int, strange: bool) -> bool:
         """Whether a second opinion is all that speaks against the tracker at `stamp` [ns]."""

@@ -91,6 +91,8 @@ class LidarInertialOdometry:
         """Why what the filter integrated since the last scan cannot be believed; empty where it can."""
         self._still = False
         """Wheels and gyro say that the robot stood since the last scan."""
+        self._seen: Array | None = None
+        """Where the scans see a robot (4, 4) whose wheels and gyro stand still, if that is elsewhere."""
         self._born = 0.0
         """Variance of the place when what the last scan fitted was first seen [m^2]."""
         self._blind = 0.0
@@ -198,6 +200,7 @@ class LidarInertialOdometry:
                 moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
                 self._filter.misplaced(3.0 * float(moved), 3.0 * float(turned))
             self._filter.update_pose(match.pose, measured)
+        self._seen = match.pose if verdict.use and not verdict.insert and verdict.held else None
         self._slip_unseen(verdict)
         self._misfits = 0 if verdict.use else self._misfits + 1
         if verdict.use:
@@ -225,7 +228,7 @@ class LidarInertialOdometry:
 
     def _register(self, predicted: Array, searching: bool) -> Match:
         """Where the scan fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
-        match = self._engine.align(predicted)
+        match = self._engine.align(predicted if self._seen is None else self._seen)
         young = self._engine.scans < self.params.health.young
         if self._monitor.fits_again(match, young) or not (searching or self._monitor.dropped(match)):
             return match

@@ -198,7 +198,7 @@ class HealthMonitor:
         `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m]; `still`: wheels and gyro say that the robot stands.
         """
         s = self.params
-        covariance, direction, share = pose_covariance(match, sigma)
+        covariance, direction, share = pose_covariance(match, sigma, prior)
         difference = np.concatenate(
             [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
         )
@@ -296,14 +296,15 @@ class HealthMonitor:
         )
 
 
-def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
+def pose_covariance(match: Match, sigma: float, prior: Array) -> tuple[Array, Array, float]:
     """Covariance (6, 6) of a registration, least constrained direction (3,) of the position and its share of facing surface.
 
     Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
     (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. What is not observed says nothing.
+    `prior`: (6, 6) of the prediction, see `Observed.blurred`.
     """
     seen = observed(match.information)
-    covariance = seen.covariance(_variance(match, sigma) / INDEPENDENT)
+    covariance = seen.covariance((_variance(match, sigma) + seen.blurred(prior)) / INDEPENDENT)
     h = match.information / max(seen.weight, 1e-9)
     position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))

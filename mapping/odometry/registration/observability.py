@@ -32,6 +32,8 @@ class Observed:
     """(6,) ascending: share of surface that faces each direction, less what noise pretends; 0 where it is free."""
     directions: Array
     """(6, 6) columns: the directions, displacement [m] and turn [rad], each of root mean square length 1 m at the points."""
+    lever: float
+    """Root mean square lever of the points [m]."""
 
     def step(self, gradient: Array) -> Array:
         """The least-squares step (6,) against `gradient` (6,) within what is observed; the other directions stay as they are."""
@@ -50,11 +52,12 @@ class Observed:
     def heading(self) -> bool:
         """Whether turns about z are observed, on their own or together with a displacement."""
         free = self.directions[:, self.facing == 0.0]
-        return not free.size or float(np.abs(free[5]).max() * self._lever) < 0.7
+        return not free.size or float(np.abs(free[5]).max() * self.lever) < 0.7
 
-    @property
-    def _lever(self) -> float:
-        return 1.0 / max(float(np.linalg.norm(self.directions[3:], axis=0).max()), 1e-9)
+    def blurred(self, prior: Array) -> float:
+        """Variance [m^2] that noise of the normals adds to a point of a body that may be off by `prior` (6, 6), axes as those of the information: a surface
+        seen askew takes a displacement along it for one across. Where the robot was not watched, that is most of the error."""
+        return NORMAL_NOISE * float(np.trace(prior[:3, :3]) + self.lever**2 * np.trace(prior[3:, 3:]))
 
 
 def observed(information: Array) -> Observed:
@@ -62,9 +65,9 @@ def observed(information: Array) -> Observed:
     weight = float(information[0, 0] + information[1, 1] + information[2, 2])
     turns = float(information[3, 3] + information[4, 4] + information[5, 5])
     if weight <= 0.0 or turns <= 0.0:
-        return Observed(0.0, np.zeros(6), np.eye(6))
+        return Observed(0.0, np.zeros(6), np.eye(6), 0.0)
     lever = np.sqrt(turns / weight)
     scale = np.array([1.0, 1.0, 1.0, 1.0 / lever, 1.0 / lever, 1.0 / lever])
     values, vectors = np.linalg.eigh(scale[:, None] * information * scale / weight)
     facing = np.where(values < FREE, 0.0, values - NORMAL_NOISE)
-    return Observed(weight, facing, scale[:, None] * vectors)
+    return Observed(weight, facing, scale[:, None] * vectors, float(lever))

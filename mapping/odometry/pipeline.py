@@ -50,6 +50,8 @@ from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities
 
 ZERO = np.zeros(6)
+FASTEST, FALLS = 4.0, 1.6
+"""No robot of ours moves faster, nor up or down: that is a fall of 0.13 m, or an IMU whose gravity is wrong [m/s]."""
 TOLD = 1.0
 """A scan whose standard deviation ahead is larger [m] does not tell how far the robot came."""
 TYRES = 0.01
@@ -294,6 +296,7 @@ class LidarInertialOdometry:
         stamps, track = self._advance(end)
         if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
+        self._notes += self._inbox.refused()
         return stamps, track
 
     def _advance(self, end: int) -> tuple[NDArray[np.int64], Array]:
@@ -317,7 +320,7 @@ class LidarInertialOdometry:
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
         speed = float(np.linalg.norm(state.x[3:6]))
         self._untrue = self._inbox.streams["imu"].words
-        if IMPOSSIBLE_SPEED.outside(speed):
+        if IMPOSSIBLE_SPEED.outside(max(speed / FASTEST, abs(state.x[5]) / FALLS)):
             self._untrue = IMPOSSIBLE_SPEED.tell(speed=speed)
             state.refuse(x)
         elif self._still:
@@ -349,7 +352,7 @@ class LidarInertialOdometry:
     def _coast(self, until: int) -> ScanOdometry:
         """No scan came: move the filter on so that a later one finds it near."""
         self._advance(until)
-        return self._dead_reckoned("no scan")
+        return self._dead_reckoned("; ".join(["no scan", *self._inbox.refused()]))
 
     def _dead_reckoned(self, reason: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance

@@ -552,6 +552,7 @@ class OdometryHealth(Message):
     inliers: float = 0.0
     residual: float = 0.0
     correction: float = 0.0
+    place_sigma: float = 0.0
     degenerate: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 3))
     degeneracy: float = 0.0
     lidar: list[str] = field(default_factory=list)

@@ -121,4 +121,7 @@ class SimConfig(BaseModel):
     battery: float = Field(1.0, ge=0.0, le=1.0, description="state of charge at the start [0..1]")
     battery_life: float = Field(7200.0, gt=0.0, description="from a full battery to an empty one [s]")
     pushes: tuple[Push, ...] = Field((), description="shoves on the trunk")
+    people: int = Field(
+        0, ge=0, le=20, description="people who walk past the robot, and step aside for it; level ground"
+    )
     obstacles: tuple[Obstacle, ...] = Field((), description="boxes that come, move and go")

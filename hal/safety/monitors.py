@@ -318,6 +318,80 @@ MOTOR_LOST = Monitor(
 )
 
 # -- localisation -------------------------------------------------------------------------------------------------------
+LIDAR_REPEATS = Monitor(
+    "lidar_repeats",
+    "LiDAR",
+    Check.REPEAT,
+    Consequence.LOST,
+    "odometry",
+    "the {name} LiDAR repeats its sweep: its stamps go on, its points do not",
+    "power the LiDAR off and on, or restart its driver",
+    high=1,
+    unit="sweeps in a row; a sound one never repeats, its noise does not",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+IMU_REPEATS = Monitor(
+    "imu_repeats",
+    "IMU",
+    Check.REPEAT,
+    Consequence.LOST,
+    "odometry",
+    "the IMU repeats its sample: its stamps go on, its values do not",
+    "restart the robot; drive it by hand to a safe place with care",
+    high=4,
+    unit="samples in a row; at most 2 where a driver tells each sample more than once",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+JOINTS_REPEAT = Monitor(
+    "joints_repeat",
+    "joints",
+    Check.REPEAT,
+    Consequence.DEGRADE,
+    "odometry",
+    "the joints repeat their sample: their stamps go on, their values do not",
+    "restart the robot",
+    high=4,
+    unit="samples in a row",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+IMPOSSIBLE_SPEED = Monitor(
+    "impossible_speed",
+    "odometry",
+    Check.RANGE,
+    Consequence.LOST,
+    "odometry",
+    "the pose moves at {speed:.1f} m/s, faster than the robot drives: accelerometer or wheels tell what cannot be",
+    "let the robot stand; if it comes again, restart the stack and look at the IMU",
+    high=1.0,
+    unit="of 4 m/s, or 1.6 m/s up or down; the fastest of our robots drives 2.5",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+SCANS_DISAGREE = Monitor(
+    "scans_disagree",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "over {seconds:.0f} s the scans lead {moved:.2f} m and {turned:.0f} deg from where wheels and gyro do: the wheels slip, or what the LiDAR shows is not where the robot is",
+    "look whether the wheels spin; if not, restart the stack",
+    high=1.0,
+    unit="of 0.4 m or 6 deg over a second",
+    against="wheels, IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+MOVED_WHILE_STILL = Monitor(
+    "moved_while_still",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "wheels and gyro stand still, the scans moved by {moved:.2f} m and {turned:.0f} deg: is the robot carried, or its floor moving?",
+    "put the robot on firm ground; people who walk past are not taken for it",
+    high=10,
+    unit="scans in a row",
+    against="wheels, IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
 
 STAMP_AHEAD = Monitor(
     "stamp ahead",
@@ -420,6 +494,19 @@ BLIND_HANDS = Monitor(
 )
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
+PLACE_UNSURE = Monitor(
+    "place_unsure",
+    "odometry",
+    Check.AGREEMENT,
+    Consequence.TELL,
+    "navigator",
+    "the robot's place is known within {place:.2f} m (two standard deviations), the goal asks for {asked:.2f} m",
+    "drive where the LiDAR sees walls or posts, or set the pose; or ask for less: navigator.goal_tolerance",
+    setting="navigator.goal_tolerance",
+    against="the goal's tolerance",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
+
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))
 BY_NAME: dict[str, Monitor] = {monitor.name: monitor for monitor in MONITORS}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hal.safety.monitors import PLACE_UNSURE
 from hal.types import FELT_EDGE, NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -97,6 +98,15 @@ class Inputs:
         if self.robot.vx == 0.0:
             return not self.tracker.hold and bool(self.held)
         return self.way in self.held
+
+    def unsure(self, tolerance: float) -> str:
+        """Why a robot that seems to be within `tolerance` [m] of its goal may be elsewhere, in words; empty where it is known well enough."""
+        place = 2.0 * self._health.place_sigma if self._health is not None else 0.0
+        return (
+            PLACE_UNSURE.tell(place=place, asked=tolerance)
+            if PLACE_UNSURE.outside(place, high=tolerance)
+            else ""
+        )
 
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""

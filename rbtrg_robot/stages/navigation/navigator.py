@@ -301,7 +301,11 @@ class NavigatorStage:
             return self._replan(goal)
         short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
         askew = heading_off(goal.yaw, self._inputs.tracker)
-        if short <= self._params.goal_tolerance:
+        if short <= self._params.goal_tolerance and (
+            unsure := self._inputs.unsure(self._params.goal_tolerance)
+        ):
+            self._end(GoalState.ABORTED, Reason.UNSURE, unsure)
+        elif short <= self._params.goal_tolerance:
             ended = (GoalState.ABORTED, Reason.STUCK) if askew else (GoalState.REACHED, Reason.NONE)
             self._end(*ended, askew)
         elif self._short < self._params.short_retries:

@@ -41,6 +41,7 @@ class World:
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
         self.health = "good"
+        self.place_sigma = 0.01
         self.silent: set[Topic] = set()
         self.tracker_phase = "following"
         self.heading_error = 0.0
@@ -79,7 +80,8 @@ class World:
                 q = rpy_quaternion((0.0, 0.0, yaw))
                 odom = odometry_msg(self.now, (x, y, 0.0), q, np.zeros(3), np.zeros(3))
                 self._take(self.stage.on(t.ODOM, odom))
-            self.send(t.ODOM_HEALTH, health=self.health, reason="no overlap" if self.health == "lost" else "")
+            reason = "no overlap" if self.health == "lost" else ""
+            self.send(t.ODOM_HEALTH, health=self.health, reason=reason, place_sigma=self.place_sigma)
             if t.MAP_STATUS not in self.silent:
                 self.send(t.MAP_STATUS)
             self.send(
@@ -196,6 +198,23 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     world.run(0.2)
     assert world.status.state == "reached"
     assert world.last(t.PATH_COMMAND).id == ""
+
+
+@pytest.mark.parametrize(("sigma", "state"), [(0.10, "reached"), (0.20, "aborted")])
+def test_a_goal_is_reached_only_where_the_place_is_known_as_well_as_it_asks(
+    world: World, sigma: float, state: str
+) -> None:
+    """Two standard deviations must lie within the tolerance of 0.25 m."""
+    world.place_sigma = sigma
+    world.goal()
+    world.answer()
+    world.pose = (2.9, 0.1, 0.0)
+    world.tracker_phase = "done"
+    world.run(0.2)
+    assert world.status.state == state
+    if state == "aborted":
+        assert world.status.reason == "place_unsure"
+        assert "within 0.40 m" in world.status.detail
 
 
 def test_a_way_over_ground_that_nobody_saw_is_told(world: World) -> None:

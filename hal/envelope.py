@@ -198,7 +198,7 @@ class Fit:
         precision = np.array([PRIOR_BASE_SIGMA, *[PRIOR_PART_SIGMA] * count]) ** -2.0
 
         def cost(theta: Array) -> float:
-            h = np.maximum(_hazard(theta, parts), MIN_HAZARD)
+            h = np.maximum(_hazard(theta[0], np.exp(theta[1:]), parts), MIN_HAZARD)
             return float(
                 ((n - k) * h - k * np.log(-np.expm1(-h))).sum() + 0.5 * precision @ (theta - prior) ** 2
             )
@@ -222,18 +222,22 @@ class Fit:
                 if damping > 1e9:
                     break
         _, information = self._derivatives(theta, parts, n, k)
+        # The logit is linear in the weights, not in their logarithms: that is where the posterior looks normal.
+        weights = np.exp(theta[1:])
+        scale = np.array([1.0, *weights])
         root = np.linalg.inv(np.linalg.cholesky(information + np.diag(precision)))
         normal = np.random.default_rng(0).standard_normal((DRAWS // 2, count + 1))
-        self.theta = theta
-        """(1 + m,) base and logarithms of the weights."""
-        self.drawn = theta + np.concatenate([normal, -normal]) @ root
-        """(DRAWS, 1 + m) the same, drawn from what is possible after the trials."""
+        drawn = np.concatenate([normal, -normal]) @ root * scale
+        self.base, self.weights = float(theta[0]), weights
+        """Logit on flat ground, and what each part adds to it (m,)."""
+        self.bases, self.drawn = theta[0] + drawn[:, 0], np.maximum(weights + drawn[:, 1:], 0.0)
+        """(DRAWS,) and (DRAWS, m): the same, drawn from what is possible after the trials."""
 
     @staticmethod
     def _derivatives(theta: Array, parts: Array, n: Array, k: Array) -> tuple[Array, Array]:
         """Gradient (m + 1,) of the negative log likelihood and Fisher's information (m + 1, m + 1)."""
         weights = np.exp(theta[1:])
-        h = np.maximum(_hazard(theta, parts), MIN_HAZARD)
+        h = np.maximum(_hazard(theta[0], np.exp(theta[1:]), parts), MIN_HAZARD)
         z = np.minimum(theta[0] + parts @ weights, MAX_EXPONENT + theta[0])
         sigma = 1.0 / (1.0 + np.exp(-z))
         jacobian = np.column_stack(
@@ -244,22 +248,21 @@ class Fit:
 
     def mean(self, parts: Array) -> Array:
         """Hazard (...) of parts (..., m)."""
-        return _hazard(self.theta, parts)
+        return _hazard(self.base, self.weights, parts)
 
     def bound(self, parts: Array) -> Array:
         """Hazard (...) that is not exceeded at `CONFIDENCE`, never below the mean.
 
         Each drawn curve rises with every part, and so does the curve of their quantile.
         """
-        drawn = np.stack([_hazard(theta, parts) for theta in self.drawn])
+        drawn = np.stack([_hazard(b, w, parts) for b, w in zip(self.bases, self.drawn, strict=True)])
         return np.maximum(np.quantile(drawn, CONFIDENCE, axis=0), self.mean(parts))
 
 
-def _hazard(theta: Array, parts: Array) -> Array:
+def _hazard(base: float, weights: Array, parts: Array) -> Array:
     """softplus(base + w . parts) - softplus(base), without loss of digits near zero."""
-    rise = np.minimum(parts @ np.exp(theta[1:]), MAX_EXPONENT)
-    base = 1.0 / (1.0 + math.exp(-theta[0]))
-    return np.log1p(base * np.expm1(rise))
+    rise = np.minimum(parts @ weights, MAX_EXPONENT)
+    return np.log1p(np.expm1(rise) / (1.0 + math.exp(-base)))
 
 
 # --- envelope ------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Literal
 
@@ -34,6 +34,9 @@ CONFIDENCE = 0.80
 """Of the bound that decides what is no way."""
 FALL_COST = 100.0
 """Metres of driving that one failure is worth."""
+
+SPORT = "sport"
+"""The vendor's locomotion of the real robot, as a controller."""
 
 _CHECKED = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -171,7 +174,7 @@ PARTS: dict[str, Callable[..., Array]] = {
 """Parts of the model of each manoeuvre."""
 
 # --- fit -----------------------------------------------------------------------------------------------------------
-PRIOR_BASE, PRIOR_BASE_SIGMA = -8.0, 3.0
+PRIOR_BASE, PRIOR_BASE_SIGMA = -10.0, 5.0
 """Logit of the harm on flat ground that the model takes off again: how sharply harm rises. Weak."""
 PRIOR_PART, PRIOR_PART_SIGMA = 0.0, 1.5
 """Logarithm of the weight of each part. Weights are positive by it, so harm never falls with size."""
@@ -325,6 +328,10 @@ class Envelope(BaseModel):
         model = self._fits[name]
         return -np.expm1(-(model.bound(parts) if bound else model.mean(parts)))
 
+    def tabulated(self, name: str, *values: Array) -> Array:
+        """Hazards over the grid of these values of each axis (SI), for kernels: infinite where it is no way."""
+        return self.hazard(name, *np.meshgrid(*values, indexing="ij"))
+
     def write(self, path: Path) -> None:
         """As JSON, a line for each cell."""
         text = self.model_dump_json(indent=1, exclude_defaults=True)
@@ -353,8 +360,21 @@ def read(path: Path) -> Envelope:
         raise EnvelopeError(f"{path} is no envelope: {where}: {first['msg']}; measure it again") from error
 
 
+def file_of(controller: str) -> Path:
+    """Where the envelope of a controller stands: beside its parameters or weights; of the vendor's service, beside its backend."""
+    folder = "unitree" if controller == SPORT else "locomotion"
+    return Path(__file__).parent / folder / f"{controller}.envelope.json"
+
+
+@cache
+def stored(controller: str) -> Envelope:
+    """The envelope of a controller. Raises EnvelopeError."""
+    return read(file_of(controller))
+
+
 def _compact(text: str) -> str:
-    """Lists of numbers on one line."""
-    return re.sub(
+    """Lists of numbers on one line, counts without a point."""
+    joined = re.sub(
         r"\[\s+([^\[\]{}]*?)\s+\]", lambda m: "[" + re.sub(r"\s*\n\s*", " ", m.group(1)) + "]", text
     )
+    return re.sub(r"(?<=\d)\.0(?=[,\]])", "", joined)

@@ -2,6 +2,9 @@
 
     python -m tools.bench envelope --controller vmc [--only BEGINNING_OF_KEY] [--json]
     python -m tools.bench envelope --controller policy --policy DIR
+    python -m tools.bench envelope --controller hybrid --write [--seconds BUDGET] [--only up]
+
+With `--write` it measures what the planner believes (docs/envelope.md) and adds the trials to the controller's file.
 
 A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at most three
 times the nominal time. Each course is driven three times: wheel friction 0.6, 0.8, 1.0, each with its own start offset.
@@ -11,9 +14,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from hal.envelope import FAILURES, Envelope, file_of
 from hal.locomotion.controllers import controller_of
 from hal.lowlevel import CONTROLLERS, Controller, Locomotion
 from hal.mujoco.config import CAPABILITIES
@@ -38,6 +43,7 @@ from tools.bench.envelope.asked import (
     UNSEEN,
 )
 from tools.bench.envelope.backward import TRIALS, passes_backward
+from tools.bench.envelope.campaign import measure
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope.lane import LANES, through_lane
@@ -61,8 +67,28 @@ def run(args: list[str]) -> Report:
     parser.add_argument(
         "--only", default="", help="beginning of the keys wanted: envelope.vmc.ramp, hold_m, ..."
     )
+    parser.add_argument("--write", action="store_true", help="measure the envelope and add to its file")
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="of wall time that `--write` measures for"
+    )
+    parser.add_argument("--drives", type=int, default=None, help="end `--write` after so many drives")
+    parser.add_argument("--seed", type=int, default=0, help="of what `--write` draws")
+    parser.add_argument(
+        "--file", type=Path, default=None, help="that `--write` adds to; else the controller's own"
+    )
     options = parser.parse_args(args)
     controller = controller_of(options.controller, options.policy)
+    if options.write:
+        envelope = measure(
+            controller,
+            options.controller,
+            options.file or file_of(options.controller),
+            seconds=options.seconds,
+            drives=options.drives,
+            seed=options.seed,
+            only=options.only,
+        )
+        return counted(envelope)
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
     bench.conditions()
@@ -74,6 +100,23 @@ def run(args: list[str]) -> Report:
     if not bench.report.rows:
         parser.error(f"no row begins with {options.only!r}")
     return bench.report
+
+
+def counted(envelope: Envelope) -> Report:
+    """What stands in an envelope: drives, trials, failures of each kind and how well the fit predicts."""
+    report = Report("envelope")
+    for name, table in envelope.manoeuvres.items():
+        key = f"{{}}.{envelope.controller}.{name}"
+        report.add(key.format("drives"), table.drives, "drives")
+        report.add(key.format("trials"), int(table.trials.sum()), f"of one {table.per}")
+        for k, kind in enumerate(FAILURES):
+            column = len(table.axes) + 1 + k
+            report.add(key.format(kind), sum(row[column] for row in table.cells), "trials")
+        if table.log_loss is not None and table.log_loss_of_rate is not None:
+            report.add(
+                key.format("log_loss"), table.log_loss, "nats, left out", baseline=table.log_loss_of_rate
+            )
+    return report
 
 
 @dataclass

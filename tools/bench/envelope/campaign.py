@@ -74,6 +74,8 @@ GRID: dict[str, tuple[Per, tuple[Axis, ...], int]] = {
 
 KEEP_EVERY = 20.0
 """The file is written after so many seconds."""
+ELSEWHERE = 0.02
+"""How much a trial is worth where the model is sure, against where it is least sure: models err, too."""
 FOLDS = 5
 """Shares of the trials that are left out of the fit in turn, to tell how well it predicts."""
 
@@ -115,8 +117,9 @@ class Tally:
         """
         fit = self.fitted()
         mean, bound = -np.expm1(-fit.mean(self.parts)), -np.expm1(-fit.bound(self.parts))
-        worth = (bound - mean) * (mean <= MAX_RISK) + 1e-3 * (self.parts.sum(-1) > 0.0)
-        flat = worth.ravel() / worth.sum()
+        worth = (bound - mean) * (mean <= MAX_RISK)
+        flat = (worth + ELSEWHERE * worth.max() * (self.parts.sum(-1) > 0.0)).ravel()
+        flat /= flat.sum()
         return tuple(int(k) for k in np.unravel_index(rng.choice(flat.size, p=flat), worth.shape))
 
     def add(self, cell: tuple[int, ...], units: int, failure: str) -> None:

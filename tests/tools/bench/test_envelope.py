@@ -73,7 +73,7 @@ def test_trials_gather_where_failure_is_in_doubt() -> None:
     cells = [tally.next_cell(rng)[0] for _ in range(200)]
     assert cells.count(2) > 80, "the last width that may be one in thirty"
     assert cells.count(0) < 20
-    assert sum(c >= 4 for c in cells) < 10
+    assert sum(c >= 4 for c in cells) < 40
 
 
 def test_the_file_tells_how_well_trials_left_out_were_predicted() -> None:

@@ -27,7 +27,8 @@ from hal.errors import OperatorError
 from hal.types import Array
 
 FAILURES = ("fell", "stuck", "slid", "touched")
-"""How a trial fails: tilted beyond 40 deg; no progress for 5 s; 0.10 m or 20 deg off its line, 0.25 m in a turn; the trunk touched something."""
+"""How a trial fails: tilted beyond 40 deg; no progress for 5 s; 0.10 m or 20 deg off its line (0.25 m and 45 deg in
+turns and among posts); lay on its trunk."""
 MAX_RISK = 0.30
 """Probability of failure of one motion above which it is no way."""
 CONFIDENCE = 0.80

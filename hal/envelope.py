@@ -301,9 +301,9 @@ class Envelope(BaseModel):
         return self._probability(name, values, bound=bool(self.manoeuvres[name].assumed))
 
     def bound(self, name: str, *values: ArrayLike) -> Array:
-        """The same at `CONFIDENCE`, by which it is a way. One beyond what was tested."""
+        """The same at `CONFIDENCE`, by which it is a way. One beyond what was tested, but where there is nothing."""
         p = self._probability(name, values, bound=True)
-        return np.where(self.tested(name, *values), p, 1.0)
+        return np.where(self.tested(name, *values) | (p == 0.0), p, 1.0)
 
     def hazard(self, name: str, *values: ArrayLike) -> Array:
         """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`. `FALL_COST` times it is the price [m]."""
@@ -359,6 +359,53 @@ def read(path: Path) -> Envelope:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
         raise EnvelopeError(f"{path} is no envelope: {where}: {first['msg']}; measure it again") from error
+
+
+# --- what a controller can ------------------------------------------------------------------------------------------
+ROUTINE_RISK = 0.02
+"""Probability of failure up to which a size is within a controller's limits."""
+CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
+
+
+def limits(envelope: Envelope) -> dict[str, float]:
+    """What `Capabilities` says of faces, slopes, gaps and posts: the largest of each with `ROUTINE_RISK` at most, and a way.
+
+    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction. `step_vx` is
+    the slowest speed that was tried at which posts of `max_posts` stay within the risk; zero where each does.
+    """
+
+    def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:
+        """Of the first axis, in multiples of `step`."""
+        able = 0.0
+        for k in range(1, 1000):
+            p, bound = (
+                max(float(np.max(of(name, k * step, *rest))) for name in names)
+                for of in (envelope.mean, envelope.bound)
+            )
+            if p > ROUTINE_RISK or bound > MAX_RISK:
+                break
+            able = k * step
+        return able
+
+    out = {
+        "max_step": largest(("up", "down"), CENTIMETRE, 0.0, 0.0),
+        "max_step_back": largest(("back_up", "back_down"), CENTIMETRE, 0.0, 0.0),
+        "max_slope": largest(("slope",), DEGREE, np.radians([0, 45, 90, 135, 180])),
+        "max_gap": largest(("gap",), CENTIMETRE),
+    }
+    angles = [
+        a * DEGREE
+        for a in range(1, 91)
+        if max(float(envelope.mean(m, out["max_step"], a * DEGREE, 0.0)) for m in ("up", "down"))
+        <= ROUTINE_RISK
+    ]
+    out["max_oblique"] = max(angles, default=0.0)
+    speeds = envelope.manoeuvres["posts"].axes[1].si
+    able = [largest(("posts",), CENTIMETRE, v) for v in speeds]
+    out["max_posts"] = max(able)
+    slowest = next(v for v, height in zip(speeds, able, strict=True) if height == out["max_posts"])
+    out["step_vx"] = 0.0 if slowest == speeds[0] else float(slowest)
+    return out
 
 
 def file_of(controller: str) -> Path:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from hal.camera import CameraConfig
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
@@ -99,6 +100,7 @@ class StackConfig(BaseModel):
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
     )
+    camera: CameraConfig = CameraConfig()
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
     sim: SimConfig = SimConfig(lidar_step=2)
     interface: str = Field("", description="network interface of the robot (unitree)")

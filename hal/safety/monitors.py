@@ -8,10 +8,13 @@ configuration, and the row names its field.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from string import Formatter
 
 
 class Check(StrEnum):
@@ -95,6 +98,22 @@ class Monitor:
     def tell(self, **values: object) -> str:
         """The operator's words, with what was found."""
         return self.words.format(**values)
+
+
+@cache
+def _pattern(words: str) -> re.Pattern[str]:
+    """What `words` look like once they are filled."""
+    return re.compile(
+        "".join(
+            re.escape(text) + (".+?" if field is not None else "")
+            for text, field, *_ in Formatter().parse(words)
+        )
+    )
+
+
+def raised(text: str) -> list[Monitor]:
+    """The monitors whose words stand in `text`: causes, holds and reasons travel as words, for people and logs alike."""
+    return [monitor for monitor in MONITORS if _pattern(monitor.words).search(text)]
 
 
 _OUT: set[str] = set()

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from hal.camera import MountedCamera
+from hal.rotation import quaternion as from_matrix
 from hal.rotation import wrap
 from hal.types import Extrinsics, MountedLidar
 from hal.urdf import urdf
@@ -23,6 +25,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
     BASE,
+    CAMERA,
     IMU,
     LIDAR,
     MAP,
@@ -64,8 +67,10 @@ class OdometryStage:
         lidars: tuple[MountedLidar, ...],
         imu: Extrinsics,
         start: tuple[float, float, float],
+        cameras: tuple[MountedCamera, ...] = (),
     ) -> None:
-        """`start`: x, y [m], yaw [rad] of the robot in `map`."""
+        """`start`: x, y [m], yaw [rad] of the robot in `map`. `cameras`: of them only the frames are told."""
+        self._cameras = cameras
         names = [lidar.name for lidar in lidars]
         self.inputs = (t.IMU, t.JOINTS, t.INITIAL_POSE, t.MAP_STATUS, *(t.SWEEPS[name] for name in names))
         self.outputs = (
@@ -163,6 +168,7 @@ class OdometryStage:
                 transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
                 *(_mount_msg(now, LIDAR + lidar.name, lidar.mount) for lidar in self._lidars),
                 _mount_msg(now, IMU, self._imu),
+                *(_optical_msg(now, camera) for camera in self._cameras),
             ]
         )
 
@@ -238,8 +244,17 @@ def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:
     return transform_msg(now, BASE, frame, mount.translation, rpy_quaternion(mount.rpy))
 
 
+def _optical_msg(now: int, camera: MountedCamera) -> Any:
+    """The optical frame: z along the view, y down (REP 103)."""
+    turned = from_matrix(camera.rotation)
+    return transform_msg(now, BASE, CAMERA + camera.name, camera.mount.translation, turned)
+
+
 def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
     odometry = LidarInertialOdometry(config.odometry, {lidar.name: lidar.mount for lidar in lidars})
-    return OdometryStage(odometry, lidars, config.imu_mount(), config.start_pose())
+    camera = config.camera.mounted()
+    return OdometryStage(
+        odometry, lidars, config.imu_mount(), config.start_pose(), () if camera is None else (camera,)
+    )

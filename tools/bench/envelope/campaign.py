@@ -72,7 +72,7 @@ GRID: dict[str, tuple[Per, tuple[Axis, ...], int]] = {
 }
 """What one trial counts, the grid, and the share of the drives of each manoeuvre."""
 
-KEEP_EVERY = 20.0
+KEEP_EVERY = 30.0
 """The file is written after so many seconds."""
 ELSEWHERE = 0.02
 """How much a trial is worth where the model is sure, against where it is least sure: models err, too."""
@@ -129,15 +129,15 @@ class Tally:
         if failure:
             self.counts[(*cell, 1 + FAILURES.index(failure))] += 1
 
-    def table(self) -> Table:
-        """As it stands in the file."""
+    def table(self, judged: bool = True) -> Table:
+        """As it stands in the file; `judged`: with how well it predicts."""
         per, axes, _ = GRID[self.name]
         cells = tuple(
             (*(a.values[k] for a, k in zip(axes, at, strict=True)), *(float(c) for c in self.counts[at]))
             for at in np.ndindex(self.counts.shape[:-1])
             if self.counts[(*at, 0)] > 0
         )
-        loss, blind = log_losses(self)
+        loss, blind = log_losses(self) if judged else (None, None)
         return Table(
             per=per, axes=axes, cells=cells, drives=self.drives, log_loss=loss, log_loss_of_rate=blind
         )
@@ -202,14 +202,14 @@ def measure(
         tally.add(cell, end.units, end.failure)
         driven += 1
         if time.monotonic() - kept > KEEP_EVERY:
-            _envelope(name, tallies).write(path)
+            _envelope(name, tallies, judged=False).write(path)
             kept = time.monotonic()
     envelope = _envelope(name, tallies)
     envelope.write(path)
     return envelope
 
 
-def _envelope(name: str, tallies: dict[str, Tally]) -> Envelope:
+def _envelope(name: str, tallies: dict[str, Tally], judged: bool = True) -> Envelope:
     return Envelope(
         robot="go2w",
         controller=name,
@@ -217,7 +217,7 @@ def _envelope(name: str, tallies: dict[str, Tally]) -> Envelope:
         date=datetime.datetime.now(datetime.UTC).date().isoformat(),
         commit=_commit(),
         drawn=DRAWN,
-        manoeuvres={m: tally.table() for m, tally in tallies.items() if tally.drives},
+        manoeuvres={m: tally.table(judged) for m, tally in tallies.items() if tally.drives},
     )
 
 

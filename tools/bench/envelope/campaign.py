@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.envelope import FAILURES, MAX_RISK, PARTS, Axis, Envelope, Fit, Table, read
+from hal.envelope import FAILURES, MAX_RISK, PARTS, SPORT, Axis, Envelope, Fit, Table, read
 from hal.lowlevel import Locomotion
 from hal.types import Array
 from tools.bench.envelope.manoeuvres import DRAWN, MANOEUVRES, attempt
@@ -76,6 +76,8 @@ KEEP_EVERY = 30.0
 """The file is written after so many seconds."""
 ELSEWHERE = 0.02
 """How much a trial is worth where the model is sure, against where it is least sure: models err, too."""
+ON_SLOPES = 0.3
+"""How much a trial at a face on a slope is worth, against one on level ground: most faces stand there."""
 FOLDS = 5
 """Shares of the trials that are left out of the fit in turn, to tell how well it predicts."""
 
@@ -90,11 +92,20 @@ class Tally:
     """Over the grid, then trials and failures of each kind."""
     parts: Array = field(init=False)
     """Over the grid, then parts of the model."""
+    usual: Array = field(init=False)
+    """Over the grid: how often a robot is there, against level ground."""
 
     def __post_init__(self) -> None:
         axes = GRID[self.name][1]
         self.counts = np.zeros((*(len(a.values) for a in axes), 1 + len(FAILURES)), np.int64)
-        self.parts = PARTS[self.name](*np.meshgrid(*(a.si for a in axes), indexing="ij"))
+        grid = dict(
+            zip([a.name for a in axes], np.meshgrid(*(a.si for a in axes), indexing="ij"), strict=True)
+        )
+        self.parts = PARTS[self.name](*grid.values())
+        faces_on_slopes = (
+            grid["slope"] * grid["height"] > 0.0 if "slope" in grid else np.zeros(self.counts.shape[:-1])
+        )
+        self.usual = np.where(faces_on_slopes, ON_SLOPES, 1.0)
 
     @classmethod
     def of(cls, name: str, table: Table) -> Tally:
@@ -117,7 +128,7 @@ class Tally:
         """
         fit = self.fitted()
         mean, bound = -np.expm1(-fit.mean(self.parts)), -np.expm1(-fit.bound(self.parts))
-        worth = (bound - mean) * (mean <= MAX_RISK)
+        worth = (bound - mean) * (mean <= MAX_RISK) * self.usual
         flat = (worth + ELSEWHERE * worth.max() * (self.parts.sum(-1) > 0.0)).ravel()
         flat /= flat.sum()
         return tuple(int(k) for k in np.unravel_index(rng.choice(flat.size, p=flat), worth.shape))
@@ -207,6 +218,20 @@ def measure(
     envelope = _envelope(name, tallies)
     envelope.write(path)
     return envelope
+
+
+def assumed(measured: Envelope) -> Envelope:
+    """Of the vendor's service on the real robot, which nobody measured: counts of a controller that was, every table marked as assumed.
+
+    An assumed table costs what its bound says, so this is the measured controller with less trust in it.
+    """
+    why = (
+        f"counts of the {measured.controller} controller on the simulated robot ({measured.date}, "
+        f"{measured.commit}); no trial on the real one"
+    )
+    tables = {name: table.model_copy(update={"assumed": why}) for name, table in measured.manoeuvres.items()}
+    update = {"controller": SPORT, "physics": f"none; assumed from {measured.physics}", "manoeuvres": tables}
+    return measured.model_copy(update=update)
 
 
 def _envelope(name: str, tallies: dict[str, Tally], judged: bool = True) -> Envelope:

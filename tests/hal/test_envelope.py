@@ -10,7 +10,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.envelope import FAILURES, MAX_RISK, PARTS, Axis, Envelope, EnvelopeError, Fit, Table, read
+from hal.envelope import (
+    FAILURES,
+    MAX_RISK,
+    PARTS,
+    ROUTINE_RISK,
+    SPORT,
+    Axis,
+    Envelope,
+    EnvelopeError,
+    Fit,
+    Table,
+    file_of,
+    limits,
+    read,
+    stored,
+)
+from hal.lowlevel import CONTROLLERS
+from hal.mujoco.config import CAPABILITIES, KEPT
 
 HEIGHT = Axis(name="height", unit="m", values=(0.05, 0.10, 0.15, 0.20))
 ANGLE = Axis(name="angle", unit="deg", values=(0, 30, 60))
@@ -208,3 +225,84 @@ def test_every_manoeuvres_parts_are_none_where_nothing_is() -> None:
         at = flat.get(name, (0.0, 0.5, 0.3))
         assert np.all(parts(*(np.array(v) for v in at)) == 0.0), name
     assert len(FAILURES) == 4
+
+
+def whole(shrink: float = 1.0) -> Envelope:
+    """Every manoeuvre, passed 60 times of 60 at what is easy and failed as often at what is hard; sizes times `shrink`."""
+    sizes = {
+        "up": (0.16, 0.32),
+        "down": (0.20, 0.40),
+        "back_up": (0.08, 0.20),
+        "back_down": (0.12, 0.20),
+        "slope": (25.0, 45.0),
+        "posts": (0.08, 0.16),
+        "gap": (0.10, 0.20),
+    }
+    tables = {}
+    for name, (easy, hard) in sizes.items():
+        rest: tuple[Axis, ...] = ()
+        if name in ("up", "down", "back_up", "back_down"):
+            rest = (ANGLE, SLOPE)
+        elif name == "slope":
+            rest = (Axis(name="direction", unit="deg", values=(0, 90, 180)),)
+        elif name == "posts":
+            rest = (Axis(name="speed", unit="m/s", values=(0.2, 0.5)),)
+        easy, hard = shrink * easy, shrink * hard
+        first = Axis(name="size", unit="deg" if name == "slope" else "m", values=(easy, hard))
+        cells = []
+        for at in np.ndindex(*(len(a.values) for a in rest)):
+            others = tuple(a.values[k] for a, k in zip(rest, at, strict=True))
+            slow = 60.0 if name == "posts" and others == (0.2,) else 0.0
+            cells.append((easy, *others, 60.0, 0.0, slow, 0.0, 0.0))
+            cells.append((hard, *others, 60.0, 60.0, 0.0, 0.0, 0.0))
+        tables[name] = Table(per="crossing", axes=(first, *rest), cells=tuple(cells))
+    return envelope(**tables)
+
+
+def test_limits_are_the_largest_sizes_that_hardly_ever_fail() -> None:
+    able = limits(whole())
+    assert 0.15 <= able["max_step"] <= 0.22
+    assert 0.07 <= able["max_step_back"] < able["max_step"]
+    assert np.radians(24) <= able["max_slope"] <= np.radians(34)
+    assert 0.09 <= able["max_gap"] <= 0.15
+    assert able["max_posts"] >= 0.07
+    assert able["step_vx"] == 0.5, "slower, posts stop it"
+    assert all(p <= ROUTINE_RISK for p in (whole().mean("up", able["max_step"], 0.0, 0.0),))
+
+
+def test_a_weaker_controller_has_smaller_limits() -> None:
+    strong, weak = limits(whole()), limits(whole(0.7))
+    for name in ("max_step", "max_step_back", "max_slope", "max_gap", "max_posts"):
+        assert weak[name] < strong[name], name
+
+
+def test_an_assumed_envelope_has_no_larger_limits_than_the_measured_one() -> None:
+    e = whole()
+    assumed = envelope(**{m: t.model_copy(update={"assumed": "dice"}) for m, t in e.manoeuvres.items()})
+    assert all(
+        limits(assumed)[name] <= value
+        for name, value in limits(e).items()
+        if name not in ("max_oblique", "step_vx")
+    )
+
+
+@pytest.mark.parametrize("controller", [*CONTROLLERS, SPORT])
+def test_each_controllers_file_holds_every_manoeuvre(controller: str) -> None:
+    e = stored(controller)
+    assert e.controller == controller
+    assert set(e.manoeuvres) == set(PARTS)
+    assert all(table.trials.sum() > 0 for table in e.manoeuvres.values())
+    assert all(bool(table.assumed) == (controller == SPORT) for table in e.manoeuvres.values())
+    assert file_of(controller).stat().st_size < 64_000
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_capabilities_come_from_the_envelope_but_for_numbers_that_are_kept(controller) -> None:
+    able, measured = CAPABILITIES[controller], limits(stored(controller))
+    for name, value in measured.items():
+        if name in KEPT[controller]:
+            assert KEPT[controller][name] != pytest.approx(value), (
+                f"{name} need not be kept: it was measured so"
+            )
+        else:
+            assert getattr(able, name) == value

@@ -263,7 +263,7 @@ def test_limits_are_the_largest_sizes_that_hardly_ever_fail() -> None:
     able = limits(whole())
     assert 0.15 <= able["max_step"] <= 0.22
     assert 0.07 <= able["max_step_back"] < able["max_step"]
-    assert np.radians(24) <= able["max_slope"] <= np.radians(34)
+    assert np.radians(19) <= able["max_slope"] <= np.radians(34)
     assert 0.09 <= able["max_gap"] <= 0.15
     assert able["max_posts"] >= 0.07
     assert able["step_vx"] == 0.5, "slower, posts stop it"

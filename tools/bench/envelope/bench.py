@@ -16,12 +16,13 @@ times the nominal time. Each course is driven three times: wheel friction 0.6, 0
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from hal.envelope import FAILURES, SPORT, Envelope, file_of, stored
+from hal.envelope import FAILURES, PARTS, SPORT, Envelope, file_of, limits, stored
 from hal.locomotion.controllers import controller_of
 from hal.lowlevel import CONTROLLERS, Controller, Locomotion
 from hal.mujoco.config import CAPABILITIES
@@ -51,6 +52,7 @@ from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope.lane import LANES, through_lane
 from tools.bench.envelope.lane import WAYS as LANE_WAYS
+from tools.bench.envelope.picture import draw
 from tools.bench.envelope.response import along, turning, turning_while_driving
 from tools.bench.envelope.terrain import ANGLES
 from tools.bench.envelope.trial import RUNS, Conditions, drive
@@ -102,6 +104,8 @@ def run(args: list[str]) -> Report:
             seed=options.seed,
             only=options.only,
         )
+        if options.picture:
+            draw(envelope, options.picture)
         return counted(envelope)
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
@@ -117,7 +121,7 @@ def run(args: list[str]) -> Report:
 
 
 def counted(envelope: Envelope) -> Report:
-    """What stands in an envelope: drives, trials, failures of each kind and how well the fit predicts."""
+    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, and the limits read off it."""
     report = Report("envelope")
     for name, table in envelope.manoeuvres.items():
         key = f"{{}}.{envelope.controller}.{name}"
@@ -130,6 +134,11 @@ def counted(envelope: Envelope) -> Report:
             report.add(
                 key.format("log_loss"), table.log_loss, "nats, left out", baseline=table.log_loss_of_rate
             )
+    if set(envelope.manoeuvres) == set(PARTS):
+        for name, value in limits(envelope).items():
+            angle = name in ("max_slope", "max_oblique")
+            unit = "deg" if angle else "m/s" if name == "step_vx" else "m"
+            report.add(f"{name}.{envelope.controller}", math.degrees(value) if angle else value, unit)
     return report
 
 

@@ -370,8 +370,9 @@ CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
 def limits(envelope: Envelope) -> dict[str, float]:
     """What `Capabilities` says of faces, slopes, gaps and posts: the largest of each with `ROUTINE_RISK` at most, and a way.
 
-    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction. `step_vx` is
-    the slowest speed that was tried at which posts of `max_posts` stay within the risk; zero where each does.
+    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction; `max_posts`
+    is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no more than twice as often; zero where
+    each does.
     """
 
     def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:
@@ -401,10 +402,9 @@ def limits(envelope: Envelope) -> dict[str, float]:
     ]
     out["max_oblique"] = max(angles, default=0.0)
     speeds = envelope.manoeuvres["posts"].axes[1].si
-    able = [largest(("posts",), CENTIMETRE, v) for v in speeds]
-    out["max_posts"] = max(able)
-    slowest = next(v for v, height in zip(speeds, able, strict=True) if height == out["max_posts"])
-    out["step_vx"] = 0.0 if slowest == speeds[0] else float(slowest)
+    out["max_posts"] = largest(("posts",), CENTIMETRE, speeds[-1])
+    slow = [v for v in speeds if float(envelope.mean("posts", out["max_posts"], v)) <= 2.0 * ROUTINE_RISK]
+    out["step_vx"] = 0.0 if slow[0] == speeds[0] else float(slow[0])
     return out
 
 

@@ -82,6 +82,7 @@ IMU            = Topic("/imu/data",              msg.Imu,            200, Qos.SE
 JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SENSOR,  100, "robot",     "16 motors in SDK order")
 POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time", recorded="full standard")
 HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one", recorded="full standard")
+WHEELS         = Topic("/wheels/odom",           msg.Odometry,          0, Qos.SENSOR,  100, "",          "speed that the wheels of another robot tell, base_link: in imported logs", recorded="full standard")
 CAMERA         = Topic("/camera/front/image/compressed", msg.CompressedImage, 0, Qos.SENSOR, 1, "camera", "JPEG, frame camera_front, stamped at the exposure; while somebody looks, and once a second while it is recorded", recorded="full standard")
 CAMERA_INFO    = Topic("/camera/front/camera_info", msg.CameraInfo,    0, Qos.LATCHED,   1, "camera",    "its intrinsics", recorded="full standard")
 CAMERA_REQUEST = Topic("/camera/request",        msg.String,           0, Qos.STATE,     1, "",          "somebody looks: frames for the next 2 s", recorded="")

@@ -237,5 +237,12 @@ class Site:
                 self._desk.do(page, wish, reply)
         except OperatorError as error:
             reply(False, str(error))
-        except (ValueError, RecursionError):  # no JSON, or brackets without end
+        except (
+            ValueError,
+            RecursionError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+        ):  # no JSON, or other things than we ask for
             reply(False, "not a message of this console")

@@ -132,7 +132,9 @@ _STEEP = math.tan(math.radians(20.0))
 def _face_parts(height: Array, angle: Array, slope: Array) -> Array:
     s = np.sin(np.abs(angle))
     h = height / _TEN_CM
-    return np.stack([h, h * s, h * s**4, h * np.tan(slope) / _STEEP], -1)
+    # A robot slides on a slope at any face that holds a wheel, high or low; at none it is the business of `slope`.
+    held = np.minimum(h, 0.5)
+    return np.stack([h, h * s, h * s**4, held * np.tan(slope) / _STEEP], -1)
 
 
 def _stairs_parts(riser: Array, tread: Array, angle: Array) -> Array:

@@ -25,6 +25,8 @@ KEPT = {
     "max_posts": 0.05,
     "step_vx": 0.0,
 }
+"""Limits that are not read off the assumed envelope yet: guesses, with a wide margin to what the vendor's gaits are said to do. What is
+assumed from the model-based controller is stricter (a face of 0.08 m), since an assumed table counts by its bound."""
 
 
 class UnitreeConfig(BaseModel):
@@ -116,5 +118,5 @@ class UnitreeConfig(BaseModel):
             max_alpha=2.5,
             max_trunk_tilt=math.radians(15.0),
             lidars=self.mounted(),
-            **(limits(stored(SPORT)) | KEPT),
+            **(limits(stored(SPORT)) | KEPT),  # type: ignore[arg-type]
         )

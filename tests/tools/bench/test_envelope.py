@@ -57,7 +57,20 @@ def test_a_bench_that_goes_on_with_a_file_counts_what_one_run_does(vmc, tmp_path
 def test_the_command_writes_a_file_with_every_manoeuvre(tmp_path: Path) -> None:
     """A run of a few seconds, for who finds the bench broken."""
     path = tmp_path / "vmc.json"
-    report = run(["--controller", "vmc", "--write", "--drives", str(len(GRID)), "--file", str(path)])
+    report = run(
+        [
+            "--controller",
+            "vmc",
+            "--write",
+            "--drives",
+            str(len(GRID)),
+            "--file",
+            str(path),
+            "--picture",
+            str(tmp_path / "vmc.png"),
+        ]
+    )
+    assert (tmp_path / "vmc.png").stat().st_size > 5_000
     envelope = read(path)
     assert set(envelope.manoeuvres) == set(GRID)
     assert all(table.drives == 1 and table.trials.sum() >= 1 for table in envelope.manoeuvres.values())

@@ -82,6 +82,9 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--drives", type=int, default=None, help="end `--write` after so many drives")
     parser.add_argument("--seed", type=int, default=0, help="of what `--write` draws")
     parser.add_argument(
+        "--picture", type=Path, default=None, help="PNG of trials and fit that `--write` makes"
+    )
+    parser.add_argument(
         "--file", type=Path, default=None, help="that `--write` adds to; else the controller's own"
     )
     options = parser.parse_args(args)

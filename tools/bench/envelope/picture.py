@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from hal.envelope import MAX_RISK, Envelope
 
@@ -32,7 +33,7 @@ def draw(envelope: Envelope, path: Path) -> None:
             share = failures[i, j] / trials[i, j]
             at = 100.0 * height[i], angle[j]
             plot.scatter(
-                *at, s=8.0 * trials[i, j], c=[share], vmin=0, vmax=1, cmap="RdYlGn_r", edgecolors="k", lw=0.5
+                *at, s=14.0 * trials[i, j], c=[share], vmin=0, vmax=1, cmap="RdYlGn_r", edgecolors="k", lw=0.5
             )
         plot.set(title=f"{name} ({table.drives} drives)", xlabel="height of the face [cm]")
     plots[0].set_ylabel("angle to its normal [deg]")
@@ -42,3 +43,5 @@ def draw(envelope: Envelope, path: Path) -> None:
     )
     figure.savefig(path, dpi=80)
     plt.close(figure)
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(64).save(path, optimize=True)  # a quarter of the bytes

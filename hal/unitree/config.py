@@ -26,7 +26,7 @@ KEPT = {
     "step_vx": 0.0,
 }
 """Limits that are not read off the assumed envelope yet: guesses, with a wide margin to what the vendor's gaits are said to do. What is
-assumed from the model-based controller is stricter (a face of 0.08 m), since an assumed table counts by its bound."""
+assumed from the model-based controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
 
 
 class UnitreeConfig(BaseModel):

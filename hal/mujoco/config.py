@@ -105,7 +105,7 @@ class Push:
 
 @dataclass(frozen=True, slots=True, config=_CHECKED)
 class Obstacle:
-    """A box that is not part of the terrain: solid, seen by the LiDAR, may come, move and go."""
+    """A box that is not part of the terrain: solid, may come, move and go."""
 
     centre: tuple[float, float, float]
     """[m], world, at `appear`."""
@@ -118,6 +118,8 @@ class Obstacle:
     """[s] after connect."""
     velocity: tuple[float, float] = (0.0, 0.0)
     """x, y [m/s], world."""
+    clear: bool = False
+    """No ray comes back from it, as from glass, a thin post, or a bar between the beams."""
 
 
 class SimConfig(BaseModel):

@@ -39,37 +39,45 @@ class UnitreeConfig(BaseModel):
     )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
-        default=0.0, description="[rad] yaw of the LowState IMU in base_link (some units: pi/2)"
+        default=0.0,
+        ge=-3.15,
+        le=3.15,
+        description="[rad] yaw of the LowState IMU in base_link (some units: pi/2)",
     )
     check_crc: bool = Field(
         default=True, description="LowState whose checksum is wrong is not believed; one without (0) is"
     )
     l1_yaw: float = Field(
-        default=0.0, description="[rad] of the L1 about its own z axis, which gravity cannot see"
+        default=0.0,
+        ge=-3.15,
+        le=3.15,
+        description="[rad] of the L1 about its own z axis, which gravity cannot see",
     )
     l1_gyro_leak: tuple[float, float] = Field(
         default=(0.0, 0.0), description="share of its z rate that the L1's gyro shows in x and in y"
     )
     l1_imu_wxyz: bool = Field(default=True, description="the L1 stores its quaternion w, x, y, z")
-    max_vx: float = Field(default=0.8, gt=0, le=3.0, description="[m/s]")
-    max_wz: float = Field(default=1.0, gt=0, le=3.0, description="[rad/s]")
+    max_vx: float = Field(default=0.8, ge=0.1, le=1.5, description="[m/s]")
+    max_wz: float = Field(default=1.0, ge=0.2, le=2.0, description="[rad/s]")
     move_rate: float = Field(default=50.0, ge=20, le=50, description="[Hz] Move is repeated at")
     watchdog: float = Field(
-        default=0.2, gt=0, le=0.5, description="without a drive call for this long the robot stops"
+        default=0.2, ge=0.05, le=0.5, description="without a drive call for this long the robot stops"
     )
     state_timeout: float = Field(
-        default=0.2, gt=0, le=1.0, description="without LowState for this long: disconnected"
+        default=0.2, ge=0.05, le=0.5, description="without LowState for this long: disconnected"
     )
     sport_timeout: float = Field(
-        default=1.0, gt=0, le=5.0, description="without sportmodestate for this long: fault"
+        default=1.0, ge=0.1, le=2.0, description="without sportmodestate for this long: fault"
     )
-    connect_timeout: float = Field(default=10.0, gt=0, description="for discovery")
-    rpc_timeout: float = Field(default=1.0, gt=0, description="per request, then it is repeated")
-    rpc_tries: int = Field(default=3, ge=1, description="requests before a service counts as silent")
-    busy_timeout: float = Field(default=15.0, gt=0, description="for a mode switcher that answers busy")
-    stand_timeout: float = Field(default=8.0, gt=0, description="for standing up or lying down")
+    connect_timeout: float = Field(default=10.0, ge=0.5, le=120.0, description="for discovery")
+    rpc_timeout: float = Field(default=1.0, ge=0.1, le=3.0, description="per request, then it is repeated")
+    rpc_tries: int = Field(default=3, ge=1, le=10, description="requests before a service counts as silent")
+    busy_timeout: float = Field(
+        default=15.0, ge=1.0, le=60.0, description="for a mode switcher that answers busy"
+    )
+    stand_timeout: float = Field(default=8.0, ge=1.0, le=30.0, description="for standing up or lying down")
     ignored_timeout: float = Field(
-        default=12.0, gt=0, description="for Move without motion: fault; 4-10 s are normal"
+        default=12.0, ge=5.0, le=20.0, description="for Move without motion: fault; 4-10 s are normal"
     )
     state_codes: dict[int, Literal["damped", "sitting", "standing", "ready"]] = Field(
         default={1001: "damped", 1002: "standing"},

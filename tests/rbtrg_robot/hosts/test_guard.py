@@ -110,7 +110,8 @@ def test_beside_a_wall_it_is_driven_along_it_by_hand_both_ways(tmp_path: Path) -
         assert truth(stack)[0] > 0.6
         by_hand(stack, 1.2, 0.0, 0.4)
         by_hand(stack, 1.2, 0.0, -0.4)
-        assert abs(truth(stack)[2]) < 0.02, "a corner would come into the wall"
+        # A corner meets the wall at 0.057 rad (2 cm over 0.35 m). Of five draws of noise four stay below 0.02 rad, one comes to 0.027.
+        assert abs(truth(stack)[2]) < 0.04, "a corner would come into the wall"
         back = truth(stack)[0]
         by_hand(stack, 2.5, -0.3)
         assert truth(stack)[0] < back - 0.3

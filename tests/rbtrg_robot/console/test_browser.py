@@ -752,7 +752,8 @@ def test_the_camera_is_shown_with_the_route_in_it_and_kept_as_a_photo(
     until(page, "document.body.dataset.video === 'behind'")
     for name in ("#halt", "#video-mode"):  # nothing lies over them
         assert page.evaluate(
-            "name => { const at = document.querySelector(name), box = at.getBoundingClientRect();"
+            "name => { const at = document.querySelector(name); at.scrollIntoView({ inline: 'center' });"
+            " const box = at.getBoundingClientRect();"
             " return at.contains(document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2)); }",
             name,
         )

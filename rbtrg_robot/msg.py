@@ -417,6 +417,7 @@ class MapStatus(Message):
     restoring: bool = False
     warning: str = ""
     prior: str = ""
+    touched: int = 0
     refused: int = 0
     detail: str = ""
     location: str = ""
@@ -535,6 +536,8 @@ class MotionLimits(Message):
     left: float = 0.0
     right: float = 0.0
     reason: str = ""
+    uneven_ahead: float = 0.0
+    uneven_behind: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -675,6 +678,7 @@ class RobotState(Message):
     refused_reason: list[str] = field(default_factory=list)
     refused_count: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
     hold: str = ""
+    hands: float = 0.0
     realtime_factor: float = 0.0
 
 

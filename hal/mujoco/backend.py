@@ -283,8 +283,10 @@ class MujocoBackend:
             self.simulation.place_box(
                 index, None if box is None else box.centre, 0.0 if box is None else box.yaw
             )
+        lit = zip(boxes, self.config.obstacles, strict=True)
+        seen = [box for box, obstacle in lit if box is not None and not obstacle.clear]
         for lidar in self._lidars:
-            lidar.set_boxes([box for box in boxes if box is not None])
+            lidar.set_boxes(seen)
 
 
 __all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]

@@ -135,6 +135,46 @@ def taken_out(*names: str) -> Iterator[None]:
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
+GUARD_BLIND = Monitor(
+    "guard is blind",
+    stream="/cloud/main, /cloud/head",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="guard",
+    words="no sweep of any LiDAR for {age} s: nobody sees what steps into the way",
+    remedy="power, cable and driver of the LiDARs; `status` lists their topics",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+MAIN_SILENT = Monitor(
+    "main LiDAR is silent",
+    stream="/cloud/main",
+    check=Check.AGE,
+    consequence=Consequence.TELL,
+    judge="guard",
+    words="the main LiDAR is silent for {age} s: 0.2 m/s and 0.3 rad/s at most, only the head's LiDAR sees what steps into the way",
+    remedy="power, cable and driver of the main LiDAR; `status` lists its topic",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+TRACKER_STALE = Monitor(
+    "tracker's inputs",
+    stream="/odom/fast, /odom, /elevation_map/status, /goal/status",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="tracker",
+    words="{topic} tells of {age} s ago, limit {limit} s",
+    remedy="if it lasts: `status` shows which process is slow or silent, its log says why",
+    setting="freshness",
+    against="clock",
+    test="rbtrg_robot/stages/test_tracker.py",
+)
 CLOCK_DRIFT = Monitor(
     "clock drift",
     "LowState, clouds, IMU of the L1",
@@ -382,8 +422,76 @@ SWEEP_CLOCK = Monitor(
 )
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
+TOUCHED = Monitor(
+    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
+    "touched something that the LiDAR does not see at {where}",
+    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
+    high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
+)  # fmt: skip
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
+ROLLS_ON = Monitor(
+    "rolls on",
+    stream="rt/lowstate, rt/sportmodestate",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot, guardian, sentry",
+    words="StopMove is not followed: {speed} after {after}",
+    remedy="use the hardware stop; find out who else commands the robot, then `posture recover` and `resume`",
+    high=0.05,
+    unit="m/s",
+    against="StopMove",
+    test="hal/unitree/test_motion.py",
+)
+MOVES_UNTOLD = Monitor(
+    "moves untold",
+    stream="/odom/fast, /joint_states",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot",
+    words="it moves by {speed} m/s at a command of zero",
+    remedy="somebody else drives or pushes the robot, it slides, or odometry errs: find out, then `resume`",
+    high=0.05,
+    unit="m/s over 0.5 s",
+    setting="gate.moving_speed",
+    against="/cmd_vel",
+    test="hal/safety/test_gate.py",
+)
+TWO_ROBOTS = Monitor(
+    "two robots",
+    stream="rt/lowstate, rt/api/sport/response",
+    check=Check.OWNER,
+    consequence=Consequence.REFUSE,
+    judge="robot",
+    words="more than one robot on this DDS domain: {found}",
+    remedy="unplug one of them, or give it another DDS domain (`unitree.domain`); then `posture recover` and `resume`",
+    test="hal/unitree/test_two_robots.py",
+)
+OLD_HANDS = Monitor(
+    "old hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="their sender saw the robot {age} s ago, limit {limit} s",
+    remedy="let go until the link is quicker; move nearer",
+    low=0.0,
+    high=0.5,
+    unit="s",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
+BLIND_HANDS = Monitor(
+    "blind hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="the stamp is {stamp}, none that the robot told",
+    remedy="set header.stamp to the newest stamp of the robot that was seen, for example of /robot/state (docs/ros.md)",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
 PLACE_UNSURE = Monitor(

@@ -34,8 +34,8 @@ BODY_CLEARANCE = 0.55
 POINTS = 3
 """Returns in one cell that count as something there."""
 
-WHEELS, LIDAR, PLANTS = 1, 2, 5
-"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves; else filled in between."""
+WHEELS, LIDAR, PLANTS, TOUCHED = 1, 2, 5, 6
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body; else filled in between."""
 
 CLEAR, FACE, DROP, SWEEP, UNSEEN = 0, 1, 2, 3, 4
 """What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw."""

@@ -17,6 +17,7 @@ from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
 from mapping.elevation.mirror import blocks_of
 from mapping.elevation.plants import TALLEST
 from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
+from mapping.elevation.touched import TouchedWalls
 
 _BLOCK = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
@@ -36,6 +37,7 @@ class MapReader:
         self.params = p = params
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
+        self.walls = TouchedWalls()
         self._rules = [
             bridge_rule(
                 p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, blind, p.bridge_trust
@@ -77,6 +79,7 @@ class MapReader:
         )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
+        self.walls.paint(i0, j0, out, p.trust_sigma**2)
         return out
 
     def take_changes(self, stamp: int, epoch: int, most: int) -> list[MapPatch]:

@@ -54,45 +54,67 @@ class HealthConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_on_planes: int = Field(
-        default=30, ge=0, description="points on known surfaces below which registration is not used"
+        default=30, ge=0, le=1000, description="points on known surfaces below which registration is not used"
     )
     min_points: int = Field(
-        default=60, ge=10, description="registered points below which a scan says nothing"
+        default=60, ge=10, le=1000, description="registered points below which a scan says nothing"
     )
-    overlap_low: float = Field(default=0.5, description="share of points in seen map: degraded below")
-    overlap_lost: float = Field(default=0.2, description="registration is not used below")
+    overlap_low: float = Field(
+        default=0.5, ge=0.2, le=1.0, description="share of points in seen map: degraded below"
+    )
+    overlap_lost: float = Field(default=0.2, ge=0.05, le=0.9, description="registration is not used below")
     inliers_low: float = Field(
-        default=0.8, description="share of points on the map's surfaces: degraded below"
+        default=0.8, ge=0.3, le=1.0, description="share of points on the map's surfaces: degraded below"
     )
-    inliers_lost: float = Field(default=0.6, description="registration is not used below")
+    inliers_lost: float = Field(default=0.6, ge=0.3, le=1.0, description="registration is not used below")
     residual_high: float = Field(
-        default=0.06, description="RMS distance from the map's surfaces: degraded above [m]"
+        default=0.06, ge=0.01, le=0.2, description="RMS distance from the map's surfaces: degraded above [m]"
     )
     information_low: float = Field(
-        default=0.02, description="least share of surface facing any direction: degraded below"
+        default=0.02,
+        ge=0.001,
+        le=0.2,
+        description="least share of surface facing any direction: degraded below",
     )
     disagreement: float = Field(
-        default=6.0, description="registration against prediction: degraded above [standard deviations]"
+        default=6.0,
+        ge=3.0,
+        le=20.0,
+        description="registration against prediction: degraded above [standard deviations]",
     )
     strange: float = Field(
         default=0.1,
+        ge=0.02,
+        le=0.5,
         description="a registration that disagrees and moves the prediction further is doubted [m]",
     )
-    strange_deg: float = Field(default=3.0, gt=0, description="the same for the attitude [deg]")
+    strange_deg: float = Field(default=3.0, ge=0.5, le=10.0, description="the same for the attitude [deg]")
     jump: float = Field(
-        default=3.0, description="registration is not used when it moves the prediction further [m]"
+        default=3.0,
+        ge=0.5,
+        le=5.0,
+        description="registration is not used when it moves the prediction further [m]",
     )
     young: int = Field(
-        default=10, ge=1, description="scans in the local map below which overlap says nothing"
+        default=10, ge=1, le=100, description="scans in the local map below which overlap says nothing"
     )
-    gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
-    gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
-    sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
+    gap_degraded: float = Field(
+        default=0.25, ge=0.15, le=1.0, description="without a usable scan: degraded [s]"
+    )
+    gap_lost: float = Field(default=3.0, ge=0.5, le=5.0, description="without a usable scan: lost [s]")
+    sigma_lost: float = Field(default=0.3, ge=0.05, le=1.0, description="position uncertainty: lost [m]")
     overlap_again: float = Field(
-        default=0.6, description="in doubt registration is not used below: somewhere else it fits half"
+        default=0.6,
+        ge=0.3,
+        le=1.0,
+        description="in doubt registration is not used below: somewhere else it fits half",
     )
-    gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
-    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end doubt and `lost`")
+    gap_again: float = Field(
+        default=1.0, ge=0.3, le=3.0, description="a longer time without a usable scan is such a gap [s]"
+    )
+    recover: int = Field(
+        default=3, ge=1, le=20, description="fitting scans in a row that end doubt and `lost`"
+    )
 
 
 @dataclass(frozen=True, slots=True)

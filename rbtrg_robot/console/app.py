@@ -221,7 +221,7 @@ class Site:
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":
-                self._desk.alive(page, time.monotonic(), watched=bool(wish.get("watched")))
+                self._desk.alive(page, time.monotonic(), wish)
             elif what == "ping":
                 reply(True, "")
             elif what == "take over":
@@ -237,5 +237,12 @@ class Site:
                 self._desk.do(page, wish, reply)
         except OperatorError as error:
             reply(False, str(error))
-        except (ValueError, RecursionError):  # no JSON, or brackets without end
+        except (
+            ValueError,
+            RecursionError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+        ):  # no JSON, or other things than we ask for
             reply(False, "not a message of this console")

@@ -14,6 +14,8 @@ from typing import Any
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.log.bag import NAME as METADATA_YAML
+from rbtrg_robot.log.bag import describe
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune
 from rbtrg_robot.log.moments import HEARS, Moments, Thinned
 from rbtrg_robot.log.read import CONFIG, LogError, is_intact
@@ -71,6 +73,8 @@ class Recorder:
         self.left_out = 0
         """Messages that were not recorded for want of space."""
         self._moments, self._pictures = Moments(), Thinned(PICTURES)
+        self._latched: dict[t.Topic, tuple[bytes, int, int]] = {}
+        """Newest of each latched topic: who begins with a later file needs the frames and the robot's description, too."""
         self._writer: LogWriter | None = None
         try:
             self._writer = self._open()
@@ -80,12 +84,19 @@ class Recorder:
             self._give_up(str(error))
 
     def _open(self) -> LogWriter:
-        return LogWriter(
+        writer = LogWriter(
             self._folder / f"log_{self._number}.mcap",
             self._metadata,
             self._attachments,
             pack_sweeps=self._params.profile == "standard",
         )
+        try:
+            for topic, (payload, stamp, sequence) in self._latched.items():
+                writer.write(topic, payload, self._clock(), stamp, sequence)
+        except LogError:
+            writer.abandon()
+            raise
+        return writer
 
     def take(self, received: Received[Any], decode: Callable[[Received[Any]], Any]) -> None:
         """One message as it came. Pictures are thinned, but for those around a moment that somebody will look at."""
@@ -99,6 +110,8 @@ class Recorder:
 
     def write(self, topic: t.Topic, payload: bytes, stamp: int, sequence: int) -> None:
         """One message; `stamp` is its source clock [ns]."""
+        if topic.qos is t.Qos.LATCHED:
+            self._latched[topic] = payload, stamp, sequence
         if self._writer is None or (topic in BULKY and self._free < self._params.spare_gb * GIGABYTE):
             self.left_out += 1
             return
@@ -179,6 +192,10 @@ class Recorder:
             except (LogError, OSError) as error:
                 log.warning("%s", error)
                 writer.abandon()
+            try:
+                describe(self._folder)
+            except (LogError, OSError) as error:
+                log.warning("no %s: %s", METADATA_YAML, error)
             if tidy:
                 prune(self._folder.parent, self._params.keep_gb, spare=self._folder)
 

@@ -59,6 +59,7 @@ class NavigatorStage:
         t.ROBOT_STATE,
         t.TF_STATIC,
         t.MOTION_LIMITS,
+        t.TOUCHED,
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
@@ -121,6 +122,8 @@ class NavigatorStage:
             self._take_plan(message)
         elif t.ROUTE_STATUS.carried(message, topic) and self._query.is_about_route(message):
             self._route.told(self._now, message)
+        elif t.TOUCHED.carried(message, topic):
+            self._touched(message)
         elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out
@@ -148,7 +151,7 @@ class NavigatorStage:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED, self._goal.foreign(goal.owner))
         self._goal = goal
         self._short = 0
-        if self._recovery.felt:
+        if self._recovery.at_edge:
             self._trail = Trail()
         self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
         self._looks = Looks(self._tilt)
@@ -243,7 +246,7 @@ class NavigatorStage:
             self._plan = None
             return self._ask()
         if self._recovery.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
-            return self._keep_off_edge(goal, self._pose)
+            return self._keep_off(goal, self._recovery.edge(self._pose), 1.0)
         if self._query.open:
             if self._query.waited(now) > p.patience:
                 return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
@@ -317,7 +320,7 @@ class NavigatorStage:
         self._progress.reset()
         assert self._pose is not None
         way = self._inputs.way
-        room_ahead = self._inputs.room_ahead and not self._recovery.felt
+        room_ahead = self._inputs.room_ahead and not self._recovery.at_edge
         measure = self._recovery.stuck(self._pose, way, room_ahead=room_ahead)
         if measure is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
@@ -328,12 +331,18 @@ class NavigatorStage:
             goal.recoveries += 1
             self._replan(goal)
 
-    def _keep_off_edge(self, goal: Goal, pose: Pose2) -> None:
-        """The wheels feel an edge where the map has none: get away from it, then replan around it; give up where that was done often enough."""
+    def _touched(self, message: msg.PoseStamped) -> None:
+        goal, place = self._goal, message.pose.position
+        if goal and goal.state.active and self._pose is not None and not self._missing_since:
+            way = math.copysign(1.0, math.cos(yaw_of(message.pose.orientation) - self._pose[2]))
+            self._keep_off(goal, self._recovery.touched(place.x, place.y), way)
+
+    def _keep_off(self, goal: Goal, measure: Measure, way: float) -> None:
+        """The robot felt what the map did not tell, ahead, `way` 1.0, or behind, -1.0: get away from it, then replan around it; or give up."""
         self._query.drop()
-        if self._recovery.edge(pose) is Measure.GIVE_UP:
+        if measure is Measure.GIVE_UP:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, "choose another goal")
-        elif not self._move_out(goal, barred=1.0):
+        elif not self._move_out(goal, barred=way):
             self._stand(goal, self._recovery.felt)
             self._replan(goal)
 
@@ -341,7 +350,7 @@ class NavigatorStage:
         """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where the guard holds it; False when
         there is none."""
         ways = self._inputs.held | {barred}
-        if self._recovery.felt:
+        if self._recovery.at_edge:
             ways |= {1.0}  # the body covered what lies below the edge, too
         reach = self._trail.reach(self._pose, self._params.back_out, ways) if self._pose else 0.0
         if reach != 0.0:

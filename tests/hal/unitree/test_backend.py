@@ -470,6 +470,15 @@ def test_a_cut_cable_mid_motion_and_its_return():
     world.until(Phase.READY, 1.0)
 
 
+def test_silence_after_a_message_that_was_a_little_late_is_told_as_silence():
+    world = ready()
+    world.run(2.0)
+    world.late = {EVERYTHING: 0.06}
+    world.run(1.0)
+    world.cut, world.late = True, {}
+    assert "no LowState" in world.until(Phase.DISCONNECTED, 0.5).cause
+
+
 def restarted(world: World, faults: Faults, standing: bool) -> None:
     """The robot's computers start anew a second later: nothing of before is known to them."""
     world.cut = True
@@ -601,7 +610,7 @@ class FakeGuardian:
     def beat(self, moving: bool) -> None:
         self.moving = moving
 
-    stop = damp = close = lambda self: None
+    stop = damp = leave_off = close = lambda self: None
 
     def wait_ready(self, _timeout: float) -> None:
         self.ready = True

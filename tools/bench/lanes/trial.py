@@ -97,7 +97,7 @@ def drive(trial: Trial) -> dict[str, Any]:
             )
         config = load(
             None,
-            trial.sets,
+            ("recorder.profile=full", *trial.sets),  # for pictures
             scene=trial.scene,
             seed=trial.seed,
             controller=trial.controller,

@@ -20,6 +20,7 @@ from hal.safety.contact import contact_at
 from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
+    HOLE,
     LIDAR,
     NO_WALL,
     PLANTS,
@@ -188,7 +189,7 @@ class GuardStage:
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
-            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS)), source, 0).astype(np.uint8),
+            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, HOLE)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,

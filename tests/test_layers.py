@@ -28,9 +28,9 @@ ROOMS: dict[str, str] = {
     "hal.unitree": "hal hal.lidar",
     "mapping": "hal",  # which says where numba keeps kernels
     "mapping.odometry.registration": "hal",
-    "mapping.odometry": "hal mapping.odometry.registration",
+    "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",
     "mapping.relocalise": "hal mapping",
-    "mapping.elevation": "hal hal.lidar hal.scenes mapping",
+    "mapping.elevation": "hal hal.lidar hal.safety.monitors hal.scenes mapping",
     "planning": "hal",
     "planning.graph": "hal mapping planning",
     "planning.risk": "hal mapping planning planning.graph",
@@ -48,7 +48,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
-    "rbtrg_robot.stages": "hal hal.safety mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines.art planning.baselines.t_hybrid planning.graph planning.path "
+    "rbtrg_robot.stages": "hal hal.safety hal.safety.monitors mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines.art planning.baselines.t_hybrid planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "
     "rbtrg_robot.stages.navigation",
     "rbtrg_robot.missions": "hal rbtrg_robot rbtrg_robot.stages.mission",

@@ -10,7 +10,7 @@ import numpy as np
 
 from hal import go2w
 from hal.contract import BackendError
-from hal.lidar.caster import TerrainCaster
+from hal.lidar.caster import OrientedBox, TerrainCaster
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lidar.simulator import LidarSimulator
 from hal.locomotion.controllers import controller_of
@@ -188,6 +188,7 @@ class MujocoBackend:
             noise=o.noise,
             name=lidar.name,
             plants=self.scene.plants,
+            parts=[OrientedBox(part.centre, part.size) for part in o.parts],
         )
 
     def _check_connected(self) -> None:

@@ -94,6 +94,16 @@ class Obstacle:
     """x, y [m/s], world."""
 
 
+@dataclass(frozen=True, slots=True, config=_CHECKED)
+class Part:
+    """A box mounted on the robot, an antenna or a bag: LiDAR rays hit it. It has no mass and touches nothing."""
+
+    centre: tuple[float, float, float]
+    """[m], base_link."""
+    size: tuple[float, float, float]
+    """Full lengths [m]."""
+
+
 class SimConfig(BaseModel):
     """The simulated robot. The defaults give a plain one with sensor noise and no faults."""
 
@@ -120,3 +130,4 @@ class SimConfig(BaseModel):
     battery_life: float = Field(7200.0, gt=0.0, description="from a full battery to an empty one [s]")
     pushes: tuple[Push, ...] = Field((), description="shoves on the trunk")
     obstacles: tuple[Obstacle, ...] = Field((), description="boxes that come, move and go")
+    parts: tuple[Part, ...] = Field((), description="boxes mounted on the robot that the LiDARs see")

@@ -120,6 +120,30 @@ def taken_out(*names: str) -> Iterator[None]:
 # -- localisation -------------------------------------------------------------------------------------------------------
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
+HOLE_WIDTH = Monitor(
+    name="width of a hole",
+    stream="elevation map",
+    check=Check.RANGE,
+    consequence=Consequence.HOLD,
+    judge="elevation",
+    words="a hole that is too wide to cross",
+    remedy="drive around it, or lay something over it",
+    setting="graph.max_gap",
+    against="rims on both sides",
+    test="mapping/elevation/test_holes.py",
+)
+OWN_PARTS = Monitor(
+    name="own parts",
+    stream="LiDAR sweeps",
+    check=Check.REPEAT,
+    consequence=Consequence.TELL,
+    judge="odometry",
+    words="the LiDAR sees something that moves with the robot, and it is in its way everywhere: own_parts: [{parts}]",
+    remedy="check that nothing hangs there; `rbtrg-robot calibrate lidar` writes own_parts for the configuration",
+    setting="own_parts",
+    against="odometry",
+    test="mapping/odometry/test_own.py",
+)
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 

@@ -38,8 +38,8 @@ WHEELS, LIDAR, PLANTS, HOLE = 1, 2, 5, 6
 """Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, a hole that is
 measured from rim to rim and wider than the robot crosses (then the height counts for nothing); else filled in between."""
 
-CLEAR, FACE, DROP, SWEEP, UNSEEN = 0, 1, 2, 3, 4
-"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw."""
+CLEAR, FACE, DROP, SWEEP, UNSEEN, GAP = 0, 1, 2, 3, 4, 5
+"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw, a hole that is too wide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,8 +330,7 @@ def nearest_obstacle(
                 if wide[i] and i > BEFORE and not walled[k, i]:
                     at = min(i, known + 1)
                     if at <= end:
-                        deep = level - ground[i]
-                        end, what, much = at, DROP, deep if deep > 0.0 else 0.0
+                        end, what = at, GAP
                     break
                 if walled[k, i]:
                     known = max(known, i)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -111,23 +111,13 @@ def decode_cloud(data: bytes) -> RawCloud:
 
 
 @njit(cache=True)
-def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body, out):  # type: ignore[no-untyped-def]
-    """Copy the points that are finite, within range and off the body, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
-    reach = 0.0  # beyond this distance from the LiDAR nothing can be on the body
-    for k in range(3):
-        reach += max(abs(body[k] - translation[k]), abs(body[k + 3] - translation[k])) ** 2
+def _pack(x, y, z, intensity, ring, time, near, far, out):  # type: ignore[no-untyped-def]
+    """Copy the points that are finite and within range, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
     n = 0
     for i in range(x.size):
         squared = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
         if not (near * near <= squared <= far * far):  # NaN compares false
             continue
-        if squared < reach:
-            inside = True
-            for k in range(3):
-                v = rotation[k, 0] * x[i] + rotation[k, 1] * y[i] + rotation[k, 2] * z[i] + translation[k]
-                inside = inside and body[k] < v < body[k + 3]
-            if inside:
-                continue
         p = out[n]
         p.x = np.rint(x[i] / POINT_QUANTUM) * POINT_QUANTUM
         p.y = np.rint(y[i] / POINT_QUANTUM) * POINT_QUANTUM
@@ -138,21 +128,15 @@ def _pack(x, y, z, intensity, ring, time, rotation, translation, near, far, body
     return n
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Mount:
-    """Where the LiDAR sits and what of its returns to keep."""
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What of a LiDAR's returns to keep, by their distance [m]. Those from the robot itself the odometry takes out (`mapping.odometry.own`)."""
 
-    rotation: Array
-    """(3, 3) base_link <- lidar."""
-    translation: Array
-    """(3,) LiDAR in base_link [m]."""
     min_range: float = 0.2
     max_range: float = 30.0
-    body: Array = field(default_factory=lambda: np.array([-0.45, -0.25, -0.45, 0.45, 0.25, 0.08]))
-    """(6,) x, y, z min and max of the robot in base_link [m]."""
 
 
-def sweep(cloud: RawCloud, mount: Mount) -> tuple[int, NDArray[np.void]]:
+def sweep(cloud: RawCloud, limits: Limits) -> tuple[int, NDArray[np.void]]:
     """Start of the sweep [ns, LiDAR clock] and its valid returns as `POINT_DTYPE` in the LiDAR frame."""
     raw = cloud.points
     names = raw.dtype.names or ()
@@ -166,11 +150,8 @@ def sweep(cloud: RawCloud, mount: Mount) -> tuple[int, NDArray[np.void]]:
         _column(raw[bright], np.float32) if bright is not None else np.zeros(n, np.float32),
         _column(raw[ring], np.uint16) if ring is not None else np.zeros(n, np.uint16),
         time,
-        mount.rotation,
-        mount.translation,
-        mount.min_range,
-        mount.max_range,
-        mount.body,
+        limits.min_range,
+        limits.max_range,
         out,
     )
     return start, out[:kept]

@@ -198,7 +198,7 @@ class Telemetry:
             return []  # frozen publisher: nothing new
         self._l1_stamp = raw.stamp
         self._l1.clock.observe(raw.stamp, now)
-        rotation = self._l1.mount.rotation
+        rotation = self._l1.rotation
         gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
         self._judge_mount(raw, gyro, accel)
         if self._options.imu != "l1":

@@ -33,7 +33,6 @@ class FuseReport(NamedTuple):
     invalid: int
     """NaN or infinite."""
     out_of_range: int
-    body: int
     ceiling: int
     cells: int
     agreed: int

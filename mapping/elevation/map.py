@@ -74,7 +74,6 @@ class ElevationMap:
         self._around: Layers | None = None
         self._prior: PriorCheck | None = None
         self._buffers(1024)
-        self._body = np.array(p.body_box)
         self._fuse_rule = np.array(
             [
                 p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
@@ -174,12 +173,12 @@ class ElevationMap:
         self._sensor = place + rotation @ origin
         self._stay_near()
         limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope, *sensor.region])
-        drops = np.zeros(7, dtype=np.int64)
+        drops = np.zeros(6, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
         s = self.store
         self._rays = 0  # what a refused scan leaves in the buffers is nobody's
         while not kernels.project(
-            points, rotation, place, origin, limits, self._body, noise, p.resolution,
+            points, rotation, place, origin, limits, noise, p.resolution,
             s.directory, s.first, s.shift,
             self._cell, self._z, self._weight, self._shared, self._ray, self._ends, drops, absent,
         ):  # fmt: skip

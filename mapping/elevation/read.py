@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import HOLE_WIDTH
 from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
@@ -79,7 +80,8 @@ class MapReader:
             p.trust_sigma**2, p.trust_count, p.alone_count, p.gate_min, p.hole, bound,
         )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
-        mark_holes(height, source, trusted, bound, p.resolution, *self._crossing, gap)
+        if HOLE_WIDTH.active:
+            mark_holes(height, source, trusted, count, bound, p.resolution, *self._crossing, gap)
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         return out
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, TopicClock, clean_scan
+from mapping.odometry.own import OwnFilter
 from mapping.odometry.types import OdometryConfig
 
 SWEEP_PERIOD = NS // 10
@@ -36,8 +37,10 @@ class Inbox:
         counters: Counter[str],
         on_jump: Callable[[int], None],
         shift: Mapping[LidarName, int],
+        own: OwnFilter,
     ) -> None:
-        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change."""
+        """`shift`: of every LiDAR, what is added to its stamps [ns]; may change. `own`: takes the robot itself out of sweeps."""
+        self._own = own
         self.imu = SampleBuffer(6, 20_000)
         """Rows gyro [rad/s], specific force [m/s^2]."""
         self.joints = SampleBuffer(48, 4_000)
@@ -99,6 +102,11 @@ class Inbox:
         if sweep is not None:
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
+            others = self._own.others(scan.name, sweep.xyz)
+            if not others.all():
+                self._counters["scan_points_of_the_robot"] += len(others) - int(others.sum())
+                problem = sweep.problem or ("" if others.any() else "scan has no usable points")
+                sweep = replace(sweep, xyz=sweep.xyz[others], time=sweep.time[others], problem=problem)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 

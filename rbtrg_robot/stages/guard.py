@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation
 from hal.safety.contact import contact_at
+from hal.safety.monitors import HOLE_WIDTH
 from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
@@ -77,6 +78,7 @@ WORDS = {
     2: "a {:.2f} m drop",
     3: "something the last sweep saw",
     4: "ground nobody saw",
+    5: HOLE_WIDTH.words,
 }
 
 

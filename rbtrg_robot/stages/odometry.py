@@ -241,5 +241,7 @@ def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:
 def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
-    odometry = LidarInertialOdometry(config.odometry, {lidar.name: lidar.mount for lidar in lidars})
+    odometry = LidarInertialOdometry(
+        config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts
+    )
     return OdometryStage(odometry, lidars, config.imu_mount(), config.start_pose())

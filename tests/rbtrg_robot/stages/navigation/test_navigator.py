@@ -282,7 +282,8 @@ def test_a_robot_that_shuttles_where_it_has_been_ends_the_goal_and_says_what_hel
         seconds += 1
     assert (world.status.state, world.status.reason) == ("aborted", "stuck")
     assert 10 <= seconds <= 40
-    assert "nowhere new" in world.status.detail and "m from the goal" in world.status.detail
+    assert "nowhere new" in world.status.detail
+    assert "m from the goal" in world.status.detail
 
 
 def test_a_robot_that_comes_along_new_ground_or_back_from_a_dead_end_keeps_its_goal(world: World) -> None:

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from hal.camera import CameraConfig
 from hal.errors import OperatorError
 from hal.go2w import IMU_POSITION
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
@@ -105,6 +106,7 @@ class StackConfig(BaseModel):
         (),
         description="boxes in base_link that are parts of the robot, beside its body: no LiDAR return counts there",
     )
+    camera: CameraConfig = CameraConfig()
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
     sim: SimConfig = SimConfig(lidar_step=2)
     interface: str = Field("", description="network interface of the robot (unitree)")

@@ -790,6 +790,46 @@ class Clock(Message):
 
 
 @dataclass(slots=True, eq=False)
+class RegionOfInterest(Message):
+    """sensor_msgs/msg/RegionOfInterest."""
+
+    __msgtype__ = "sensor_msgs/msg/RegionOfInterest"
+    x_offset: int = 0
+    y_offset: int = 0
+    height: int = 0
+    width: int = 0
+    do_rectify: bool = False
+
+
+@dataclass(slots=True, eq=False)
+class CameraInfo(Message):
+    """sensor_msgs/msg/CameraInfo."""
+
+    __msgtype__ = "sensor_msgs/msg/CameraInfo"
+    header: Header = field(default_factory=Header)
+    height: int = 0
+    width: int = 0
+    distortion_model: str = ""
+    d: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    k: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 9))
+    r: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 9))
+    p: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 12))
+    binning_x: int = 0
+    binning_y: int = 0
+    roi: RegionOfInterest = field(default_factory=RegionOfInterest)
+
+
+@dataclass(slots=True, eq=False)
+class CompressedImage(Message):
+    """sensor_msgs/msg/CompressedImage."""
+
+    __msgtype__ = "sensor_msgs/msg/CompressedImage"
+    header: Header = field(default_factory=Header)
+    format: str = ""
+    data: NDArray[np.uint8] = field(default_factory=lambda: _zeros("uint8", 0))
+
+
+@dataclass(slots=True, eq=False)
 class Imu(Message):
     """sensor_msgs/msg/Imu."""
 

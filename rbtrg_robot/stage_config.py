@@ -129,8 +129,10 @@ class PlannerConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    method: Literal["rb_trg", "t_hybrid", "art"] = Field(
-        "rb_trg", description="rb_trg: the project's planner; t_hybrid, art: baselines, for comparison"
+    method: str = Field(
+        "rb_trg",
+        pattern=r"^([A-Za-z_][\w-]*|[A-Za-z_][\w.]*:[A-Za-z_]\w*)$",
+        description="rb_trg: the project's planner; t_hybrid, art: baselines, for comparison; an installed planner (entry point of rbtrg.planners) or package.module:function (docs/extend.md)",
     )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(
         "full", description="rb_trg: cost variant of the search"
@@ -156,8 +158,8 @@ class RecorderConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     profile: Literal["full", "standard", "lean"] = Field(
-        "full",
-        description="full: everything; standard: what odometry and map can be made from again, sweeps packed; lean: no clouds, no re-run",
+        "standard",
+        description="standard: what odometry and map can be made from again, sweeps packed; full: everything, ten times as much; lean: no clouds, no re-run",
     )
     flush_period: float = Field(
         0.25, gt=0, description="most that a killed recorder loses, beside what comes until it is back [s]"

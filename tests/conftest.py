@@ -44,9 +44,32 @@ WAITING = ("access", "bridge", "cli", "console", "process", "unitree", "wire")
 """Rooms whose tests wait for processes, sockets and browsers."""
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`python -m tools.perturb` sets it."""
+    parser.addoption(
+        "--noise", type=int, default=0, help="draw the simulated sensors' noise anew; 0: as always"
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Otherwise pytest-xdist puts the files with the fewest tests last, which are the longest here."""
     config.option.loadscopereorder = False
+    if noise := config.getoption("noise"):
+        _draw_noise_anew(noise)
+
+
+def _draw_noise_anew(noise: int) -> None:
+    """Other noise in every sample of the simulated sensors; robot, scene and friction stay."""
+    from hal.mujoco.backend import MujocoBackend
+
+    connect = MujocoBackend.connect
+
+    def perturbed(backend: MujocoBackend) -> None:
+        own, backend._seed = backend._seed, backend._seed + 1000 * noise
+        connect(backend)
+        backend._seed = own
+
+    MujocoBackend.connect = perturbed  # type: ignore[method-assign]
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

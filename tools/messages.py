@@ -24,6 +24,8 @@ STANDARD = (
     "nav_msgs/msg/Odometry",
     "nav_msgs/msg/Path",
     "rosgraph_msgs/msg/Clock",
+    "sensor_msgs/msg/CameraInfo",
+    "sensor_msgs/msg/CompressedImage",
     "sensor_msgs/msg/Imu",
     "sensor_msgs/msg/JointState",
     "sensor_msgs/msg/PointCloud2",

@@ -7,6 +7,7 @@ below knows the few names such a tree needs and refuses every other one, so a fi
 from __future__ import annotations
 
 import itertools
+import math
 import pickle
 import zipfile
 from pathlib import Path
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import OperatorError
+from hal.npzfile import TRIPS
 from hal.regular import open_regular
 
 Float32 = NDArray[np.float32]
@@ -26,6 +28,12 @@ _STORAGES = {
     "DoubleStorage": np.dtype("<f8"),
     "HalfStorage": np.dtype("<f2"),
 }
+
+
+MAX_BYTES = 64_000_000
+"""Of the numbers of a policy: the public ones take 1 MB."""
+MAX_TREE = 1_000_000
+"""Bytes of the pickled tree of modules."""
 
 
 class PolicyError(OperatorError):
@@ -48,7 +56,12 @@ class _Module:
 
     kind = ""
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __init__(self) -> None:
+        self.members: dict[str, Any] = {}
+
+    def __setstate__(self, state: object) -> None:
+        if not isinstance(state, dict):
+            raise PolicyError("a module has no members: the file is damaged, fetch it again")
         self.members = state
 
 
@@ -57,6 +70,8 @@ def _rebuild_tensor(
 ) -> Float32:
     if offset < 0 or any(n < 0 for n in (*size, *stride)):
         raise PolicyError("a tensor has a negative size: the file is damaged, fetch it again")
+    if math.prod(size) * 4 > MAX_BYTES:
+        raise PolicyError(f"a tensor of {size} is no layer of a policy: the file is damaged, fetch it again")
     last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     if last >= len(storage):
         raise PolicyError("a tensor is longer than its storage: the file is damaged, fetch it again")
@@ -70,6 +85,7 @@ class _Unpickler(pickle.Unpickler):
     def __init__(self, file: Any, archive: zipfile.ZipFile, root: str) -> None:
         super().__init__(file)
         self._archive, self._root = archive, root
+        self._room = MAX_BYTES
 
     def find_class(self, module: str, name: str) -> Any:
         if module.startswith("__torch__"):
@@ -86,7 +102,13 @@ class _Unpickler(pickle.Unpickler):
 
     def persistent_load(self, pid: Any) -> NDArray[Any]:
         _, dtype, key, _, count = pid
-        data = np.frombuffer(self._archive.read(f"{self._root}/data/{int(key)}"), dtype)
+        member = self._archive.getinfo(f"{self._root}/data/{int(key)}")
+        self._room -= member.file_size
+        if self._room < 0 or not isinstance(dtype, np.dtype):
+            raise PolicyError(
+                f"its numbers take more than {MAX_BYTES / 1e6:.0f} MB: that is no policy for this robot"
+            )
+        data = np.frombuffer(self._archive.read(member), dtype)
         if len(data) < count:
             raise PolicyError(f"storage {key} is cut short: the file is damaged, fetch it again")
         return data
@@ -101,18 +123,21 @@ def read_mlp(path: Path) -> list[Layer]:
                 raise PolicyError(
                     f"{path} holds no data.pkl: export the policy with torch.jit.script and save"
                 )
+            if archive.getinfo(entry).file_size > MAX_TREE:
+                raise PolicyError(
+                    f"{path} is no policy: its tree of modules takes more than {MAX_TREE / 1e6:.0f} MB"
+                )
             with archive.open(entry) as file:
                 tree = _Unpickler(file, archive, entry.removesuffix("/data.pkl")).load()
+        layers: list[Layer] = []
+        _collect(tree, layers, path)
     except FileNotFoundError as error:
         raise PolicyError(f"{path} does not exist: give the folder of a policy with --policy DIR") from error
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror}") from error
-    except (zipfile.BadZipFile, pickle.UnpicklingError, EOFError, KeyError, ValueError, TypeError) as error:
-        raise PolicyError(f"{path} is not a TorchScript file ({error}): fetch it again") from error
-    except (AttributeError, IndexError, MemoryError, OverflowError) as error:
-        raise PolicyError(f"{path} is damaged ({error}): fetch it again") from error
-    layers: list[Layer] = []
-    _collect(tree, layers, path)
+    except (*TRIPS, pickle.UnpicklingError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise PolicyError(f"{path} is damaged or not a TorchScript file ({what}): fetch it again") from error
     if not layers:
         raise PolicyError(f"{path} holds no linear layer: only a scripted plain MLP can be read")
     for first, second in itertools.pairwise(layers):

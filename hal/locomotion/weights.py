@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import itertools
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,11 @@ from pydantic import ValidationError
 
 from hal.locomotion.layout import FRAME, PolicyParams
 from hal.locomotion.torchfile import ACTIVATIONS, Layer, PolicyError
-from hal.regular import open_regular
+from hal.npzfile import read_npz
 
 FORMAT = "rbtrg-policy-1"
+MAX_BYTES = 64e6
+"""Of all layers: ours take 0.4 MB."""
 
 
 def save_weights(path: Path, params: PolicyParams, layers: Sequence[Layer], facts: Mapping[str, Any]) -> None:
@@ -38,23 +39,23 @@ def save_weights(path: Path, params: PolicyParams, layers: Sequence[Layer], fact
 def load_weights(path: Path) -> tuple[PolicyParams, list[Layer], dict[str, Any]]:
     """What `save_weights` wrote. Raises PolicyError."""
     try:
-        with open_regular(path) as stream, np.load(stream, allow_pickle=False) as file:
-            header = json.loads(str(file["header"]))
-            if header["format"] != FORMAT:
-                raise PolicyError(f"{path} is of format {header['format']}: this version reads {FORMAT}")
-            params = PolicyParams.model_validate(header["params"])
-            layers = [
-                Layer(file[f"weight{k}"].astype(np.float32), file[f"bias{k}"].astype(np.float32), str(kind))
-                for k, kind in enumerate(header["activations"])
-            ]
-            facts = dict(header["facts"])
+        file = read_npz(path, MAX_BYTES)
+        header = json.loads(str(file["header"]))
+        if header["format"] != FORMAT:
+            raise PolicyError(f"{path} is of format {header['format']}: this version reads {FORMAT}")
+        params = PolicyParams.model_validate(header["params"])
+        layers = [
+            Layer(file[f"weight{k}"].astype(np.float32), file[f"bias{k}"].astype(np.float32), str(kind))
+            for k, kind in enumerate(header["activations"])
+        ]
+        facts = dict(header["facts"])
     except FileNotFoundError as error:
         raise PolicyError(f"{path} does not exist: give the file of a policy with --policy FILE") from error
     except ValidationError as error:
         raise PolicyError(f"{path}: {error.errors()[0]['msg']}") from error
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror or error}") from error
-    except (zipfile.BadZipFile, KeyError, ValueError, TypeError, EOFError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise PolicyError(f"{path} is not a policy file ({error}): export it again") from error
     if not layers or any(layer.activation not in ACTIVATIONS for layer in layers):
         raise PolicyError(f"{path} holds no layers, or activations other than {', '.join(ACTIVATIONS)}")

@@ -10,6 +10,7 @@ The robot does not collide with itself.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal import go2w
+from hal.camera import MountedCamera
 from hal.go2w import Link
 from hal.mujoco.looks import (
     ALONG_Y,
@@ -53,13 +55,14 @@ def build(
     boxes: Sequence[tuple[float, float, float]] = (),
     housings: bool = True,
     looks: bool = True,
+    camera: MountedCamera | None = None,
 ) -> mujoco.MjModel:
     """Robot on terrain.
 
     `height`: (rows, cols) [m], cell [0, 0] centred on `origin` (x, y [m]); `friction`: sliding friction of the wheels;
     `payload`: mass [kg] fixed on top of the trunk; `boxes`: full lengths [m] of mocap boxes (`box0`...) kept out of sight below the
     ground until they are placed; `housings`: the wheel-motor housings collide. False is the collider set of the vendor's MJCF.
-    `looks`: with the parts that are only drawn.
+    `looks`: with the parts that are only drawn; `camera`: one on the trunk to look through.
 
     Actuator i drives motor i of `hal.go2w.MOTORS` with force = ctrl + biasprm[1] q + biasprm[2] dq, clipped by the motor's
     torque limit; the simulation writes the gains of the current command into `actuator_biasprm`.
@@ -80,6 +83,14 @@ def build(
         dress_world(spec)
     _terrain(spec, np.asarray(height, np.float64), resolution, origin, looks)
     _robot(spec, friction, payload, housings, looks)
+    if camera is not None:
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(
+            quat, (camera.rotation * (1.0, -1.0, -1.0)).ravel()
+        )  # MuJoCo looks along -z, y up
+        spec.body("base_link").add_camera(
+            name=camera.name, pos=camera.mount.translation, quat=quat, fovy=math.degrees(camera.vertical_fov)
+        )
     for index, size in enumerate(boxes):
         _obstacle(spec, index, size)
     return spec.compile()

@@ -8,10 +8,13 @@ configuration, and the row names its field.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from string import Formatter
 
 
 class Check(StrEnum):
@@ -97,6 +100,22 @@ class Monitor:
         return self.words.format(**values)
 
 
+@cache
+def _pattern(words: str) -> re.Pattern[str]:
+    """What `words` look like once they are filled."""
+    return re.compile(
+        "".join(
+            re.escape(text) + (".+?" if field is not None else "")
+            for text, field, *_ in Formatter().parse(words)
+        )
+    )
+
+
+def raised(text: str) -> list[Monitor]:
+    """The monitors whose words stand in `text`: causes, holds and reasons travel as words, for people and logs alike."""
+    return [monitor for monitor in MONITORS if _pattern(monitor.words).search(text)]
+
+
 _OUT: set[str] = set()
 """Monitors that a bench took out, to show that its rows fail without them. No configuration reaches this."""
 
@@ -116,8 +135,177 @@ def taken_out(*names: str) -> Iterator[None]:
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
+CLOCK_DRIFT = Monitor(
+    "clock drift",
+    "LowState, clouds, IMU of the L1",
+    Check.CLOCK,
+    Consequence.HOLD,
+    "robot",
+    "telemetry of the robot arrives {late:.1f} s late",
+    "look at the network and at the load of this computer; it goes on when messages are on time again. If none was slow, the clock of the "
+    "robot was set: restart the stack",
+    high=100.0,  # two crystals of 50 ppm each; temperature is in that figure
+    unit="ppm that an offset grows",
+    against="the receive times",
+    test="hal/unitree/test_clock.py",
+)
+CLOCK_STEP = Monitor(
+    "clock step",
+    "LowState, clouds, IMU of the L1",
+    Check.CLOCK,
+    Consequence.TELL,
+    "robot",
+    "the clock of {source} stepped by {step:+.2f} s",
+    "nothing, it is followed; if it repeats, find out what sets that clock (`trust_stamps: false` drives without a LiDAR's)",
+    against="the receive times, the round trip of a request",
+    test="hal/unitree/test_clock.py",
+)
+SWEEP_LATE = Monitor(
+    "late sweeps",
+    "clouds",
+    Check.AGE,
+    Consequence.TELL,
+    "robot",
+    "sweeps of the {name} LiDAR arrive {late:.1f} s late",
+    "look at its network and driver. If its clock was set while it was silent: restart the stack, or `trust_stamps: false`",
+    high=0.3,  # the guard's reaction, for which speeds are chosen
+    unit="s later than the shortest way",
+    against="the receive times",
+    test="hal/unitree/test_lidars.py",
+)
+POINT_TIMES = Monitor(
+    "point times",
+    "clouds",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "point field {field!r} holds {held}: not the times of a sweep",
+    "set the driver to a time per point, in seconds, milli-, micro- or nanoseconds, relative to the header or absolute",
+    low=0.01,  # 50 Hz, half of the turn empty
+    high=0.6,  # 2 Hz
+    unit="s from the first point to the last",
+    test="hal/test_sweep_times.py",
+)
+ACCELERATION = Monitor(
+    "acceleration",
+    "IMU, IMU of the L1",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "{stream}: an acceleration of {value:.3g} m/s^2, possible are -160 to 160",
+    "the sensor or its driver is broken: replace it, or `unitree.imu` of the other one",
+    low=-160.0,  # 16 g, the widest range of such sensors
+    high=160.0,
+    unit="m/s^2",
+    test="hal/test_plausible.py",
+)
+TURN_RATE = Monitor(
+    "turn rate",
+    "IMU, IMU of the L1",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "{stream}: a turn rate of {value:.3g} rad/s, possible are -35 to 35",
+    "the sensor or its driver is broken, or it tells degrees: replace it, or `unitree.imu` of the other one",
+    low=-35.0,  # 2000 deg/s, the widest range of such sensors
+    high=35.0,
+    unit="rad/s",
+    test="hal/test_plausible.py",
+)
+GRAVITY_SIZE = Monitor(
+    "size of gravity",
+    "IMU",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "{stream} measures {value:.1f} m/s^2 on average, gravity has 9.8: its unit is wrong",
+    "set its driver to m/s^2",
+    low=4.9,  # half a second of braking, of a shock or of falling stays within half of gravity
+    high=14.7,
+    unit="m/s^2",
+    against="gravity",
+    test="hal/test_plausible.py",
+)
+GRAVITY_SIDE = Monitor(
+    "side of gravity",
+    "IMU",
+    Check.AGREEMENT,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "{stream}: gravity is {value:.0f} deg from where its gyro tells: signs or units are wrong",
+    "look at the driver of the IMU; stand the robot up and restart the stack",
+    high=60.0,  # a wrong axis is off by 90
+    unit="deg",
+    against="its gyro",
+    test="hal/test_plausible.py",
+)
+UPRIGHT = Monitor(
+    "upright at the start",
+    "IMU",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "{stream} tells that the robot lies on its side or back, tilted by {value:.0f} deg",
+    "set it on its feet or its belly; where it stands already, the signs or axes of the IMU are wrong: see its driver and `unitree.imu_yaw`",
+    high=60.0,  # beyond it the robot counts as fallen
+    unit="deg, until it was upright once",
+    test="hal/test_plausible.py",
+)
+JOINT_SPEED = Monitor(
+    "joint speed",
+    "joints",
+    Check.RANGE,
+    Consequence.REFUSE,
+    "robot, odometry",
+    "joints: {motor} tells {value:.3g} rad/s, possible are -200 to 200",
+    "look at this motor and its encoder",
+    low=-200.0,  # five times what the motors reach; a value that is no number is beyond it
+    high=200.0,
+    unit="rad/s",
+    test="hal/test_plausible.py",
+)
+MOTOR_LOST = Monitor(
+    "lost motor messages",
+    "LowState",
+    Check.RANGE,
+    Consequence.TELL,
+    "robot",
+    "motor {motor} has lost {value} messages, error bits {bits:#x}",
+    "look at the cables of this leg and at the vendor's app before the robot drives on",
+    high=1000.0,  # two seconds of 500 Hz
+    unit="messages since it was switched on",
+    test="hal/unitree/test_backend.py",
+)
 
 # -- localisation -------------------------------------------------------------------------------------------------------
+
+STAMP_AHEAD = Monitor(
+    "stamp ahead",
+    "IMU, joints",
+    Check.AGE,
+    Consequence.REFUSE,
+    "odometry",
+    "{stream}: a stamp {value:.1f} s ahead of the one before",
+    "nothing, it was one; where it lasts, look at the clock of this driver",
+    high=0.2,  # forty periods of the IMU, ten of the joints; a real gap of the stream is taken after three samples
+    unit="s",
+    against="the samples that follow",
+    test="mapping/odometry/test_intake.py",
+)
+SWEEP_CLOCK = Monitor(
+    "clock of the sweeps",
+    "clouds",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "the clock of the {name} LiDAR is {value:+.2f} s off the IMU's, its sweeps are not used",
+    "restart the driver of this LiDAR, then the stack; a clock that is set while it runs must not feed odometry",
+    low=-0.05,  # up to here odometry finds the offset by itself (`odometry.max_time_offset`)
+    high=0.2,  # topics come out of step by up to 0.15 s on a busy computer
+    unit="s",
+    against="the stamps of the IMU",
+    test="mapping/odometry/test_intake.py",
+)
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
 HOLE_WIDTH = Monitor(

@@ -45,16 +45,18 @@ def load_scene(
     height_range: tuple[float, float] | None = None,
     seed: int | None = None,
     start: Pose | None = None,
+    units: str | None = None,
+    up: str | None = None,
     **unknown: object,
 ) -> Scene:
     """A built-in scene by name, or a scene from a file (.npz, .png, .ply, .pcd, .stl, .obj).
 
-    `resolution` [m] and `height_range` [m] say how to import a file, `start` where the robot starts on it (see
+    `resolution` [m] and `height_range` [m], `units` and `up` say how to import a file, `start` where the robot starts on it (see
     `hal.scenes.files.read_scene`). `seed` picks a maze or a lane; `maze:7` and `lanes:7` do the same in one word (see `hal.scenes.lanes` for more words). Raises SceneError.
     """
     if unknown:
         raise SceneError(
-            f"no scene option {', '.join(sorted(unknown))}: there are resolution, height_range, start, seed"
+            f"no scene option {', '.join(sorted(unknown))}: there are resolution, height_range, start, units, up, seed"
         )
     if resolution is not None:
         (resolution,) = _numbers("resolution", [resolution], 1)
@@ -76,8 +78,10 @@ def load_scene(
             raise SceneError(f"{text!r}: the seed after maze: must be a whole number")
         seed = int(number) if number else seed
     if base in _BUILT_IN and (not number or base in SEEDED):
-        if resolution is not None or height_range is not None or start is not None:
-            raise SceneError(f"{base} is built in: resolution, height range and start are for files")
+        if not resolution is height_range is start is units is up is None:
+            raise SceneError(
+                f"{base} is built in: resolution, height range, start, units and up are for files"
+            )
         if base == "lanes":
             return lanes.named(text if seed is None else f"lanes:{seed}").scene
         if base == "maze":
@@ -91,7 +95,9 @@ def load_scene(
 
     if seed is not None:
         raise SceneError(f"a scene from a file has no seed: only {' and '.join(SEEDED)} have")
-    return read_scene(Path(text), resolution=resolution, height_range=height_range, start=start)
+    return read_scene(
+        Path(text), resolution=resolution, height_range=height_range, start=start, units=units, up=up
+    )
 
 
 def _numbers(option: str, values: object, count: int) -> list[float]:

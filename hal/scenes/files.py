@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,14 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
+from hal.npzfile import DamagedFile, read_npz
 from hal.regular import open_regular
+from hal.scenes.foreign import NODATA, read_las, read_tif, resolution_for, understood
 from hal.scenes.gridding import fill, grid, place_start
 from hal.scenes.readers import read_geometry
 from hal.scenes.scene import Geometry, Goal, Pose, Scene, SceneError
 
 DEFAULT_RESOLUTION = 0.05
 """Cell size for clouds and meshes [m]."""
-ENDINGS = (".npz", ".png", ".ply", ".pcd", ".stl", ".obj")
+ENDINGS = (".npz", ".npy", ".png", ".tif", ".tiff", ".ply", ".pcd", ".las", ".laz", ".stl", ".obj")
 
 
 def read_scene(
@@ -26,8 +27,11 @@ def read_scene(
     resolution: float | None = None,
     height_range: tuple[float, float] | None = None,
     start: Pose | None = None,
+    units: str | None = None,
+    up: str | None = None,
 ) -> Scene:
-    """A scene from `path`. Raises SceneError.
+    """A scene from `path`. Raises SceneError. `units` (m, cm, mm, ft) and `up` (z, y) of a cloud or mesh, None: guessed from its extent; the guess
+    stands in `Scene.description`.
 
     `resolution` [m] is needed for a picture and optional for clouds and meshes; `height_range` [m] (black, white) is
     needed for a picture. Unknown cells are filled for the physics and stay NaN in `Scene.survey`. Without `start` a
@@ -37,7 +41,7 @@ def read_scene(
         raise SceneError(f"{path}: no such file")
     if resolution is not None and not resolution > 0.0:
         raise SceneError(f"resolution must be a positive number of metres, got {resolution}")
-    ending, mesh = path.suffix.lower(), None
+    ending, mesh, words = path.suffix.lower(), None, ""
     if ending == ".npz":
         if resolution is not None or height_range is not None:
             raise SceneError(
@@ -47,16 +51,32 @@ def read_scene(
     if ending == ".png":
         height, origin = _read_png(path, resolution, height_range)
         assert resolution is not None
+    elif ending in (".tif", ".tiff"):
+        height, resolution, origin, words = read_tif(path, resolution)
+    elif ending == ".npy" and (array := _read_npy(path)).shape[1:] != (3,):
+        if resolution is None:
+            raise SceneError(f"{path.name}: heights without a cell size: give --resolution METRES")
+        height, origin = array, (0.0, 0.0)
     elif ending in ENDINGS:
+        if ending in (".las", ".laz"):
+            geometry, local = Geometry(read_las(path), np.empty((0, 3), np.int64)), True
+        elif ending == ".npy":
+            geometry, local = Geometry(array.astype(np.float64), np.empty((0, 3), np.int64)), False
+        else:
+            geometry, local = read_geometry(path), False
+        taken = understood(geometry, units, up, local)
+        geometry, words = taken.geometry, taken.words
+        if resolution is None and not len(geometry.triangles):
+            resolution = resolution_for(geometry.vertices, DEFAULT_RESOLUTION)
         resolution = resolution or DEFAULT_RESOLUTION
-        geometry = read_geometry(path)
         height, origin, overhangs = grid(geometry, resolution, path.name)
         mesh = geometry if overhangs else None
     else:
         raise SceneError(
             f"{path.name}: cannot read {ending or 'a file without ending'}: use {', '.join(ENDINGS)}"
         )
-    return _scene(path.stem, height, resolution, origin, start, None, f"from {path.name}", mesh)
+    about = f"from {path.name}" + (f"; taken so: {words}" if words else "")
+    return _scene(path.stem, height, resolution, origin, start, None, about, mesh)
 
 
 def _scene(
@@ -87,6 +107,20 @@ def _scene(
     )
 
 
+def _read_npy(path: Path) -> NDArray[np.float32]:
+    """Heights (rows, cols), row 0 in the south, or points (n, 3)."""
+    try:
+        with open_regular(path) as file:
+            array = np.load(file, allow_pickle=False)
+        array = np.asarray(array, np.float32)
+    except (OSError, ValueError, TypeError, EOFError, MemoryError) as error:
+        raise SceneError(f"{path.name}: not a readable .npy ({error})") from error
+    if array.ndim != 2 or min(array.shape) < 2:
+        raise SceneError(f"{path.name}: heights are (rows, cols) and points (n, 3), this is {array.shape}")
+    array[np.isin(array, NODATA) | (np.abs(array) > 1e6)] = np.nan
+    return array
+
+
 def _read_png(
     path: Path, resolution: float | None, height_range: tuple[float, float] | None
 ) -> tuple[NDArray[np.float32], tuple[float, float]]:
@@ -110,9 +144,8 @@ def _read_png(
 
 def _read_npz(path: Path, start: Pose | None) -> Scene:
     try:
-        with open_regular(path) as file, np.load(file, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        data = read_npz(path)
+    except (OSError, DamagedFile) as error:
         raise SceneError(f"{path.name}: not a readable .npz file ({error})") from error
     missing = [key for key in ("height", "resolution", "origin") if key not in data]
     if missing:

@@ -202,7 +202,10 @@ def place_start(
         if free.any():
             break
     else:
-        raise SceneError(f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give a start pose")
+        raise SceneError(
+            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (--start X Y YAW), coarser cells (--resolution), "
+            "or say what its numbers are (--units, --up)"
+        )
     way = free | ((narrow < level) & (_share(known, 2) > 0.3))
     best, area, done = np.zeros_like(free), 0, np.zeros_like(free)
     for seed in zip(*np.nonzero(free), strict=True):

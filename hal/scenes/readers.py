@@ -28,7 +28,10 @@ def read_geometry(path: Path) -> Geometry:
         )
     try:
         with open_regular(path) as file:
-            geometry = reader(file.read())
+            data = file.read()
+        if data.startswith(b"version https://git-lfs"):
+            raise SceneError(f"{path.name} is a Git LFS pointer, not the file: `git lfs pull` fetches it")
+        geometry = reader(data)
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror}") from error
     except (ValueError, IndexError, KeyError, TypeError, OverflowError, MemoryError) as error:
@@ -63,6 +66,10 @@ class _Element:
     scalars: list[tuple[str, str]] = field(default_factory=list)
     lists: list[tuple[str, str]] = field(default_factory=list)
     """Count type and item type."""
+    order: list[tuple[str, str, str]] = field(default_factory=list)
+    """All properties: name, type of a value, type of the count of a list or nothing."""
+    first: int = 0
+    """Scalars before the first list; 0 without a list."""
 
 
 def _ply(data: bytes) -> Geometry:
@@ -78,9 +85,12 @@ def _ply(data: bytes) -> Geometry:
         elif words[:1] == ["element"]:
             elements.append(_Element(words[1], _count(words[2])))
         elif words[:2] == ["property", "list"]:
+            elements[-1].first = elements[-1].first or len(elements[-1].scalars)
             elements[-1].lists.append((_PLY_TYPES[words[2]], _PLY_TYPES[words[3]]))
+            elements[-1].order.append((words[4], _PLY_TYPES[words[3]], _PLY_TYPES[words[2]]))
         elif words[:1] == ["property"]:
             elements[-1].scalars.append((words[2], _PLY_TYPES[words[1]]))
+            elements[-1].order.append((words[2], _PLY_TYPES[words[1]], ""))
     if layout not in ("ascii", "binary_little_endian", "binary_big_endian"):
         raise ValueError(f"unknown layout {layout!r}")
     order = ">" if layout == "binary_big_endian" else "<"
@@ -91,8 +101,10 @@ def _ply(data: bytes) -> Geometry:
             if len(rows) < element.count:
                 raise ValueError(f"{len(rows)} of {element.count} {element.name} lines")
             if element.name == "vertex":
-                table = np.array([row.split() for row in rows], np.float64)
-                column = [name for name, _ in element.scalars]
+                column = [name.lower() for name, _ in element.scalars]
+                if element.lists and not element.first:
+                    raise ValueError("a list before x, y, z of a vertex")
+                table = np.array([row.split()[: element.first or None] for row in rows], np.float64)
                 vertices = table[:, [column.index(k) for k in "xyz"]]
             elif element.name == "face":
                 triangles = _fans([[int(v) for v in row.split()][1:] for row in rows])
@@ -101,7 +113,9 @@ def _ply(data: bytes) -> Geometry:
             records = np.frombuffer(body, dtype, element.count, at)
             at += dtype.itemsize * element.count
             if element.name == "vertex":
-                vertices = np.stack([records[k] for k in "xyz"], axis=1).astype(np.float64)
+                vertices = _columns(records)
+        elif element.name == "vertex":
+            vertices, at = _ply_ragged(body, at, element, order)
         elif element.name == "face" and not element.scalars and len(element.lists) == 1:
             triangles, at = _ply_faces(body, at, element, order)
         else:
@@ -109,6 +123,29 @@ def _ply(data: bytes) -> Geometry:
     if vertices is None:
         raise ValueError("no vertices")
     return Geometry(vertices, triangles)
+
+
+def _columns(records: NDArray[np.void]) -> NDArray[np.float64]:
+    """(n, 3) of the fields x, y, z, whatever their case."""
+    names = {name.lower(): name for name in records.dtype.names or ()}
+    return np.stack([records[names[k]] for k in "xyz"], axis=1).astype(np.float64)
+
+
+def _ply_ragged(body: bytes, at: int, element: _Element, order: str) -> tuple[NDArray[np.float64], int]:
+    """Vertices (n, 3) whose records have lists, each of its own length; and where they end."""
+    rows = []
+    for _ in range(element.count):
+        row = {}
+        for name, kind, counted in element.order:
+            value = np.dtype(order + kind)
+            if counted:
+                count = np.dtype(order + counted)
+                at += count.itemsize + value.itemsize * int(np.frombuffer(body, count, 1, at)[0])
+                continue
+            row[name.lower()] = float(np.frombuffer(body, value, 1, at)[0])
+            at += value.itemsize
+        rows.append([row[k] for k in "xyz"])
+    return np.array(rows, np.float64).reshape(-1, 3), at
 
 
 def _ply_faces(body: bytes, at: int, element: _Element, order: str) -> tuple[NDArray[np.int64], int]:
@@ -156,13 +193,52 @@ def _pcd(data: bytes) -> Geometry:
             raise ValueError(f"{len(table)} of {points} points")
         first = np.concatenate([[0], np.cumsum(repeat)])
         return Geometry(table[:, [int(first[fields.index(k)]) for k in "xyz"]], _NO_FACES)
-    if layout != "binary":
-        raise ValueError(f"layout {layout}: save it as ascii or binary")
+    if layout not in ("binary", "binary_compressed"):
+        raise ValueError(f"layout {layout}: save it as ascii, binary or binary_compressed")
     kinds = [f"<{_PCD_TYPES[t]}{s}" for t, s in zip(header["TYPE"], header["SIZE"], strict=True)]
     names = [f if fields.index(f) == i else f"_{i}" for i, f in enumerate(fields)]  # padding may repeat "_"
     dtype = np.dtype([(f, k, (n,)) for f, k, n in zip(names, kinds, repeat, strict=True)])
+    if layout == "binary_compressed":  # field after field instead of point after point
+        packed, size = (int(v) for v in np.frombuffer(data, "<u4", 2, at))
+        if size != points * dtype.itemsize:
+            raise ValueError(f"{size} bytes for {points} points of {dtype.itemsize}")
+        body, columns, start = lzf(data[at + 8 : at + 8 + packed], size), {}, 0
+        for name, kind, n in zip(names, kinds, repeat, strict=True):
+            width = np.dtype(kind).itemsize * n
+            columns[name] = np.frombuffer(body, kind, points * n, start).reshape(points, n)[:, 0]
+            start += width * points
+        return Geometry(np.stack([columns[k] for k in "xyz"], axis=1).astype(np.float64), _NO_FACES)
     records = np.frombuffer(data, dtype, points, at)
     return Geometry(np.stack([records[k][:, 0] for k in "xyz"], axis=1).astype(np.float64), _NO_FACES)
+
+
+def lzf(data: bytes, size: int) -> bytes:
+    """What LZF packed, `size` bytes. Raises ValueError. The format: below 32, so many bytes and one as they are; else a copy of 3 to 264 bytes from up to 8 kB before."""
+    out, at = bytearray(), 0
+    while at < len(data) and len(out) <= size:
+        control = data[at]
+        at += 1
+        if control < 32:
+            out += data[at : at + control + 1]
+            at += control + 1
+            continue
+        length = control >> 5
+        if length == 7:
+            length += data[at]
+            at += 1
+        back = ((control & 31) << 8 | data[at]) + 1
+        at += 1
+        length += 2
+        start = len(out) - back
+        if start < 0:
+            raise ValueError("a copy from before the beginning")
+        piece = out[start : start + length]
+        while len(piece) < length:  # it overlaps what it makes
+            piece += piece[: length - len(piece)]
+        out += piece
+    if len(out) != size:
+        raise ValueError(f"{len(out)} bytes where {size} were packed")
+    return bytes(out)
 
 
 # --- meshes -------------------------------------------------------------------------------------------------------
@@ -184,7 +260,10 @@ def _stl(data: bytes) -> Geometry:
 def _obj(data: bytes) -> Geometry:
     vertices: list[list[float]] = []
     faces: list[list[int]] = []
-    for line in data.decode("utf-8", "replace").splitlines():
+    text = (
+        data.decode("utf-8", "replace").replace("\\\r\n", " ").replace("\\\n", " ")
+    )  # a line goes on after a backslash
+    for line in text.splitlines():
         words = line.split()
         if words[:1] == ["v"]:
             vertices.append([float(v) for v in words[1:4]])

@@ -61,6 +61,16 @@ class ObstaclesAvoid(IntEnum):
     """{is_remote_commands_from_api}: true while commands come from here, false again at the end."""
 
 
+VIDEO = "videohub"
+
+
+class Video(IntEnum):
+    """Video service, version 1.0.0.1 (unitree_sdk2_python, `go2/video`)."""
+
+    GET_IMAGE_SAMPLE = 1001
+    """-> a JPEG in the binary part."""
+
+
 BUSY = 7002
 """Motion switcher: try again."""
 
@@ -132,29 +142,32 @@ class Request:
         """Raises WireError."""
         body = _body(data, _REQUEST.size)
         identity, api, _lease, _priority, no_reply = _REQUEST.unpack_from(body)
-        return Request(identity, api, _string(body, _REQUEST.size), no_reply)
+        return Request(identity, api, _string(body, _REQUEST.size)[0], no_reply)
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """unitree_api Response_ without binary part."""
+    """unitree_api Response_."""
 
     id: int
     api: int
     code: int
     data: str = ""
     """JSON."""
+    binary: bytes = b""
 
     def pack(self) -> bytes:
         """CDR with encapsulation header."""
-        return _LITTLE_ENDIAN + _tail(_RESPONSE.pack(self.id, self.api, self.code), self.data)
+        head = _RESPONSE.pack(self.id, self.api, self.code)
+        return _LITTLE_ENDIAN + _tail(head, self.data, self.binary)
 
     @staticmethod
     def unpack(data: bytes) -> Response:
         """Raises WireError."""
         body = _body(data, _RESPONSE.size)
         identity, api, code = _RESPONSE.unpack_from(body)
-        return Response(identity, api, code, _string(body, _RESPONSE.size))
+        text, end = _string(body, _RESPONSE.size)
+        return Response(identity, api, code, text, _bytes(body, end))
 
     def json(self) -> dict[str, Any]:
         """`data`; an empty text is an empty object. Raises WireError."""
@@ -178,14 +191,26 @@ def _body(data: bytes, size: int) -> bytes:
     return data[4:]
 
 
-def _tail(head: bytes, text: str) -> bytes:
-    """`head`, aligned to 4, then the string and an empty octet sequence."""
+def _tail(head: bytes, text: str, binary: bytes = b"") -> bytes:
+    """`head`, aligned to 4, then the string and the octet sequence."""
     raw = text.encode() + b"\0"
     out = head + b"\0" * (-len(head) % 4) + struct.pack("<I", len(raw)) + raw
-    return out + b"\0" * (-len(out) % 4) + struct.pack("<I", 0)
+    return out + b"\0" * (-len(out) % 4) + struct.pack("<I", len(binary)) + binary
 
 
-def _string(body: bytes, at: int) -> str:
+def _bytes(body: bytes, at: int) -> bytes:
+    """The octet sequence at `at`; empty where the message ends before."""
+    at += -at % 4
+    if len(body) <= at:
+        return b""
+    (length,) = struct.unpack_from("<I", body, at) if len(body) >= at + 4 else (1,)
+    if len(body) < at + 4 + length:
+        raise WireError("message ends inside a sequence of bytes")
+    return body[at + 4 : at + 4 + length]
+
+
+def _string(body: bytes, at: int) -> tuple[str, int]:
+    """The string at `at`, and where it ends."""
     at += -at % 4
     if len(body) < at + 4:
         raise WireError("message ends inside a string")
@@ -193,6 +218,6 @@ def _string(body: bytes, at: int) -> str:
     if length < 1 or len(body) < at + 4 + length:
         raise WireError("message ends inside a string")
     try:
-        return body[at + 4 : at + 3 + length].decode()
+        return body[at + 4 : at + 3 + length].decode(), at + 4 + length
     except UnicodeDecodeError as error:
         raise WireError("string is not UTF-8") from error

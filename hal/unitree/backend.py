@@ -28,7 +28,7 @@ from hal.unitree.connect import open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
 from hal.unitree.link import DRY_RUN, DryRunLink, Link
 from hal.unitree.mover import Mover
-from hal.unitree.rpc import Rpc
+from hal.unitree.rpc import Echo, Rpc
 from hal.unitree.telemetry import MOUNT_TOLERANCE, Telemetry
 from hal.unitree.transitions import Failed, Steps, Transitions
 
@@ -82,6 +82,7 @@ class UnitreeBackend:
         link = self._given or open_link(self._interface, self._domain, self.options)
         self._link = link = DryRunLink(link) if self._dry_run else link
         self._rpc = Rpc(link)
+        self._echo = Echo(self._rpc, self.options.rpc_timeout)
         self._telemetry = telemetry = Telemetry(link, self.options, log_raw=self._dry_run)
         telemetry.warm_up()
         self._mover = Mover(self._rpc, self.options, self.capabilities)
@@ -110,6 +111,11 @@ class UnitreeBackend:
         self._now = now
         out: list[Sample] = list(telemetry.read(now))
         self._rpc.poll(now)
+        # What makes LowState late: the way, or the robot's clock? A request that is answered at once tells.
+        if not (telemetry.low_clock.doubtful and not self._dry_run):
+            self._echo.rest()
+        elif self._echo.prompt(now):
+            telemetry.believe_clock(now)
         self._steps.now = now
         self._fault = self._steps.advance() or self._fault
         self._judge(telemetry, now)
@@ -273,8 +279,7 @@ class UnitreeBackend:
         if t.low_age(now) > o.state_timeout:
             self._mover.confirm_reset()
             self._away = now
-            why = f"unreadable, {t.low_unread}" if t.low_unread else "check cable and robot"
-            return Phase.DISCONNECTED, f"no LowState for {t.low_age(now):.1f} s: {why}"
+            return Phase.DISCONNECTED, t.low_trouble(now)
         if self._away is not None:
             # What its sport service said before tells nothing of a robot that may have been switched off and on.
             missed = (now - self._away) / NS
@@ -305,8 +310,8 @@ class UnitreeBackend:
         # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
         seen = t.speed > 0.05 or t.yaw_rate > 0.1 or self._phase is Phase.MOVING
         if self._mover.moving and seen and ignored < 1.5:
-            return Phase.MOVING, note or "following velocity"
-        return Phase.READY, note or t.order_note or t.silence(now) or "balance stand, takes velocity"
+            return Phase.MOVING, note or t.note(now) or "following velocity"
+        return Phase.READY, note or t.note(now) or t.order_note or "balance stand, takes velocity"
 
     def _trouble(self, t: Telemetry, now: int) -> str:
         """The reason of a fault now, in words; empty without a fault."""

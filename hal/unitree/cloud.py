@@ -6,7 +6,6 @@ a per-point time (`time` or `t` relative, `timestamp` absolute) are taken where 
 
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 
@@ -14,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import POINT_TIMES
+from hal.sweep_times import SHORTEST, TimesError, sweep_times
 from hal.types import NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM, Array
 from hal.unitree.api import WireError
 from hal.unitree.layout import CDR_HEADER
@@ -21,11 +22,11 @@ from hal.unitree.layout import CDR_HEADER
 _DATATYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
 """sensor_msgs/PointField datatype codes."""
 _CODES = {np.dtype(v): k for k, v in _DATATYPES.items()}
-LONGEST_SWEEP = 10.0
-"""[s]: times of one cloud that spread further are nanoseconds."""
 RELATIVE = 1e3
 """[s]: times below are relative to the header, unless the header is that early too."""
 _TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
+_SURE = 100
+"""Points from which the unit of a time field is believed for the sweeps that follow."""
 
 
 class CdrReader:
@@ -112,11 +113,11 @@ def decode_cloud(data: bytes) -> RawCloud:
 
 @njit(cache=True)
 def _pack(x, y, z, intensity, ring, time, near, far, out):  # type: ignore[no-untyped-def]
-    """Copy the points that are finite and within range, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
+    """Copy the points that are finite, within range and of a time, in coordinates and times rounded as POINT_DTYPE says; returns how many."""
     n = 0
     for i in range(x.size):
         squared = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
-        if not (near * near <= squared <= far * far):  # NaN compares false
+        if not (near * near <= squared <= far * far and time[i] >= 0.0):  # NaN compares false
             continue
         p = out[n]
         p.x = np.rint(x[i] / POINT_QUANTUM) * POINT_QUANTUM
@@ -136,17 +137,28 @@ class Limits:
     max_range: float = 30.0
 
 
-def sweep(cloud: RawCloud, limits: Limits) -> tuple[int, NDArray[np.void]]:
-    """Start of the sweep [ns, LiDAR clock] and its valid returns as `POINT_DTYPE` in the LiDAR frame."""
+def sweep(
+    cloud: RawCloud, limits: Limits, unit: float | None = None
+) -> tuple[int, NDArray[np.void], float | None]:
+    """Start of the sweep [ns, LiDAR clock], its valid returns as `POINT_DTYPE` in the LiDAR frame, and the unit of its times.
+
+    `unit` [s]: that of a sweep before, None before the first with enough points. Raises WireError for times of no sweep.
+    """
     raw = cloud.points
     names = raw.dtype.names or ()
     n = len(raw)
-    start, time = _times(cloud)
+    x, y, z = (_column(raw[axis], np.float32) for axis in "xyz")
+    with np.errstate(over="ignore", invalid="ignore"):
+        square = x * x + y * y + z * z
+        hit = (square >= limits.min_range**2) & (square < np.inf)
+    start, time, unit = _times(cloud, hit, unit)
     ring = next((name for name in ("ring", "line") if name in names), None)
     bright = next((name for name in ("intensity", "reflectivity") if name in names), None)
     out = np.empty(n, POINT_DTYPE)
     kept = _pack(  # type: ignore[call-arg]
-        *(_column(raw[axis], np.float32) for axis in "xyz"),
+        x,
+        y,
+        z,
         _column(raw[bright], np.float32) if bright is not None else np.zeros(n, np.float32),
         _column(raw[ring], np.uint16) if ring is not None else np.zeros(n, np.uint16),
         time,
@@ -154,7 +166,7 @@ def sweep(cloud: RawCloud, limits: Limits) -> tuple[int, NDArray[np.void]]:
         limits.max_range,
         out,
     )
-    return start, out[:kept]
+    return start, out[:kept], unit
 
 
 def _column(values: NDArray, dtype: type) -> NDArray:
@@ -162,35 +174,32 @@ def _column(values: NDArray, dtype: type) -> NDArray:
     return values.astype(dtype)
 
 
-def _times(cloud: RawCloud) -> tuple[int, NDArray[np.float32]]:
-    """Start of the sweep [ns, LiDAR clock] and the seconds since then, per point. Raises WireError for times of no sweep."""
+def _times(
+    cloud: RawCloud, hit: NDArray[np.bool_], unit: float | None
+) -> tuple[int, NDArray[np.float32], float | None]:
+    """Start of the sweep [ns, LiDAR clock], the seconds since then per point, NaN for strays, and the unit [s]."""
     raw = cloud.points
     name = next((name for name in _TIME_NAMES if name in (raw.dtype.names or ())), None)
-    if name is None or len(raw) == 0:
-        return cloud.stamp, np.zeros(len(raw), np.float32)
-    if raw.dtype[name] == np.float32:  # too coarse for a clock: seconds since the header's stamp
-        time = raw[name].astype(np.float32)
-        if not (np.abs(time) <= LONGEST_SWEEP).all():
-            raise WireError(f"point field {name!r} has times that are no seconds of a sweep")
-        return cloud.stamp, time
-    time = raw[name].astype(np.float64)
-    if raw.dtype[name].kind in "ui":
-        time *= 1e-9
-    first, last = float(time.min()), float(time.max())
-    if not (math.isfinite(first) and math.isfinite(last)):
-        raise WireError(f"point field {name!r} is not finite")
-    # Seconds or nanoseconds: a sweep lasts a tenth of a second, so its own spread tells, whatever the clock says. A field of one
-    # value is told by its size: no clock counts 1e14 s.
-    unit = 1e-9 if last - first > LONGEST_SWEEP or first > 1e14 else 1.0
-    seconds = first * unit
-    if not (last - first) * unit <= LONGEST_SWEEP or not abs(seconds) < 2.0**33:
+    if name is None or not hit.any():
+        return cloud.stamp, np.zeros(len(raw), np.float32), unit
+    field = raw[name]
+    try:
+        times = sweep_times(field, hit, 1e-9 if name == "offset_time" else unit, cloud.stamp)
+    except TimesError as error:
+        raise WireError(POINT_TIMES.tell(field=name, held=error)) from error
+    # Relative to the header, or the LiDAR's own clock, which may have booted in 1970. Single precision is too coarse for a clock.
+    first = times.first
+    relative = abs(first) < RELATIVE * NS and not abs(first - cloud.stamp) < abs(first)
+    if raw.dtype[name] == np.float32 and not relative:
         raise WireError(
-            f"point field {name!r} runs from {first:g} to {last:g}: neither seconds nor nanoseconds of a sweep"
+            POINT_TIMES.tell(field=name, held=f"{first / NS / times.unit:g}, too coarse for a clock")
         )
-    # Relative to the header, or the LiDAR's own clock, which may have booted in 1970.
-    relative = seconds < RELATIVE and not abs(seconds - cloud.stamp / NS) < abs(seconds)
-    start = (cloud.stamp if relative else 0) + round(seconds * NS)
-    return start, ((time - first) * unit).astype(np.float32)
+    # The header tells the begin of the sweep, or its end where times are negative.
+    counted = relative and first >= 0
+    seconds, start = times.seconds(since_first=not counted), first + (cloud.stamp if relative else 0)
+    start = cloud.stamp if counted else start
+    sure = np.count_nonzero(times.inside) >= _SURE and np.nanmax(seconds) > SHORTEST
+    return start, seconds.astype(np.float32), times.unit if sure else unit
 
 
 def encode_cloud(stamp: int, frame: str, points: NDArray[np.void]) -> bytes:

@@ -8,14 +8,22 @@ import numpy as np
 
 from hal.lidar.config import LidarConfig
 from hal.rotation import rotation_rpy
+from hal.safety.monitors import CLOCK_STEP, SWEEP_LATE
 from hal.types import NS, POINT_DTYPE, LidarScan, MountedLidar
-from hal.unitree.clock import ClockOffset
+from hal.unitree.api import WireError
+from hal.unitree.clock import RemoteClock
 from hal.unitree.cloud import Limits, RawCloud, decode_cloud, sweep
 from hal.unitree.link import CUSTOM, Link
 from hal.unitree.livox import decode_livox
 
 SILENT = 2 * NS
 """Without a cloud for this long [ns] a LiDAR counts as silent."""
+UNREAD = NS // 2
+"""[ns] without a usable cloud, after which the reason is told."""
+STEP_TOLD = 10 * NS
+"""[ns] for which a step of a clock is told."""
+CLOUD = "cloud"
+"""The stream of a LiDAR's clock beside its IMU."""
 SEARCH_PERIOD = NS
 """[ns] between two looks at who sends clouds, while one is silent."""
 
@@ -31,7 +39,7 @@ class LidarInput:
         """How what comes on a topic of the link is read."""
         if lidar.model == "mid360":
             self.inputs[topic + CUSTOM] = decode_livox
-        self.clock = ClockOffset()
+        self.clock = RemoteClock()
         """The LiDAR's own clock; its IMU has the same."""
         self.rotation = rotation_rpy(*mounted.mount.rpy)
         """(3, 3) base_link <- its frame."""
@@ -46,6 +54,12 @@ class LidarInput:
         """Clouds with the stamp of the one before: a publisher that repeats itself is silent."""
         self.untimed = 0
         """Clouds without a time per point: they cannot be deskewed."""
+        self.refused = 0
+        """Clouds whose stamps no delay explains."""
+        self._unread = ""
+        """Why the newest cloud could not be used; empty when it was."""
+        self._unit: float | None = None
+        """[s] of the times of its points, once it is known."""
         self._start: int | None = None
         self._offset = round(lidar.time_offset * NS)
         self._trusted = lidar.trust_stamps
@@ -57,27 +71,44 @@ class LidarInput:
 
     def take(self, topic: str, data: bytes, now: int) -> list[LidarScan]:
         """The scan in a message of one of `inputs`, received by `now` [ns]; none without points. Raises WireError."""
-        start, points = sweep(self.inputs[topic](data), self._limits)
+        try:
+            start, points, self._unit = sweep(self.inputs[topic](data), self._limits, self._unit)
+        except WireError as error:
+            self._unread = str(error)
+            raise
         if not len(points):
             self.empty += 1
             return []
         if self._trusted and start == self._start:
             self.frozen += 1
             return []
-        self.heard_at = now
         # The end of the sweep is what was just received; its start lies a sweep earlier.
-        duration = round(float(points["time"].max(initial=0.0, where=np.isfinite(points["time"]))) * NS)
+        duration = round(float(points["time"].max()) * NS)
         self.untimed += duration == 0
         if not self._trusted:
             start = now - duration
+        elif not self.clock.hear(start + duration, now, CLOUD, max(duration // 2, 1)):
+            self.refused += 1
+            return []
+        self.heard_at, self._unread = now, ""
         self._count_missed(start, duration)
-        self.clock.observe(start + duration, now)
-        end = min(self.clock.convert(start + duration, now) + self._offset, now)
+        end = min((self.clock.date(start + duration, now) if self._trusted else now) + self._offset, now)
         stamp = end - duration
         if self._last is not None and self._last - NS < stamp <= self._last:
             stamp = self._last + 1  # a better clock offset must not turn time back
         self._last = stamp
         return [LidarScan(stamp, points, self.name)]
+
+    def note(self, now: int) -> str:
+        """What is wrong with its stamps, in words; empty when they are right. `now` [ns, host clock]."""
+        if self._unread and now - (self.heard_at or 0) > UNREAD:
+            return f"the {self.name} LiDAR: {self._unread}"
+        late, since = self.clock.late(CLOUD), self.clock.stepped_at
+        if SWEEP_LATE.outside(late):
+            return SWEEP_LATE.tell(name=self.name, late=late)
+        if since is not None and now - since < STEP_TOLD:
+            return CLOCK_STEP.tell(source=f"the {self.name} LiDAR", step=self.clock.step / NS)
+        return ""
 
     def _count_missed(self, start: int, duration: int) -> None:
         """`start`, `duration` [ns] of a sweep; one follows the other. Beyond a gap of 2 s it was silent or its clock was set."""

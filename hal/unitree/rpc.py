@@ -7,11 +7,16 @@ from collections.abc import Mapping
 from typing import Any
 
 from hal.types import NS
-from hal.unitree.api import SERVICES, Request, Response, compact
+from hal.unitree.api import MOTION_SWITCHER, SERVICES, MotionSwitcher, Request, Response, compact
 from hal.unitree.link import Link
 
 NO_ANSWER = 3104
 """Result code of a request that was not answered in time (the SDK's own code for it)."""
+
+PROMPT = 0.1
+"""[s]: the longest round trip of a short way; half of the oldest LowState by which the robot drives."""
+TRIPS = 3
+"""Prompt round trips in a row that show a short way."""
 
 
 class Rpc:
@@ -66,3 +71,38 @@ class Rpc:
         """Give up all that is pending; its answers will count as late."""
         self._pending.clear()
         self._done.clear()
+
+
+class Echo:
+    """How long a request and its answer take, asked again and again while somebody doubts the way to the robot.
+
+    A message that comes the same way was not delayed by more than that.
+    """
+
+    def __init__(self, rpc: Rpc, timeout: float) -> None:
+        """timeout [s] of one request."""
+        self._rpc, self._timeout = rpc, timeout
+        self._asked: tuple[int, int] | None = None
+        """Id and time [ns] of the request under way."""
+        self._prompt = 0
+
+    def rest(self) -> None:
+        """Nobody doubts."""
+        self._asked, self._prompt = None, 0
+
+    def prompt(self, now: int) -> bool:
+        """Call in every tick, `now` [ns]. Whether the last `TRIPS` round trips took no longer than `PROMPT`."""
+        if self._asked is not None:
+            identity, asked = self._asked
+            answer = self._rpc.result(identity)
+            took = (now - asked) / NS
+            if answer is None and took <= self._timeout:
+                return False
+            quick = answer is not None and answer.code != NO_ANSWER and took <= PROMPT
+            self._prompt = self._prompt + 1 if quick else 0
+        if self._prompt >= TRIPS:
+            self.rest()
+            return True
+        number = MotionSwitcher.CHECK_MODE  # changes nothing
+        self._asked = self._rpc.call(MOTION_SWITCHER, number, now, self._timeout, {}), now
+        return False

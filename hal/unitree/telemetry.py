@@ -10,14 +10,16 @@ from functools import partial
 import numpy as np
 
 from hal import go2w
+from hal.plausible import ImuCheck, impossible_joints, lost_motor
 from hal.rotation import rotation_rpy, up_of
+from hal.safety.monitors import CLOCK_DRIFT, CLOCK_STEP
 from hal.types import LYING, NS, Array, ImuSample, JointSample, LidarScan, Phase
 from hal.unitree.api import WireError
-from hal.unitree.clock import ClockOffset
+from hal.unitree.clock import RemoteClock
 from hal.unitree.cloud import RawImu, decode_imu
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
-from hal.unitree.lidars import LidarInput, Silence
+from hal.unitree.lidars import STEP_TOLD, LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
 from hal.unitree.quality import LinkQuality
 
@@ -30,6 +32,8 @@ JOINT_PERIOD = 20
 MOUNT_SAMPLES = 200
 """L1 IMU samples averaged before the mount is judged."""
 MOUNT_TOLERANCE = math.radians(25.0)
+REFUSAL_TOLD = 2 * NS
+"""[ns] for which an impossible sample is told."""
 STICK_REST, STICK_MOST = 0.1, 1.5
 """A stick nearer to 0 than this is at rest; beyond the other the bytes are no stick."""
 _STICKS = [0, 1, 2, 4]
@@ -56,17 +60,24 @@ class Telemetry:
         ]
         self._l1 = next((lidar for lidar in self.lidars if lidar.model == "l1"), None)
         self._leak = np.array([*options.l1_gyro_leak, 0.0])
-        self.low_clock = ClockOffset()
+        self._checks = {"lowstate": ImuCheck("IMU"), "l1": ImuCheck("IMU of the L1")}
+        self.impossible = 0
+        """Samples with values that cannot be."""
+        self._refused: dict[str, tuple[str, int]] = {}
+        """By stream why its newest impossible sample was not passed on, and when [ns]."""
+        self.low_clock = RemoteClock(answers=True)
         self._link_quality = LinkQuality()
         self.low: np.void | None = None
         self.sport: np.void | None = None
-        self._low_at: int | None = None
+        self._heard_at: int | None = None
+        """When the last LowState with a new tick came [ns]."""
         self._sport_at: int | None = None
         self._raw = ""
         self._sport_stamp: tuple[int, int] | None = None
         self._l1_stamp: int | None = None
         self._silence = Silence(link)
-        self._tick: int | None = None
+        self._tick = 0
+        """Of the newest LowState [ms]; it does not run over."""
         self._sampled = self._elapsed = 0
         """Tick of the last LowState that was looked at for samples, and [ms] up to it, which never start over."""
         self._due = {IMU_PERIOD: 0, JOINT_PERIOD: 0}
@@ -81,7 +92,8 @@ class Telemetry:
         """Angle between gravity as the L1 and as the trunk feel it [rad]; None before enough samples at rest."""
         self.order_note = ""
         """The L1's quaternion looks wrong for this reason, in words; nothing here drives by it."""
-        self.reboots = 0
+        self.restarts = 0
+        """How often the robot's own clock started anew."""
 
     def warm_up(self) -> None:
         """Compile before the first sweep has to wait for it."""
@@ -134,39 +146,38 @@ class Telemetry:
         if self._options.check_crc and low["crc"] not in (0, low_state_checksum(data)):
             raise WireError("its checksum is wrong")
         self.low_unread = ""
-        tick = int(low["tick"])
-        step = 0
-        if self._tick is not None:
-            step = (tick - self._tick) % 2**32
-            if step == 0:
-                return None  # frozen publisher: nothing new
-            if step > 2**31:
-                if self._tick - tick < 1000:
-                    return None  # out of order
-                self.reboots += 1
-                log.warning(
-                    "LowState tick went back from %d to %d ms: the robot was restarted", self._tick, tick
-                )
-        self._link_quality.heard(step, now)
-        self._tick, self._low_at, self.low = tick, now, low
-        self.low_clock.observe(tick * 1_000_000, now)
+        step = (int(low["tick"]) - self._tick + 2**31) % 2**32 - 2**31
+        if step == 0 and self.low is not None:
+            return None  # frozen publisher: nothing new
+        tick = self._tick + step
+        self._heard_at = now
+        if not self.low_clock.hear(tick * 1_000_000, now):
+            return None
+        self._link_quality.heard(step if self.low is not None else 0, now)
+        self._tick, self.low = tick, low
         return low
+
+    def believe_clock(self, now: int) -> None:
+        """The way to the robot is short, so its clock was set, as by a restart."""
+        self.low_clock.restart(now)
+        self.restarts += 1
+        log.warning("LowState: %s", CLOCK_STEP.tell(source="the robot", step=self.low_clock.step / NS))
 
     def _low_samples(self, low: np.void, now: int) -> list[ImuSample | JointSample | LidarScan]:
         tick = int(low["tick"])
         self._elapsed += (tick - self._sampled) % 2**32  # of a restarted robot: far ahead, everything is due
         self._sampled = tick
-        stamp = self.low_clock.convert(tick * 1_000_000, now)
+        unwrapped = self._tick + (tick - self._tick + 2**31) % 2**32 - 2**31
+        stamp = self.low_clock.date(unwrapped * 1_000_000, now)
         out: list[ImuSample | JointSample | LidarScan] = []
-        if self._options.imu == "lowstate" and self._is_due(IMU_PERIOD):
-            imu = low["imu_state"]
-            out += self._imu(
-                stamp, self._imu_rotation @ imu["gyroscope"], self._imu_rotation @ imu["accelerometer"]
-            )
+        if self._is_due(IMU_PERIOD):
+            imu, turn = low["imu_state"], self._imu_rotation
+            out += self._imu("lowstate", stamp, now, turn @ imu["gyroscope"], turn @ imu["accelerometer"])
         if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
             q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
-            if math.isfinite(q.sum() + dq.sum() + tau.sum()):
+            self._refuse("motors", lost_motor(motors["lost"][:16], motors["reserve"][:16, 0]), now)
+            if not self._refuse("joints", impossible_joints(q, dq, tau), now):
                 out.append(JointSample(self._after(JointSample, stamp), q, dq, tau))
         return out
 
@@ -178,10 +189,19 @@ class Telemetry:
         self._due[period] = period + (due if self._elapsed < due + period else self._elapsed)
         return True
 
-    def _imu(self, stamp: int, gyro: Array, accel: Array) -> list[ImuSample | JointSample | LidarScan]:
-        if not math.isfinite(gyro.sum() + accel.sum()):
+    def _imu(
+        self, stream: str, stamp: int, now: int, gyro: Array, accel: Array
+    ) -> list[ImuSample | JointSample | LidarScan]:
+        check = self._checks[stream]
+        if self._refuse(stream, check.impossible(gyro, accel) or check.contradicted(stamp, gyro, accel), now):
             return []
-        return [ImuSample(self._after(ImuSample, stamp), gyro, accel)]
+        return [ImuSample(self._after(ImuSample, stamp), gyro, accel)] if self._options.imu == stream else []
+
+    def _refuse(self, stream: str, reason: str, now: int) -> bool:
+        if reason:
+            self._refused[stream] = reason, now
+            self.impossible += 1
+        return bool(reason)
 
     def _after(self, kind: type, stamp: int) -> int:
         """`stamp`, or just after the last one of its kind: a better clock offset must not turn time back."""
@@ -196,22 +216,26 @@ class Telemetry:
         raw = decode_imu(data, self._options.l1_imu_wxyz)
         if raw.stamp == self._l1_stamp:
             return []  # frozen publisher: nothing new
+        if not self._l1.clock.hear(raw.stamp, now, "imu"):
+            return []
         self._l1_stamp = raw.stamp
-        self._l1.clock.observe(raw.stamp, now)
         rotation = self._l1.rotation
         gyro, accel = rotation @ (raw.gyro - raw.gyro[2] * self._leak), rotation @ raw.accel
-        self._judge_mount(raw, gyro, accel)
+        if self._refuse("l1", self._checks["l1"].impossible(gyro, accel), now):
+            return []
+        self._judge_mount(raw, gyro, accel, now)
         if self._options.imu != "l1":
             return []
-        return self._imu(self._l1.clock.convert(raw.stamp, now), gyro, accel)
+        return self._imu("l1", self._l1.clock.date(raw.stamp, now), now, gyro, accel)
 
-    def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array) -> None:
+    def _judge_mount(self, raw: RawImu, gyro: Array, accel: Array, now: int) -> None:
         """Compare gravity through the configured mount with the trunk's own, at rest."""
-        if self.low is None or not np.abs(gyro).max() < 0.1 or not np.isfinite(accel).all():
+        if self.low is None or not np.abs(gyro).max() < 0.1:
+            return
+        if now - self._refused.get("lowstate", ("", -NS))[1] < NS:  # the trunk's tells nothing then
+            self._gravity, self._own_gravity, self._gravity_count = np.zeros(3), np.zeros(3), 0
             return
         own = self._imu_rotation @ self.low["imu_state"]["accelerometer"]
-        if not np.isfinite(own).all():
-            return
         self._gravity += accel
         self._own_gravity += own  # as many samples as of the L1: a jolt is in both or in neither
         self._gravity_count += 1
@@ -234,9 +258,18 @@ class Telemetry:
                 f"the L1 stores its quaternion {order}: set unitree.l1_imu_wxyz={str(not wxyz).lower()}"
             )
 
-    def silence(self, now: int) -> str:
-        """Which LiDAR does not speak, in words, and where else clouds are sent; empty when all do."""
-        return self._silence.words(self.lidars, now)
+    def note(self, now: int) -> str:
+        """What the newest samples lack, in words; empty when all is well."""
+        told = [reason for reason, at in self._refused.values() if now - at < REFUSAL_TOLD]
+        clock = self.low_clock
+        if clock.stepped_at is not None and now - clock.stepped_at < STEP_TOLD:
+            told.append(CLOCK_STEP.tell(source="the robot", step=clock.step / NS))
+        return "; ".join(filter(None, [*told, self.lidar_note(now)]))
+
+    def lidar_note(self, now: int) -> str:
+        """Which LiDAR does not speak, in words, and where else clouds are sent, or whose stamps are wrong; empty when all is well."""
+        notes = (self._silence.words(self.lidars, now), *(lidar.note(now) for lidar in self.lidars))
+        return "; ".join(note for note in notes if note)
 
     def figures(self) -> dict[str, float]:
         """Figures for the operator: offsets of clocks [s] and the rate of LowState [Hz] as float, counters as int."""
@@ -244,20 +277,37 @@ class Telemetry:
         return {
             **{f"{name}_clock_offset": c.offset / NS for name, c in clocks.items() if c.offset is not None},
             **self._link_quality.figures(),
-            "clock_jumps": sum(clock.jumps for clock in clocks.values()),
-            "robot_restarts": self.reboots,
+            "clock_jumps": sum(clock.steps for clock in clocks.values()),
+            "robot_restarts": self.restarts,
+            "impossible_samples": self.impossible,
             **{f"lidar_{lidar.name}_empty": lidar.empty for lidar in self.lidars},
             **{f"lidar_{lidar.name}_missed": lidar.missed for lidar in self.lidars},
             **{f"lidar_{lidar.name}_frozen": lidar.frozen for lidar in self.lidars},
             **{f"lidar_{lidar.name}_untimed": lidar.untimed for lidar in self.lidars},
+            **{f"lidar_{lidar.name}_refused": lidar.refused for lidar in self.lidars},
             **{f"unreadable {topic}": count for topic, count in self.bad.items()},
         }
 
     # -- values ----------------------------------------------------------------------------------------------------
 
     def low_age(self, now: int) -> float:
-        """Seconds since the last LowState with a new tick; infinite before the first."""
-        return math.inf if self._low_at is None else (now - self._low_at) / NS
+        """Seconds since the newest LowState was measured, by the robot's own clock; infinite before the first."""
+        newest = self.low_clock.newest()
+        return math.inf if newest is None else (now - newest) / NS
+
+    def low_trouble(self, now: int) -> str:
+        """Why LowState is old, in words."""
+        silent = math.inf if self._heard_at is None else (now - self._heard_at) / NS
+        late = self.low_clock.late()
+        if self.low_clock.back and silent <= self._options.state_timeout:
+            return (
+                CLOCK_STEP.tell(source="the robot", step=-self.low_clock.back)
+                + ", waiting for prompt answers"
+            )
+        if late > silent:
+            return CLOCK_DRIFT.tell(late=late)
+        why = f"unreadable, {self.low_unread}" if self.low_unread else "check cable and robot"
+        return f"no LowState for {silent:.1f} s: {why}"
 
     def sport_age(self, now: int) -> float:
         """Seconds since the last sportmodestate with a new stamp; infinite before the first."""

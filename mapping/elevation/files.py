@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import one_line
-from hal.regular import open_regular
+from hal.npzfile import DamagedFile, read_npz
 from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import HOLE, MapError, MapPatch
 from mapping.elevation.tiles import CELL, CONTACT, LIDAR, PLANTS, PRIOR, SAVED, UNKNOWN, TileStore
@@ -134,15 +134,9 @@ def read_cloud(path: Path) -> NDArray[np.float32]:
 def _arrays(path: Path, only: tuple[str, ...] = ()) -> dict[str, NDArray[Any]]:
     """The arrays of a .npz file, or those of them that are named. Raises MapError."""
     try:
-        with open_regular(path) as stream, np.load(stream, allow_pickle=False) as file:
-            size = sum(member.file_size for member in file.zip.infolist())
-            if size <= MAX_BYTES:
-                return {name: file[name] for name in file.files if not only or name in only}
-    except Exception as error:  # zip, zlib, the parser of headers and numpy raise what they trip over
-        raise MapError(f"{path.name}: broken or truncated .npz file ({one_line(error)})") from error
-    raise MapError(
-        f"{path.name}: {size / 1e9:.1f} GB of arrays, more than {MAX_BYTES / 1e9:.0f}: cut it or use a coarser resolution"
-    )
+        return read_npz(path, MAX_BYTES, only)
+    except (OSError, DamagedFile) as error:
+        raise MapError(f"{path.name}: {one_line(error)}") from error
 
 
 def checked_cloud(cloud: NDArray[Any], name: str) -> NDArray[np.float32]:

@@ -12,11 +12,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from hal.plausible import ImuCheck, impossible_joints
+from hal.safety.monitors import STAMP_AHEAD, SWEEP_CLOCK
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
-from mapping.odometry.intake import SampleBuffer, Sweep, TopicClock, clean_scan
+from mapping.odometry.intake import SampleBuffer, Sweep, SweepClock, TopicClock, clean_scan
 from mapping.odometry.own import OwnFilter
 from mapping.odometry.types import OdometryConfig
 
+STREAMS = {"imu": "IMU", "joints": "joints"}
+"""What operators call them."""
 SWEEP_PERIOD = NS // 10
 SLACK = 10_000_000
 """Sweeps of two LiDARs that end within this time [ns] belong together."""
@@ -52,12 +56,17 @@ class Inbox:
         self.now = 0
         """Newest stamp of any topic [ns], 0 before the first."""
         self._joint_stamp = -NS
+        self._imu_check = ImuCheck("IMU")
+        self._refused: dict[str, str] = {}
+        """By topic the newest reason for which a sample was refused."""
         self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
         self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
-            **{name: TopicClock("scan", 2, counters) for name in self._sweeps},
+            **{name: TopicClock("scan", 2, counters, ahead=False) for name in self._sweeps},
         }
+        self._agreement = {name: SweepClock() for name in self._sweeps}
+        self._imu_samples = 0
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -66,10 +75,15 @@ class Inbox:
     def take_imu(self, sample: ImuSample) -> Array | None:
         """The sample as a row (6,); None when it is refused."""
         row = _row((sample.gyro, 3), (sample.accel, 3))
-        if row is None or not all(abs(v) <= 1e3 for v in row.tolist()):  # nor where one is not a number
-            self._counters["imu_not_finite"] += 1
+        if row is None:
+            self._counters["imu_layout"] += 1
+            return None
+        self._imu_samples += 1
+        if self._refuse("imu", self._imu_check.impossible(row[:3], row[3:])):
             return None
         if not self._admit("imu", sample.stamp):
+            return None
+        if self._refuse("imu", self._imu_check.contradicted(int(sample.stamp), row[:3], row[3:])):
             return None
         self.imu.append(int(sample.stamp), row)
         return row
@@ -77,8 +91,10 @@ class Inbox:
     def take_joints(self, sample: JointSample) -> Array | None:
         """The sample as a row (48,); None when it is refused or not needed."""
         row = _row((sample.position, 16), (sample.velocity, 16), (sample.effort, 16))
-        if row is None or not np.isfinite(row).all() or np.abs(row[16:32]).max() > 1e3:
-            self._counters["joints_not_finite"] += 1
+        if row is None:
+            self._counters["joints_layout"] += 1
+            return None
+        if self._refuse("joints", impossible_joints(row[:16], row[16:32], row[32:])):
             return None
         if not self._admit("joints", sample.stamp):
             return None
@@ -89,24 +105,39 @@ class Inbox:
         self.joints.append(stamp, row)
         return row
 
+    def _refuse(self, topic: str, reason: str) -> bool:
+        """Count and keep the reason for which a sample is refused; whether there is one."""
+        if reason:
+            self._counters[f"{topic}_impossible"] += 1
+            self._refused[topic] = reason
+        return bool(reason)
+
+    def refused(self) -> list[str]:
+        """Why samples were refused since the last call, in words."""
+        out = list(self._refused.values())
+        self._refused.clear()
+        return out
+
     def take_scan(self, scan: LidarScan) -> None:
         """Queue a scan, reduced to its usable points."""
         if scan.name not in self._sweeps:
             self._counters["scan_of_unknown_lidar"] += 1
             return
-        if not self._admit(scan.name, scan.stamp):
+        if not self._admit_sweep(scan.name, scan.stamp):
             return
         p = self._params
         near = p.min_range if scan.name == "main" else NEAR
-        sweep = clean_scan(scan, near, p.max_range, p.max_points, 0.5, self._counters)
-        if sweep is not None:
+        sweep = clean_scan(scan, near, p.max_range, p.max_points, self._counters)
+        if sweep is None:
+            return
+        off = self._agreement[scan.name].off(
+            sweep.start, sweep.end, self._clocks["imu"].newest, self._imu_samples
+        )
+        if not self._refuse(scan.name, SWEEP_CLOCK.tell(name=scan.name, value=off) if off else ""):
+            self._note(int(scan.stamp))
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
-            others = self._own.others(scan.name, sweep.xyz)
-            if not others.all():
-                self._counters["scan_points_of_the_robot"] += len(others) - int(others.sum())
-                problem = sweep.problem or ("" if others.any() else "scan has no usable points")
-                sweep = replace(sweep, xyz=sweep.xyz[others], time=sweep.time[others], problem=problem)
+            sweep = self._own.take_out(sweep, self._counters)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 
@@ -159,14 +190,29 @@ class Inbox:
         self.joints.forget(until)
 
     def _admit(self, topic: str, stamp: int) -> bool:
-        verdict = self._clocks[topic].admit(stamp)
-        if verdict == "ok":
-            self.now = max(self.now, int(stamp))
-            if self._first is None:
-                self._first = int(stamp)
+        clock = self._clocks[topic]
+        verdict = clock.admit(stamp)
+        if verdict == "ahead":
+            self._refuse(topic, STAMP_AHEAD.tell(stream=STREAMS[topic], value=clock.step))
         if verdict == "jump":
             self._follow_clock(topic, int(stamp))
-        return verdict != "drop"
+        if verdict == "ok":
+            self._note(int(stamp))
+        return verdict in ("ok", "jump")
+
+    def _admit_sweep(self, name: LidarName, stamp: int) -> bool:
+        """A LiDAR whose clock jumped alone is nobody's clock."""
+        verdict = self._clocks[name].admit(stamp)
+        if verdict == "jump" and self._clocks["imu"].newest is None:
+            self._follow_clock(name, int(stamp))
+        elif verdict != "ok":
+            self._agreement[name].went_back()
+        return verdict in ("ok", "jump")
+
+    def _note(self, stamp: int) -> None:
+        self.now = max(self.now, stamp)
+        if self._first is None:
+            self._first = stamp
 
     def _follow_clock(self, topic: str, stamp: int) -> None:
         """The source clock was set: the other topics follow without asking."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import dataclass
 
@@ -9,25 +10,34 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import POINT_TIMES, STAMP_AHEAD, SWEEP_CLOCK
+from hal.sweep_times import TimesError, sweep_times
 from hal.types import NS, Array, LidarName, LidarScan
 
+HIT = 0.01
+"""A point nearer than this [m] is none: drivers write misses as 0, 0, 0."""
+GAP_ENDS = 3
+"""Samples in a row that show that a stream is back after a gap."""
 JUMP_BACK = NS
 JUMP_AHEAD = 10 * NS
 """A step of a topic's stamps beyond these [ns] is a wrong stamp, or, when the following samples confirm it, a new clock."""
 
 
 class TopicClock:
-    """Lets only ascending stamps through. A clock that jumped (a 1970 boot clock that was set) is followed once it is confirmed."""
+    """Lets only ascending stamps through. A clock that jumped (a 1970 boot clock that was set) is followed once it is confirmed, and so is a gap."""
 
-    def __init__(self, name: str, confirm: int, counters: Counter[str]) -> None:
-        """`confirm`: samples in a row on the new clock before it is believed."""
+    def __init__(self, name: str, confirm: int, counters: Counter[str], ahead: bool = True) -> None:
+        """`confirm`: samples in a row on the new clock before it is believed. `ahead`: a stamp that is `STAMP_AHEAD` needs some that follow."""
         self.newest: int | None = None
         self._name, self._confirm, self._counters = name, confirm, counters
+        self._ahead = ahead
         self._strange: int | None = None
         self._run = 0
+        self.step = 0.0
+        """From the last stamp that was believed to the newest [s]."""
 
     def admit(self, stamp: object) -> str:
-        """`ok`, `drop`, or `jump`: accepted, and the clock has changed."""
+        """`ok`, `drop`, `ahead`: dropped until more follow; or `jump`: accepted, and the clock has changed."""
         if isinstance(stamp, bool) or not isinstance(stamp, int | np.integer) or not 0 <= stamp < 2**62:
             self._counters[f"{self._name}_stamp"] += 1
             return "drop"
@@ -36,22 +46,70 @@ class TopicClock:
             self.newest = stamp
             return "ok"
         step = stamp - self.newest
-        if -JUMP_BACK <= step <= JUMP_AHEAD:
+        self.step = step / NS
+        gap = self._ahead and step <= JUMP_AHEAD and STAMP_AHEAD.outside(self.step)
+        if -JUMP_BACK <= step <= JUMP_AHEAD and not (gap and not self._goes_on(stamp, GAP_ENDS)):
             self._strange, self._run = None, 0
             if step <= 0:
                 self._counters[f"{self._name}_{'duplicate' if step == 0 else 'backward'}"] += 1
                 return "drop"
             self.newest = stamp
             return "ok"
-        follows = self._strange is not None and 0 < stamp - self._strange <= NS
-        self._run = self._run + 1 if follows else 1
-        self._strange = stamp
-        if self._run < self._confirm:
-            self._counters[f"{self._name}_strange_stamp"] += 1
+        if gap:
+            return "ahead"
+        if not self._goes_on(stamp, self._confirm):
             return "drop"
         self._counters[f"{self._name}_clock_jump"] += 1
         self.newest, self._strange, self._run = stamp, None, 0
         return "jump"
+
+    def _goes_on(self, stamp: int, confirm: int) -> bool:
+        """Whether `confirm` strange stamps came in a row."""
+        follows = self._strange is not None and 0 < stamp - self._strange <= NS
+        self._run = self._run + 1 if follows else 1
+        self._strange = stamp
+        if self._run < confirm:
+            self._counters[f"{self._name}_strange_stamp"] += 1
+        return self._run >= confirm
+
+
+class SweepClock:
+    """Holds the stamps of one LiDAR against those of the IMU, both as they arrive.
+
+    A sweep that ends ahead of the IMU has a wrong stamp. One that comes late has not, unless stamps went back first: no delay does that. Then
+    its clock was set back, and its sweeps are refused until they are as late as before.
+    """
+
+    def __init__(self) -> None:
+        self._lag: float | None = None
+        """By how much the newest sweep that agreed ended before the IMU's newest sample [s]."""
+        self._start: int | None = None
+        self._back = False
+        """A sweep was stamped into the one before."""
+        self._samples = 0
+
+    def went_back(self) -> None:
+        """A sweep was stamped no later than the one before."""
+        self._back = True
+
+    def off(self, start: int, end: int, imu: int | None, samples: int) -> float:
+        """By how much a sweep from `start` to `end` [ns] is off the clock of the IMU [s], 0 where it agrees.
+
+        `imu`: newest stamp of the IMU [ns]; `samples`: how many it has sent. One that fell silent tells nothing.
+        """
+        self._back |= self._start is not None and start - self._start < (end - start) // 2
+        self._start = start
+        speaks, self._samples = samples >= self._samples + 5, samples
+        if imu is None or not speaks:
+            return 0.0
+        lag = (imu - end) / NS
+        usual = lag if self._lag is None else self._lag
+        if SWEEP_CLOCK.outside(-lag, low=-math.inf):
+            return -lag
+        if self._back and SWEEP_CLOCK.outside(usual - lag):
+            return usual - lag
+        self._lag, self._back = lag, False
+        return 0.0
 
 
 class SampleBuffer:
@@ -127,12 +185,7 @@ class Sweep:
 
 
 def clean_scan(
-    scan: LidarScan,
-    min_range: float,
-    max_range: float,
-    max_points: int,
-    max_duration: float,
-    counters: Counter[str],
+    scan: LidarScan, min_range: float, max_range: float, max_points: int, counters: Counter[str]
 ) -> Sweep | None:
     """A scan reduced to usable points; None when its layout cannot be read."""
     points = scan.points
@@ -147,41 +200,46 @@ def clean_scan(
     if len(points) > max_points:
         counters["scan_too_many_points"] += 1
         points = points[:: -(-len(points) // max_points)]
+    problem = ""
     with np.errstate(invalid="ignore", over="ignore"):
         x, y, z = (np.ascontiguousarray(points[axis], np.float32) for axis in "xyz")
-        time = np.ascontiguousarray(points["time"], np.float64)
-    xyz, times = np.empty((len(points), 3), np.float32), np.empty(len(points))
+        square = x * x + y * y + z * z
+        hit = (square >= HIT**2) & (square < np.inf)
+        try:
+            times = sweep_times(points["time"], hit)
+            before = min(times.first, 0)  # where the stamp is that of the end
+            start, time = start + before, times.seconds(since_first=before < 0)
+        except TimesError as error:
+            counters["scan_times"] += 1
+            problem = POINT_TIMES.tell(field="time", held=error)
+            time = np.full(len(points), np.nan)
+    xyz, kept_times = np.empty((len(points), 3), np.float32), np.empty(len(points))
     limits = np.array([min_range**2, max_range**2], np.float32)
-    kept, strange, late, longest = _usable(x, y, z, time, limits, max_duration, xyz, times)
-    if strange:
+    kept, longest = _usable(x, y, z, time, limits, xyz, kept_times)
+    if strange := len(points) - int(np.count_nonzero(hit & np.isfinite(points["time"]))):
         counters["scan_points_not_finite"] += strange
-    if late:
+    if late := int(np.count_nonzero(hit & np.isfinite(points["time"]) & ~np.isfinite(time))):
         counters["scan_points_out_of_time"] += late
     end = start + round(longest * NS)
-    problem = ""
     if not len(points):
         counters["scan_empty"] += 1
         problem = "scan is empty"
-    elif not kept:
+    elif not kept and not problem:
         counters["scan_no_usable_points"] += 1
         problem = "scan has no usable points"
-    return Sweep(start, end, xyz[:kept], times[:kept], problem, scan.name)
+    return Sweep(start, end, xyz[:kept], kept_times[:kept], problem, scan.name)
 
 
 @njit(cache=True)
-def _usable(x, y, z, time, limits, max_duration, xyz, times):  # pragma: no cover - compiled
-    """Copy the points of squared ranges within `limits` and times from 0 to `max_duration` to the front of `xyz`, `times`.
+def _usable(x, y, z, time, limits, xyz, times):  # pragma: no cover - compiled
+    """Copy the points of squared ranges within `limits` that have a time to the front of `xyz`, `times`.
 
-    Returns their number, how many points are not finite, how many finite ones are out of time, and the latest time of the others [s].
+    Returns their number and the latest time of all that are finite [s].
     """
-    kept = strange = late = 0
+    kept = 0
     longest = 0.0
     for i in range(len(x)):
         if not (np.isfinite(x[i]) and np.isfinite(y[i]) and np.isfinite(z[i]) and np.isfinite(time[i])):
-            strange += 1
-            continue
-        if not 0.0 <= time[i] <= max_duration:
-            late += 1
             continue
         longest = max(longest, time[i])
         square = x[i] * x[i] + y[i] * y[i] + z[i] * z[i]
@@ -189,4 +247,4 @@ def _usable(x, y, z, time, limits, max_duration, xyz, times):  # pragma: no cove
             xyz[kept, 0], xyz[kept, 1], xyz[kept, 2] = x[i], y[i], z[i]
             times[kept] = time[i]
             kept += 1
-    return kept, strange, late, longest
+    return kept, longest

@@ -7,7 +7,9 @@ smears it, and all that read clouds (registration, map, guard) never see it.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numba import njit
@@ -18,6 +20,7 @@ from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import rotation_rpy
 from hal.safety.monitors import OWN_PARTS
 from hal.types import Array, Extrinsics, LidarName
+from mapping.odometry.intake import Sweep
 
 Corner = tuple[float, float, float]
 
@@ -70,6 +73,15 @@ class OwnFilter:
         self._mounts = {
             name: (rotation_rpy(*mount.rpy), np.array(mount.translation)) for name, mount in mounts.items()
         }
+
+    def take_out(self, sweep: Sweep, counters: Counter[str]) -> Sweep:
+        """The sweep without what it has of the robot; `counters` tell how much that was."""
+        others = self.others(sweep.name, sweep.xyz)
+        if others.all():
+            return sweep
+        counters["scan_points_of_the_robot"] += len(others) - int(others.sum())
+        problem = sweep.problem or ("" if others.any() else "scan has no usable points")
+        return replace(sweep, xyz=sweep.xyz[others], time=sweep.time[others], problem=problem)
 
     def others(self, name: LidarName, xyz: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Which points (n, 3) [m] in the frame of the LiDAR `name` are not of the robot."""

@@ -262,6 +262,7 @@ class LidarInertialOdometry:
         stamps, track = self._advance(end)
         if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
+        self._notes += self._inbox.refused()
         return stamps, track
 
     def _advance(self, end: int) -> tuple[NDArray[np.int64], Array]:
@@ -294,7 +295,7 @@ class LidarInertialOdometry:
     def _coast(self, until: int) -> ScanOdometry:
         """No scan came: move the filter on so that a later one finds it near."""
         self._advance(until)
-        return self._dead_reckoned("no scan")
+        return self._dead_reckoned("; ".join(["no scan", *self._inbox.refused()]))
 
     def _dead_reckoned(self, reason: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance

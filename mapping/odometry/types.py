@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,10 @@ class OdometryConfig(BaseModel):
         description="largest offset LiDAR - IMU that is corrected [s]; beyond it is a fault",
     )
     use_joints: bool = Field(default=True, description="wait for and use joint samples")
+    without: Literal["", "imu", "lidar"] = Field(
+        default="",
+        description="sensor that a log lacks: imu: LiDAR alone, KISS-ICP at constant velocity; lidar: wheels and IMU alone",
+    )
     smoothing: float = Field(
         default=0.15, gt=0, description="time constant that hides scan corrections from control [s]"
     )

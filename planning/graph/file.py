@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from hal.regular import open_regular
+from hal.npzfile import read_npz
 from planning.errors import PlanningError
 from planning.graph.params import GraphParams
 
@@ -44,13 +43,13 @@ def write_graph(path: str | Path, header: dict[str, Any], arrays: dict[str, NDAr
 def read_graph(path: str | Path) -> tuple[dict[str, Any], GraphParams, dict[str, NDArray[Any]]]:
     """Header, settings and arrays of a file, checked against each other. Raises PlanningError."""
     try:
-        with open_regular(path) as file, np.load(file, allow_pickle=False) as data:
-            header = json.loads(str(data["header"]))
-            found = header["format"]
-            arrays = {name: data[name] for name in _ARRAYS} if found == FORMAT else {}
+        data = read_npz(path)
+        header = json.loads(str(data["header"]))
+        found = header["format"]
+        arrays = {name: data[name] for name in _ARRAYS} if found == FORMAT else {}
     except FileNotFoundError as error:
         raise PlanningError(f"there is no file {path}") from error
-    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, ValueError, OSError, RecursionError) as error:
         raise PlanningError(f"{path} is not a traversal graph file: {error}") from error
     if found != FORMAT:
         raise PlanningError(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -42,13 +41,7 @@ class RiskTable:
         self._ids = graph.node_ids
         self._arcs: Arcs | None = None
         self._tables: dict[tuple[float, float], Tables] = {}
-        self.searched: object = None
-        """What `planning.search.again` keeps of the last search, for the next one."""
-        self.chords: object = None
-        """What `planning.search.chords` keeps of the last routes."""
         self._terrain, changed = self._follow(previous)
-        self._same: tuple[object, Before] | None = None
-        """`_ids` of the table that `_known` was, and what is the same there."""
         self._known: RiskTable | None = previous
         """The newest table with arcs, while this one has none: what that evaluated is asked for there."""
         self._changed: Changed | None = changed
@@ -57,8 +50,6 @@ class RiskTable:
             self._known = previous._known
             was = previous._changed
             self._changed = None if changed is None or was is None else was.more(changed)
-        if previous is not None and previous.body == body and previous.grid.resolution == grid.resolution:
-            self.searched, self.chords = previous.searched, previous.chords
 
     def _follow(self, previous: RiskTable | None) -> tuple[Terrain, Changed | None]:
         """The terrain of the grid, and where that of `previous` was another."""
@@ -98,16 +89,10 @@ class RiskTable:
         if old is None:
             self._arcs = arcs_of(self.graph)
             return
-        self._same = old._ids, before(self.graph, old._ids, old.arcs)
-        was = self._same[1].slots
+        was = slots_before(self.graph, old._ids, old.arcs)
         self._arcs = arcs_of(self.graph, old.arcs, was)
         if old.body == self.body and old.grid.resolution == self.grid.resolution:
             self._carry(old, was)
-
-    def before(self, ids: NDArray[np.int64], old: Arcs) -> Before:
-        """As the function: `ids` and arcs of an earlier table."""
-        same = self._same
-        return same[1] if same is not None and same[0] is ids else before(self.graph, ids, old)
 
     def for_query(self, graph: TraversalGraph, kept: NDArray[np.int64]) -> RiskTable:
         """The table of one query on `graph`, which is this one's with more nodes; `kept` tells where each slot went.
@@ -115,7 +100,7 @@ class RiskTable:
         What it comes to know is for the next query as well, once `take_back` has it.
         """
         out = copy.copy(self)
-        out.graph, out._ids, out._arcs, out._tables, out._same = graph, graph.node_ids, None, {}, None
+        out.graph, out._ids, out._arcs, out._tables = graph, graph.node_ids, None, {}
         if self._arcs is None:
             out._ask(self._known)
             return out
@@ -126,8 +111,7 @@ class RiskTable:
         return out
 
     def take_back(self, query: RiskTable) -> None:
-        """A table that `for_query` made, with what it evaluated and what its search and its routes keep."""
-        self.searched, self.chords = query.searched, query.chords
+        """A table that `for_query` made, with what it evaluated."""
         self._arcs, self._tables, self._known, self._changed = None, {}, query, NOTHING
 
     def fits(self, graph: TraversalGraph, grid: ElevationGrid, body: BodyModel) -> bool:
@@ -194,25 +178,15 @@ class RiskTable:
             yield self.body.model_copy(update={"weight_mean": mean, "weight_tail": tail}), tables
 
 
-class Before(NamedTuple):
-    """Where nodes and edges of a graph were in one before."""
-
-    nodes: NDArray[np.int64]
-    """(nodes,) index of the same node at the same place, -1 = none."""
-    slots: NDArray[np.int64]
-    """(slots,) slot of the edge between the same two, -1 = none."""
-
-
-def before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> Before:
-    """Where nodes and edges of `graph` are in `old`; `ids` are the old nodes'."""
+def slots_before(graph: TraversalGraph, ids: NDArray[np.int64], old: Arcs) -> NDArray[np.int64]:
+    """(slots,) slot in `old` of the edge between the same two nodes at the same places, -1 = none; `ids` are the old nodes'."""
     if not len(ids):
-        return Before(np.full(len(graph.nodes), -1, np.int64), np.full(len(graph.indices), -1, np.int64))
+        return np.full(len(graph.indices), -1, np.int64)
     known = np.argsort(ids, kind="stable")
     at = known[np.searchsorted(ids, graph.node_ids, sorter=known).clip(max=len(known) - 1)]
     x, y = graph.nodes[:, 0], graph.nodes[:, 1]
     here = (ids[at] == graph.node_ids) & (old.x[at] == x) & (old.y[at] == y)
-    nodes = np.where(here, at, -1)
-    return Before(nodes, _same_slots(graph.indptr, graph.indices, old, nodes))
+    return _same_slots(graph.indptr, graph.indices, old, np.where(here, at, -1))
 
 
 @njit(cache=True)

@@ -130,13 +130,6 @@ class Ground:
         self._flags[rows, cols][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
         self._faces[rows, cols][under] = 0
 
-    def stands_within(self, reach: float, box: NDArray[np.float64]) -> bool:
-        """Whether the robot stands within `reach` [m] of a box x0, y0, x1, y1 [m]."""
-        if self._stand is None:
-            return False
-        x, y, _ = self._stand
-        return math.hypot(max(box[0] - x, x - box[2], 0.0), max(box[1] - y, y - box[3], 0.0)) < reach
-
     def _stood(self, a: XY, b: XY) -> bool:
         """Whether the robot stands at a along the move to b, or the other way round."""
         if self._stand is None or a != self._stand[:2]:

@@ -91,70 +91,6 @@ def cost_to_come(
     return total, g
 
 
-@njit(cache=True)
-def come_nearer(
-    w: Weights,
-    arcs: Arcs,
-    edge: np.ndarray,
-    start: int,
-    old: np.ndarray,
-    nodes: np.ndarray,
-    was: np.ndarray,
-    now: np.ndarray,
-) -> np.ndarray:
-    """(nodes,) bounds of what it costs to come to each node from `start`, from those of an earlier start on an earlier graph, `old`; empty where no node of then lies beside the start.
-
-    Costs of nodes that differ by no more than the edge between them costs, and are 0 at the start, are never above the true ones. So all become lower by what the start has come nearer, and
-    where an edge is new or costs less than it did, costs beyond it that are too high for it become lower as well. What has become dearer stays.
-    `nodes` and `was`: see `planning.risk.table.Before`; `now` (old slots,): the slot that costs what it did, -1 = none.
-    """
-    indptr, source, target, length, risk = arcs.indptr, arcs.source, arcs.target, arcs.length, arcs.risk
-    come = np.full(nodes.size, np.inf)
-    for i in range(nodes.size):
-        if nodes[i] >= 0:
-            come[i] = old[nodes[i]]
-    nearer = -np.inf
-    for out in range(indptr[start], indptr[start + 1]):
-        if come[target[out]] < np.inf:
-            nearer = max(nearer, come[target[out]] - _least_cost(w, length, risk, edge, out))
-    if nearer == -np.inf:
-        return np.empty(0)
-    for i in range(nodes.size):
-        come[i] = max(come[i] - nearer, 0.0)
-    come[start] = 0.0
-    f, s, e = np.empty(256), np.empty(256, np.int64), np.empty(256, np.int64)
-    n, slot, most = 0, 0, most_out(indptr) + 1
-    while slot < target.size or n > 0:
-        if n + most > f.size:
-            f, s, e = grown(f), grown(s), grown(e)
-        while slot < target.size and n + most <= f.size:
-            if was[slot] < 0 or now[was[slot]] != slot:
-                cost = come[source[slot]] + _least_cost(w, length, risk, edge, slot)
-                if cost < come[target[slot]]:
-                    come[target[slot]] = cost
-                    n = push(f, s, e, n, cost, target[slot], -1)
-            slot += 1
-        while slot == target.size and 0 < n <= f.size - most:
-            cost, i = f[0], s[0]
-            n = pop(f, s, e, n)
-            if cost > come[i]:
-                continue
-            for out in range(indptr[i], indptr[i + 1]):
-                beyond = cost + _least_cost(w, length, risk, edge, out)
-                if beyond < come[target[out]]:
-                    come[target[out]] = beyond
-                    n = push(f, s, e, n, beyond, target[out], -1)
-    return come
-
-
-@njit(cache=True)
-def _least_cost(w, length, risk, edge, out) -> float:
-    """What driving an edge forward costs, at least where it is not evaluated yet [m]."""
-    known = not np.isnan(edge[out, 0])
-    b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-    return transition_cost(w, length[out], risk[out], b, u)
-
-
 class Asked(NamedTuple):
     """What a search over pairs is asked for, as its kernels take it."""
 
@@ -178,13 +114,12 @@ class Asked(NamedTuple):
 
 
 class ToGo(NamedTuple):
-    """A search backward from the ends: what it knows of each state, which it can go on with."""
+    """A search backward from the ends: what it knows of each state."""
 
     h: NDArray[np.float64]
     """(states,) cost from where each state ends over an end [m], inf: not reached. Exact but for the risk of turns where it is settled."""
     settled: NDArray[np.bool_]
-    after: NDArray[np.int32]
-    """(states,) the state that follows on that way, -1 = none: it ends there."""
+    """(states,)"""
 
 
 class Heap(NamedTuple):
@@ -197,43 +132,35 @@ class Heap(NamedTuple):
 
 
 @njit(cache=True)
-def begin_to_go(arcs: Arcs, is_end: np.ndarray, exit_cost: np.ndarray) -> ToGo:
-    """The states that end at an end, none settled yet. Arguments as in `cost_to_go`."""
-    target = arcs.target
-    states = 2 * target.size
-    h = np.full(states, np.inf)
-    for slot in range(target.size):
-        k = target[slot]
-        if is_end[k]:
-            h[2 * slot] = h[2 * slot + 1] = exit_cost[k]
-    return ToGo(h, np.zeros(states, np.bool_), np.full(states, -1, np.int32))
-
-
-@njit(cache=True)
-def reached(
-    w: Weights, arcs: Arcs, tables: Tables, start: int, come: np.ndarray, backward: float, go: ToGo
-) -> Heap:
-    """All states that are reached and not settled. Arguments as in `cost_to_go`.
-
-    Those out of the start become unsettled: when they are settled they tell what a route costs.
-    """
-    _, _, _, source, target, _, length, _, risk, _, _, forward_only = arcs
+def begin_to_go(
+    w: Weights,
+    arcs: Arcs,
+    tables: Tables,
+    is_end: np.ndarray,
+    exit_cost: np.ndarray,
+    come: np.ndarray,
+    backward: float,
+) -> tuple[ToGo, Heap]:
+    """The states that end at an end, none settled yet, and the heap of them. Arguments as in `cost_to_go`."""
+    _, _, indptr, source, target, reverse, length, _, risk, _, _, forward_only = arcs
     edge = tables.edge
-    h, settled = go.h, go.settled  # an access to a tuple in a loop counts references
-    for out in range(arcs.indptr[start], arcs.indptr[start + 1]):
-        settled[2 * out] = settled[2 * out + 1] = False
+    h = np.full(2 * target.size, np.inf)
     count = 0
-    for state in range(h.size):
-        count += h[state] < np.inf and not settled[state]
+    for k in range(is_end.size):
+        if is_end[k]:
+            count += 2 * (indptr[k + 1] - indptr[k])
     f, s, e = np.empty(count), np.empty(count, np.int64), np.empty(count, np.int64)
     n = 0
-    for state in range(h.size):
-        if settled[state] or h[state] == np.inf:
+    for k in range(is_end.size):
+        if not is_end[k]:
             continue
-        out, way = state // 2, state % 2
-        drive = drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
-        n = push(f, s, e, n, h[state] + come[source[out]] + drive, state, 0)
-    return Heap(f, s, e, n)
+        for back in range(indptr[k], indptr[k + 1]):
+            out = reverse[back]
+            for way in range(2):
+                h[2 * out + way] = exit_cost[k]
+                drive = drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
+                n = push(f, s, e, n, exit_cost[k] + come[source[out]] + drive, 2 * out + way, 0)
+    return ToGo(h, np.zeros(h.size, np.bool_)), Heap(f, s, e, n)
 
 
 @njit(cache=True)
@@ -252,14 +179,13 @@ def cost_to_go(
 
     With `limit` inf it stops at the cheapest route. Returns what that costs as far as it was seen (inf: none was), and what is left to settle.
     A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`.
-    A settled state to which a cheaper way comes up, on a graph that has changed, is settled anew.
     """
     work = scratch(sampler)
     x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
     edge = tables.edge
     start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning, start_back = asked
     ways = 1 if np.isinf(backward) else 2
-    h, settled, after = go
+    h, settled = go
     f, s, e, n = heap
     least, most = np.inf, ways * most_out(indptr) + 1
     while n > 0 and _due(f[0], limit, least):
@@ -309,7 +235,7 @@ def cost_to_go(
                         )
                     if new >= h[to]:
                         continue
-                    h[to], after[to], settled[to] = new, state, False
+                    h[to], settled[to] = new, False
                     bound = (
                         new
                         + come[source[into]]

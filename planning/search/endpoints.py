@@ -44,23 +44,16 @@ class Endpoints:
     """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: RiskTable | None = None
 
-    @property
-    def origin(self) -> TraversalGraph | None:
-        """The graph without the nodes of this query, if it got any."""
-        return None if self._origin is None else self._origin.graph
-
     def close(self) -> None:
         """Keep what the query evaluated."""
         if self._origin is not None:
             self._origin.take_back(self.table)
 
 
-def endpoints(
-    table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = (), ground: Ground | None = None
-) -> Endpoints:
+def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()) -> Endpoints:
     """Start and goal of a request. Raises NoRoute when they make no sense or the robot can go nowhere from its start.
 
-    `ahead`: places that become nodes as well, see `places_ahead`. `ground`: that of the request, where it is known.
+    `ahead`: places that become nodes as well, see `places_ahead`.
 
     Positions on a graph that knows its map become nodes themselves (`planning.search.attach`); elsewhere they snap.
     """
@@ -73,7 +66,7 @@ def endpoints(
     if not is_node(request.start):
         _require_on_map(grid, start_xy, "start")
     yaw = math.nan if request.start_yaw is None else request.start_yaw
-    ground = ground or Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw), request.held)
+    ground = Ground(graph, grid, None if is_node(request.start) else (*start_xy, yaw), request.held)
     new: list[Spot] = []
     start, goal, short, seen = len(graph.nodes), None, 0.0, False
     if is_node(request.start):

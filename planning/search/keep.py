@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -27,57 +26,22 @@ STRIP = 0.5
 """[m] A point of a route has a node nearer than this, but where the graph has lost its ground."""
 
 
-class Left(NamedTuple):
-    """What is left of the route that is driven, tested and priced on the map of now."""
-
-    ground: Ground
-    route: Route
-    plan: Plan
-
-
-def kept(
-    at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float, left: Left | None
-) -> Plan:
-    """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more; else `found`. `left`: the same, if it is known."""
+def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goal_yaw: float) -> Plan:
+    """The rest of `request.driven` where it leads to where `found` leads, can still be driven and costs little more; else `found`."""
     if at.ground is None or not len(found.transitions):
         return found
     nodes, body = at.table.graph.nodes, at.table.body
     ends, places = (found.nodes[0], found.nodes[-1]), (_xy(found.points[0]), _xy(found.points[-1]))
-    route: Route | None
-    plan = None
-    if (
-        left is not None
-        and left.ground is at.ground
-        and _leads(left.route, request, ends, places[1], goal_yaw)
-    ):
-        route, plan = left.route, left.plan
-    else:
-        route = rest(
-            at.ground,
-            at.table.sampler,
-            body,
-            nodes,
-            request,
-            ends,
-            places,
-            start_yaw,
-            goal_yaw,
-            at.start_back,
-        )
+    route = rest(
+        at.ground, at.table.sampler, body, nodes, request, ends, places, start_yaw, goal_yaw, at.start_back
+    )
     if route is None or not worth_keeping(float(route.cost(weights_of(body)).sum()), found.cost):
         return found
     same = {
         name: getattr(found, name)
         for name in ("reaches_goal", "frontier", "to_go", "exact", "short", "expanded")
     }
-    return replace(plan or describe(nodes, request, body, route, 0), **same, kept=True)
-
-
-def _leads(route: Route, request: PlanRequest, ends: tuple[int, int], end: XY, goal_yaw: float) -> bool:
-    """Whether a route from where the robot stands leads between the nodes `ends`, to a place and yaw, by the rules of `request`."""
-    if route.rules != request.rules or (route.nodes[0], route.nodes[-1]) != ends or _xy(route.xy[-1]) != end:
-        return False
-    return route.goal_yaw == goal_yaw or (math.isnan(route.goal_yaw) and math.isnan(goal_yaw))
+    return replace(describe(nodes, request, body, route, 0), **same, kept=True)
 
 
 def _xy(point: NDArray[np.float64]) -> XY:

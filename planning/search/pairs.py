@@ -27,11 +27,11 @@ from planning.search.bounds import (
     Asked,
     Heap,
     ToGo,
+    begin_to_go,
     cost_to_come,
     cost_to_go,
     first_turn,
     last_turn,
-    reached,
     turn_between,
 )
 from planning.search.heap import grown, most_out, pop, push
@@ -61,20 +61,13 @@ def guide_to(
     asked: Asked,
     gx: float,
     gy: float,
-    go: ToGo,
-    come: np.ndarray,
 ) -> Guide:
-    """The bounds for `asked`, no `Asked.exit_cost` of which is less than the way to (gx, gy) is long. `go` is what is known of the way to the ends
-    (`begin_to_go` at least); it comes to know more. `come` (nodes,): as of `cost_to_come`, or empty.
-    """
-    if come.size == 0:
-        is_end, exit_cost = asked.is_end, asked.exit_cost
-        total, come = cost_to_come(sampler, w, arcs, tables, asked.start, is_end, exit_cost, gx, gy)
-        if np.isinf(total):
-            return Guide(
-                arcs, come, go, Heap(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), 0), np.inf
-            )
-    heap = reached(w, arcs, tables, asked.start, come, asked.backward, go)
+    """The bounds for `asked`, no `Asked.exit_cost` of which is less than the way to (gx, gy) is long."""
+    is_end, exit_cost = asked.is_end, asked.exit_cost
+    total, come = cost_to_come(sampler, w, arcs, tables, asked.start, is_end, exit_cost, gx, gy)
+    go, heap = begin_to_go(w, arcs, tables, is_end, exit_cost, come, asked.backward)
+    if np.isinf(total):
+        return Guide(arcs, come, go, heap, np.inf)
     least, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, np.inf)
     if least < np.inf:  # sums in another order: states on the cheapest route may seem dearer than it
         _, heap = cost_to_go(sampler, w, arcs, tables, asked, come, go, heap, _nearly(least))

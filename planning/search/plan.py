@@ -28,13 +28,12 @@ from planning.search.frontier import (
     worth_keeping,
 )
 from planning.search.guarded import without
-from planning.search.keep import Left, kept
+from planning.search.keep import kept
 from planning.search.refine import refine
 from planning.search.request import SETS, VARIANTS, Driven, DriveRules, Plan, PlanRequest, Transition, Variant
 from planning.search.route_search import RouteSearch
 from planning.search.straight import all_turns, free_at, straighten
 from planning.search.to_go import in_field, through_virtual, way_to_go
-from planning.search.unbeaten import unbeaten
 
 __all__ = [
     "SETS",
@@ -75,39 +74,29 @@ def plan(
     body = body or BodyModel()
     table = _table(graph, grid, body, table)
     start_yaw, goal_yaw = _check(grid, request)
-    driven, left = unbeaten(table, request, start_yaw, goal_yaw)
-    if driven is not None:
-        return driven
     if any(request.held):
         with contextlib.suppress(NoRoute):
-            return _found(table, request, start_yaw, goal_yaw, left)
-        request, left = replace(request, held=(False, False)), None
-    return _found(table, request, start_yaw, goal_yaw, left)
+            return _found(table, request, start_yaw, goal_yaw)
+        request = replace(request, held=(False, False))
+    return _found(table, request, start_yaw, goal_yaw)
 
 
-def _found(
-    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, left: Left | None
-) -> Plan:
+def _found(table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float) -> Plan:
     """The route that a search finds: astride a face, and a second time where there is no other way, with places along the robot's heading."""
     ahead = places_ahead(table, request, astride=True)
     try:
-        return _searched(table, request, start_yaw, goal_yaw, left, ahead)
+        return _searched(table, request, start_yaw, goal_yaw, ahead)
     except NoRoute:
         if ahead or not (ahead := places_ahead(table, request, astride=False)):
             raise
-    return _searched(table, request, start_yaw, goal_yaw, left, ahead)
+    return _searched(table, request, start_yaw, goal_yaw, ahead)
 
 
 def _searched(
-    table: RiskTable,
-    request: PlanRequest,
-    start_yaw: float,
-    goal_yaw: float,
-    left: Left | None,
-    ahead: Sequence[Spot],
+    table: RiskTable, request: PlanRequest, start_yaw: float, goal_yaw: float, ahead: Sequence[Spot]
 ) -> Plan:
-    """The route that a search finds, or what is `left` of the one that is driven. `ahead`: see `endpoints`."""
-    ends = endpoints(table, request, ahead, None if left is None else left.ground)
+    """The route that a search finds, or what is left of the one that is driven. `ahead`: see `endpoints`."""
+    ends = endpoints(table, request, ahead)
     arcs = ends.table.arcs
     found = _best(ends, request, start_yaw, goal_yaw)
     if found is None and request.rules.guarded:
@@ -116,7 +105,7 @@ def _searched(
         request = replace(request, rules=replace(request.rules, guarded=False))
         found = _best(ends, request, start_yaw, goal_yaw)
     if found is not None and request.driven is not None:
-        found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan, left)
+        found = kept(ends, request, found, start_yaw, goal_yaw if found.reaches_goal else np.nan)
     ends.close()
     if found is None:
         raise NoRoute(
@@ -296,14 +285,11 @@ def _search(
     else:
         return None
     found.evaluate(at.table.sampler, weights_of(at.table.body), 0, len(found.risk))
-    cost = float(found.cost(weights_of(body)).sum())
     if request.rules.straight and at.ground is not None:
         straighten(at.ground, at.table, found)
     if request.variant == "refined":
         found = refine(at.table, found)
-    out = replace(describe(at.table.graph.nodes, request, body, found, search.expanded), exact=at.exact)
-    search.remember(cost, out.cost)
-    return out
+    return replace(describe(at.table.graph.nodes, request, body, found, search.expanded), exact=at.exact)
 
 
 def _take_out_held(at: Endpoints, route: Route) -> bool:
@@ -311,7 +297,7 @@ def _take_out_held(at: Endpoints, route: Route) -> bool:
     if at.ground is None or not route.rules.guarded:
         return False
     held = False
-    room = at.table.arcs.room.copy()  # the search that is kept for the next query knows the old one
+    room = at.table.arcs.room.copy()  # the bounds of the search know the old one
     for k, (node, yaw, turn) in enumerate(zip(route.nodes, *all_turns(route), strict=True)):
         free = free_at(at.ground, route, k, (yaw, turn))
         if free < abs(turn):

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from planning.risk.body import BodyModel, weights_of
-from planning.search.again import Found, Search, go_on
 from planning.search.bounds import Asked
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route
@@ -53,22 +50,6 @@ class RouteSearch:
             at.start_back,
         )
         self._guide: Guide | None = None
-        self._begun = (0.0, 0.0)
-
-    def remember(self, cost: float, straightened: float) -> None:
-        """Keep what the search knows for the next query: what its route costs, and what that costs straightened."""
-        guide, known, origin = self._guide, self._at.table.searched, self._at.origin
-        if (
-            guide is not None
-            and isinstance(known, Search)
-            and known.go.h is guide.go.h
-            and origin is not None
-        ):
-            beyond = float(guide.heap.f[0]) if guide.heap.n > 0 else np.inf
-            found = Found(
-                origin, origin.version, guide.come, self._begun, beyond, straightened / max(cost, 1e-9)
-            )
-            self._at.table.searched = replace(known, found=found)
 
     def cheapest(self) -> Route | None:
         """The route over the turns that there are now."""
@@ -95,14 +76,12 @@ class RouteSearch:
         on = table.sampler, weights_of(body), table.arcs, tables
         first = self._guide is None
         if self._guide is None:
-            go, (come, self._begun) = go_on(table, tables, body, asked)
-            self._guide = guide_to(*on, asked, *self._xy, go, come)
+            self._guide = guide_to(*on, asked, *self._xy)
         cost, route, self.expanded, turns, self._guide = search_pairs(
             *on, asked, self._guide, ALL if first else MOST
         )
         if np.isinf(cost) and not first:
-            go, _ = go_on(table, tables, body, asked, keep=False)
-            self._guide = guide_to(*on, asked, *self._xy, go, self._guide.come)
+            self._guide = guide_to(*on, asked, *self._xy)
             cost, route, self.expanded, turns, self._guide = search_pairs(*on, asked, self._guide, ALL)
         table.keep(body, tables._replace(turns=turns))
         return cost, route

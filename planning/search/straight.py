@@ -18,7 +18,6 @@ from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.turns import FREE_TURN
 from planning.search.attach import Ground
-from planning.search.chords import NEAR, Chords, key_of
 from planning.search.explain import Route
 from planning.search.guarded import SPARE
 
@@ -36,17 +35,10 @@ def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
         return
     most = _peaks(route.moments) + SLACK * np.array(table.body.scales[:3])
     cost = route.cost(w)
-    chords = Chords.of(table, ground.graph)
     for _ in range(PASSES):
         changed, i = False, 0
         while i < n - 2:
-            key, around = key_of(route, cost, i, LONGEST)
-            alone = i > 0 and not ground.stands_within(NEAR, around)
-            span = chords.take(key, route, cost, most, i) if alone else None
-            if span is None:
-                span, peaks = _longest(ground, table, route, i, cost, most)
-                if alone:
-                    chords.add(key, route, cost, i, span, peaks, around)
+            span = _longest(ground, table, route, i, cost, most)
             changed |= span >= 2
             i += max(span, 1)
         if not changed:
@@ -55,13 +47,13 @@ def straighten(ground: Ground, table: RiskTable, route: Route) -> None:
 
 def _longest(
     ground: Ground, table: RiskTable, route: Route, i: int, cost: np.ndarray, most: np.ndarray
-) -> tuple[int, list[np.ndarray]]:
-    """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces, less than two: there is none; and `_peaks` of all chords that cost less."""
-    same, peaks = np.flatnonzero(route.back[i:] != route.back[i]), list[np.ndarray]()
+) -> int:
+    """Take the longest chord from point i, and bring `cost` up to date: how many edges it replaces, less than two: there is none."""
+    same = np.flatnonzero(route.back[i:] != route.back[i])
     span = min(int(same[0]) if len(same) else len(route.risk) - i, LONGEST)
-    while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most, peaks):
+    while span >= 2 and not _chord(ground, table, route, i, i + span, cost, most):
         span = span * 2 // 3
-    return span, peaks
+    return span
 
 
 def _chord(
@@ -72,9 +64,8 @@ def _chord(
     j: int,
     cost: np.ndarray,
     most: np.ndarray,
-    peaks: list[np.ndarray],
 ) -> bool:
-    """Move points i + 1..j - 1 onto the straight line from i to j and bring `cost` (n - 1,) up to date; False and as before where that is no gain. Adds to `peaks` if it costs less."""
+    """Move points i + 1..j - 1 onto the straight line from i to j and bring `cost` (n - 1,) up to date; False and as before where that is no gain."""
     w, last = weights_of(table.body), min(j + 1, len(route.xy) - 1)
     points = np.linspace(route.xy[i], route.xy[j], j - i + 1)
     if np.abs(points - route.xy[i : j + 1]).max() < 1e-6:
@@ -94,9 +85,7 @@ def _chord(
     if has_room(ground, route, i) and has_room(ground, route, j):
         route.evaluate(table.sampler, w, i, last)
         new = route.cost(w, i, last)
-        if less := new.sum() < cost[i:last].sum():
-            peaks.append(_peaks(route.moments[i:last]))
-        if less and (peaks[-1] <= most).all():
+        if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
             cost[i:last] = new
             if not route.back[i]:  # nothing turns there now, but a later chord may
                 _look_under(ground, route, inner)

@@ -56,6 +56,20 @@ class BridgeError(OperatorError):
     """The server cannot be started; the message tells what to do."""
 
 
+MAX_SUBSCRIPTIONS = 1000
+"""Of one client; the app has one for each topic of each panel."""
+NOT_UNDERSTOOD = (
+    ValueError,
+    KeyError,
+    TypeError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    struct.error,
+)
+"""What a message of a client that is none raises."""
+
+
 class Client:
     """One connection: what it subscribed, what waits for it, what it publishes."""
 
@@ -246,7 +260,7 @@ class Foxglove:
                         self._control(client, json.loads(data))
                     else:
                         self._publish(client, data)
-                except (ValueError, KeyError, TypeError, AttributeError, struct.error) as error:
+                except NOT_UNDERSTOOD as error:
                     _status(client, ERROR, f"not understood: {error}")
         except ConnectionClosed:
             pass
@@ -260,11 +274,11 @@ class Foxglove:
         op = request["op"]
         if op == "subscribe":
             for each in request["subscriptions"]:
-                self._subscribe(client, int(each["id"]), CHANNELS[int(each["channelId"])])
+                self._subscribe(client, _number(each["id"]), CHANNELS[_number(each["channelId"])])
         elif op == "unsubscribe":
             with self._lock:
                 for number in request["subscriptionIds"]:
-                    client.subscribed.pop(int(number), None)
+                    client.subscribed.pop(_number(number), None)
         elif op == "advertise":
             for each in request["channels"]:
                 topic = self._back.get(each["topic"])
@@ -273,13 +287,17 @@ class Foxglove:
                 elif each["encoding"] != "cdr" or each["schemaName"] != topic.type:
                     _status(client, WARNING, f"{topic.name} is {topic.type} in cdr")
                 else:
-                    client.published[int(each["id"])] = topic
+                    client.published[_number(each["id"])] = topic
         elif op == "unadvertise":
             for number in request["channelIds"]:
-                client.published.pop(int(number), None)
+                client.published.pop(_number(number), None)
+        else:
+            _status(client, WARNING, f"{str(op)[:40]!r} is not served here")
 
     def _subscribe(self, client: Client, number: int, topic: Topic) -> None:
         with self._lock:
+            if len(client.subscribed) >= MAX_SUBSCRIPTIONS and number not in client.subscribed:
+                raise ValueError(f"more than {MAX_SUBSCRIPTIONS} subscriptions")
             client.subscribed[number] = topic
             if topic in self._newest:  # a later client asks for what the bus tells once
                 _give(client, self._newest[topic], number)
@@ -306,6 +324,13 @@ def _give(client: Client, received: Received[Any], only: int | None = None) -> N
         if topic is received.topic and only in (None, number):
             head = struct.pack("<BIQ", MESSAGE_DATA, number, max(received.stamp, 0))
             client.put(number, head + received.payload, max(topic.depth, 1))
+
+
+def _number(value: object) -> int:
+    """An id as the protocol has it: 32 bits without a sign. Raises ValueError."""
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 2**32:
+        raise ValueError(f"{str(value)[:40]} is no id: it takes a whole number from 0 to 4294967295")
+    return value
 
 
 def _server_info() -> dict[str, Any]:

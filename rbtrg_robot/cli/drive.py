@@ -56,7 +56,7 @@ def goal(
 
     if again and target:
         raise ConfigError("--again takes no target: it is that of the last goal")
-    x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], scene(robot))
+    x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], *scene(robot))
     goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
         if again:
@@ -78,7 +78,7 @@ def goal(
         raise typer.Exit(code)
 
 
-def _target(words: list[str], scene: str) -> tuple[float, float, float | None, str]:
+def _target(words: list[str], scene: str, options: dict[str, Any]) -> tuple[float, float, float | None, str]:
     from rbtrg_robot.config import ConfigError
 
     if len(words) == 2:
@@ -92,7 +92,7 @@ def _target(words: list[str], scene: str) -> tuple[float, float, float | None, s
         raise ConfigError("named goals exist in scenes simulated on this computer only; give X Y")
     from hal.scenes import load_scene
 
-    goals = load_scene(scene).goals
+    goals = load_scene(scene, **options).goals
     if words[0] not in goals:
         raise ConfigError(f"scene {scene} has no goal {words[0]!r}; it has {', '.join(goals)}")
     x, y, yaw = goals[words[0]]

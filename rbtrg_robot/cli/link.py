@@ -23,12 +23,16 @@ def connect(robot: str) -> Bus:
     return Bus(far.endpoint, "cli", Scope.of(far.domain, robot), security=Security(client_tls(far.folder)))
 
 
-def scene(robot: str) -> str:
-    """The scene that the stack of this computer simulates; empty where there is none. Raises NotRunning."""
+def scene(robot: str) -> tuple[str, dict[str, Any]]:
+    """The scene that the stack of this computer simulates, and its options; empty where there is none. Raises NotRunning."""
     if remote() is not None:
-        return ""
+        return "", {}
     state: dict[str, Any] = read_state(robot)
-    return str(state["scene"]) if state["backend"] == "sim" else ""
+    return (
+        (str(state["scene"]), dict(state.get("scene_options") or {}))
+        if state["backend"] == "sim"
+        else ("", {})
+    )
 
 
 def see_also() -> str:

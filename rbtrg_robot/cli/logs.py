@@ -50,7 +50,8 @@ def replay(
     from rbtrg_robot.config import ConfigError
 
     if rerun is not None:
-        _rerun(file, [name for name in rerun.split(",") if name], out, config, set_ or [])
+        names = [name for name in rerun.split(",") if name]
+        _rerun(file, names, out, config, set_ or [], start_offset, duration)
         return
     if not (rate > 0 and math.isfinite(rate)):
         raise ConfigError(f"--rate must be positive, got {rate}")
@@ -86,10 +87,16 @@ def replay(
                 break
     for name, count in sorted(report.skipped.items()):
         say(f"not replayed: {count} x {name}")
+    for at, gap in report.jumps:
+        say(f"the log jumps by {gap:.1f} s after {at:.1f} s: not waited for")
     say(
         f"replayed {total.messages} messages, {total.seconds - start_offset:.1f} s of log, "
         f"{total.late} late, worst {1000 * total.worst:.0f} ms"
     )
+    if not total.messages and not stopped and not controls.quit:
+        raise ConfigError(
+            f"nothing of {file} was played: it holds no topic of ours in that part; `rbtrg-robot import` makes a run of a foreign bag"
+        )
 
 
 def _progress(seconds: float, controls: Any) -> None:
@@ -117,7 +124,16 @@ def _replay_bus(robot: str, port: int) -> Any:
     return Bus(state["endpoint"], "replay", Scope.of(int(state["domain"]), robot))
 
 
-def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, sets: list[str]) -> None:
+def _rerun(
+    file: Path,
+    names: list[str],
+    out: Path | None,
+    config: Path | None,
+    sets: list[str],
+    start_offset: float,
+    duration: float,
+) -> None:
+    from rbtrg_robot import topics as t
     from rbtrg_robot.config import ConfigError
 
     if out is None:
@@ -125,10 +141,9 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
     if out.exists():
         raise ConfigError(f"{out} exists; name another file with --out")
     from rbtrg_robot.hosts.offline import rerun as run_again
-    from rbtrg_robot.log.stats import summarize
+    from rbtrg_robot.log.summary import overview
 
-    clock = summarize(file).topics.get("/clock")
-    total = (clock.last - clock.first) / 1e9 if clock else None
+    total = min(max(overview(file).seconds - start_offset, 0.0), duration)
     began = time.monotonic()
     done = 0.0
     with _bar() as bar:
@@ -143,6 +158,8 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
             *(file, names, out),
             file=config,
             sets=sets,
+            start_offset=start_offset,
+            duration=duration,
             progress=progress,
             say=say,
         )
@@ -150,23 +167,32 @@ def _rerun(file: Path, names: list[str], out: Path | None, config: Path | None, 
     for name, count in sorted(counts.items()):
         say(f"{name:28s} {count:8d}")
     say(f"{done:.1f} s of log in {wall:.1f} s ({done / wall:.1f} x real time) -> {out}")
+    for name, topic in (("odometry", t.ODOM), ("elevation", t.MAP_WINDOW)):
+        if name in names and not counts.get(topic.name):
+            raise ConfigError(f"nothing came out: {name} published no {topic.name} in {done:.1f} s of log")
 
 
 @log_app.command("info")
 def log_info(file: Path, as_json: Json = False) -> None:
-    """Counts, rates, gaps, metadata."""
-    from rbtrg_robot.log.stats import summarize
+    """Counts, rates, metadata, from the summaries of the files; gaps and losses: `log check`."""
+    from rbtrg_robot.log.summary import overview
 
-    summary = summarize(file)
+    summary = overview(file)
     if as_json:
-        say_json(_summary(summary))
+        say_json(_overview(summary))
         return
     say(", ".join(summary.files))
     for key, value in summary.metadata.items():
         say(f"  {key}: {value}")
-    say(f"{'topic':28s} {'type':38s} {'count':>8s} {'Hz':>8s} {'gap s':>7s} {'MB':>8s}")
+    say(f"{summary.seconds:.1f} s, {summary.size / 1e6:.1f} MB")
+    say(f"{'topic':28s} {'type':38s} {'count':>8s} {'Hz':>8s}")
     for name, s in sorted(summary.topics.items()):
-        say(f"{name:28s} {s.type:38s} {s.count:8d} {s.rate:8.1f} {s.longest_gap:7.2f} {s.bytes / 1e6:8.2f}")
+        foreign = (
+            ""
+            if s.encoding == "cdr"
+            else f"  encoding {s.encoding or 'not told'}: not read here, handed on as it is"
+        )
+        say(f"{name:28s} {s.type or '-':38s} {s.count:8d} {s.rate:8.1f}{foreign}")
     for line in summary.damage:
         say(f"damage: {line}")
     for name in summary.unfinished:
@@ -247,6 +273,53 @@ def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png."
     say(f"{picture(file, out):.1f} m driven -> {out}")
 
 
+@log_app.command("trajectory")
+def log_trajectory(
+    run: Annotated[Path, typer.Argument(help="A log, the folder of a run, or a TUM or KITTI file.")],
+    out: Annotated[Path | None, typer.Option(help="FILE.tum or FILE.kitti to write.")] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="Another run or file that is right: ATE and RPE against it.")
+    ] = None,
+    topic: Annotated[str, typer.Option(help="Where the poses are.")] = "/odom",
+    against_topic: Annotated[str, typer.Option(help="The same of --against.")] = "/odom",
+    format_: Annotated[str, typer.Option("--format", help="tum or kitti; default by the name.")] = "",
+    distance: Annotated[float, typer.Option(help="Of RPE by distance [m].")] = 1.0,
+    seconds: Annotated[float, typer.Option(help="Of RPE by time [s].")] = 1.0,
+    as_json: Json = False,
+) -> None:
+    """The way of a run as a TUM or KITTI file; or how far it is from another (the figures of evo)."""
+    import dataclasses
+
+    from rbtrg_robot.config import ConfigError
+    from rbtrg_robot.log import trajectory as way
+
+    if out is None and against is None:
+        raise ConfigError("say --out FILE.tum, or --against RUN or FILE")
+    if not (distance > 0 and seconds > 0):
+        raise ConfigError("--distance and --seconds must be positive")
+
+    def poses(path: Path, name: str) -> way.Trajectory:
+        text = path.suffix.lower() in way.FORMATS and path.is_file()
+        return way.read(path) if text else way.of_run(path, name)
+
+    own = poses(run, topic)
+    if out is not None:
+        way.write(own, out, format_)
+        say(f"{len(own.stamps)} poses, {own.length:.2f} m -> {out}")
+    if against is None:
+        return
+    found = way.compare(own, poses(against, against_topic), distance, seconds)
+    if as_json:
+        say_json(dataclasses.asdict(found))
+        return
+    say(f"{found.pairs} poses in common, {found.length:.2f} m")
+    say(f"ATE {found.ate:.6f} m (aligned)")
+    say(f"RPE over {distance:g} m: {found.rpe_distance:.6f} m, {found.rpe_distance_deg:.6f} deg")
+    say(
+        f"RPE over {seconds:g} s ({found.frames} poses): {found.rpe_time:.6f} m, {found.rpe_time_deg:.6f} deg"
+    )
+
+
 def draw(log: Path, out: Path) -> None:
     """The film of a log, with a bar."""
     from rbtrg_robot.log.film import film
@@ -262,6 +335,21 @@ def _bar() -> Any:
     from rich.progress import Progress
 
     return Progress(disable=not sys.stdout.isatty())
+
+
+def _overview(found: Any) -> dict[str, Any]:
+    return {
+        "files": found.files,
+        "metadata": found.metadata,
+        "wall_seconds": found.seconds,
+        "bytes": found.size,
+        "damage": found.damage,
+        "being_written": found.unfinished,
+        "topics": {
+            name: {"type": s.type, "encoding": s.encoding, "count": s.count, "rate": s.rate}
+            for name, s in sorted(found.topics.items())
+        },
+    }
 
 
 def _summary(summary: Any) -> dict[str, Any]:

@@ -12,10 +12,12 @@ from rbtrg_robot.cli import (
     calibrate,
     drive,
     foxglove,
+    importing,
     inspect,
     keys,
     logs,
     mission,
+    plan,
     policy,
     service,
     stack,
@@ -55,6 +57,8 @@ drive.register(app)
 mission.register(app)
 teleop.register(app)
 logs.register(app)
+importing.register(app)
+plan.register(app)
 foxglove.register(app)
 topic.register(app)
 inspect.register(app)

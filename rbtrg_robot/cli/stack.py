@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import os
 import signal
 import subprocess
@@ -70,6 +71,14 @@ def up(
     height_range: Annotated[
         tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
     ] = None,
+    units: Annotated[
+        str | None, typer.Option(help="Of a cloud or mesh: m, cm, mm, ft; else guessed.")
+    ] = None,
+    up: Annotated[str | None, typer.Option(help="Its axis that points up: z or y; else guessed.")] = None,
+    start: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="X Y YAW of the robot in a scene file [m, m, deg]."),
+    ] = None,
 ) -> None:
     """Bring the whole stack up on this machine. Exit status 78 when a process was given up on the way."""
     if detach:
@@ -91,6 +100,11 @@ def up(
             options["resolution"] = resolution
         if height_range is not None:
             options["height_range"] = height_range
+        options |= {name: value for name, value in (("units", units), ("up", up)) if value is not None}
+        if start is not None:
+            options["start"] = (*start[:2], math.radians(start[2]))
+        if scene is not None and Path(scene).is_file():
+            scene = str(Path(scene).resolve())  # `goal NAME` may be said in another folder
         loaded = load(
             config,
             [*(set_ or ()), *([] if console_port is None else [f"console.port={console_port}"])],
@@ -141,10 +155,14 @@ def refuse_second(robot: str) -> None:
 
 def _check(config: StackConfig) -> None:
     """Fail now, in one line, on what would fail in a child."""
+    from planning.baselines.door import OURS, planner_of
+
     if config.network.listen:
         from rbtrg_robot.access.serve import security
 
         security(config)
+    if config.planner.method != OURS:
+        planner_of(config.planner.method)
     if config.simulated:
         if importlib.util.find_spec("mujoco") is None:
             from hal.optional import INSTALL_SIMULATOR
@@ -155,6 +173,8 @@ def _check(config: StackConfig) -> None:
                 "for the real one: up --backend unitree --interface NIC"
             )
         scene = config.load_scene()
+        if "taken so" in scene.description:
+            say(scene.description)
         if scene.mesh is not None:
             scene.caster()
         if config.controller != "vmc":

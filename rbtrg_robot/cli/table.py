@@ -44,6 +44,9 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
     parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
     if words := mission_line(status["robot"]):
         parts.append(Text(words))
+    parts += [
+        Text(f"what to do: {remedy}", "yellow") for remedy in status["robot"].get("advice", {}).values()
+    ]
     if backend := status["robot"].get("backend"):
         parts.append(Text("backend: " + ", ".join(f"{name} {value}" for name, value in backend.items())))
     refused = {row["process"]: row["refused"] for row in status["processes"]}

@@ -36,16 +36,28 @@ def _topic(name: str) -> Any:
     return found
 
 
+def _in_log(name: str, log: Path) -> str:
+    """The name of a topic of a log, ours or not. Raises ConfigError."""
+    from rbtrg_robot.config import ConfigError
+    from rbtrg_robot.importer.bag import Bag
+
+    held = {source.topic for source in Bag(log).sources}
+    full = name if name in held else f"/{name}"
+    if full not in held:
+        raise ConfigError(f"{full} is not in {log}; `rbtrg-robot topic list --log {log}` shows what is")
+    return full
+
+
 @topic_app.command("list")
 def topic_list(log: LogFile = None) -> None:
     """All topics: type, nominal rate, who publishes; or what a log holds."""
     from rbtrg_robot import topics as t
 
     if log is not None:
-        from rbtrg_robot.log.stats import summarize
+        from rbtrg_robot.log.summary import overview
 
-        for name, s in sorted(summarize(log).topics.items()):
-            say(f"{name:28s} {s.type:38s} {s.count:8d} messages {s.rate:8.1f} Hz")
+        for name, s in sorted(overview(log).topics.items()):
+            say(f"{name:28s} {s.type or s.encoding or '-':38s} {s.count:8d} messages {s.rate:8.1f} Hz")
         return
     for x in t.TOPICS:
         rate = f"{x.rate:g} Hz" if x.rate else "event"
@@ -68,18 +80,17 @@ def topic_bw(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot:
 
 def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator[tuple[int, int, float]]:
     """Messages, bytes and the seconds they came in: once of a log, every second of a running stack."""
-    wanted = _topic(name)
     if log is not None:
         from rbtrg_robot.log.stats import summarize
 
-        found = summarize(log).topics.get(wanted.name)
+        found = summarize(log).topics.get(_in_log(name, log))
         if found is None:
-            say(f"{wanted.name} is not in {log}", error=True)
-            raise typer.Exit(1)
+            return
         yield found.count, found.bytes, found.count / found.rate if found.rate else math.inf
         return
     from rbtrg_robot.cli.link import connect
 
+    wanted = _topic(name)
     with connect(robot) as bus:
         bus.subscribe([replace(wanted, depth=10_000)])
         last = began = time.monotonic()
@@ -105,21 +116,23 @@ def topic_echo(
 ) -> None:
     """Print messages of a topic."""
     from rbtrg_robot.cli.show import as_text
-    from rbtrg_robot.wire.messages import decode
 
-    wanted = _topic(name)
     shown = 0
     if log is not None:
-        from rbtrg_robot.log.read import read_run
+        from rbtrg_robot.importer.bag import Bag, Decoder
 
-        for entry in read_run(log):
-            if entry.topic == wanted.name:
-                say_text(f"{as_text(decode(entry.data, entry.type))}\n---")
-                shown += 1
-                if count and shown >= count:
-                    return
+        topic, decoder = _in_log(name, log), Decoder()
+        for source, _log_time, _stamp, data in Bag(log).messages([topic]):
+            message = decoder.decode(source, data)
+            what = f"{len(data)} bytes of {source.type or '?'}, encoding {source.encoding or 'not told'}: not read here"
+            say_text(f"{what if message is None else as_text(message)}\n---")
+            shown += 1
+            if count and shown >= count:
+                return
         return
     from rbtrg_robot.cli.link import connect
+
+    wanted = _topic(name)
 
     with connect(robot) as bus:
         bus.subscribe([wanted])

@@ -82,7 +82,16 @@ def facts_of(config: StackConfig) -> dict[str, Any]:
         "max_wz": robot.max_wz,
         "max_step": robot.max_step,
         "recording": config.record,
+        "camera": _camera(config),
     }
+
+
+def _camera(config: StackConfig) -> dict[str, Any] | None:
+    """Where the lens is in base_link [m], and its axes (rows right, down, ahead) there; None where there is none."""
+    camera = config.camera.mounted()
+    if camera is None:
+        return None
+    return {"name": camera.name, "place": list(camera.mount.translation), "axes": camera.rotation.T.tolist()}
 
 
 class Site:
@@ -113,6 +122,7 @@ class Site:
             Route("/", self._index),
             Route("/about", self._about),
             Route(STOP, self._stop, methods=["POST"]),
+            Route("/picture", self._picture),
             WebSocketRoute("/live", self._live),
             *Archive(self._config).routes(),
             *Maps(self._config, self._desk).routes(),
@@ -158,6 +168,16 @@ class Site:
         self._desk.stop()
         return JSONResponse(self._desk.stop_state, 202)
 
+    async def _picture(self, _request: Request) -> Response:
+        """The newest picture, to be kept."""
+        picture = self._feed.picture
+        if picture is None:
+            return PlainTextResponse("There is no picture yet: show the camera first.\n", 404)
+        stamp = picture.header.stamp
+        name = f"{self._config.robot}-{stamp.sec}.{stamp.nanosec // 1_000_000:03d}.jpg"
+        kept = {"Content-Disposition": f'attachment; filename="{name}"'}
+        return Response(picture.data.tobytes(), media_type="image/jpeg", headers=kept)
+
     # --- a page -----------------------------------------------------------------------------------------------
 
     async def _live(self, socket: WebSocket) -> None:
@@ -202,11 +222,14 @@ class Site:
             what = wish.get("do")
             if what == "alive":
                 self._desk.alive(page, time.monotonic(), watched=bool(wish.get("watched")))
+            elif what == "ping":
+                reply(True, "")
             elif what == "take over":
                 self._desk.take_over(page, time.monotonic())
                 reply(True, "this page operates")
             elif what == "see":  # from now on: before, nobody there was ready to take it
                 slots.cloud, slots.ages = bool(wish.get("cloud")), bool(wish.get("ages"))
+                slots.video = bool(wish.get("video"))
                 if not slots.seeing:
                     slots.feed.join(slots)
                     slots.put("stop", frames.pack("stop", self._desk.stop_state))
@@ -214,5 +237,12 @@ class Site:
                 self._desk.do(page, wish, reply)
         except OperatorError as error:
             reply(False, str(error))
-        except (ValueError, RecursionError):  # no JSON, or brackets without end
+        except (
+            ValueError,
+            RecursionError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+        ):  # no JSON, or other things than we ask for
             reply(False, "not a message of this console")

@@ -19,7 +19,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Refused
 from rbtrg_robot.console.door import WHO
 from rbtrg_robot.log.keep import Run, mark, runs
-from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.summary import overview
 from rbtrg_robot.topics import Role
 
 LARGEST_BODY = 10_000
@@ -65,7 +65,7 @@ class Archive:
 
     async def _run(self, request: Request) -> Response:
         try:
-            summary = await run_in_threadpool(summarize, self._folder(request))
+            summary = await run_in_threadpool(overview, self._folder(request))
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 404)
         topics = [
@@ -73,8 +73,6 @@ class Archive:
                 "topic": name,
                 "count": s.count,
                 "rate": round(s.rate, 1),
-                "gap": round(s.longest_gap, 2),
-                "megabytes": s.bytes / 1e6,
             }
             for name, s in sorted(summary.topics.items())
         ]

@@ -25,7 +25,7 @@ from rbtrg_robot.console.replays import GO_ON, PAUSE
 from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.log.read import CONFIG, first_of, read_run
 from rbtrg_robot.log.replay import Controls, alone, play
-from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.summary import overview
 from rbtrg_robot.process.zygote import PR_SET_PDEATHSIG, prctl
 from rbtrg_robot.scope import Scope
 from rbtrg_robot.wire.bus import Bus
@@ -109,7 +109,7 @@ def run_again(run: str, out: str, stages: str, *sets: str) -> None:
     if common:
         apart = [math.dist(before[stamp], after[stamp]) for stamp in common]
         words.append(f"poses at most {max(apart):.3f} m apart, {apart[-1]:.3f} m at the end")
-    gone = {name: s.count for name, s in summarize(Path(run)).topics.items()}
+    gone = {name: s.count for name, s in overview(Path(run)).topics.items()}
     changed = [f"{name} {gone[name]} -> {n}" for name, n in sorted(counts.items()) if gone.get(name, n) != n]
     words += [f"other counts: {', '.join(changed)}"] if changed else []
     tell(words="; ".join(words))

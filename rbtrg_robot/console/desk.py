@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import threading
 import time
@@ -28,6 +29,8 @@ from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import BASE, vector
 from rbtrg_robot.wire.messages import header
+
+log = logging.getLogger(__name__)
 
 POSTURE_LIMIT = 30.0
 LATE = 0.2
@@ -146,6 +149,9 @@ class Desk:
             reply(*await act(page, wish))
         except OperatorError as error:
             reply(False, str(error), None)
+        except Exception:
+            log.exception("a wish failed: %.200s", wish)
+            reply(False, "the console failed at this: see its log", None)
 
     async def carry_out(self, order: Order) -> Outcome:
         """Send an order and wait for how it ends."""
@@ -214,7 +220,7 @@ class Desk:
         try:
             x, y = float(wish["x"]), float(wish["y"])
             yaw = None if wish.get("yaw") is None else float(wish["yaw"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise Refused("a goal is x and y in metres") from error
         wrong = Goal("", x, y, yaw, 0).misplaced(self._area)
         if wrong is not None:
@@ -272,7 +278,7 @@ class Desk:
     def _drive(self, page: Page, wish: dict[str, Any]) -> None:
         try:
             v, w, at = float(wish["v"]), float(wish["w"]), float(wish["t"]) / 1000.0
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise Refused("a velocity is v, w and t") from error
         if not all(map(math.isfinite, (v, w, at))):
             raise Refused("a velocity is finite")

@@ -34,8 +34,12 @@ LOOKS_PERIOD = 0.5
 """[s] between two clouds that tell which cells are seen."""
 ASK_AGAIN = 3.0
 """[s] until the whole map is asked for again."""
+VIDEO_AGAIN = 1.0
+"""[s] between two requests for pictures while a page shows them."""
 HEARD: tuple[Topic, ...] = (
     t.ODOM,
+    t.CAMERA,
+    t.CAMERA_INFO,
     t.TF_STATIC,
     *t.CLOUDS.values(),
     t.MAP_UPDATE,
@@ -46,7 +50,7 @@ HEARD: tuple[Topic, ...] = (
 
 ACTIVE = {state.value for state in GoalState if state.active}
 KEPT = (
-    *(t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
+    *(t.CAMERA_INFO, t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
     *(t.MISSION_ORDER, t.MISSION_STATE),
 )
 """Decoded while nobody looks, too: they come once, or orders need them."""
@@ -62,6 +66,8 @@ class Slots:
         """The page takes what comes."""
         self.cloud = False
         """It draws points."""
+        self.video = False
+        """It shows the camera."""
         self.waiting: dict[str, bytes] = {}
         self.wake = asyncio.Event()
         self.ages = False
@@ -72,7 +78,7 @@ class Slots:
 
     def put(self, kind: str, frame: bytes) -> None:
         """A newer frame of a kind."""
-        if kind == "points" and not self.cloud:
+        if (kind == "points" and not self.cloud) or (kind == "picture" and not self.video):
             return
         self.waiting.pop(kind, None)
         self.waiting[kind] = frame
@@ -122,6 +128,12 @@ class Feed:
         self._frames: dict[str, bytes] = {}
         self._epoch, self._correction = 0, 0.0
         self._asked = -ASK_AGAIN
+        self._filmed = -VIDEO_AGAIN
+        self._lens: dict[str, Any] = {}
+        self._source = (0, 0.0)
+        """Newest stamp of the robot's state [ns], which is sent when it is made, and when it came [s]."""
+        self.picture: msg.CompressedImage | None = None
+        """The newest of the camera, while somebody looks."""
         self._odom: msg.Odometry | None = None
         self._phase: Any = None
         self.place = (0.0, 0.0, 0.0)
@@ -227,6 +239,13 @@ class Feed:
         """Ask for the map while pages look and none came; make what came ready."""
         with self.terrain_lock:
             self.terrain.prepare()
+        if (
+            any(page.video for page in self._pages)
+            and not self._replayed
+            and now - self._filmed > VIDEO_AGAIN
+        ):
+            self._filmed = now
+            self._bus.publish(t.CAMERA_REQUEST, msg.String(data="console"), time.time_ns())
         if self._pages and self.terrain.empty and not self._replayed and now - self._asked > ASK_AGAIN:
             self._asked = now
             stamp = time.time_ns()
@@ -243,6 +262,10 @@ class Feed:
                 self.place = (content["x"], content["y"], content["yaw"])
                 self.located = True
                 self._put(topic, "pose", content, now)
+        elif t.CAMERA.carried(message, topic):
+            self._picture(message)
+        elif t.CAMERA_INFO.carried(message, topic):
+            self._lens = frames.lens(message)
         elif topic in (t.MAP_UPDATE, t.MAP_FULL):
             self._map(topic, message)
         elif topic in t.CLOUDS.values():
@@ -254,6 +277,7 @@ class Feed:
             kind, make = frames.PLAIN[topic]
             if t.ROBOT_STATE.carried(message, topic):
                 self.state = message
+                self._source = stamp_of(message), now
             elif t.GOAL_STATUS.carried(message, topic):
                 self._goal_active = message.state in ACTIVE
             elif t.MAP_STATUS.carried(message, topic):
@@ -268,6 +292,14 @@ class Feed:
             return
         self._told[topic] = now
         self._loop.call_soon_threadsafe(self._hand_out, kind, frames.pack(kind, content), True)
+
+    def _picture(self, message: msg.CompressedImage) -> None:
+        """How old it is goes with it: from the exposure to now, on the clock of the sensors."""
+        self.picture = message
+        stamp, at = self._source
+        age = (stamp - stamp_of(message)) / 1e9 + time.monotonic() - at
+        frame = frames.picture(message, {**self._lens, "age": age, "stamp": stamp_of(message) / 1e9})
+        self._loop.call_soon_threadsafe(self._hand_out, "picture", frame, False)
 
     def _map(self, topic: Topic, message: msg.GridMap) -> None:
         with self.terrain_lock:

@@ -1,6 +1,6 @@
 """Messages as the page reads them: JSON for what is small, bytes for terrain and points. Pure.
 
-A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS, AGES), three of zero, the content.
+A frame is one binary WebSocket message: a byte for its kind (JSON, TERRAIN, POINTS, AGES, PICTURE), three of zero, the content.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 
-JSON, TERRAIN, POINTS, AGES = 1, 2, 3, 4
+JSON, TERRAIN, POINTS, AGES, PICTURE = 1, 2, 3, 4, 5
 POINTS_MOST = 6000
 """Of one frame."""
 
@@ -44,6 +44,25 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float | np.floating):
         return round(float(value), 4) if math.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
+
+
+def lens(message: msg.CameraInfo) -> dict[str, Any]:
+    """What a page projects with: size [pixels], focal length and centre [pixels]."""
+    fx, _, cx, _, fy, cy = message.k[:6].tolist()
+    return {
+        "width": int(message.width),
+        "height": int(message.height),
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+    }
+
+
+def picture(message: msg.CompressedImage, facts: dict[str, Any]) -> bytes:
+    """A PICTURE frame: length of the JSON `facts` in four bytes, little-endian, the facts, the JPEG."""
+    text = json.dumps(_finite(facts), separators=(",", ":"), allow_nan=False).encode()
+    return bytes((PICTURE, 0, 0, 0)) + len(text).to_bytes(4, "little") + text + message.data.tobytes()
 
 
 def pose(message: msg.Odometry, frame: MapFrame, correction: float) -> dict[str, Any]:

@@ -7,8 +7,8 @@ to the robot's domain.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
+import logging
 import math
 import re
 import sys
@@ -34,6 +34,9 @@ PAUSE, GO_ON = b"p", b"g"
 """What a replay reads from its stdin."""
 SETTING = re.compile(r"[A-Za-z0-9_.]+=\S+")
 STAGES = [row.name for row in PROCESSES if row.hosted]
+
+
+log = logging.getLogger(__name__)
 
 
 class Playback:
@@ -84,7 +87,7 @@ class Replays:
         folder = run_folder(self._base, str(wish.get("run")))
         try:
             rate, start = float(wish.get("rate") or 1.0), float(wish.get("start") or 0.0)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise Refused("speed and start are numbers") from error
         if not (0.05 <= rate <= FASTEST and 0.0 <= start < math.inf):
             raise Refused(f"a replay has a speed of up to {FASTEST:g} and starts at 0 s or later")
@@ -190,13 +193,17 @@ class Replays:
     async def _read(self, what: str, child: asyncio.subprocess.Process, told: Any) -> None:
         assert child.stdout is not None
         end: dict[str, Any] = {}
-        async for text in child.stdout:
-            with contextlib.suppress(json.JSONDecodeError):
-                line = json.loads(text)
+        try:
+            async for text in child.stdout:
+                line = _said(text)
                 if "words" in line or "wrong" in line:
                     end = line  # told when the process is gone: then the next one may begin
-                else:
+                elif line:
                     told(line)
+        except ValueError as error:  # a line without end
+            log.warning("%s said what cannot be read: %s", what, error)
+            end = {"wrong": "it said what cannot be read; see the log of the console"}
+            child.kill()
         code = await child.wait()
         if self._children.get(what) is child:
             del self._children[what]
@@ -210,3 +217,12 @@ class Replays:
         if child is not None and child.returncode is None:
             child.kill()
             await child.wait()
+
+
+def _said(text: bytes) -> dict[str, Any]:
+    """What a line of a child says; empty where it is none of ours, such as a warning of a library."""
+    try:
+        line = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return line if isinstance(line, dict) else {}

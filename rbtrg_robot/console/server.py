@@ -152,9 +152,12 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     def ask() -> None:
         """The supervisor, once a second while somebody looks. It may be slow: nobody waits for it."""
         while not ended.wait(STATUS_PERIOD):
-            answer = bus.ask("status", timeout=STATUS_PERIOD) if feed.pages else None
-            if answer is not None:
-                feed.status(answer)
+            try:
+                answer = bus.ask("status", timeout=STATUS_PERIOD) if feed.pages else None
+                if answer is not None:
+                    feed.status(answer)
+            except Exception:
+                log.exception("the supervisor's status cannot be shown")
 
     asker = threading.Thread(target=ask, name="status", daemon=True)
     asker.start()

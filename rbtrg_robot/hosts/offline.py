@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from hal.types import NS
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import ConfigError, load, of_log
+from rbtrg_robot.config import ConfigError, StackConfig, load, of_log
 from rbtrg_robot.hosts.follow import Follower
 from rbtrg_robot.hosts.journal import LAST, Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
-from rbtrg_robot.log.read import CONFIG, METADATA, Entry, first_of, read_run
+from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogError, first_of, read_run
+from rbtrg_robot.log.summary import Held, overview
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.stage import Stage
-from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.messages import MessageError, stamp_in
+from rbtrg_robot.topics import Qos, Topic
+from rbtrg_robot.wire.convert import LayoutError, lidar_scan
+from rbtrg_robot.wire.messages import MessageError, decode, stamp_in
 
 Stages = dict[str, tuple[Stage, float]]
 Progress = Callable[[float], None]
@@ -32,15 +37,18 @@ def rerun(
     *,
     file: Path | None = None,
     sets: Sequence[str] = (),
+    start_offset: float = 0.0,
+    duration: float = math.inf,
     progress: Progress = lambda _seconds: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> dict[str, int]:
     """Feed `log` through the named stages; write inputs and new outputs to `out`.
 
     The stages get the configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). What they
-    publish replaces what the log holds on those topics. `progress(seconds)` hears how much of the source clock is done,
+    publish replaces what the log holds on those topics. Only `duration` [s] of the log from `start_offset` [s] on is fed, after what was
+    latched before. `progress(seconds)` hears how much of the source clock is done,
     `say` what the operator should know. Returns messages per topic.
-    Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError.
+    Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError, also where a stage lacks what it needs.
     """
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
@@ -51,12 +59,17 @@ def rerun(
     if unknown:
         say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
     config = load(file, sets, base=base)
+    held = overview(log).topics
+    _check(log, names, held, config)
     metadata = contents.metadata.get(METADATA, {}) | {"rerun": ",".join(names)}
     stages = build_stages(config, names)
     for stage, _period in stages.values():
         stage.warm_up()
     counts: Counter[str] = Counter()
     steps, restarted = read_journals(read_run(log))
+    begin = next((entry.log_time for entry in read_run(log)), 0)
+    within = Window(begin, start_offset, duration)
+    steps = {name: deque(step for step in of if within.holds(step[3])) for name, of in steps.items()}
     live = stages.keys() <= steps.keys()
     replaced = {
         topic
@@ -74,7 +87,7 @@ def rerun(
                 writer.write(topic, payload, now, stamp, sequence)
 
         def inputs() -> Iterator[tuple[Topic, Entry]]:
-            for entry in read_run(log):
+            for entry in within.entries(read_run(log)):
                 topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
                 if (
                     topic is not None
@@ -87,8 +100,94 @@ def rerun(
         if live:
             _follow(stages, steps, inputs(), write, progress, say)
         else:
-            _feed(stages, inputs(), write, progress, simulated=config.simulated)
+            clocked = (
+                config.simulated and t.CLOCK.name in held
+            )  # without a clock in it, its own times are all there is
+            _feed(stages, inputs(), write, progress, simulated=clocked)
     return dict(counts)
+
+
+class Window:
+    """Part of a log."""
+
+    def __init__(self, begin: int, offset: float, duration: float) -> None:
+        """`begin`: first message [ns of the log]; the part begins `offset` [s] later and lasts `duration` [s]. Raises ConfigError."""
+        if not (offset >= 0.0 and duration > 0.0 and math.isfinite(offset)):
+            raise ConfigError(
+                f"--start-offset must be 0 or more and --duration positive, got {offset} and {duration}"
+            )
+        self._first = begin + round(offset * NS)
+        self._end = self._first + min(duration, 1e9) * NS
+
+    def holds(self, log_time: int) -> bool:
+        """Whether what was recorded then [ns] is in the part."""
+        return self._first <= log_time <= self._end
+
+    def entries(self, entries: Iterable[Entry]) -> Iterator[Entry]:
+        """Those of the part, after what was latched before it."""
+        latched: dict[str, Entry] = {}
+        for entry in entries:
+            if entry.log_time > self._end:
+                continue
+            if entry.log_time >= self._first:
+                yield from latched.values()
+                latched = {}
+                yield entry
+            elif (topic := t.BY_NAME.get(entry.topic)) is not None and topic.qos is Qos.LATCHED:
+                latched[entry.topic] = replace(entry, log_time=self._first)
+
+
+def _needs(config: StackConfig) -> dict[str, tuple[tuple[Topic, ...], ...]]:
+    """What each stage cannot do without: of each group one topic."""
+    sweeps, clouds = tuple(t.SWEEPS.values()), tuple(t.CLOUDS.values())
+    odometry = {"": ((t.IMU,), sweeps), "imu": (sweeps,), "lidar": ((t.IMU,), (t.JOINTS, t.WHEELS))}
+    return {
+        "odometry": odometry[config.odometry.without],
+        "elevation": ((t.ODOM,), clouds),
+        "planner": ((t.MAP_UPDATE, t.MAP_FULL, t.MAP_MIRROR),),
+        "guard": ((t.MAP_WINDOW,),),
+        "tracker": ((t.PATH_COMMAND,),),
+    }
+
+
+def _check(log: Path, names: list[str], held: dict[str, Held], config: StackConfig) -> None:
+    """Raises LogError where the log lacks what a stage needs, and no stage of the re-run makes it; or holds it in another layout."""
+    ours = {
+        topic
+        for name, of in held.items()
+        if (topic := t.BY_NAME.get(name) or t.RENAMED.get(name)) and of.count
+    }
+    made = {topic for topic in t.TOPICS if topic.owner in names}
+    needs = _needs(config)
+    for name in names:
+        for group in needs.get(name, ()):
+            if any(topic in ours | made for topic in group):
+                continue
+            what = " or ".join(topic.name for topic in group)
+            fits = sorted(n for n, of in held.items() if of.type == group[0].type and n not in t.BY_NAME)
+            lead = (
+                f"; it holds {', '.join(fits)} of that type: `rbtrg-robot import` makes a run of it"
+                if fits
+                else ""
+            )
+            if not fits and not ours:
+                lead = "; none of its topics is ours: `rbtrg-robot import` makes a run of a foreign bag"
+            raise LogError(f"{log} holds no {what} ({group[0].type}), which {name} needs{lead}")
+    if "odometry" in names:
+        wanted = set(t.SWEEPS.values()) & ours
+        for entry in read_run(log):
+            if (topic := t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)) in wanted:
+                try:
+                    lidar_scan(decode(entry.data, t.POINTS.kind))
+                except MessageError:
+                    continue  # one broken message is none of another layout
+                except LayoutError as error:
+                    raise LogError(
+                        f"{entry.topic} of {log} is not as we record it: {error}; `rbtrg-robot import` reads it"
+                    ) from error
+                wanted.discard(topic)
+            if not wanted:
+                break
 
 
 def _feed(

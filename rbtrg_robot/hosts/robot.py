@@ -32,15 +32,18 @@ START_LIMIT = 150.0
 
 
 def build(
-    config: StackConfig, restored: dict[Topic, bytes] | None = None, clock: SourceClock | None = None
+    config: StackConfig,
+    restored: dict[Topic, bytes] | None = None,
+    clock: SourceClock | None = None,
+    begin: int = 0,
 ) -> RobotStage:
     """From the stack's configuration. Raises BackendError, SceneError.
 
     A restarted simulator goes on where the last one died: `restored` holds its newest truth. A real robot's samples are
-    stamped by `clock`.
+    stamped by `clock`; a simulator's begin at `begin` [ns].
     """
     watched = frozenset(p.name for p in PROCESSES if p.stops_motion and p.name not in config.without)
-    backend = _simulator(config, restored or {}) if config.simulated else _hardware(config, clock)
+    backend = _simulator(config, restored or {}, begin) if config.simulated else _hardware(config, clock)
     area = config.allowed_area()
     gate = SafetyGate(
         backend.capabilities, config.gate, Geofence.of(area) if area else None, guarded="guard" in watched
@@ -48,10 +51,10 @@ def build(
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
 
 
-def _simulator(config: StackConfig, restored: dict[Topic, bytes]) -> Backend:
+def _simulator(config: StackConfig, restored: dict[Topic, bytes], begin: int) -> Backend:
     from hal.mujoco.backend import MujocoBackend
 
-    start, start_time = config.origin, 0
+    start, start_time = config.origin, begin
     if t.TRUTH in restored:
         truth = messages.decode(restored[t.TRUTH], t.TRUTH.kind)
         place = truth.pose.pose
@@ -79,6 +82,10 @@ def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
         clock=clock or SourceClock(),
     )
     return backend
+
+
+BEGIN = 1_767_225_600 * NS
+"""[ns] A simulated clock begins at 2026-01-01 00:00 UTC: programs of others take a stamp near 0 for none, and drop it."""
 
 
 class Pace:
@@ -138,7 +145,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
     """The process: paced in real time."""
     heart = Heart(bus, BY_NAME["robot"].name)
     heart.beat("starting")
-    stage = build(config, restored, bus.clock)
+    stage = build(config, restored, bus.clock, BEGIN)
     window: Window | None = None
     now = stage.start_time if config.simulated else bus.clock()
     told = False

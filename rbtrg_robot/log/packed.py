@@ -38,6 +38,10 @@ class PackedError(ValueError):
     """Bytes that are no packed sweep."""
 
 
+class ForeignError(PackedError):
+    """A sweep that another program packed."""
+
+
 def pack(payload: bytes) -> bytes:
     """CompressedPointCloud2 (CDR) of a PointCloud2 (CDR). `unpack` gives the same bytes back, also those of a broken message."""
     cloud, data, form = msg.PointCloud2(), payload, VERBATIM
@@ -64,11 +68,13 @@ def pack(payload: bytes) -> bytes:
 
 
 def unpack(payload: bytes) -> bytes:
-    """The PointCloud2 (CDR) that was packed. Raises PackedError and MessageError."""
+    """The PointCloud2 (CDR) that was packed. Raises ForeignError, PackedError and MessageError."""
     packed = decode(payload, msg.CompressedPointCloud2)
     if packed.format == VERBATIM:
         return packed.compressed_data.tobytes()
-    if packed.format != COLUMNS or packed.width > MOST_POINTS:
+    if packed.format != COLUMNS:
+        raise ForeignError(f"a sweep in the form {packed.format!r}, which is another program's")
+    if packed.width > MOST_POINTS:
         raise PackedError(f"a sweep of {packed.width} points in the form {packed.format!r}")
     points = _unpack_points(packed.compressed_data.tobytes(), packed.width)
     return encode(

@@ -60,7 +60,10 @@ def picture(log: Path, out: Path) -> float:
         ):
             goals.append((message.x, message.y))
     if not mirror.resolution:
-        raise ConfigError(f"{log} holds no elevation map: there is nothing to draw")
+        raise ConfigError(
+            f"{log} holds no elevation map: there is nothing to draw; where it holds sweeps, "
+            f"`rbtrg-robot replay {log} --rerun odometry,elevation --out FULL.mcap` makes one"
+        )
     patch = mirror.patch()
     grid, assumed = patch.grid(filled=True), patch.layers["source"] == ASSUMED
     if not grid.trusted.any():

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -19,8 +21,9 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from hal.errors import OperatorError
 from hal.regular import open_regular
 from rbtrg_robot import msg
-from rbtrg_robot.log.packed import unpack
+from rbtrg_robot.log.packed import ForeignError, unpack
 
+MCAP0_MAGIC = b"\x89MCAP0\r\n"
 METADATA = "run"
 CONFIG = "config.yaml"
 LARGEST_CHUNK = 256 * 1024 * 1024
@@ -87,17 +90,30 @@ def read_log(
                     schema = found.schemas.get(channel.schema_id)
                     kind, data = schema.name if schema else "", record.data
                     if not raw and kind == msg.CompressedPointCloud2.__msgtype__:
-                        kind, data = msg.PointCloud2.__msgtype__, unpack(data)
+                        with suppress(ForeignError):  # packed by another program: as it is
+                            kind, data = msg.PointCloud2.__msgtype__, unpack(data)
                     entry = Entry(
                         channel.topic, kind, data, record.log_time, record.publish_time, record.sequence
                     )
                     count += 1
                     yield entry, schema, channel
             found.indexed = True
+            stream.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+            if stream.read() != MCAP0_MAGIC:
+                found.damage = (
+                    f"after {count} messages: more bytes stand behind its end, and other programs refuse it"
+                )
         except BROKEN as error:
             if not found.channels and not found.metadata:
-                raise LogError(f"{path} is not an MCAP file") from error
+                raise LogError(_refusal(path, stream)) from error
             found.damage = f"after {count} messages: {type(error).__name__}"
+
+
+def _refusal(path: Path, stream: BinaryIO) -> str:
+    stream.seek(0)
+    if stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC:
+        return f"{path} is an MCAP file that ends, or is damaged, before its first message"
+    return f"{path} is not an MCAP file; `rbtrg-robot import` reads rosbag2 (.db3) and ROS 1 (.bag)"
 
 
 def _records(stream: BinaryIO) -> Iterator[McapRecord]:

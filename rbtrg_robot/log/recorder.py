@@ -10,15 +10,19 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
+from rbtrg_robot.log.bag import NAME as METADATA_YAML
+from rbtrg_robot.log.bag import describe
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune
+from rbtrg_robot.log.moments import HEARS, Moments, Thinned
 from rbtrg_robot.log.read import CONFIG, LogError, is_intact
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.stage_config import RecorderConfig
-from rbtrg_robot.wire.bus import Bus
+from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.heart import Heart
 
@@ -31,6 +35,8 @@ RETRY = 5.0
 """[s] until a recorder that had to stop tries again."""
 BULKY = frozenset({*t.SWEEPS.values(), *t.CLOUDS.values()})
 """Topics that go first when space is short."""
+PICTURES = 1.0
+"""[s] between two pictures in the log, in the profile `standard`."""
 NOTHING = 0.1
 """Share of the spare space below which nothing is recorded."""
 
@@ -66,6 +72,9 @@ class Recorder:
         """What an operator should know, in plain words; empty when everything is recorded."""
         self.left_out = 0
         """Messages that were not recorded for want of space."""
+        self._moments, self._pictures = Moments(), Thinned(PICTURES)
+        self._latched: dict[t.Topic, tuple[bytes, int, int]] = {}
+        """Newest of each latched topic: who begins with a later file needs the frames and the robot's description, too."""
         self._writer: LogWriter | None = None
         try:
             self._writer = self._open()
@@ -75,15 +84,34 @@ class Recorder:
             self._give_up(str(error))
 
     def _open(self) -> LogWriter:
-        return LogWriter(
+        writer = LogWriter(
             self._folder / f"log_{self._number}.mcap",
             self._metadata,
             self._attachments,
             pack_sweeps=self._params.profile == "standard",
         )
+        try:
+            for topic, (payload, stamp, sequence) in self._latched.items():
+                writer.write(topic, payload, self._clock(), stamp, sequence)
+        except LogError:
+            writer.abandon()
+            raise
+        return writer
+
+    def take(self, received: Received[Any], decode: Callable[[Received[Any]], Any]) -> None:
+        """One message as it came. Pictures are thinned, but for those around a moment that somebody will look at."""
+        now = time.monotonic()
+        if received.topic in HEARS and self._moments.begins(received.topic, decode(received)):
+            for kept in self._pictures.moment(now):
+                self.write(kept.topic, kept.payload, kept.stamp, kept.sequence)
+        thin = received.topic is t.CAMERA and self._params.profile != "full"
+        for kept in self._pictures.take(received, now) if thin else (received,):
+            self.write(kept.topic, kept.payload, kept.stamp, kept.sequence)
 
     def write(self, topic: t.Topic, payload: bytes, stamp: int, sequence: int) -> None:
         """One message; `stamp` is its source clock [ns]."""
+        if topic.qos is t.Qos.LATCHED:
+            self._latched[topic] = payload, stamp, sequence
         if self._writer is None or (topic in BULKY and self._free < self._params.spare_gb * GIGABYTE):
             self.left_out += 1
             return
@@ -164,6 +192,10 @@ class Recorder:
             except (LogError, OSError) as error:
                 log.warning("%s", error)
                 writer.abandon()
+            try:
+                describe(self._folder)
+            except (LogError, OSError) as error:
+                log.warning("no %s: %s", METADATA_YAML, error)
             if tidy:
                 prune(self._folder.parent, self._params.keep_gb, spare=self._folder)
 
@@ -196,12 +228,12 @@ def main(
         while not stopping():
             heart.beat(detail=recorder.trouble)
             for received in bus.take(0.2):
-                recorder.write(deep[received.topic], received.payload, received.stamp, received.sequence)
+                recorder.take(replace(received, topic=deep[received.topic]), bus.open)
                 if deep[received.topic] is t.MISSION_STATE:
                     keep_recorded(Path(config.log_dir), bus.open(received))
             recorder.housekeep()
         for received in bus.take(0.0):
-            recorder.write(deep[received.topic], received.payload, received.stamp, received.sequence)
+            recorder.take(replace(received, topic=deep[received.topic]), bus.open)
     finally:
         recorder.close()
 

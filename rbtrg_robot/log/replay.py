@@ -16,6 +16,7 @@ from itertools import groupby
 from pathlib import Path
 
 from hal.errors import OperatorError
+from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.read import Entry, read_run
 from rbtrg_robot.topics import Qos, Topic
@@ -23,6 +24,8 @@ from rbtrg_robot.wire.bus import Bus
 
 LATE = 0.05
 """A message published this late [s] counts as late."""
+LONGEST_PAUSE = 60.0
+"""Nothing for longer [s] is no pause but a clock that was set, or a stamp that rolled over: it is told and not waited for."""
 RATE_STEP = 1.1
 OF_PROCESSES = frozenset({t.HEARTBEAT, t.JOURNAL})
 """Told by processes that do not run in a replay."""
@@ -64,6 +67,8 @@ class Report:
     worst: float = 0.0
     """Greatest lateness [s]."""
     seconds: float = 0.0
+    jumps: list[tuple[float, float]] = field(default_factory=list)
+    """Where the log stands still or steps back for longer than LONGEST_PAUSE, and by how much [s]."""
 
 
 @dataclass(slots=True)
@@ -139,10 +144,16 @@ def play(
     zero: int | None = None
     latched: dict[Topic, Entry] = {}
     source = position = 0.0
+    at = 0
     wall = time.monotonic()
     for log_time, group in groupby(chosen(read_run(log), patterns, report), lambda pair: pair[1].log_time):
         zero = log_time if zero is None else zero
-        position = (log_time - zero) / 1e9
+        gap = log_time - zero - at
+        if abs(gap) > LONGEST_PAUSE * NS:
+            report.jumps.append((position, gap / NS))
+            zero += gap
+        at = log_time - zero
+        position = at / NS
         pairs = list(group)
         if position < start_offset:
             latched |= {topic: entry for topic, entry in pairs if topic.qos is Qos.LATCHED}

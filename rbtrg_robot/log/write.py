@@ -12,6 +12,7 @@ import io
 import os
 from collections.abc import Mapping
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace, TracebackType
 from typing import TYPE_CHECKING, Self
@@ -98,11 +99,12 @@ class LogWriter:
         self._stream = io.BufferedWriter(self._file)
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         self._writer.start(profile="ros2", library=f"rbtrg-robot {__version__}")
-        self._writer.add_metadata(METADATA, dict(metadata))
+        self.add_metadata(METADATA, metadata)
         for name, data in (attachments or {}).items():
             self._writer.add_attachment(0, 0, name, "application/yaml", data)
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[tuple[str, ...], int] = {}
+        """By name and type, and of copied ones by whatever else makes them another."""
+        self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._since_flush = 0
         self.messages = 0
         try:
@@ -116,47 +118,56 @@ class LogWriter:
     def write(self, topic: Topic, data: bytes, log_time: int, publish_time: int, sequence: int = 0) -> None:
         """Append a message; times in ns."""
         packed = self._pack_sweeps and topic in SWEEPS.values()
-        self._channel(topic, msg.CompressedPointCloud2.__msgtype__ if packed else topic.type)
-        self._add(topic.name, pack(data) if packed else data, log_time, publish_time, sequence)
+        channel = self._channel(topic, msg.CompressedPointCloud2.__msgtype__ if packed else topic.type)
+        self._add(channel, pack(data) if packed else data, log_time, publish_time, sequence)
+
+    def add_metadata(self, name: str, metadata: Mapping[str, str]) -> None:
+        """One more record of facts."""
+        self._writer.add_metadata(name, dict(metadata))
 
     def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
-        """Append a message of another file with its schema, whatever it is."""
-        if entry.topic not in self._channels:
-            if len(self._channels) == MOST_TOPICS:
-                raise LogError(f"more than {MOST_TOPICS} topics: {self.path} cannot hold them")
-            if entry.type not in self._schemas:
-                self._schemas[entry.type] = (
-                    self._writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-                )
-            self._channels[entry.topic] = self._writer.register_channel(
-                channel.topic, channel.message_encoding, self._schemas[entry.type], channel.metadata
-            )
-        self._add(entry.topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+        """Append a message of another file with its schema, bit for bit, whatever it is. Two channels of one topic stay two."""
+        told = tuple(part for pair in sorted(channel.metadata.items()) for part in pair)
+        text = schema.data if schema else b""
+        key = (entry.topic, entry.type, channel.message_encoding, str(hash(text)), *told)
+        if key not in self._channels:
+            schema_id = self._schema(schema.name, schema.encoding, text) if schema else 0
+            self._register(key, channel.message_encoding, schema_id, channel.metadata)
+        self._add(self._channels[key], entry.data, entry.log_time, entry.publish_time, entry.sequence)
 
-    def _add(self, name: str, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
+    def _schema(self, name: str, encoding: str, data: bytes) -> int:
+        key = (name, encoding, data)
+        if key not in self._schemas:
+            self._schemas[key] = self._writer.register_schema(name, encoding, data)
+        return self._schemas[key]
+
+    def _register(
+        self, key: tuple[str, ...], encoding: str, schema: int, metadata: Mapping[str, str]
+    ) -> None:
+        if len(self._channels) == MOST_TOPICS:
+            raise LogError(f"more than {MOST_TOPICS} topics: {self.path} cannot hold them")
+        self._channels[key] = self._writer.register_channel(key[0], encoding, schema, dict(metadata))
+
+    def _add(self, channel: int, data: bytes, log_time: int, publish_time: int, sequence: int) -> None:
         self._since_flush += 1
         self.messages += 1
         # Whatever an attachment says: MCAP holds no time before 1970 and none after 2554.
         stamp = min(max(publish_time, 0), 2**64 - 1)
-        self._writer.add_message(self._channels[name], log_time, data, stamp, sequence % 2**32)
+        self._writer.add_message(channel, log_time, data, stamp, sequence % 2**32)
 
-    def _channel(self, topic: Topic, typename: str) -> None:
-        if topic.name in self._channels:
-            return
-        if typename not in self._schemas:
-            self._schemas[typename] = self._writer.register_schema(
-                typename, "ros2msg", definition(typename).encode()
-            )
-        metadata = {
-            "offered_qos_profiles": _OFFERED_QOS.format(
-                reliability="best_effort" if topic.qos is Qos.SENSOR else "reliable",
-                durability="transient_local" if topic.qos is Qos.LATCHED else "volatile",
-            ),
-            "topic_type_hash": type_hash(typename),
-        }
-        self._channels[topic.name] = self._writer.register_channel(
-            topic.name, "cdr", self._schemas[typename], metadata
-        )
+    def _channel(self, topic: Topic, typename: str) -> int:
+        key = (topic.name, typename)
+        if key not in self._channels:
+            metadata = {
+                "offered_qos_profiles": _OFFERED_QOS.format(
+                    reliability="best_effort" if topic.qos is Qos.SENSOR else "reliable",
+                    durability="transient_local" if topic.qos is Qos.LATCHED else "volatile",
+                ),
+                "topic_type_hash": type_hash(typename),
+            }
+            schema = self._schema(typename, "ros2msg", definition(typename).encode())
+            self._register(key, "cdr", schema, metadata)
+        return self._channels[key]
 
     @property
     def size(self) -> int:
@@ -200,10 +211,12 @@ def recover(path: Path, out: Path) -> tuple[int, str]:
         raise LogError(f"{out} exists; name another file with --out")
     contents = LogContents()
     records = read_log(path, contents, raw=True)
-    first = next(records, None)  # metadata and attachments stand before the first message
-    with LogWriter(out, contents.metadata.get(METADATA, {}), contents.attachments) as writer:
-        if first is not None:
-            writer.copy(*first)
-            for record in records:
-                writer.copy(*record)
+    first = next(records, None)  # of our files, metadata and attachments stand before the first message
+    told = dict(contents.metadata)
+    with LogWriter(out, told.get(METADATA, {}), contents.attachments) as writer:
+        for record in chain([first] if first else [], records):
+            writer.copy(*record)
+        for name, metadata in contents.metadata.items():
+            if name != METADATA:
+                writer.add_metadata(name, metadata)
         return writer.messages, contents.damage

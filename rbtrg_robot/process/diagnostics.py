@@ -95,7 +95,8 @@ class Diagnosis:
             k: robot[k] for k in ("cause", "estop", "estop_cause", "hold", "battery", "realtime_factor")
         }
         refused = {f"refused: {reason}": count for reason, count in robot["refused"].items()}
-        return self._entry("robot", level, robot["mode"], **values, **refused)
+        advice = {f"advice: {monitor}": remedy for monitor, remedy in robot["advice"].items()}
+        return self._entry("robot", level, robot["mode"], **values, **refused, **advice)
 
     def _odometry(self, robot: dict[str, Any]) -> DiagnosticStatus:
         health = robot.get("localization")

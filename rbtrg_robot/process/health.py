@@ -8,6 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
+from hal.safety.monitors import raised
 from hal.types import LidarName
 from rbtrg_robot import topics as t
 from rbtrg_robot.msg import Heartbeat
@@ -227,7 +228,26 @@ class Health:
         tracker = self.newest.get(t.TRACKER_STATE)
         if tracker is not None:
             row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold, "tracker_slow": tracker.slow}
+        row["advice"] = _advice(row)
         return row
+
+
+_CAUSES = (
+    "cause",
+    "estop_cause",
+    "hold",
+    "localization_reason",
+    "calibration",
+    "map_warning",
+    "tracker_hold",
+)
+
+
+def _advice(row: dict[str, Any]) -> dict[str, str]:
+    """What to do about each raised monitor, by its name, from the words in a record of `robot_row`."""
+    told = [str(row.get(key, "")) for key in _CAUSES]
+    told.append(row.get("goal", {}).get("detail", ""))
+    return {monitor.name: monitor.remedy for monitor in raised("\n".join(told))}
 
 
 def expected_topics(

@@ -186,6 +186,7 @@ class Supervisor:
             domain=self._config.domain,
             backend=self._config.backend,
             scene=self._config.scene,
+            scene_options=self._config.scene_options,
             log_dir=self._config.log_dir if self._config.record else "",
             ready=self._ready,
             processes=list(self._children),

@@ -38,7 +38,7 @@ class MapGraph:
         self.graph: TraversalGraph | None = None
         self.grid: ElevationGrid | None = None
         self.table: RiskTable | None = None
-        self._body = body
+        self.body = body
         self._overlaid: Box | None = None
         """Part of the newest grid where the window lies over the mirror."""
         self._changed: list[Box] = []
@@ -156,7 +156,7 @@ class MapGraph:
         discs = np.empty((0, 3)) if avoid is None else avoid
         discs = discs[np.hypot(*(discs[:, :2] - request.start).T) > discs[:, 2]]
         graph = self.graph.avoiding(discs) if len(discs) else self.graph
-        return plan(graph, grid, request, self._body, self._table_on(graph, grid))
+        return plan(graph, grid, request, self.body, self._table_on(graph, grid))
 
     def prepare(self) -> None:
         """Evaluate all edges of the graph: on 100 x 100 m most of what a first search takes. It changes no result."""
@@ -164,6 +164,6 @@ class MapGraph:
             self._table_on(self.graph, self.grid).evaluate_edges()
 
     def _table_on(self, graph: TraversalGraph, grid: ElevationGrid) -> RiskTable:
-        if self.table is None or not self.table.fits(graph, grid, self._body):
-            self.table = RiskTable(graph, grid, self._body, self.table)
+        if self.table is None or not self.table.fits(graph, grid, self.body):
+            self.table = RiskTable(graph, grid, self.body, self.table)
         return self.table

@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from hal.camera import MountedCamera
+from hal.rotation import quaternion as from_matrix
 from hal.rotation import wrap
 from hal.types import Extrinsics, MountedLidar
 from hal.urdf import urdf
 from mapping.elevation.exchange import MapError
 from mapping.elevation.poses import checked_pose
 from mapping.grid import FARTHEST
+from mapping.odometry.alone import ALONE, LidarAlone, WheelsAlone
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import FastPose, ScanOdometry
 from mapping.odometry.wheels import WheelOdometry
@@ -23,6 +26,7 @@ from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
     BASE,
+    CAMERA,
     IMU,
     LIDAR,
     MAP,
@@ -60,14 +64,24 @@ class OdometryStage:
 
     def __init__(
         self,
-        odometry: LidarInertialOdometry,
+        odometry: LidarInertialOdometry | LidarAlone | WheelsAlone,
         lidars: tuple[MountedLidar, ...],
         imu: Extrinsics,
         start: tuple[float, float, float],
+        cameras: tuple[MountedCamera, ...] = (),
     ) -> None:
-        """`start`: x, y [m], yaw [rad] of the robot in `map`."""
+        """`start`: x, y [m], yaw [rad] of the robot in `map`. `cameras`: of them only the frames are told."""
+        self._cameras = cameras
         names = [lidar.name for lidar in lidars]
-        self.inputs = (t.IMU, t.JOINTS, t.INITIAL_POSE, t.MAP_STATUS, *(t.SWEEPS[name] for name in names))
+        own = (t.WHEELS,) if isinstance(odometry, WheelsAlone) else ()
+        self.inputs = (
+            t.IMU,
+            t.JOINTS,
+            *own,
+            t.INITIAL_POSE,
+            t.MAP_STATUS,
+            *(t.SWEEPS[name] for name in names),
+        )
         self.outputs = (
             t.ODOM, t.POSE, t.WHEEL_ODOM, t.ODOM_HEALTH, *(t.CLOUDS[name] for name in names), t.TF, t.TF_STATIC,
             t.DESCRIPTION,
@@ -105,6 +119,8 @@ class OdometryStage:
                 wheel = self._odometry.add_joints(joint_sample(message))
                 if wheel is not None:
                     outputs.append((t.WHEEL_ODOM, self._wheel(wheel)))
+            elif t.WHEELS.carried(message, topic) and isinstance(self._odometry, WheelsAlone):
+                self._odometry.add_speed(stamp_of(message), xyz(message.twist.twist.linear))
             elif topic in self._sweeps:
                 self._odometry.add_scan(lidar_scan(message, self._sweeps[topic]))
             elif t.INITIAL_POSE.carried(message, topic):
@@ -163,6 +179,7 @@ class OdometryStage:
                 transform_msg(now, MAP, ODOM, (x, y, 0.0), rpy_quaternion((0.0, 0.0, yaw))),
                 *(_mount_msg(now, LIDAR + lidar.name, lidar.mount) for lidar in self._lidars),
                 _mount_msg(now, IMU, self._imu),
+                *(_optical_msg(now, camera) for camera in self._cameras),
             ]
         )
 
@@ -227,6 +244,9 @@ class OdometryStage:
         )
         self._odom = odom
         outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
+        if not isinstance(self._odometry, LidarInertialOdometry):  # no pose in between: tf has this one
+            transform = transform_msg(scan.stamp, ODOM, BASE, position, orientation)
+            outputs.append((t.TF, msg.TFMessage(transforms=[transform])))
         if scan.health != "lost":  # a scan that fits nowhere must not reach the map
             for name in self._sweeps.values():  # an empty one says that nothing came
                 cloud = scan.clouds.get(name, NOTHING)
@@ -238,10 +258,18 @@ def _mount_msg(now: int, frame: str, mount: Extrinsics) -> Any:
     return transform_msg(now, BASE, frame, mount.translation, rpy_quaternion(mount.rpy))
 
 
+def _optical_msg(now: int, camera: MountedCamera) -> Any:
+    """The optical frame: z along the view, y down (REP 103)."""
+    turned = from_matrix(camera.rotation)
+    return transform_msg(now, BASE, CAMERA + camera.name, camera.mount.translation, turned)
+
+
 def build(config: StackConfig) -> OdometryStage:
     """From the stack's configuration."""
     lidars = config.mounted_lidars()
-    odometry = LidarInertialOdometry(
-        config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts
+    kind = ALONE.get(config.odometry.without, LidarInertialOdometry)
+    odometry = kind(config.odometry, {lidar.name: lidar.mount for lidar in lidars}, config.own_parts)
+    camera = config.camera.mounted()
+    return OdometryStage(
+        odometry, lidars, config.imu_mount(), config.start_pose(), () if camera is None else (camera,)
     )
-    return OdometryStage(odometry, lidars, config.imu_mount(), config.start_pose())

@@ -356,12 +356,16 @@ class PlannerStage:
 
 def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
-    graph = config.graph_params()
-    fastest, robot = config.tracker.max_speed, config.capabilities()
-    limits = PathLimits(
+    graph, robot = config.graph_params(), config.capabilities()
+    return PlannerStage(config.planner, graph, config.body, limits_of(config), config.seed, robot.creep)
+
+
+def limits_of(config: StackConfig) -> PathLimits:
+    """What a path keeps to."""
+    graph, fastest = config.graph_params(), config.tracker.max_speed
+    return PathLimits(
         max_speed=fastest,
         max_step=graph.max_step,
         max_slope=graph.max_slope,
-        step_speed=min(robot.step_vx, fastest),
+        step_speed=min(config.capabilities().step_vx, fastest),
     )
-    return PlannerStage(config.planner, graph, config.body, limits, config.seed, robot.creep)

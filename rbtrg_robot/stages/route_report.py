@@ -104,7 +104,7 @@ class RouteBase:
             reaches_goal=found.reaches_goal,
             cost=found.cost,
             length=found.length,
-            duration=_duration(path),
+            duration=duration(path),
             yaw=array(path.yaw[few], F64),
             native_x=array(alternative[:, 0], F64),
             native_y=array(alternative[:, 1], F64),
@@ -113,7 +113,7 @@ class RouteBase:
         )
 
 
-def _duration(path: Path) -> float:
+def duration(path: Path) -> float:
     """[s] at the path's own speeds."""
     step = np.hypot(*np.diff(path.points[:, :2], axis=0).T)
     speed = np.maximum((path.speed[1:] + path.speed[:-1]) / 2, 0.05)

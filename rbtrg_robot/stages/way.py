@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hal.types import NS
-from mapping.grid import ElevationGrid
-from planning.baselines import art, t_hybrid
+from planning.baselines.door import OURS, Planner, planner_of
 from planning.errors import NoRoute, NoRouteReason
 from planning.path import (
     Path,
@@ -30,11 +28,6 @@ from rbtrg_robot import msg
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 
-BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
-    "t_hybrid": t_hybrid.plan,
-    "art": art.plan,
-}
-"""Planners of others by `planner.method`: they know neither frontiers nor places to keep off."""
 NEAR = 1.0
 """A plan that ends where the robot stands and farther from the goal [m] is none: another graph, or the map of later, may have one."""
 REDRAWS, AT_LEAST, REDRAWN_CELLS = 5, 2, 500_000
@@ -74,6 +67,8 @@ class WaySearch:
         """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge, whatever the goal is now."""
         self.rules = DriveRules(params.backward, params.turning, straight=True, guarded=True)
         self._params = params
+        self._other: Planner | None = None if params.method == OURS else planner_of(params.method)
+        """A planner of others knows neither frontiers nor places to keep off."""
         self._body = body
         self._limits = limits
         self._begin("")
@@ -122,7 +117,7 @@ class WaySearch:
         return make_path(found, terrain.ground(), self._body, self._limits, terrain.terrain())
 
     def _seen(self, terrain: MapGraph, message: msg.PlanRequest, driven: Path | None) -> Way:
-        if self._params.method != "rb_trg" or terrain.graph is None:
+        if self._other is not None or terrain.graph is None:
             found, whole = self._plan(terrain, message, driven)
             return Way(found, whole, whole)
         self._forward = False
@@ -219,8 +214,8 @@ class WaySearch:
             seen_frontiers=tuple(self._memory.seen),
             been=None if self._memory.exhausted else tuple(self._memory.been),
         )
-        if self._params.method != "rb_trg":
-            found = BASELINES[self._params.method](terrain.ground(), request)
+        if self._other is not None:
+            found = self._other(terrain.ground(), request)
             return found, self.path_of(terrain, found)
         found = terrain.search(request, np.vstack([message.avoid.reshape(-1, 3), *self._hidden]))
         if found.short > NEAR and not found.transitions:

@@ -20,6 +20,7 @@ P = TypeVar("P")
 MAP = "map"
 ODOM = "odom"
 BASE = "base_link"
+CAMERA = "camera_"
 LIDAR = "lidar_"
 """With the name of a LiDAR behind it: its frame."""
 IMU = "imu"

@@ -17,6 +17,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
+from tools.bench.raised import Raised
 from tools.bench.report import Report
 from tools.bench.spent import Spent
 
@@ -47,6 +48,7 @@ def run(args: list[str]) -> Report:
     with Lockstep(config) as stack:
         stack.wait_ready()
         spent = Spent(stack)
+        heard = Raised(stack)
         began, first = time.monotonic(), stack.seconds
         cpu, due = time.process_time(), stack.seconds + SAMPLE
         busy: dict[str, float] = {}
@@ -90,6 +92,9 @@ def run(args: list[str]) -> Report:
     report.add("speed", 3600.0 * hours / wall, "simulated s per s")
     report.add("goals.reached", ended["reached"], "-")
     report.add("goals.other", ended["other"], "-")
+    for name in heard.monitors:
+        print(f"raised: {name}", flush=True)
+    report.add("monitors_raised", len(heard.monitors), "-", 0)
     table = np.array(samples)[len(samples) // 4 :]
     if len(table) < 3:
         return report

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import mujoco
 import numpy as np
@@ -127,14 +127,14 @@ class Film:
         """Draw all poses. Raises RenderError."""
         with _Studio(self.scene, self.obstacles, self.view) as studio:
             for time, pose in self._poses:
-                yield studio.draw(time, pose)
+                yield studio.shot(time, pose)
 
     def picture(self, path: Path) -> None:
         """The last pose as PNG. Raises RenderError."""
         if not self._poses:
             raise RenderError("nothing to draw: no pose was recorded")
         with _Studio(self.scene, self.obstacles, self.view) as studio:
-            Image.fromarray(studio.draw(*self._poses[-1])).save(path)
+            Image.fromarray(studio.shot(*self._poses[-1])).save(path)
 
     def write(self, path: Path, progress: Callable[[int, int], None] | None = None) -> None:
         """FILE.mp4, or a folder of numbered PNG files. `progress(done, total)` after each frame. Raises RenderError."""
@@ -160,69 +160,85 @@ class Film:
                 progress(k + 1, len(self._poses))
 
 
-class _Studio:
-    """Model, camera and OpenGL context of one rendering."""
+class Canvas:
+    """A model, drawn off-screen. `shadows` cost twice the time."""
 
-    def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...], view: View) -> None:
-        self._view, self._obstacles = view, obstacles
-        self._model = build(
-            scene.height, scene.resolution, scene.origin, boxes=[obstacle.size for obstacle in obstacles]
-        )
-        self._data = mujoco.MjData(self._model)
-        joints = [self._model.joint(name).qposadr[0] for name in go2w.MOTORS]
-        self._address = np.concatenate([np.arange(7), joints])
-        self._camera = mujoco.MjvCamera()
-        self._camera.distance, self._camera.azimuth = view.distance, view.azimuth
-        self._camera.elevation = view.elevation
+    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, shadows: bool = True) -> None:
+        """width, height: of a frame [pixels]."""
+        self.model, self.data = model, mujoco.MjData(model)
+        self.camera = mujoco.MjvCamera()
+        self._size = width, height
         self._option = mujoco.MjvOption()
         self._option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
-        self._last: float | None = None
+        self._shadows = shadows
+        joints = [model.joint(name).qposadr[0] for name in go2w.MOTORS]
+        self._address = np.concatenate([np.arange(7), joints])
 
-    def __enter__(self) -> _Studio:
-        view = self._view
-        limit = self._model.vis.global_
-        if view.width > limit.offwidth or view.height > limit.offheight:
+    def __enter__(self) -> Self:
+        """Take an OpenGL context. Raises RenderError."""
+        limit = self.model.vis.global_
+        if self._size[0] > limit.offwidth or self._size[1] > limit.offheight:
             raise RenderError(f"frames may be at most {limit.offwidth} x {limit.offheight} pixels")
-        self._gl = gl_context(view.width, view.height)
-        self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        self._gl = gl_context(*self._size)
+        self.renderer = type(self._gl).__module__.rpartition(".")[2]
+        """EGL, OSMesa: who draws."""
+        self._context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        self._scene = mujoco.MjvScene(self._model, maxgeom=2000)
+        self._scene = mujoco.MjvScene(self.model, maxgeom=2000)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = self._shadows
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = self._shadows
         return self
 
     def __exit__(self, *_: object) -> None:
         self._context.free()
         self._gl.free()
 
-    def draw(self, time: float, pose: NDArray[np.float32]) -> Frame:
-        """One frame."""
-        data, view = self._data, self._view
-        data.qpos[self._address] = pose
-        for index, obstacle in enumerate(self._obstacles):
+    def place(self, pose: NDArray[np.float32], obstacles: tuple[Obstacle, ...], time: float) -> None:
+        """The robot at `pose` (23,): position [m], quaternion w, x, y, z, joints in SDK order [rad]; the boxes where they are at `time` [s]."""
+        self.data.qpos[self._address] = pose
+        for index, obstacle in enumerate(obstacles):
             box = box_at(obstacle, time)
-            data.mocap_pos[index] = box.centre if present(obstacle, time) else HIDDEN
-            data.mocap_quat[index] = np.cos(box.yaw / 2), 0.0, 0.0, np.sin(box.yaw / 2)
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_camlight(self._model, data)
-        target = pose[:3].astype(np.float64)
-        if self._last is not None:
-            share = 1.0 - np.exp(-(time - self._last) / max(view.follow, 1e-3))
-            target = self._camera.lookat + share * (target - self._camera.lookat)
-        self._camera.lookat[:] = target
-        self._last = time
+            self.data.mocap_pos[index] = box.centre if present(obstacle, time) else HIDDEN
+            self.data.mocap_quat[index] = np.cos(box.yaw / 2), 0.0, 0.0, np.sin(box.yaw / 2)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def draw(self) -> Frame:
+        """(height, width, 3) uint8, what `camera` sees."""
+        width, height = self._size
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
-            self._model,
-            data,
-            self._option,
-            mujoco.MjvPerturb(),
-            self._camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value,
-            self._scene,
+            self.model, self.data, self._option, mujoco.MjvPerturb(), self.camera, everything, self._scene
         )
-        viewport = mujoco.MjrRect(0, 0, view.width, view.height)
+        viewport = mujoco.MjrRect(0, 0, width, height)
         mujoco.mjr_render(viewport, self._scene, self._context)
-        frame = np.empty((view.height, view.width, 3), np.uint8)
+        frame = np.empty((height, width, 3), np.uint8)
         mujoco.mjr_readPixels(frame, None, viewport, self._context)
         return frame[::-1]
+
+
+class _Studio(Canvas):
+    """A film's canvas: its camera follows the robot."""
+
+    def __init__(self, scene: Scene, obstacles: tuple[Obstacle, ...], view: View) -> None:
+        sizes = [obstacle.size for obstacle in obstacles]
+        model = build(scene.height, scene.resolution, scene.origin, boxes=sizes)
+        super().__init__(model, view.width, view.height)
+        self._view, self._obstacles = view, obstacles
+        self.camera.distance, self.camera.azimuth = view.distance, view.azimuth
+        self.camera.elevation = view.elevation
+        self._last: float | None = None
+
+    def shot(self, time: float, pose: NDArray[np.float32]) -> Frame:
+        """One frame."""
+        self.place(pose, self._obstacles, time)
+        target = pose[:3].astype(np.float64)
+        if self._last is not None:
+            share = 1.0 - np.exp(-(time - self._last) / max(self._view.follow, 1e-3))
+            target = self.camera.lookat + share * (target - self.camera.lookat)
+        self.camera.lookat[:] = target
+        self._last = time
+        return self.draw()
 
 
 def require_display() -> None:

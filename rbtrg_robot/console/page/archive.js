@@ -39,8 +39,8 @@ export function makeArchive(link, free) {
     ]);
     table(
       $("run-topics"),
-      ["topic", "messages", "Hz", "longest gap s", "MB"],
-      topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1), figure(x.gap), figure(x.megabytes)]),
+      ["topic", "messages", "Hz"],
+      topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1)]),
     );
     $("run-card").scrollIntoView();
   }

@@ -60,6 +60,8 @@ export function makeHealth(link, about) {
         ["Wheels on the ground", robot.contact.map((on, k) => (on ? ["FR", "FL", "RR", "RL"][k] : "–")).join(" ")],
         ["Real-time factor", figure(robot.realtime_factor)],
       );
+    for (const [name, remedy] of Object.entries(status?.robot?.advice ?? {}))
+      rows.push(["What to do", `${remedy} (${name})`, "word-bad"]);
     for (const [name, value] of Object.entries(status?.robot?.backend ?? {})) rows.push([name, value]);
     list($("odometry"), rows);
   }

@@ -62,6 +62,7 @@ export function open() {
     if (kind === 2) return tell("terrain", data);
     if (kind === 3) return tell("points", data);
     if (kind === 4) return tell("ages", data);
+    if (kind === 5) return tell("picture", data);
     const content = JSON.parse(text.decode(new Uint8Array(data, 4)));
     link.newest[content.kind] = content;
     if (content.kind === "beat") {

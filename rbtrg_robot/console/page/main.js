@@ -61,7 +61,7 @@ view.world.body = about.body;
 put("name", about.robot);
 document.title = `${about.robot} console`;
 
-picture = makePicture(link, view);
+picture = makePicture(link, view, about);
 if (!$("hint").textContent) picture.hint();
 why = makeWhy(link, view);
 drive = makeDrive(link, view, about, free);

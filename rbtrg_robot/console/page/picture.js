@@ -1,5 +1,6 @@
 // The tools over the picture, what the colours mean, and what comes for it.
 import { $, figure, put } from "./tell.js";
+import { makeVideo } from "./video.js";
 
 const TRUST = 2,
   AGE = 3;
@@ -8,9 +9,10 @@ const NOTES = {
   [AGE]: "· grey: not known when",
 };
 
-export function makePicture(link, view) {
+export function makePicture(link, view, about) {
   const small = matchMedia("(max-width: 860px)").matches;
   let ready = false;
+  const video = makeVideo(link, about, see);
 
   function hint(words) {
     put(
@@ -134,7 +136,8 @@ export function makePicture(link, view) {
   });
   // What the page wants to see of what is large.
   function see() {
-    if (ready) link.quick({ do: "see", cloud: view.world.points, ages: view.world.layer === AGE });
+    if (ready)
+      link.quick({ do: "see", cloud: view.world.points, ages: view.world.layer === AGE, video: video.shows() });
   }
   function clear() {
     view.ground.tiles.clear();

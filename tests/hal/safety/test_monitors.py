@@ -45,6 +45,12 @@ def test_only_monitors_of_the_table_are_taken_out() -> None:
         pass
 
 
+def test_words_are_found_again_in_what_the_operator_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(monitors, "MONITORS", (ROW,))
+    assert monitors.raised(f"robot is held: {ROW.tell(value=3.0)}; battery low") == [ROW]
+    assert monitors.raised("m/s^2") == []
+
+
 def test_names_are_unique() -> None:
     assert len(monitors.BY_NAME) == len(monitors.MONITORS)
 

@@ -59,6 +59,16 @@ class Faults:
     lidar_silent: bool = False
     epoch: float = 1.7e9
     """What the robot's clock shows at the start: 0 is 1970."""
+    tick_step: float = 0.0
+    """The counter of LowState is off by this much: it was set, with no restart."""
+    lidar_step: float = 0.0
+    """The same of the LiDAR's clock."""
+    accel_scale: float = 1.0
+    """On what LowState's accelerometer tells: 1 / 9.81 is g, -1 has the signs reversed."""
+    l1_accel: float = 0.0
+    """Added to the accelerations of the L1 [m/s^2]."""
+    lost: int = 0
+    """Messages that a motor has lost."""
     wxyz: bool = True
     """The L1's quaternion order, as on the real robot."""
     upright_l1: bool = False
@@ -346,7 +356,7 @@ class RobotSide:
         if now >= self._low_due:
             self._low_due = max(self._low_due + LOW_STATE_PERIOD, now)
             if not f.low_frozen:
-                self._tick = now // 1_000_000
+                self._tick = now // 1_000_000 + round(1e3 * f.tick_step)
                 self._write_low()
             if not f.low_silent:
                 self._put(LOW_STATE, self._low_bytes())
@@ -360,10 +370,10 @@ class RobotSide:
             turn = self._mount[0].T
             gyro = turn @ self.body.gyro
             raw = RawImu(
-                stamp,
+                stamp + round(f.lidar_step * NS),
                 _product(self._quaternion(), self._turned),
                 gyro + np.array([self.faults.l1_leak * gyro[2], 0.0, 0.0]),
-                turn @ self.body.accel,
+                turn @ self.body.accel + self.faults.l1_accel,
             )
             self._put(L1_IMU, encode_imu(raw, "utlidar_imu", f.wxyz))
         points = self.body.scan()
@@ -372,7 +382,7 @@ class RobotSide:
             local = (base - self._mount[1]) @ self._mount[0]
             out = points.copy()
             out["x"], out["y"], out["z"] = local.T
-            start = stamp - round(float(points["time"].max()) * NS)
+            start = stamp + round((f.lidar_step - float(points["time"].max())) * NS)
             self._put(self._topic, encode_cloud(start, "utlidar_lidar", out))
 
     def outbox(self) -> dict[str, list[bytes]]:
@@ -401,6 +411,8 @@ class RobotSide:
         motors["temperature"][:16] = 38
         imu = low["imu_state"]
         imu["quaternion"], imu["gyroscope"], imu["accelerometer"] = self._quaternion(), body.gyro, body.accel
+        imu["accelerometer"] *= self.faults.accel_scale
+        motors["lost"][5], motors["reserve"][5, 0] = self.faults.lost, 4 * (self.faults.lost > 0)
         low["bms_state"]["soc"] = 87
         low["foot_force"] = 60
         # head (2 bytes), keys (2), then floats: lx, rx, ry, L2, ly

@@ -30,7 +30,7 @@ from hal.unitree.api import Sport
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.link import L1_CLOUD
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
-from tests.hal.unitree.world import HOST_EPOCH, World
+from tests.hal.unitree.world import EVERYTHING, HOST_EPOCH, World
 
 REST = 0.05
 """[m/s]; the body approaches zero exponentially."""
@@ -368,6 +368,80 @@ def test_stale_low_state_disconnects_and_its_return_reconnects(fault: str):
     assert world.phase is Phase.MOVING
 
 
+@pytest.mark.parametrize(("late", "answers"), [(0.3, 0.0), (0.6, 0.6), (0.6, 0.0), (1.2, 0.0)])
+def test_late_telemetry_holds_the_robot_for_as_long_as_it_lasts(late: float, answers: float):
+    """Also where requests are answered at once: what lost nothing on its way was delayed."""
+    world = ready()
+    world.run(2.0, vx=0.5)
+    world.late = {EVERYTHING: late, "motion_switcher": answers}
+    world.run(0.5, vx=0.5)
+    assert abs(world.body.v) < REST
+    world.run(late)
+    x = world.body.x
+    samples = world.run(15.0, vx=0.5)
+    assert world.body.x - x < 0.01
+    assert world.phase is Phase.DISCONNECTED
+    assert world.cause == f"telemetry of the robot arrives {late:.1f} s late"
+    ages = [(world.now - s.stamp) / NS for s in samples[-20:] if isinstance(s, ImuSample)]
+    assert late <= min(ages) < late + 0.1
+    world.late = {}
+    world.run(late)
+    world.until(Phase.READY, 1.0)
+    world.run(1.0, vx=0.5)
+    assert world.phase is Phase.MOVING
+    assert world.backend.diagnostics()["clock_jumps"] == 0
+
+
+@pytest.mark.parametrize("step", [-0.6, -3.0, 0.6, 5.0])
+def test_a_step_of_the_robots_clock_is_told_from_a_delay_by_the_round_trip_of_a_request(step: float):
+    world = ready()
+    world.run(2.0, vx=0.5)
+    world.faults.tick_step = step
+    world.late = {"motion_switcher": 0.3}  # nobody shows that the way is short
+    world.run(3.0, vx=0.5)
+    assert (world.phase is Phase.DISCONNECTED) == (step < 0.0)
+    if step < 0.0:
+        assert world.cause == f"the clock of the robot stepped by {step:+.2f} s, waiting for prompt answers"
+        assert abs(world.body.v) < REST
+    world.late = {}
+    world.run(0.5)
+    world.until(Phase.READY, 1.0)
+    samples = world.run(1.0, vx=0.5)
+    assert world.body.v > 0.3
+    assert all(0 <= world.now - s.stamp < NS + NS // 20 for s in samples)
+    assert world.backend.diagnostics()["clock_jumps"] == 1
+
+
+@pytest.mark.parametrize("step", [-0.08, -0.3, 0.3, 0.9])
+def test_a_step_of_a_lidars_clock_names_the_clock(step: float):
+    world = ready()
+    world.run(2.0)
+    before = [s.stamp for s in world.run(1.0) if isinstance(s, LidarScan)]
+    world.faults.lidar_step = step
+    scans = [s.stamp for s in world.run(1.5) if isinstance(s, LidarScan)]
+    assert len(scans) >= 12
+    phases = np.array([*before, *scans]) / (NS // 10) % 1.0  # the sweeps end when they ended before
+    assert np.ptp((phases - phases[0] + 0.5) % 1.0) < 0.25
+    words, size = world.cause.removesuffix(" s").rsplit(" ", 1)
+    assert words == "the clock of the main LiDAR stepped by"
+    assert float(size) == pytest.approx(step, abs=0.025)  # read in a loop of 20 ms
+    assert world.backend.diagnostics()["clock_jumps"] == 1
+    world.run(11.0)
+    assert world.cause == "balance stand, takes velocity"
+
+
+def test_sweeps_that_come_late_keep_their_true_stamps_and_are_told():
+    world = ready()
+    world.run(2.0)
+    world.late = {L1_CLOUD: 0.6}
+    scans = [s for s in world.run(20.0) if isinstance(s, LidarScan)]
+    assert world.cause == "sweeps of the main LiDAR arrive 0.6 s late"
+    assert 0.65 < (world.now - scans[-1].stamp) / NS < 0.85
+    world.late = {}
+    world.run(1.5)
+    assert world.cause == "balance stand, takes velocity"
+
+
 @pytest.mark.parametrize("fault", ["sport_silent", "sport_frozen"])
 def test_stale_sport_state_is_a_fault_with_a_stop_that_recover_ends(fault: str):
     world = ready()
@@ -394,6 +468,15 @@ def test_a_cut_cable_mid_motion_and_its_return():
     assert abs(world.body.v) < REST, "the robot's own hold ran out"
     world.cut = False
     world.until(Phase.READY, 1.0)
+
+
+def test_silence_after_a_message_that_was_a_little_late_is_told_as_silence():
+    world = ready()
+    world.run(2.0)
+    world.late = {EVERYTHING: 0.06}
+    world.run(1.0)
+    world.cut, world.late = True, {}
+    assert "no LowState" in world.until(Phase.DISCONNECTED, 0.5).cause
 
 
 def restarted(world: World, faults: Faults, standing: bool) -> None:
@@ -694,6 +777,63 @@ def test_a_clock_set_from_1970_while_running_does_not_break_the_stamps():
     assert len(scans) >= 9
     assert all(0 <= world.now - s.stamp < 2 * NS for s in scans)
     assert world.backend.diagnostics()["clock_jumps"] == 1
+
+
+IMPOSSIBLE = {
+    "IMU in g": (
+        "accel_scale",
+        1 / 9.81,
+        "IMU measures 1.0 m/s^2 on average, gravity has 9.8: its unit is wrong",
+    ),
+    "IMU reversed": (
+        "accel_scale",
+        -1.0,
+        "IMU: gravity is 180 deg from where its gyro tells: signs or units are wrong",
+    ),
+    "IMU too large": (
+        "accel_scale",
+        1e28,
+        "IMU: an acceleration of 9.81e+28 m/s^2, possible are -160 to 160",
+    ),
+    "L1 too large": (
+        "l1_accel",
+        1e28,
+        "IMU of the L1: an acceleration of -7.05e+27 m/s^2, possible are -160 to 160",
+    ),
+    "motor": ("lost", 9999, "motor FL_calf has lost 9999 messages, error bits 0x4"),
+}
+
+
+@pytest.mark.parametrize("kind", IMPOSSIBLE)
+def test_what_cannot_be_is_refused_and_told_with_stream_value_and_range(kind: str):
+    name, value, words = IMPOSSIBLE[kind]
+    world = ready()
+    world.run(1.0)
+    usual = getattr(world.faults, name)
+    setattr(world.faults, name, value)
+    world.run(2.0)
+    samples = world.run(1.0)
+    assert words in world.cause
+    assert world.phase is Phase.READY, "no lasting fault"
+    imu = [s for s in samples if isinstance(s, ImuSample)]
+    assert bool(imu) == (name != "accel_scale"), "the gate holds for want of an IMU"
+    assert any(isinstance(s, LidarScan) for s in samples)
+    setattr(world.faults, name, usual)
+    world.run(4.0)
+    assert world.cause == "balance stand, takes velocity"
+    assert len([s for s in world.run(1.0) if isinstance(s, ImuSample)]) == 250
+
+
+def test_an_imu_whose_signs_were_reversed_from_the_start_is_told_from_a_robot_on_its_back():
+    world = World(Faults(accel_scale=-1.0))
+    world.backend.connect()
+    assert not [s for s in world.run(2.0) if isinstance(s, ImuSample)]
+    assert world.phase is Phase.READY, "its own attitude says that it stands"
+    assert "IMU tells that the robot lies on its side or back, tilted by 180 deg" in world.cause
+    world = World(Faults(fallen=True))
+    world.backend.connect()
+    world.run(1.0)
+    assert "fallen" in world.cause
 
 
 _action = st.one_of(

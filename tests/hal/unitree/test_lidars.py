@@ -55,7 +55,7 @@ def test_each_lidar_keeps_its_name_and_clock_and_a_silent_one_is_named() -> None
         if k <= 20:
             wire.sweep("rt/utlidar/cloud", now - 30_000_000)
         scans += [s for s in telemetry.read(HOST + now) if isinstance(s, LidarScan)]
-        assert telemetry.silence(HOST + now) == (
+        assert telemetry.lidar_note(HOST + now) == (
             "" if k <= 40 else "the head LiDAR is silent on rt/utlidar/cloud"
         )
     stamps = {name: np.array([s.stamp for s in scans if s.name == name]) for name in ("main", "head")}
@@ -75,7 +75,7 @@ def test_a_lidar_whose_stamps_stand_still_is_silent_though_clouds_keep_coming() 
         wire.sweep("rt/lidar_points", min(now, NS))
         scans += sum(isinstance(s, LidarScan) for s in telemetry.read(HOST + now))
     assert scans == 10
-    assert telemetry.silence(HOST + now) == "the main LiDAR is silent on rt/lidar_points"
+    assert telemetry.lidar_note(HOST + now) == "the main LiDAR is silent on rt/lidar_points"
     assert telemetry.figures()["lidar_main_frozen"] == 39
 
 
@@ -95,7 +95,7 @@ def test_a_mid360_is_read_as_a_cloud_and_as_a_custom_message() -> None:
         telemetry = Telemetry(wire, UnitreeConfig(lidars=only("mid360")))  # type: ignore[arg-type]
         wire.inbox["rt/livox/lidar" + kind] = [encode(7 * NS, "livox_frame", ring())]
         (scans[kind],) = [s for s in telemetry.read(HOST) if isinstance(s, LidarScan)]
-        assert telemetry.silence(HOST + NS) == ""
+        assert telemetry.lidar_note(HOST + NS) == ""
     assert scans[""].stamp == scans[CUSTOM].stamp == pytest.approx(HOST - NS // 10, abs=TIME_QUANTUM * NS)
     for name in ("x", "y", "z", "intensity", "ring"):
         np.testing.assert_array_equal(scans[""].points[name], scans[CUSTOM].points[name], name)
@@ -118,7 +118,7 @@ def test_a_silent_lidar_names_the_topics_that_carry_clouds() -> None:
     wire = Wire()
     telemetry = Telemetry(wire, UnitreeConfig(lidars=only("mid360")))  # type: ignore[arg-type]
     wire.senders = {"rt/livox/lidar_192_168_1_120": "CustomMsg", "rt/utlidar/cloud": "PointCloud2"}
-    assert telemetry.silence(HOST) == (
+    assert telemetry.lidar_note(HOST) == (
         "the main LiDAR is silent on rt/livox/lidar; clouds are found on rt/livox/lidar_192_168_1_120 (CustomMsg), "
         "rt/utlidar/cloud (PointCloud2)"
     )
@@ -160,3 +160,32 @@ def test_a_sweep_whose_stamps_are_not_trusted_ended_when_it_came() -> None:
         lidar = LidarInput(config, config.mounted(), "cloud")
         scans = [s for now in came for s in lidar.take("cloud", encode_cloud(NS, "", ring()), now)]
         assert [s.stamp + round(float(s.points["time"].max()) * NS) for s in scans] == wanted
+
+
+@pytest.mark.parametrize("late", [0.08, 0.3, 20.0])
+def test_one_late_point_moves_neither_its_sweep_nor_those_that_follow(late: float) -> None:
+    config = only("xt16")[0]
+    lidar = LidarInput(config, config.mounted(), "cloud")
+    ends = []
+    for k in range(1, 100):
+        points = ring()
+        if k == 30:
+            points["time"][17] += late + 0.1
+        now = k * NS // 10
+        scans = lidar.take("cloud", encode_cloud(now - NS // 10, "", points), now + 5_000_000)
+        ends += [s.stamp + round(float(s.points["time"].max()) * NS) - now for s in scans]
+    assert len(ends) == 99
+    np.testing.assert_allclose(ends, 5_000_000, atol=2 * TIME_QUANTUM * NS)
+
+
+def test_clouds_whose_times_are_none_are_told_with_what_the_field_held() -> None:
+    wire = Wire()
+    telemetry = Telemetry(wire, UnitreeConfig(lidars=only("xt16")))  # type: ignore[arg-type]
+    for k in range(30):
+        points = ring()
+        if k > 10:
+            points["time"][::3] = -40.0
+        wire.inbox["rt/lidar_points"] = [encode_cloud(k * NS // 10, "lidar", points)]
+        telemetry.read(HOST + k * NS // 10)
+    told = telemetry.lidar_note(HOST + 3 * NS)
+    assert told == "the main LiDAR: point field 'time' holds -40 to 0.0924623: not the times of a sweep"

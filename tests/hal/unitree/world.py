@@ -12,6 +12,7 @@ from hal.unitree.config import UnitreeConfig
 from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
 
 HOST_EPOCH = 1_750_000_000 * NS
+EVERYTHING = "all topics"
 L1 = UnitreeConfig(lidars=only("l1"))
 
 
@@ -36,8 +37,10 @@ class World:
         self.elapsed = 0
         self.cut = False
         self.sent: list[tuple[int, str, Request]] = []
-        self._inbox: dict[str, list[bytes]] = {}
-        self._answers: dict[str, list[Response]] = {}
+        self.late: dict[str, float] = {}
+        """[s] that messages of a topic take, and answers of a service; `EVERYTHING` for all topics."""
+        self._way: dict[str, list[tuple[int, Any]]] = {}
+        """What is under way, by topic and service: when it comes [ns], and what."""
         self.backend = UnitreeBackend(
             "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
         )
@@ -55,10 +58,22 @@ class World:
             self.robot.handle(service, Request.unpack(request.pack()), self.elapsed)
 
     def responses(self, service: str) -> list[Response]:
-        return self._answers.pop(service, [])
+        return self._come(service)
 
     def take(self, topic: str) -> list[bytes]:
-        return self._inbox.pop(topic, [])
+        return self._come(topic)
+
+    def _leave(self, name: str, what: Any, late: float) -> None:
+        """Onto the way, which keeps the order."""
+        way = self._way.setdefault(name, [])
+        due = self.elapsed + round(late * NS)
+        way.append((max(due, way[-1][0]) if way else due, what))
+
+    def _come(self, name: str) -> list:
+        way = self._way.get(name, [])
+        here = [what for due, what in way if due <= self.elapsed]
+        self._way[name] = way[len(here) :]
+        return here
 
     def reachable(self, service: str) -> bool:
         return service in SERVICES
@@ -77,10 +92,10 @@ class World:
             self.robot.step(self.elapsed)
             for service, response in self.robot.responses(self.elapsed):
                 if not self.cut:
-                    self._answers.setdefault(service, []).append(response)
+                    self._leave(service, response, self.late.get(service, 0.0))
             for topic, messages in self.robot.outbox().items():
-                if not self.cut:
-                    self._inbox.setdefault(topic, []).extend(messages)
+                for message in () if self.cut else messages:
+                    self._leave(topic, message, self.late.get(topic, self.late.get(EVERYTHING, 0.0)))
 
     def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list:
         """The host's 50 Hz loop."""

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hal.lidar import LIDARS
+from hal.safety.monitors import GRAVITY_SIDE, GRAVITY_SIZE, STAMP_AHEAD, SWEEP_CLOCK, taken_out
 from hal.types import NS, POINT_DTYPE, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.intake import SampleBuffer, TopicClock, clean_scan
@@ -60,6 +61,12 @@ def poison(scan: LidarScan, field: str, value: float) -> LidarScan:
     return LidarScan(scan.stamp, points)
 
 
+def stray(scan: LidarScan, late: float) -> LidarScan:
+    points = scan.points.copy()
+    points["time"][5] += late
+    return LidarScan(scan.stamp, points)
+
+
 def all_at_once(scan: LidarScan, time: float) -> LidarScan:
     points = scan.points.copy()
     points["time"] = time
@@ -69,7 +76,8 @@ def all_at_once(scan: LidarScan, time: float) -> LidarScan:
 SPOILED = {
     "scan_empty": lambda s: with_points(s, s.points[:0]),
     "scan_points_not_finite": lambda s: poison(s, "y", np.nan),
-    "scan_points_out_of_time": lambda s: poison(s, "time", -3.0),
+    "scan_points_out_of_time": lambda s: stray(s, 20.0),
+    "scan_times": lambda s: poison(s, "time", -3.0),
     "scan_too_many_points": lambda s: with_points(s, np.repeat(s.points, 60)),
     "scan_layout": lambda s: with_points(s, np.zeros((500, 3), np.float32)),  # type: ignore[arg-type]
     "scan_no_usable_points": lambda s: poison(with_points(s, s.points[:1]), "x", np.inf),
@@ -123,10 +131,11 @@ def test_bad_inertial_and_joint_values_are_dropped(samples: list[Sample]) -> Non
             s = JointSample(s.stamp, s.position, np.full(16, np.inf), s.effort)
         spoiled.append(s)
     results = feed(odometry, spoiled)
-    assert odometry.counters["imu_not_finite"] > 50
-    assert odometry.counters["joints_not_finite"] > 10
+    assert odometry.counters["imu_impossible"] > 20
+    assert odometry.counters["joints_impossible"] > 10
     assert sane(results)
-    assert results[-1].health is Health.GOOD
+    assert results[-1].health is Health.DEGRADED
+    assert "IMU: a turn rate of nan rad/s, possible are -35 to 35" in results[-1].reason
 
 
 @pytest.mark.parametrize("offset", [1_700_000_000 * NS, -5 * NS])
@@ -191,15 +200,17 @@ def test_topic_clock_follows_only_a_confirmed_jump() -> None:
 
     counters: Counter[str] = Counter()
     clock = TopicClock("imu", 3, counters)
-    assert [clock.admit(t * NS) for t in (100, 101, 101, 100)] == ["ok", "ok", "drop", "drop"]
-    assert [clock.admit(t * NS) for t in (5000, 102)] == ["drop", "ok"]
+    stamps = [round(t * NS) for t in (100, 100.1, 100.1, 100)]
+    assert [clock.admit(t) for t in stamps] == ["ok", "ok", "drop", "drop"]
+    assert [clock.admit(round(t * NS)) for t in (5000, 100.2)] == ["drop", "ok"]
     assert [clock.admit(5000 * NS + k) for k in range(3)] == ["drop", "drop", "jump"]
     assert clock.newest == 5000 * NS + 2
     assert clock.admit("now") == "drop"
+    assert [clock.admit(5003 * NS + k) for k in range(4)] == ["ahead", "ahead", "ok", "ok"]
     assert counters == {
         "imu_duplicate": 1,
         "imu_backward": 1,
-        "imu_strange_stamp": 3,
+        "imu_strange_stamp": 5,
         "imu_clock_jump": 1,
         "imu_stamp": 1,
     }
@@ -225,7 +236,7 @@ def test_scan_end_is_the_last_point_in_time() -> None:
     points = np.zeros(4, POINT_DTYPE)
     points["x"] = (1.0, 2.0, 100.0, 3.0)
     points["time"] = (0.01, 0.02, 0.09, 7.0)
-    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 1000, 0.5, Counter())
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 1000, Counter())
     assert sweep is not None
     assert sweep.end == pytest.approx(NS + 90_000_000, abs=10)
     assert sweep.xyz[:, 0].tolist() == [1.0, 2.0]
@@ -243,27 +254,141 @@ def test_warm_up_goes_through_every_step(monkeypatch: pytest.MonkeyPatch) -> Non
     assert not odometry.counters
 
 
-def test_usable_points_equal_numpy() -> None:
+@pytest.mark.parametrize("before", [0.0, -0.4])
+def test_usable_points_equal_numpy(before: float) -> None:
+    """Stamped at the begin, or at the end."""
     rng = np.random.default_rng(4)
     points = np.zeros(4000, POINT_DTYPE)
     for axis in "xyz":
         points[axis] = rng.uniform(-8.0, 8.0, len(points))
         points[axis][rng.integers(0, len(points), 40)] = rng.choice([np.nan, np.inf, -np.inf], 40)
-    points["time"] = rng.uniform(-0.02, 0.52, len(points))
+    points["time"] = before + rng.uniform(0.0, 0.4, len(points))
     points["time"][rng.integers(0, len(points), 40)] = np.nan
+    points["time"][rng.integers(0, len(points), 40)] = rng.uniform(2.0, 9.0, 40)
     counters: Counter[str] = Counter()
-    sweep = clean_scan(LidarScan(7, points), 1.0, 10.0, 100_000, 0.5, counters)
+    sweep = clean_scan(LidarScan(7 * NS, points), 1.0, 10.0, 100_000, counters)
     assert sweep is not None
 
     xyz = np.stack([points[axis] for axis in "xyz"], axis=1)
     time = points["time"].astype(np.float64)
     finite = np.isfinite(xyz).all(axis=1) & np.isfinite(time)
-    in_time = finite & (time >= 0.0) & (time <= 0.5)
+    in_time = finite & (time <= 0.4)
     square = (xyz[:, 0] * xyz[:, 0] + xyz[:, 1] * xyz[:, 1]) + xyz[:, 2] * xyz[:, 2]
     keep = in_time & (square >= np.float32(1.0)) & (square <= np.float32(100.0))
     assert 0 < keep.sum() < in_time.sum() < finite.sum() < len(points)
+    shift = time[in_time].min() if before else 0.0
     np.testing.assert_array_equal(sweep.xyz, xyz[keep])
-    np.testing.assert_array_equal(sweep.time, time[keep])
-    assert sweep.end == 7 + round(float(time[in_time].max()) * NS)
+    np.testing.assert_allclose(sweep.time, time[keep] - shift, rtol=0.0, atol=0.0 if not before else 1e-12)
+    assert sweep.start == 7 * NS + round(float(shift) * NS)
+    assert sweep.end == sweep.start + round(float((time - shift)[in_time].max()) * NS)
     assert counters["scan_points_not_finite"] == (~finite).sum()
     assert counters["scan_points_out_of_time"] == (finite & ~in_time).sum()
+
+
+@pytest.mark.parametrize("miss", [0.0, np.nan])
+def test_points_that_hit_nothing_have_no_time(miss: float) -> None:
+    points = np.zeros(1000, POINT_DTYPE)
+    points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 1000)
+    points["x"][::2], points["time"][::2] = miss, -7.0
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, Counter())
+    assert sweep is not None
+    assert (len(sweep.xyz), sweep.problem) == (500, "")
+    assert sweep.end == pytest.approx(1.1 * NS, abs=100)
+
+
+def test_times_of_no_sweep_are_refused_with_what_the_field_held() -> None:
+    points = np.zeros(1000, POINT_DTYPE)
+    points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 1000)
+    points["time"][::3] = -3.0
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, Counter())
+    assert sweep is not None
+    assert len(sweep.xyz) == 0
+    assert sweep.problem.startswith("point field 'time' holds -3 to 0.09")
+
+
+def moved(results: list[ScanOdometry], clean: list[ScanOdometry]) -> float:
+    """How far results came off those of the same stamp without a fault [m]."""
+    true = {r.stamp: r.position for r in clean}
+    return max(float(np.linalg.norm(r.position - true[r.stamp])) for r in results if r.stamp in true)
+
+
+@pytest.mark.parametrize("ahead", [0.3, 3.0])
+def test_one_imu_stamp_ahead_costs_its_sample_and_is_told(samples: list[Sample], ahead: float) -> None:
+    def run() -> tuple[float, list[str]]:
+        at = [k for k, s in enumerate(samples) if isinstance(s, ImuSample)][420]
+        wrong = [
+            replace(s, stamp=s.stamp + round(ahead * NS)) if k == at else s for k, s in enumerate(samples)
+        ]
+        results = feed(LidarInertialOdometry(), wrong)
+        return moved(results, feed(LidarInertialOdometry(), samples)), [r.reason for r in results]
+
+    off, reasons = run()
+    assert off < 0.005
+    assert sum(f"IMU: a stamp {ahead:.1f} s ahead of the one before" in r for r in reasons) == 1
+    with taken_out(STAMP_AHEAD.name):
+        assert not any("ahead" in r for r in run()[1])
+
+
+@pytest.mark.parametrize("step", [-0.3, -0.08, 0.25, 0.9, -7.0, 50.0])
+def test_a_lidar_whose_clock_steps_alone_is_not_used_and_the_text_names_its_clock(
+    samples: list[Sample], step: float
+) -> None:
+    when = samples[0].stamp + 2 * NS
+    wrong = [
+        replace(s, stamp=s.stamp + round(step * NS)) if isinstance(s, LidarScan) and s.stamp > when else s
+        for s in samples
+    ]
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, wrong)
+    assert results[-1].stamp <= when + NS // 5, "no sweep of the wrong clock is registered"
+    told = odometry._inbox.refused()
+    assert told == [f"the clock of the main LiDAR is {step:+.2f} s off the IMU's, its sweeps are not used"]
+    with taken_out(SWEEP_CLOCK.name):
+        odometry = LidarInertialOdometry()
+        feed(odometry, wrong)
+        assert not odometry._inbox.refused()
+
+
+@pytest.mark.parametrize("late", [0.1, 0.3])
+def test_sweeps_that_are_late_agree_with_the_imu(samples: list[Sample], late: float) -> None:
+    """Their stamps are right: they are used, and the pose is the same."""
+    when = samples[0].stamp + 2 * NS
+    late_ns = round(late * NS)
+    order = sorted(
+        samples,
+        key=lambda s: (
+            s.stamp
+            + (late_ns if isinstance(s, LidarScan) and s.stamp > when else 0)
+            + (NS // 10 if isinstance(s, LidarScan) else 0)
+        ),
+    )
+    odometry = LidarInertialOdometry()
+    results = feed(odometry, order)
+    assert results[-1].stamp > when + NS // 2
+    assert moved(results, feed(LidarInertialOdometry(), samples)) < 0.01
+    assert not any("clock" in r.reason for r in results)
+
+
+@pytest.mark.parametrize(
+    ("scale", "words"), [(1 / 9.81, "its unit is wrong"), (-1.0, "signs or units are wrong")]
+)
+def test_an_imu_of_another_unit_or_side_is_refused_and_told(
+    samples: list[Sample], scale: float, words: str
+) -> None:
+    when = samples[0].stamp + 3 * NS // 2
+    wrong = [
+        replace(s, accel=scale * s.accel) if isinstance(s, ImuSample) and s.stamp > when else s
+        for s in samples
+    ]
+    results = feed(LidarInertialOdometry(), wrong)
+    assert any(words in r.reason for r in results)
+    assert results[-1].health is not Health.GOOD
+    off = moved(results, feed(LidarInertialOdometry(), samples))
+    assert off < 0.3, "it is dead reckoned, and degraded"
+    from_the_start = feed(
+        LidarInertialOdometry(),
+        [replace(s, accel=scale * s.accel) if isinstance(s, ImuSample) else s for s in samples],
+    )
+    assert not any(r.health is Health.GOOD for r in from_the_start)
+    with taken_out(GRAVITY_SIZE.name, GRAVITY_SIDE.name):
+        assert moved(feed(LidarInertialOdometry(), wrong), feed(LidarInertialOdometry(), samples)) > 3.0

@@ -10,7 +10,7 @@ from planning.risk.body import BodyModel, weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
 from planning.risk.turns import back_factor, may_turn_to, turn_cost
-from planning.search.bounds import Asked, begin_to_go, come_nearer, cost_to_come, cost_to_go, reached
+from planning.search.bounds import Asked, begin_to_go, cost_to_come, cost_to_go
 from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.planning.worlds import lattice, rough
 
@@ -58,49 +58,6 @@ def plain_cost(a, start, step):
         before = want.copy()
         np.minimum.at(want, a.target, want[a.source] + step)
     return want
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_bounds_from_an_earlier_start_are_never_above_the_cost_and_differ_by_no_more_than_edges(world, seed):
-    """On another graph: edges cost more or less, are new, a node is new, and the start is another one."""
-    table, first, _, beyond = table_of(world)
-    rng, a, edge = np.random.default_rng(seed), table.arcs, table.tables(BODY).edge
-    goal, is_end = tuple(float(v) for v in table.graph.nodes[-1, :2]), np.arange(len(a.x)) == len(a.x) - 1
-    _, old = cost_to_come(table.sampler, W, a, table.tables(BODY), first, is_end, beyond, *goal)
-    nodes, was, now = np.arange(len(a.x)), np.arange(len(a.target)), np.arange(len(a.target))
-    same = come_nearer(W, a, edge, first, old, nodes, was, now)
-    np.testing.assert_allclose(same, old, atol=1e-12)
-    step = steps_of(a, edge)[:, 0]
-    out = np.arange(a.indptr[first], a.indptr[first + 1])
-    on = int(a.target[out[np.argmin([step[s] + plain_cost(a, a.target[s], step)[-1] for s in out])]])
-    ahead = come_nearer(W, a, edge, on, old, nodes, was, now)
-    assert ahead[-1] == pytest.approx(plain_cost(a, on, step)[-1]), (
-        "the robot has gone on along the best route"
-    )
-
-    start, length = int(rng.integers(1, len(a.x))), a.length.copy()
-    for slot in rng.choice(len(a.target), len(a.target) // 8, replace=False):
-        both = [slot, a.reverse[slot]]
-        length[both] *= rng.choice([0.05, 3.0])
-        now[both] = -1
-    for node in rng.choice(len(a.x), 3, replace=False):
-        if node not in (start, first):
-            at = (a.source == node) | (a.target == node)
-            nodes[node], was[at], now[at] = -1, -1, -1
-    arcs = a._replace(length=length)
-    step = steps_of(arcs, edge)[:, 0]
-    got, want = come_nearer(W, arcs, edge, start, old, nodes, was, now), plain_cost(a, start, step)
-    assert got[start] == 0.0
-    assert (got <= want + 1e-9).all()
-    elsewhere = a.target != start
-    assert (got[a.target] <= got[a.source] + step + 1e-9)[elsewhere].all()
-
-
-def test_no_bounds_come_from_a_graph_that_knew_nothing_of_the_start(world):
-    table, start, _, _ = table_of(world)
-    a = table.arcs
-    nodes, none = np.full(len(a.x), -1), np.full(len(a.target), -1)
-    assert come_nearer(W, a, table.tables(BODY).edge, start, np.zeros(3), nodes, none, none).size == 0
 
 
 def test_cost_to_come_is_plain_dijkstra_where_it_settled_and_a_bound_elsewhere(world):
@@ -153,8 +110,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
     tables, come = table.tables(BODY), np.zeros(len(a.x))
     asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning, 0.0)
-    go = begin_to_go(a, is_end, beyond)
-    heap = reached(W, a, tables, start, come, RULES.backward, go)
+    go, heap = begin_to_go(W, a, tables, is_end, beyond, come, RULES.backward)
     least, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, np.inf)
     for limit in (least, 1.1 * least):
         if limit > least:

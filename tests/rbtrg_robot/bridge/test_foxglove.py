@@ -370,6 +370,36 @@ def test_a_taken_port_is_one_line(door: Door) -> None:
         Foxglove(door.bus, port=door.server.port)
 
 
+WRONG: list[Any] = [
+    *({"op": "subscribe", "subscriptions": [{"id": n, "channelId": 1}]} for n in (-1, 2**32, 10**30, 1.5, "1", None, True, [])),
+    *({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": n}]} for n in (-1, 10**30, math.inf, "x", {})),
+    *({"op": "unsubscribe", "subscriptionIds": [n]} for n in (-1, math.nan, "x", {})),
+    *({"op": "advertise", "channels": [{"id": n, "topic": "/goal_pose", "encoding": "cdr", "schemaName": "geometry_msgs/msg/PoseStamped"}]} for n in (-1, 2**32)),
+    *({"op": name, key: 5} for name, key in (("subscribe", "subscriptions"), ("unsubscribe", "subscriptionIds"), ("advertise", "channels"))),
+    *([], 5, "text", None, {"op": []}, {}),
+]  # fmt: skip
+
+
+def test_a_client_that_says_what_makes_no_sense_is_told_and_nobody_else_notices(door: Door) -> None:
+    """A subscription with the number -1 ended the bridge, and with it everybody's stop."""
+    good, bad = door.enter(), door.enter()
+    good.send(op="subscribe", subscriptions=[{"id": 7, "channelId": good.channels["/odom"]["id"]}])
+    for wrong in WRONG:
+        bad.connection.send(json.dumps(wrong))
+        assert json.loads(bad.connection.recv(LIMIT))["op"] == "status"
+    bad.connection.send("[" * 100_000)
+    bad.connection.send(b"")
+    bad.connection.send(b"\x01\xff\xff\xff\xff")
+    for _ in range(3):
+        assert json.loads(bad.connection.recv(LIMIT))["op"] == "status"
+    until(lambda: t.ODOM in door.server._subscribed)
+    door.bus.advertise(t.ODOM)
+    until(lambda: door.bus.publishers[t.ODOM].wanted)
+    door.bus.publish(t.ODOM, t.ODOM.kind(header=header(5, "odom")), 5)
+    assert struct.unpack_from("<BI", good.connection.recv(LIMIT)) == (1, 7)
+    assert not door.failed
+
+
 def test_what_comes_back_moves_nothing_by_itself() -> None:
     assert {topic.name for topic in BACK} <= {"/goal_pose", "/initialpose"}
     assert t.GOAL_POSE in BACK

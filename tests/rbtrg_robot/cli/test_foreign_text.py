@@ -78,7 +78,7 @@ def stack(monkeypatch: pytest.MonkeyPatch) -> Stack:
 
     def up(*messages: tuple[t.Topic[Any], msg.Message], answer: Any = None) -> None:
         monkeypatch.setattr("rbtrg_robot.cli.link.connect", lambda _robot: FakeBus(messages, answer))
-        monkeypatch.setattr("rbtrg_robot.cli.link.scene", lambda _robot: "")
+        monkeypatch.setattr("rbtrg_robot.cli.link.scene", lambda _robot: ("", {}))
 
     return up
 

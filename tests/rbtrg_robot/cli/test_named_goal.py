@@ -10,6 +10,6 @@ from rbtrg_robot.stages.navigation.goal import goal_request
 
 @pytest.mark.parametrize(("name", "asks"), [("a", True), ("far", False)])
 def test_a_named_goal_without_a_heading_asks_for_none(name: str, asks: bool) -> None:
-    x, y, yaw, called = _target([name], "flat")
+    x, y, yaw, called = _target([name], "flat", {})
     request = goal_request(0, "one", x, y, yaw, name=called)
     assert (request.name, request.has_yaw) == (name, asks)

@@ -20,7 +20,7 @@ from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
-from tools.bench.console.stack import PACE, Console, Robot, ground
+from tools.bench.console.stack import PACE, Console, Robot, ground, report
 
 JOB = 90.0
 """[s] for a process of low priority that imports the stages, or for what compiles kernels."""
@@ -722,3 +722,49 @@ def test_the_body_on_the_arc_is_scored_as_the_planner_scores_it(visit: Callable[
     got = page.evaluate("poses => poses.map(p => consoleView.ground.body(...p, 0.7, 0.43))", poses.tolist())
     assert got == pytest.approx(want.tolist(), abs=0.06)
     assert want.max() > 0.3
+
+
+PIXEL = """([x, y]) => [...document.querySelector('#video-picture').getContext('2d').getImageData(x, y, 1, 1).data]"""
+
+
+@pytest.mark.parametrize("size", [DESK, PHONE])
+def test_the_camera_is_shown_with_the_route_in_it_and_kept_as_a_photo(
+    visit: Callable[..., Page], robot: Robot, size: Any
+) -> None:
+    page = visit(size=size)
+    page.wait_for_timeout(100)
+    assert robot.filmed == 0, "nobody looks"
+    page.keyboard.press("v")
+    page.wait_for_selector("#video:not([hidden])")
+    soon(page, lambda: robot.filmed > 0)
+    until(page, "document.querySelector('#video-said').textContent.includes('ms old')")
+    assert page.evaluate(PIXEL, [10, 10])[:3] == pytest.approx([90, 90, 90], abs=4)
+    age = float(page.inner_text("#video-said").split(" ms")[0])
+    assert 0.0 <= age < 1000.0 * LIMIT
+    robot.bus.publish(t.ROUTE_REPORT, ahead(), 1)
+    # Straight ahead the route runs up the middle of the picture, to below its horizon.
+    until(page, f"({PIXEL})([160, 180])[2] > 150")
+    with page.expect_download() as kept:
+        page.click("#photo")
+    assert kept.value.suggested_filename.endswith(".jpg")
+    assert Path(kept.value.path()).read_bytes().startswith(b"\xff\xd8")
+    page.keyboard.press("v")
+    until(page, "document.body.dataset.video === 'behind'")
+    for name in ("#halt", "#video-mode"):  # nothing lies over them
+        assert page.evaluate(
+            "name => { const at = document.querySelector(name), box = at.getBoundingClientRect();"
+            " return at.contains(document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2)); }",
+            name,
+        )
+    page.keyboard.press("v")
+    page.wait_for_selector("#video", state="hidden")
+    before = robot.filmed
+    page.wait_for_timeout(1500)
+    assert robot.filmed <= before + 1, "nobody looks any more"
+
+
+def ahead() -> msg.RouteReport:
+    """The route that is driven: straight ahead."""
+    found = report(msg.RouteQuestion(goal_x=4.0))
+    found.question = False
+    return found

@@ -180,7 +180,7 @@ def test_a_goal_outside_the_area_is_rejected(stack: Lockstep) -> None:
 def test_the_same_seed_gives_the_same_log_and_a_rerun_gives_the_recorded_map(tmp_path: Path) -> None:
     files = []
     for name in ("a", "b"):
-        conf = config(seed=5, sim={"lidar_step": 2})
+        conf = config(seed=5, sim={"lidar_step": 2}, recorder={"profile": "full"})
         path = tmp_path / f"{name}.mcap"
         with Lockstep(conf, Lockstep.open_log(conf, path)) as stack:
             stack.wait_ready()
@@ -210,7 +210,7 @@ def payloads(path: Path) -> dict[Topic, list[bytes]]:
 
 
 def test_no_message_lacks_frame_or_stamp(tmp_path: Path) -> None:
-    conf = config(sim=SPARSE)
+    conf = config(sim=SPARSE, recorder={"profile": "full"})
     path = tmp_path / "log.mcap"
     with Lockstep(conf, Lockstep.open_log(conf, path)) as stack:
         stack.wait_ready()

@@ -81,7 +81,13 @@ class LateBus(Refusals):
 
 def drive(folder: Path) -> tuple[StackConfig, Path]:
     """Replanning while the map grows, recorded in lockstep."""
-    config = load(None, ["planner.update_period=0.3", "sim.lidar_step=4"], scene="yard", map_file="", seed=3)
+    config = load(
+        None,
+        ["recorder.profile=full", "planner.update_period=0.3", "sim.lidar_step=4"],
+        scene="yard",
+        map_file="",
+        seed=3,
+    )
     log = folder / "lockstep.mcap"
     with Lockstep(config, Lockstep.open_log(config, log)) as stack:
         stack.wait_ready()
@@ -148,7 +154,7 @@ def test_what_the_log_lacks_is_told_and_the_rest_goes_on(live: tuple[Path, int],
 
 def test_broken_messages_in_a_log_end_no_rerun_and_no_picture(tmp_path: Path) -> None:
     """Each process refuses them, too."""
-    config = load(None, ["sim.lidar_step=8"], scene="flat")
+    config = load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="flat")
     log = tmp_path / "log.mcap"
     with Lockstep(config, Lockstep.open_log(config, log)) as stack:
         stack.wait_ready()

@@ -11,18 +11,21 @@ import tracemalloc
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
-from mcap.records import Chunk
+from mcap.records import Channel, Chunk, Schema
 from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.log import read as log_read
 from rbtrg_robot.log import write as log_write
-from rbtrg_robot.log.read import CONFIG, LogContents, LogError, first_of, is_intact, read_log, read_run
+from rbtrg_robot.log.read import CONFIG, Entry, LogContents, LogError, first_of, is_intact, read_log, read_run
 from rbtrg_robot.log.stats import summarize
+from rbtrg_robot.log.summary import overview
 from rbtrg_robot.log.write import LogWriter, recover
 from rbtrg_robot.wire.messages import encode, header
 from tests.places import ROOT
@@ -245,7 +248,77 @@ def test_a_chunk_never_takes_more_memory_than_it_says(tmp_path: Path) -> None:
 def test_a_log_of_more_topics_than_a_file_can_number_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(log_write, "MOST_TOPICS", 1)
     write(tmp_path / "a.mcap")
+    monkeypatch.setattr(log_write, "MOST_TOPICS", 1)
     with pytest.raises(LogError, match="more than 1 topics"):
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+
+
+def test_a_cloud_that_another_program_packed_does_not_end_the_log(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    foreign = encode(msg.CompressedPointCloud2(format="draco", compressed_data=np.arange(9, dtype=np.uint8)))
+    kind = msg.CompressedPointCloud2.__msgtype__
+    with LogWriter(path, {}) as writer:
+        writer.copy(
+            Entry("/c", kind, foreign, 1, 1, 1),
+            Schema(0, b"", "ros2msg", kind),
+            Channel(0, "/c", "cdr", {}, 0),
+        )
+        writer.write(t.HEARTBEAT, encode(msg.Heartbeat()), 2, 2)
+    contents = LogContents()
+    first, _second = (entry.data for entry, *_ in read_log(path, contents))
+    assert first == foreign
+    assert not contents.damage
+    assert overview(path).topics["/c"].count == 1
+
+
+def test_recover_keeps_both_channels_of_a_topic_and_all_facts(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with LogWriter(path, {"scene": "flat"}) as writer:
+        writer.add_metadata("acme", {"lot": "7"})
+        for encoding, data in (("json", b"{}"), ("cbor", b"\xa0")):
+            writer.copy(
+                Entry("/x", "T", data, 1, 1, 1),
+                Schema(0, b"s", "jsonschema", "T"),
+                Channel(0, "/x", encoding, {}, 0),
+            )
+        writer.add_metadata("late", {"end": "well"})
+    recover(path, tmp_path / "b.mcap")
+    contents = LogContents()
+    found = [
+        (channel.message_encoding, entry.data)
+        for entry, _, channel in read_log(tmp_path / "b.mcap", contents)
+    ]
+    assert found == [("json", b"{}"), ("cbor", b"\xa0")]
+    assert contents.metadata == {"run": {"scene": "flat"}, "acme": {"lot": "7"}, "late": {"end": "well"}}
+
+
+def test_zeros_behind_the_end_are_damage_that_recover_mends(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("ab") as file:
+        file.write(bytes(200_000))
+    assert "behind its end" in summarize(tmp_path / "a.mcap").problems()[0]
+    assert "behind its end" in overview(tmp_path / "a.mcap").damage[0]
+    recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert summarize(tmp_path / "b.mcap").damage == []
+    with AnyReader([tmp_path / "b.mcap"]) as reader:
+        assert reader.message_count == 201
+
+
+def test_an_overview_reads_no_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(tmp_path / "log_0.mcap", 50_000)
+    passed = summarize(tmp_path)
+    chunks = []
+    real = log_read.breakup_chunk
+    monkeypatch.setattr(log_read, "breakup_chunk", lambda *a, **k: chunks.append(1) or real(*a, **k))
+    assert sum(1 for _ in read_run(tmp_path)) == 50_001
+    assert len(chunks) > 5
+    chunks.clear()
+    found = overview(tmp_path)
+    assert len(chunks) == 1  # the facts stand before it
+    assert {name: held.count for name, held in found.topics.items()} == {
+        name: s.count for name, s in passed.topics.items()
+    }
+    assert found.seconds == pytest.approx(250.0)
+    assert found.metadata == {"scene": "flat", "seed": "3"}
+    assert found.damage == []

@@ -17,7 +17,7 @@ from rbtrg_robot.log.picture import TRACK_COLOUR, picture
 
 
 def test_the_way_that_was_driven_is_drawn_on_the_map(tmp_path: Path) -> None:
-    config = load(None, [], scene="flat")
+    config = load(None, ["recorder.profile=full"], scene="flat")
     log = tmp_path / "log.mcap"
     with Lockstep(config, Lockstep.open_log(config, log)) as stack:
         stack.wait_ready()

@@ -31,6 +31,7 @@ ROBOT = {
     "x": 1.0, "y": 2.0, "z": 0.4, "yaw": 0.1, "speed": 0.2, "yaw_rate": 0.3, "pose_age": 0.01, "location": "found",
     "tracker": "tracking", "tracker_hold": "", "tracker_slow": "a slope",
     "goal": {"id": "g1", "state": "moving", "reason": "", "detail": "", "x": 4.0, "y": 0.0, "distance_left": 3.0, "replans": 1, "recoveries": 2},
+    "advice": {"late telemetry": "check the cable"},
     "calibration": "", "lidars": {"main": {"time_offset": 0.0101, "sigma": 0.0002, "applied": 0.0098}},
 }  # fmt: skip
 
@@ -105,6 +106,7 @@ def test_values_are_those_of_status() -> None:
     assert clock["main time_offset [ms]"] == "10.10"
     body = {p.key: p.value for p in entries["rbtrg: robot"].values}
     assert (body["battery"], body["refused: stale"]) == ("0.8", "3")
+    assert body["advice: late telemetry"] == "check the cable"
 
 
 MISSION = {"name": "round", "phase": "paused", "reason": "by hand", "step": 2, "steps": 5, "question": "on?"}
@@ -131,7 +133,7 @@ def test_everything_that_status_knows_of_the_robot_is_told() -> None:
     for key, value in known.items():
         if key in ("goal", "mission"):
             assert set(value) <= keys, key
-        elif key not in (*ELSEWHERE, "lidars", "refused"):
+        elif key not in (*ELSEWHERE, "lidars", "refused", "advice"):
             assert key.removeprefix("tracker_") in keys, key
     words = {entry.name.removeprefix("rbtrg: "): entry.message for entry in told}
     assert words["mission"] == "paused: by hand: on?"

@@ -120,7 +120,7 @@ def test_a_supervisor_that_was_stopped_itself_ends_nobody_for_the_silence(
 
 HANG = {
     "robot": 3.0, "odometry": 3.0, "elevation": 15.0, "planner": 30.0, "navigator": 3.0,
-    "mission": 3.0, "tracker": 3.0, "guard": 3.0, "recorder": 3.0, "console": 5.0,
+    "mission": 3.0, "tracker": 3.0, "guard": 3.0, "recorder": 3.0, "camera": 60.0, "console": 5.0,
 }  # fmt: skip
 """How long each process may be silent [s]."""
 

@@ -20,7 +20,7 @@ STAGES = ("odometry", "elevation", "planner", "guard", "robot")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A drive over the yard with its log."""
     path = tmp_path_factory.mktemp("drive") / "log_0.mcap"
-    config = load(None, ["sim.lidar_step=8"], scene="yard")
+    config = load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="yard")
     with Lockstep(config, Lockstep.open_log(config, path)) as stack:
         stack.wait_ready()
         stack.send_goal(*config.load_scene().goals["a"])
@@ -61,7 +61,7 @@ def _late_in_simulator() -> list[str]:
     from rbtrg_robot.stages.robot import STEP
     from rbtrg_robot.wire.messages import header
 
-    stage = build(load(None, ["sim.lidar_step=8"], scene="yard"))
+    stage = build(load(None, ["recorder.profile=full", "sim.lidar_step=8"], scene="yard"))
     stage.warm_up()
     warm = _compiled()
     host = SyncHost({"robot": (stage, STEP / 1e9)})

@@ -18,6 +18,7 @@ def record(**fields):
     base = {
         "controller": "vmc", "map": "prior", "level": 1, "seed": 0, "outcome": "reached", "tried": False, "driven": 5.0,
         "shortest": 4.0, "time": 10.0, "wall_body": 0, "wall_wheels": 0, "simulated": 20.0, "cpu": 10.0,
+        "raised": [],
     }  # fmt: skip
     return base | fields
 
@@ -33,7 +34,10 @@ def test_the_bound_of_a_rate_is_the_one_of_clopper_and_pearson() -> None:
 
 def test_the_table_counts_by_controller_map_and_level() -> None:
     records = [record(seed=k, level=1 + k % 3) for k in range(9)]
-    records += [record(seed=9, level=2, outcome="fell", wall_body=2), record(level=4, outcome="aborted")]
+    records += [
+        record(seed=9, level=2, outcome="fell", wall_body=2),
+        record(level=4, outcome="aborted", raised=["frozen LiDAR"]),
+    ]
     records += [record(seed=k, level=5, outcome="refused", driven=0.0) for k in range(3)]
     records += [record(seed=3, level=5, outcome="fell", tried=True)]
     records += [record(map="seen", seed=0, level=1, time=25.0)]
@@ -44,6 +48,7 @@ def test_the_table_counts_by_controller_map_and_level() -> None:
     assert not rows["lanes.vmc.prior.1-3.reached"].ok
     assert rows["lanes.vmc.prior.4.reached"].value == 0.0
     assert rows["lanes.vmc.prior.5.refused"].value == 0.75
+    assert rows["lanes.vmc.prior.1-4.false_alarms"].value == pytest.approx(1 / 11)
     assert rows["lanes.vmc.prior.5.tried"].value == 0.25
     assert rows["lanes.vmc.prior.all.falls"].value == pytest.approx(2 / 15)
     assert rows["lanes.vmc.prior.all.falls"].bound == pytest.approx(1 - least_rate(13, 15))

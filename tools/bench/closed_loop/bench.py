@@ -82,9 +82,9 @@ def _options(args: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tools.bench closed_loop", description=__doc__)
     add = parser.add_argument
 
-    def names(known: tuple[str, ...]) -> Any:
+    def names(known: tuple[str, ...], own: bool = False) -> Any:
         def read_names(text: str) -> list[str]:
-            wrong = set(text.split(",")) - set(known)
+            wrong = {name for name in text.split(",") if name not in known and not (own and ":" in name)}
             if wrong:
                 raise argparse.ArgumentTypeError(f"no {', '.join(sorted(wrong))}: use {', '.join(known)}")
             return text.split(",")
@@ -93,7 +93,7 @@ def _options(args: list[str]) -> argparse.Namespace:
 
     add("--out", type=Path, required=True, help="folder of records, tables and pictures")
     add("--scenes", type=names(protocol.SCENES), default=list(protocol.SCENES))
-    add("--methods", type=names(protocol.METHODS), default=["native", "full"])
+    add("--methods", type=names(protocol.METHODS, own=True), default=["native", "full"])
     add("--controller", type=names(CONTROLLERS), default=["policy"])
     add("--colliders", type=names(protocol.COLLIDERS), default=["all"])
     add(

@@ -19,7 +19,7 @@ from hal.types import NS
 from tools.bench.closed_loop import protocol
 from tools.bench.closed_loop.bench import read
 from tools.bench.closed_loop.cases import Case, end_of
-from tools.bench.closed_loop.pictures import COLOURS
+from tools.bench.closed_loop.pictures import colour_of
 from tools.bench.closed_loop.routes import Route, scene_of
 from tools.bench.closed_loop.trial import drive
 from tools.bench.report import Report
@@ -89,7 +89,7 @@ def _map(panel: Any, case: Case, k: int, record: dict[str, Any]) -> None:
     panel.imshow(scene.height, origin="lower", extent=(x0, x1, y0, y1), cmap="Greys")
     for j in (1 - k, k):
         line = np.array(case.routes[j].line)
-        panel.plot(line[:, 0], line[:, 1], color=COLOURS[case.routes[j].method], lw=2.0 if j == k else 0.8)
+        panel.plot(line[:, 0], line[:, 1], color=colour_of(case.routes[j].method), lw=2.0 if j == k else 0.8)
     if record.get("trace"):
         trace = np.array(record["trace"])
         panel.plot(trace[:, 1], trace[:, 2], "k-", lw=0.8)

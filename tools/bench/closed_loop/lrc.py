@@ -78,7 +78,7 @@ def drive(trial: p.Trial, route: Route, policy: str = "", endurance: bool = Fals
 def report(records: Sequence[dict[str, Any]]) -> Report:
     """Rows per method and scene: traverses, falls, interventions, the rate of traverses that were not lost."""
     out = Report("closed_loop")
-    for method in p.METHODS:
+    for method in p.methods_in(records):
         for scene in (*p.SCENES, "all"):
             mine = [r for r in records if r["method"] == method and scene in (r["scene"], "all")]
             if not mine:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
-from tools.bench.closed_loop.protocol import METHODS, SCENES
+from tools.bench.closed_loop.protocol import SCENES, methods_in
 from tools.bench.closed_loop.routes import Route, scene_of
 
 COLOURS = {
@@ -31,6 +32,11 @@ COLOURS = {
 }
 
 
+def colour_of(method: str) -> str:
+    """Of a line or bar; a planner of one's own gets one that depends on its name alone."""
+    return COLOURS.get(method, f"C{zlib.crc32(method.encode()) % 10}")
+
+
 def draw(out: Path, records: Sequence[dict[str, Any]], routes: Sequence[Route]) -> None:
     """One bar chart per controller and collider set, one picture of the routes per scene."""
     for controller, colliders in sorted({(r["controller"], r["colliders"]) for r in records}):
@@ -42,7 +48,7 @@ def draw(out: Path, records: Sequence[dict[str, Any]], routes: Sequence[Route]) 
 
 def bars(file: Path, records: Sequence[dict[str, Any]]) -> None:
     """End-to-end success per scene and method; light: eligible trials."""
-    methods = [m for m in METHODS if any(r["method"] == m for r in records)]
+    methods = methods_in(records)
     scenes = [s for s in SCENES if any(r["scene"] == s for r in records)]
     figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
     width = 0.84 / len(methods)
@@ -51,8 +57,8 @@ def bars(file: Path, records: Sequence[dict[str, Any]]) -> None:
             mine = [r for r in records if r["method"] == method and scene in (r["scene"], "all")]
             at = j + width * (k - 0.5 * (len(methods) - 1))
             share = [100 * np.mean([r[n] for r in mine]) for n in ("eligible", "success")]
-            axes.bar(at, share[0], 0.9 * width, color=COLOURS[method], alpha=0.25)
-            axes.bar(at, share[1], 0.9 * width, color=COLOURS[method], label=method if j == 0 else None)
+            axes.bar(at, share[0], 0.9 * width, color=colour_of(method), alpha=0.25)
+            axes.bar(at, share[1], 0.9 * width, color=colour_of(method), label=method if j == 0 else None)
     axes.set_xticks(range(len(scenes) + 1), [*(s.removeprefix("rescue_") for s in scenes), "all"])
     axes.set(ylabel="trials [%]", ylim=(0, 100), title="Success end to end (light: eligible)")
     figure.legend(loc="outside lower center", ncols=6, fontsize=8)
@@ -76,7 +82,7 @@ def maps(file: Path, name: str, routes: Sequence[Route]) -> None:
         panel.imshow(scene.height, origin="lower", extent=(x0, x1, y0, y1), cmap="Greys")
         for r in (r for r in routes if r.query == query and r.line):
             line = np.array(r.line)
-            panel.plot(line[:, 0], line[:, 1], color=COLOURS[r.method], lw=1.2, label=r.method)
+            panel.plot(line[:, 0], line[:, 1], color=colour_of(r.method), lw=1.2, label=r.method)
         panel.set_title(f"{query}", fontsize=8, loc="left")
         panel.set_axis_off()
     labels = {

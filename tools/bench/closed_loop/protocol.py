@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -104,3 +105,9 @@ def conditions(trial: Trial) -> dict[str, Any]:
     friction = float(rng.uniform(*FRICTION))
     dx, dy, dyaw = (rng.uniform(-1.0, 1.0, 3) * (JITTER[0], JITTER[0], JITTER[1])).tolist()
     return {"friction": friction, "dx": dx, "dy": dy, "dyaw": dyaw}
+
+
+def methods_in(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Methods of the records: the known ones in their order, then planners of one's own."""
+    there = {r["method"] for r in records}
+    return [m for m in METHODS if m in there] + sorted(there - set(METHODS))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +15,8 @@ from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES
 from hal.scenes import Scene, load_scene
 from mapping.grid import ElevationGrid
-from planning.baselines import art, t_hybrid
+from planning.baselines import art
+from planning.baselines.door import planner_of
 from planning.errors import NoRoute
 from planning.graph import GraphParams, TraversalGraph
 from planning.path import PathLimits, make_path, smooth_route
@@ -25,15 +25,15 @@ from planning.risk.table import RiskTable
 from planning.search import DriveRules, Plan, PlanRequest, plan
 from planning.search.endpoints import snapped
 from rbtrg_robot.stage_config import GraphConfig, PlannerConfig
-from tools.bench.closed_loop.protocol import FACE, SHARED, SPEED
+from tools.bench.closed_loop.protocol import BASELINES, FACE, SHARED, SPEED
 from tools.bench.static.study import survey_grid
 
 Array = NDArray[np.float64]
-BASELINES: dict[str, Callable[[ElevationGrid, PlanRequest], Plan]] = {
-    "t_hybrid": t_hybrid.plan,
-    "art": art.plan,
-    "art-unmasked": lambda grid, request: art.plan(grid, request, art.ArtParams(masks=False)),
-}
+
+
+def unmasked(grid: ElevationGrid, request: PlanRequest) -> Plan:
+    """ART without the masks of its learnt cost."""
+    return art.plan(grid, request, art.ArtParams(masks=False))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +103,10 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     for method in methods:
         variant: Any = method if method in SHARED else "full"
         try:
-            if method in BASELINES:
+            if method in BASELINES or ":" in method:
                 a, b = ((float(x), float(y)) for x, y in graph.nodes[list(ends), :2])
-                found = BASELINES[method](grid, PlanRequest(a, b))
+                planner = unmasked if method == "art-unmasked" else planner_of(method)
+                found = planner(grid, PlanRequest(a, b))
             else:
                 found = plan(graph, grid, PlanRequest(*ends, variant=variant), body, table)
         except NoRoute as none:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tools.bench.closed_loop.protocol import METHODS, SCENES
+from tools.bench.closed_loop.protocol import SCENES, methods_in
 from tools.bench.closed_loop.statistics import Difference, difference, end_to_end, interval
 from tools.bench.report import Report, least_rate
 
@@ -247,5 +247,4 @@ def _settings(records: Sequence[Record]) -> dict[str, list[Record]]:
 
 
 def _methods(records: Sequence[Record]) -> list[str]:
-    there = {r["method"] for r in records}
-    return [m for m in METHODS if m in there]
+    return methods_in(records)

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import math
 import threading
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
+from hal.camera import CameraConfig, CameraFrame
 from mapping.elevation.exchange import MapPatch
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.console.server import Serving, serving
+from rbtrg_robot.hosts.camera import image_msg, info_msg
 from rbtrg_robot.latch import number
 from rbtrg_robot.process.runfiles import console_address
 from rbtrg_robot.stages.mission.executor import MissionStage
@@ -77,7 +82,7 @@ class Robot:
         self.bus.subscribe(
             [
                 *(t.ROBOT_STOP, t.ROBOT_COMMAND, t.GOAL_REQUEST, t.MAP_REQUEST, t.TELEOP, t.ROUTE_QUESTION),
-                *(t.MISSION_REQUEST, t.PRESENCE, t.INITIAL_POSE, t.MAP_PRIOR),
+                *(t.MISSION_REQUEST, t.PRESENCE, t.INITIAL_POSE, t.MAP_PRIOR, t.CAMERA_REQUEST),
             ]
         )
         self.bus.serve("status", lambda _: b"{}")
@@ -90,8 +95,12 @@ class Robot:
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._run)
         told = (t.ODOM, t.ROBOT_STATE, t.GOAL_STATUS, t.TF_STATIC, t.MAP_FULL, t.MAP_PARTS, t.MAP_STATUS)
-        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE):
+        for topic in (*told, t.MISSION_ORDER, t.MISSION_STATE, t.CAMERA, t.CAMERA_INFO):
             self.bus.advertise(topic)
+        camera = CameraConfig().mounted()
+        assert camera is not None
+        self._camera = camera
+        self.bus.publish(t.CAMERA_INFO, info_msg(camera, 1), 1)
         self._thread.start()
 
     def reset(self) -> None:
@@ -115,6 +124,8 @@ class Robot:
             """Signs of an operator."""
             self.mission = MissionStage()
             self.prior = ""
+            self.filmed = 0
+            """Requests for pictures."""
             self.alike: list[float] = []
             """Places in a loaded map that look alike: x, y [m], heading [rad] of each."""
             self._offset(msg.Pose())
@@ -199,6 +210,8 @@ class Robot:
             self.present += 1
         elif topic is t.ROUTE_QUESTION:
             self._answer(message)
+        elif topic is t.CAMERA_REQUEST:
+            self.filmed += 1
 
     def _answer(self, message: Any) -> None:
         self.bus.publish(t.ROUTE_REPORT, report(message), 1)
@@ -223,6 +236,8 @@ class Robot:
             self.bus.publish(t.CLOUD, cloud_msg(stamp, "base_link", POINTS), stamp)
         if self._busy and self._turns % 5 == 0:
             self.bus.publish(t.MAP_UPDATE, patch_msg(ground()), stamp)
+        if self.filmed and self._turns % 4 == 0:
+            self.bus.publish(t.CAMERA, image_msg(self._camera, CameraFrame(stamp, _grey())), stamp)
         self.said = time.time()
         state = msg.RobotState(
             header=header(stamp, "base_link"),
@@ -264,6 +279,14 @@ class Robot:
         for topic, message in ((t.ROBOT_STATE, state), (t.GOAL_STATUS, told)):
             self._do(self.mission.on(topic, message))
         self._do(self.mission.tick(stamp))
+
+
+@cache
+def _grey() -> bytes:
+    """A grey picture of the camera's size."""
+    camera, out = CameraConfig(), io.BytesIO()
+    Image.new("RGB", (camera.width, camera.height), (90, 90, 90)).save(out, "JPEG")
+    return out.getvalue()
 
 
 _angle = np.linspace(-math.pi, math.pi, 720)

@@ -48,6 +48,9 @@ def table(records: Iterable[Record]) -> Report:
         below = [r for r in mine if r["level"] <= 3]
         if below:
             _reached(report, f"{key}.1-3", below, easy)
+        drivable = [r for r in mine if r["level"] <= 4]
+        alarms = sum(bool(r["raised"]) for r in drivable)
+        report.rate(f"{key}.1-4.false_alarms", alarms, len(drivable), 0.0, at_least=False)
         fell = sum(r["outcome"] == "fell" for r in mine)
         report.rate(f"{key}.all.falls", fell, len(mine), FALLS[controller], at_least=False)
         got = [r for r in mine if r["outcome"] == "reached"]

@@ -19,6 +19,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep, LockstepTimeout
 from rbtrg_robot.stages.navigation.goal import GoalState
+from tools.bench.raised import Raised
 
 HALF_WIDTH = 0.215
 """Of the body [m]."""
@@ -96,7 +97,7 @@ def drive(trial: Trial) -> dict[str, Any]:
             )
         config = load(
             None,
-            trial.sets,
+            ("recorder.profile=full", *trial.sets),  # for pictures
             scene=trial.scene,
             seed=trial.seed,
             controller=trial.controller,
@@ -107,11 +108,20 @@ def drive(trial: Trial) -> dict[str, Any]:
         began = time.process_time()
         with Lockstep(config, log) as stack:
             watch = Watch(lane, stack.robot.backend.simulation)  # type: ignore[attr-defined]
+            heard = Raised(stack)
             result = _run(stack, watch, goal, timeout=40.0 + 15.0 * least)
             seconds = stack.seconds
     described = {"layout": lane.layout, "made_of": lane.map, "elements": lane.elements, "shortest": least}
     cost = {"cpu": time.process_time() - began, "simulated": seconds}
-    return {"key": trial.key, **asdict(trial), **described, **result, **watch.record(), **cost}
+    return {
+        "key": trial.key,
+        **asdict(trial),
+        **described,
+        **result,
+        **watch.record(),
+        **cost,
+        "raised": heard.monitors,
+    }
 
 
 def _run(

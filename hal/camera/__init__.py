@@ -1,0 +1,6 @@
+"""Cameras: what one is, how its picture falls, and who gives frames."""
+
+from hal.camera.camera import CameraError, CameraFrame, CameraSource, MountedCamera
+from hal.camera.config import CameraConfig
+
+__all__ = ["CameraConfig", "CameraError", "CameraFrame", "CameraSource", "MountedCamera"]

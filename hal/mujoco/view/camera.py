@@ -1,0 +1,89 @@
+"""The simulated robot's camera: rendered off-screen from the true pose, in a process beside the physics.
+
+Software rendering (no GPU) of 320 x 240 takes some 40 ms of a core, so whoever wants frames asks for them.
+"""
+
+from __future__ import annotations
+
+import io
+import time
+
+import mujoco
+import numpy as np
+from PIL import Image
+
+from hal import go2w
+from hal.camera import CameraError, CameraFrame, MountedCamera
+from hal.mujoco.config import Obstacle
+from hal.mujoco.model import build
+from hal.mujoco.view.render import Canvas, RenderError
+from hal.scenes import Scene
+from hal.types import NS, Array
+
+QUALITY = 75
+"""Of the JPEG [0..95]: 9 kB at 320 x 240."""
+NEAR_CLIP = 0.02
+"""[m] What is nearer than this to the lens, such as the head that it sits in, is not drawn."""
+
+
+class RenderedCamera:
+    """`hal.camera.CameraSource` on a scene. `follow` tells it where the robot is."""
+
+    def __init__(
+        self, camera: MountedCamera, scene: Scene, obstacles: tuple[Obstacle, ...] = (), start_time: int = 0
+    ) -> None:
+        """`start_time`: source clock [ns] from which the obstacles' times count."""
+        self.camera = camera
+        self._scene, self._obstacles, self._start = scene, obstacles, start_time
+        self._joints: Array = go2w.STAND
+        self._pose: tuple[int, Array, Array] | None = None
+        self._drawn = -1
+        self._canvas: Canvas | None = None
+        self.cost = 0.0
+        """Time of a core that the last frame took [s]."""
+
+    def joints(self, position: Array) -> None:
+        """(16,) [rad], SDK order."""
+        self._joints = position
+
+    def follow(self, stamp: int, position: Array, orientation: Array) -> None:
+        """True pose at `stamp` [ns]: position (3,) [m], orientation x, y, z, w."""
+        self._pose = stamp, position, orientation
+
+    def open(self) -> str:
+        """Take an OpenGL context; says which. Raises CameraError."""
+        scene = self._scene
+        sizes = [obstacle.size for obstacle in self._obstacles]
+        model = build(scene.height, scene.resolution, scene.origin, boxes=sizes, camera=self.camera)
+        model.vis.map.znear = NEAR_CLIP / model.stat.extent
+        # Buffers for large pictures, soft edges and shadows take 300 MB, and most of the time.
+        model.vis.global_.offwidth, model.vis.global_.offheight = self.camera.width, self.camera.height
+        model.vis.quality.offsamples = model.vis.quality.shadowsize = 0
+        canvas = Canvas(model, self.camera.width, self.camera.height, shadows=False)
+        try:
+            self._canvas = canvas.__enter__()
+        except RenderError as error:
+            raise CameraError(str(error)) from error
+        canvas.camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        canvas.camera.fixedcamid = model.camera(self.camera.name).id
+        return f"drawn with {canvas.renderer}, {self.camera.width} x {self.camera.height}"
+
+    def frame(self, now: int) -> CameraFrame | None:
+        """What the camera sees from the newest pose."""
+        if self._canvas is None or self._pose is None or self._pose[0] == self._drawn:
+            return None
+        began = time.thread_time()
+        stamp, position, orientation = self._pose
+        x, y, z, w = orientation
+        pose = np.concatenate([position, [w, x, y, z], self._joints]).astype(np.float32)
+        self._canvas.place(pose, self._obstacles, (stamp - self._start) / NS)
+        picture = io.BytesIO()
+        Image.fromarray(self._canvas.draw()).save(picture, "JPEG", quality=QUALITY)
+        self._drawn, self.cost = stamp, time.thread_time() - began
+        return CameraFrame(stamp, picture.getvalue())
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+        if self._canvas is not None:
+            self._canvas.__exit__()
+            self._canvas = None

@@ -1,0 +1,172 @@
+"""`plan`."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from rbtrg_robot.terminal import say, say_json
+
+if TYPE_CHECKING:
+    from rbtrg_robot.hosts.plan import MapPlanner, Route
+
+REACHED, REJECTED, ABORTED = 0, 2, 3
+"""As `goal`: there is a route; start or goal cannot be asked for; there is none to the goal."""
+Place = tuple[float, float]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(plan)
+
+
+def plan(
+    map_: Annotated[
+        str, typer.Argument(metavar="MAP", help="A scene, or any file that --scene or --map reads.")
+    ],
+    start: Annotated[
+        str, typer.Argument(help="X,Y or X,Y,DEG in metres, or `start` of the scene.")
+    ] = "start",
+    goal: Annotated[str, typer.Argument(help="X,Y, or the name of a goal of the scene.")] = "",
+    yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
+    variant: Annotated[str | None, typer.Option(help="native, edge-only, mean-only, full, refined.")] = None,
+    method: Annotated[
+        str | None, typer.Option(help="rb_trg, t_hybrid, art, an installed planner, or module:function.")
+    ] = None,
+    pairs: Annotated[
+        Path | None, typer.Option(help="FILE with a line `X Y GOALX GOALY [GOALDEG]` per question.")
+    ] = None,
+    png: Annotated[Path | None, typer.Option(help="Picture: the route over the risk.")] = None,
+    geojson: Annotated[Path | None, typer.Option(help="The routes as lines in metres.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable, with the path.")] = False,
+    config: Annotated[Path | None, typer.Option(help="YAML over the defaults.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", help="a.b=c.")] = None,
+) -> None:
+    """Plan on a map, without a robot. Exit status 0: there is a route; 2: rejected; 3: there is none."""
+    from rbtrg_robot.config import ConfigError, load
+    from rbtrg_robot.hosts.plan import MapPlanner
+
+    sets = [*(set_ or [])]
+    sets += [f"planner.variant={variant}"] if variant else []
+    sets += [f"planner.method={method}"] if method else []
+    planner = MapPlanner(map_, load(config, sets))
+    if pairs is not None:
+        if goal or start != "start":
+            raise ConfigError("--pairs brings its own starts and goals: leave START and GOAL out")
+        questions = _read(pairs)
+    elif not goal:
+        raise ConfigError(f"say a goal: X,Y{' or ' + ', '.join(planner.goals) if planner.goals else ''}")
+    else:
+        questions = [_question(planner, start, goal, yaw)]
+    if png is not None and len(questions) > 1:
+        raise ConfigError("--png draws one route: ask one question")
+    routes: list[Route] = []
+    for place, at, end, end_yaw in questions:
+        route = planner.plan(place, end, at, end_yaw)
+        routes.append(route)
+        if not as_json:
+            lead = f"({place[0]:g}, {place[1]:g}) -> ({end[0]:g}, {end[1]:g}): " if pairs else ""
+            say(lead + route.words)
+        if png is not None:
+            planner.picture(route, end, png)
+            say(f"picture -> {png}", error=as_json)
+    if geojson is not None:
+        geojson.write_text(json.dumps(_features(routes)))
+    if as_json:
+        rows = [dataclasses.asdict(route) for route in routes]
+        say_json(rows if pairs else rows[0])
+    elif pairs:
+        say(f"{sum(r.ok and r.reaches_goal for r in routes)} of {len(routes)} reach their goal")
+    worst = max((_status(route) for route in routes), default=REACHED)
+    if worst:
+        raise typer.Exit(worst)
+
+
+def _status(route: Route) -> int:
+    if route.ok:
+        return REACHED if route.reaches_goal else ABORTED
+    return REJECTED if route.reason in ("invalid", "goal_in_obstacle", "start_not_on_graph") else ABORTED
+
+
+def _question(
+    planner: MapPlanner, start: str, goal: str, yaw: float | None
+) -> tuple[Place, float, Place, float | None]:
+    from rbtrg_robot.config import ConfigError
+
+    at: float | None
+    if start == "start":
+        x, y, heading = planner.start
+    else:
+        x, y, *more = _numbers(start, (2, 3), "START")
+        heading = math.radians(more[0]) if more else 0.0
+    if goal in planner.goals:
+        gx, gy, at = planner.goals[goal]
+    elif "," in goal:
+        gx, gy = _numbers(goal, (2,), "GOAL")
+        at = None
+    else:
+        known = f"goals here are {', '.join(planner.goals)}" if planner.goals else "this map names none"
+        raise ConfigError(f"GOAL is X,Y or a name; {known}, got {goal!r}")
+    return (x, y), heading, (gx, gy), at if yaw is None else math.radians(yaw)
+
+
+def _numbers(text: str, counts: tuple[int, ...], what: str) -> list[float]:
+    from rbtrg_robot.config import ConfigError
+
+    try:
+        values = [float(part) for part in text.replace(",", " ").split()]
+    except ValueError:
+        values = []
+    if len(values) not in counts or not all(map(math.isfinite, values)):
+        raise ConfigError(
+            f"{what} is {'X,Y' if counts == (2,) else 'X,Y or X,Y,DEG'} in metres, got {text!r}"
+        )
+    return values
+
+
+def _read(path: Path) -> list[tuple[Place, float, Place, float | None]]:
+    from hal.regular import open_regular
+    from rbtrg_robot.config import ConfigError
+
+    try:
+        with open_regular(path) as file:
+            lines = file.read(10_000_000).decode(errors="replace").splitlines()
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+    out: list[tuple[Place, float, Place, float | None]] = []
+    for number, line in enumerate(lines, 1):
+        text = line.split("#")[0].strip()
+        if text:
+            x, y, gx, gy, *more = _numbers(text, (4, 5), f"line {number} of {path}")
+            out.append(
+                ((x, y), math.atan2(gy - y, gx - x), (gx, gy), math.radians(more[0]) if more else None)
+            )
+    if not out:
+        raise ConfigError(f"{path} holds no line `X Y GOALX GOALY`")
+    return out
+
+
+def _features(routes: list[Route]) -> dict[str, Any]:
+    """Lines in the frame of the map, metres: for programs that draw them, not for places on earth."""
+    return {
+        "type": "FeatureCollection",
+        "features": [
+            {
+                "type": "Feature",
+                "geometry": {"type": "LineString", "coordinates": [[x, y, z] for x, y, z, _ in route.path]},
+                "properties": {
+                    key: value
+                    for key, value in dataclasses.asdict(route).items()
+                    if key not in ("path", "worst")
+                }
+                | {f"worst_{key}": value for key, value in route.worst.items()},
+            }
+            for route in routes
+            if route.ok
+        ],
+    }

@@ -1,0 +1,250 @@
+"""Plans on a map without a robot: the stack's own planner on any file that `--map` or `--scene` reads."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.scenes import SceneError, load_scene, scene_names
+from hal.scenes.picture import GREEN, RED, WHITE, TopView
+from mapping.elevation.exchange import MapError
+from mapping.elevation.map import ElevationMap
+from planning.errors import NoRoute, PlanningError
+from planning.path import Path as Path_
+from planning.path import PathLimits
+from planning.risk.body import BodyModel
+from planning.risk.table import RiskTable
+from planning.search.worst import worst_poses
+from rbtrg_robot import msg
+from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.navigation.reasons import Reason
+from rbtrg_robot.stages.planner import limits_of
+from rbtrg_robot.stages.route_report import REASONS, duration
+from rbtrg_robot.stages.way import Way, WaySearch
+
+FEATURES = {
+    "d_fb": "pitch from front to back",
+    "a_lr": "roll from left to right",
+    "p_int": "ground that comes near the body",
+}
+UNITS = {"d_fb": "m", "a_lr": "deg", "p_int": "m"}
+PATH_COLOUR, BEST, WORST = (255, 170, 40), (80, 200, 120), (235, 60, 60)
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """The answer to one question; lengths in metres, angles in degrees."""
+
+    ok: bool
+    reason: str = ""
+    """Empty for a route to the goal; else as a goal's: no_route, start_off_graph ..."""
+    detail: str = ""
+    reaches_goal: bool = False
+    length: float = 0.0
+    duration: float = 0.0
+    """[s] at the path's own speeds."""
+    cost: float = 0.0
+    worst: dict[str, Any] = field(default_factory=dict)
+    """Where the body is worst off: x, y, yaw, body (risk), and why."""
+    path: list[tuple[float, float, float, float]] = field(default_factory=list, repr=False)
+    """x, y, z, yaw [rad] every 0.1 m."""
+
+    @property
+    def words(self) -> str:
+        """One line for people."""
+        if not self.ok:
+            return f"no route ({self.reason}): {self.detail}"
+        end = "" if self.reaches_goal else ", to a frontier: the goal is not on known ground"
+        worst = self.worst
+        why = (
+            f"; worst at ({worst['x']:.2f}, {worst['y']:.2f}): {worst['why']}, risk {worst['body']:.2f}"
+            if worst
+            else ""
+        )
+        return f"{self.length:.2f} m, {self.duration:.0f} s{end}{why}"
+
+
+class MapPlanner:
+    """One map, many questions."""
+
+    def __init__(self, file: str, config: StackConfig) -> None:
+        """Read `file`: a built-in scene, a scene file or a saved map. Raises ConfigError, SceneError, MapError."""
+        self.config = config
+        self._body: BodyModel = config.body
+        self._limits: PathLimits = limits_of(config)
+        elevation = ElevationMap(config.elevation)
+        self.start, self.goals = _load(file, config, elevation)
+        self._patches = [elevation.read(box) for box in elevation.boxes()]
+        if not self._patches:
+            raise ConfigError(f"{file} holds no ground to plan on")
+        self._terrain: MapGraph | None = None
+        low = np.min([patch.origin for patch in self._patches], axis=0)
+        high = np.max(
+            [
+                np.add(p.origin, np.multiply(p.layers["elevation"].shape[::-1], p.resolution))
+                for p in self._patches
+            ],
+            axis=0,
+        )
+        self.extent: tuple[float, float, float, float] = (*map(float, low), *map(float, high))  # type: ignore[assignment]
+        """x, y of the lowest and of the highest corner [m]."""
+
+    def plan(
+        self,
+        start: tuple[float, float],
+        goal: tuple[float, float],
+        start_yaw: float = 0.0,
+        goal_yaw: float | None = None,
+    ) -> Route:
+        """A route; yaw in radians. It depends on start and goal alone, not on what was asked before."""
+        x0, y0, x1, y1 = self.extent
+        for name, (x, y), why in (("start", start, Reason.START_OFF_GRAPH), ("goal", goal, Reason.INVALID)):
+            if not (x0 <= x <= x1 and y0 <= y <= y1):
+                reach = f"({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+                return Route(
+                    False,
+                    why.value,
+                    f"the {name} ({x:g}, {y:g}) lies outside the map, which reaches from {reach}",
+                )
+        terrain = MapGraph(self.config.graph_params(), self._body, self.config.seed)
+        for patch in self._patches:
+            terrain.apply(patch)
+        terrain.sync(start)
+        self._terrain = terrain
+        asked = msg.PlanRequest(
+            goal_id="plan",
+            start_x=float(start[0]),
+            start_y=float(start[1]),
+            start_yaw=float(start_yaw),
+            goal_x=float(goal[0]),
+            goal_y=float(goal[1]),
+            has_goal_yaw=goal_yaw is not None,
+            goal_yaw=0.0 if goal_yaw is None else float(goal_yaw),
+        )
+        ways = WaySearch(self.config.planner, self._body, self._limits)
+        try:
+            way = ways.find(terrain, asked, None, 0)
+        except PlanningError as error:
+            reason = REASONS[error.reason] if isinstance(error, NoRoute) else Reason.INVALID
+            return Route(False, reason.value, str(error))
+        return self._route(way, terrain)
+
+    def _route(self, way: Way, terrain: MapGraph) -> Route:
+        found, path = way.plan, way.path
+        rows = [*range(0, len(path.points), 5)]
+        if rows and rows[-1] != len(path.points) - 1:
+            rows.append(len(path.points) - 1)
+        return Route(
+            ok=True,
+            reason="" if found.reaches_goal else "frontier",
+            reaches_goal=found.reaches_goal,
+            length=float(found.length),
+            duration=duration(path),
+            cost=float(found.cost),
+            worst=_worst(way, terrain),
+            path=[_pose(path, k) for k in rows],
+        )
+
+    def picture(self, route: Route, goal: tuple[float, float], out: Path) -> None:
+        """The route over the risk of the ground: edges of the graph from green to red, the path, the worst place. Raises OSError."""
+        assert self._terrain is not None
+        grid = self._terrain.grid
+        if grid is None:
+            raise ConfigError("there is no ground at the start: nothing to draw")
+        r, c = (np.flatnonzero(grid.trusted.any(axis=axis)) for axis in (1, 0))
+        seen = slice(r[0], r[-1] + 1), slice(c[0], c[-1] + 1)
+        corner = grid.origin[0] + c[0] * grid.resolution, grid.origin[1] + r[0] * grid.resolution
+        height = np.where(np.isfinite(grid.height), grid.height, np.nanmin(grid.height))
+        view = TopView(height[seen], grid.trusted[seen], corner, grid.resolution)
+        graph = self._terrain.graph
+        if graph is not None:
+            source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+            once = source < graph.indices
+            top = max(float(np.quantile(graph.risk[once], 0.98)), 1e-6) if once.any() else 1.0
+            for a, b, risk in zip(source[once], graph.indices[once], graph.risk[once], strict=True):
+                share = min(float(risk) / top, 1.0)
+                colour = tuple(round(g + share * (w - g)) for g, w in zip(BEST, WORST, strict=True))
+                view.line([tuple(graph.nodes[a, :2]), tuple(graph.nodes[b, :2])], colour)  # type: ignore[arg-type]
+        if route.path:
+            view.line([(x, y) for x, y, *_ in route.path], PATH_COLOUR, 4)
+            x, y, _, yaw = route.path[0]
+            view.arrow(x, y, yaw, 0.4, GREEN)
+        if route.worst:
+            view.disc(route.worst["x"], route.worst["y"], RED, 6)
+            view.label(route.worst["x"], route.worst["y"], "worst")
+        view.disc(*goal, WHITE, 5)
+        view.save(out)
+
+
+def _pose(path: Path_, k: int) -> tuple[float, float, float, float]:
+    x, y, z = map(float, path.points[k])
+    return x, y, z, float(path.yaw[k])
+
+
+def _worst(way: Way, terrain: MapGraph) -> dict[str, Any]:
+    """The transition with the largest body risk, and the feature that made it so."""
+    found = way.plan
+    if not found.transitions:
+        return {}
+    k = int(np.argmax([x.body for x in found.transitions]))
+    one = found.transitions[k]
+    grid, graph = terrain.ground(), terrain.graph
+    assert graph is not None
+    table = (
+        terrain.table
+        if terrain.table is not None and terrain.table.grid is grid
+        else RiskTable(graph, grid, terrain.body, None)
+    )
+    poses, _ = worst_poses(found, table.sampler, table.body)
+    peak = {name: max((p.get(name, 0.0) for p in one.peak.values()), default=0.0) for name in FEATURES}
+    tail = {name: max((p.get(name, 0.0) for p in one.tail.values()), default=0.0) for name in FEATURES}
+    name = max(tail, key=lambda n: tail[n])
+    why = (
+        f"{FEATURES[name]} {peak[name]:.2g} {UNITS[name]}"
+        if peak[name] > 0
+        else "unknown ground"
+        if one.unknown > 0
+        else "nothing to speak of"
+    )
+    x, y, yaw = map(float, poses[k])
+    return {
+        "x": x,
+        "y": y,
+        "yaw": math.degrees(yaw),
+        "body": float(one.body),
+        "unknown": float(one.unknown),
+        "why": why,
+        **peak,
+    }
+
+
+def _load(
+    file: str, config: StackConfig, elevation: ElevationMap
+) -> tuple[tuple[float, float, float], dict[str, tuple[float, float, float | None]]]:
+    """Start and named goals of what is read into `elevation`."""
+    if Path(file).suffix.lower() == ".npz" and Path(file).is_file():
+        try:
+            elevation.load_prior(Path(file))
+            return (0.0, 0.0, 0.0), {}
+        except MapError as wrong:
+            raise ConfigError(str(wrong)) from wrong
+    try:
+        scene = load_scene(file, **config.scene_options)
+    except SceneError as error:
+        if not Path(file).suffix and not Path(file).exists():
+            raise ConfigError(
+                f"{file} is neither a file nor a scene; scenes are {', '.join(scene_names())}"
+            ) from error
+        raise
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Path(folder) / "scene.npz"
+        height = scene.survey if scene.survey is not None else scene.height
+        np.savez(grid, height=height, resolution=scene.resolution, origin=scene.origin)
+        elevation.load_prior(grid)
+    return scene.start, dict(scene.goals)

@@ -1,0 +1,120 @@
+"""The camera process: frames while somebody looks, few otherwise, and never a reason to end."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from hal.camera import CameraError, CameraFrame
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts import camera as module
+from rbtrg_robot.hosts.camera import RETRY, Demand, Desk, image_msg, info_msg
+from rbtrg_robot.log.moments import AROUND, Moments, Thinned
+from rbtrg_robot.wire.messages import decode, encode, stamp_of
+
+
+def frames(demand: Demand, begin: float, end: float) -> int:
+    """Frames that come due from `begin` to `end` [s]."""
+    return sum(demand.due(begin + k / 100.0) for k in range(round(100 * (end - begin))))
+
+
+def test_nothing_is_drawn_while_nobody_looks_and_nothing_records() -> None:
+    assert frames(Demand(5.0, recorded=False), 0.0, 10.0) == 0
+
+
+def test_once_a_second_for_the_log_and_at_its_rate_while_somebody_looks() -> None:
+    demand = Demand(5.0, recorded=True)
+    assert frames(demand, 0.0, 10.0) == 10
+    demand.looked_at(10.0)
+    assert frames(demand, 10.0, 12.0) == pytest.approx(10, abs=1)
+    assert frames(demand, 12.0, 22.0) == pytest.approx(10, abs=1)
+
+
+@pytest.mark.parametrize(("cost", "count"), [(0.02, 50), (0.06, 0), (math.inf, 0)])
+def test_frames_that_cost_little_come_all_the_time(cost: float, count: int) -> None:
+    assert frames(Demand(5.0, recorded=False, always=None, cost=cost), 0.0, 10.0) == pytest.approx(
+        count, abs=1
+    )
+
+
+class Source:
+    """A camera that fails until it is told otherwise."""
+
+    cost = 0.5
+
+    def __init__(self) -> None:
+        self.broken = True
+        self.opened = self.closed = 0
+
+    def open(self) -> str:
+        self.opened += 1
+        return "made up"
+
+    def frame(self, now: int) -> CameraFrame:
+        if self.broken:
+            raise CameraError("no light: switch it on")
+        return CameraFrame(now, b"\xff\xd8picture")
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_a_camera_that_fails_is_told_and_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = Source()
+    monkeypatch.setattr(module, "source_of", lambda *_: source)
+    config = load(None, [], scene="flat", record=False)
+    camera = config.camera.mounted()
+    assert camera is not None
+    desk = Desk(config, camera)
+    assert desk.frame(0.0, 0) is None, "nobody looks"
+    assert not source.opened, "nothing is loaded before"
+    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 1.0)
+    assert desk.frame(1.0, 5) is None
+    assert desk.trouble == "no light: switch it on"
+    assert source.closed == 1
+    source.broken = False
+    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 2.0)
+    assert desk.frame(2.0, 6) is None, "not so soon"
+    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 1.0 + RETRY)
+    frame = desk.frame(1.1 + RETRY, 7)
+    assert frame is not None
+    assert desk.trouble == ""
+    image = decode(encode(image_msg(camera, frame)), msg.CompressedImage)
+    assert (image.format, image.data.tobytes(), stamp_of(image)) == ("jpeg", b"\xff\xd8picture", 7)
+    info = decode(encode(info_msg(camera, 3)), msg.CameraInfo)
+    assert info.k.reshape(3, 3).tolist() == camera.matrix.tolist()
+    assert info.header.frame_id == image.header.frame_id == "camera_front"
+
+
+def state(**fields: Any) -> msg.RobotState:
+    return msg.RobotState(phase="ready", **fields)
+
+
+def test_stops_falls_and_refusals_are_moments_once() -> None:
+    moments = Moments()
+    assert not moments.begins(t.ROBOT_STATE, state())
+    assert moments.begins(t.ROBOT_STATE, state(estop=True))
+    assert not moments.begins(t.ROBOT_STATE, state(estop=True))
+    assert not moments.begins(t.ROBOT_STATE, state())
+    assert moments.begins(t.ROBOT_STATE, msg.RobotState(phase="fault"))
+    assert moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="a", state="rejected"))
+    assert not moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="a", state="rejected"))
+    assert moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="b", state="aborted"))
+    assert not moments.begins(t.GOAL_STATUS, msg.GoalStatus(id="c", state="reached"))
+
+
+def test_what_is_thinned_is_whole_around_a_moment() -> None:
+    thinned = Thinned(1.0)
+    written = [k for k in range(100) for _ in thinned.take(k, 0.2 * k)]
+    assert written == pytest.approx(list(range(0, 100, 5)), abs=1)
+    before = thinned.moment(20.0)
+    assert before == [k for k in range(76, 100) if k not in written], (
+        "those of the last 5 s that were left out"
+    )
+    after = [k for k in range(100, 150) if thinned.take(k, 0.2 * k)]
+    assert after[:25] == list(range(100, 125)), f"all of them for {AROUND} s"
+    assert len(after[25:]) <= 6

@@ -1,0 +1,95 @@
+"""Plans on a map without a robot."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from PIL import Image
+from typer.testing import CliRunner
+
+from rbtrg_robot.cli import plan as plan_command
+from rbtrg_robot.config import ConfigError, load
+from rbtrg_robot.hosts.plan import MapPlanner
+
+
+@pytest.fixture(scope="module")
+def wall(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """8 x 6 m of level ground; a wall from the lower edge up leaves a gap of 2 m at the top."""
+    height = np.zeros((150, 200), np.float32)
+    height[:100, 98:102] = 1.0
+    path = tmp_path_factory.mktemp("maps") / "wall.npz"
+    np.savez(path, height=height, resolution=0.04, origin=(0.0, 0.0))
+    return path
+
+
+@pytest.fixture(scope="module")
+def planner(wall: Path) -> MapPlanner:
+    return MapPlanner(str(wall), load())
+
+
+def run(*words: str) -> tuple[int, str]:
+    app = typer.Typer()
+    plan_command.register(app)
+    result = CliRunner().invoke(app, list(words), catch_exceptions=False)
+    return result.exit_code, result.output
+
+
+def test_a_route_goes_around_the_wall_and_depends_on_its_question_alone(planner: MapPlanner) -> None:
+    first = planner.plan((2.0, 2.0), (6.0, 2.0))
+    planner.plan((6.0, 5.0), (2.0, 1.0))
+    again = planner.plan((2.0, 2.0), (6.0, 2.0))
+    assert first == again
+    assert first.ok
+    assert first.reaches_goal
+    assert max(y for _, y, *_ in first.path) > 4.0
+    assert 6.0 < first.length < 9.0
+    assert math.dist(first.path[-1][:2], (6.0, 2.0)) < 0.1
+
+
+def test_what_cannot_be_planned_is_told_with_its_reason(planner: MapPlanner) -> None:
+    off = planner.plan((2.0, 2.0), (60.0, 2.0))
+    assert not off.ok
+    assert "outside the map, which reaches from (" in off.detail
+    blocked = planner.plan((2.0, 2.0), (4.0, 1.0))
+    assert (blocked.ok, blocked.reason) == (False, "goal_in_obstacle")
+
+
+def test_the_picture_shows_route_and_risk(planner: MapPlanner, tmp_path: Path) -> None:
+    route = planner.plan((2.0, 2.0), (6.0, 2.0))
+    planner.picture(route, (6.0, 2.0), tmp_path / "plan.png")
+    pixels = np.asarray(Image.open(tmp_path / "plan.png").convert("RGB"), int)
+    assert (np.abs(pixels - (255, 170, 40)).sum(axis=2) < 40).sum() > 200
+    assert (np.abs(pixels - (80, 200, 120)).sum(axis=2) < 40).sum() > 200
+
+
+def test_the_command_answers_for_people_and_for_programs(wall: Path, tmp_path: Path) -> None:
+    code, out = run(str(wall), "2,2", "6,2", "--json", "--geojson", str(tmp_path / "r.geojson"))
+    assert code == 0
+    told = json.loads(out)
+    assert told["reaches_goal"]
+    line = json.loads((tmp_path / "r.geojson").read_text())["features"][0]
+    assert len(line["geometry"]["coordinates"]) == len(told["path"])
+    (tmp_path / "pairs.txt").write_text("# two\n2 2 6 2\n2 2 4 1\n")
+    code, out = run(str(wall), "--pairs", str(tmp_path / "pairs.txt"))
+    assert code == 3 or code == 2
+    assert "1 of 2 reach their goal" in out
+    assert run(str(wall), "2,2", "40,2")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("moon", "0,0", "1,1"), "neither a file nor a scene"),
+        (("flat", "start", "nowhere"), "goals here are"),
+        (("flat", "a,b", "1,1"), "START is"),
+        (("flat",), "say a goal"),
+    ],
+)
+def test_a_question_that_makes_no_sense_is_refused(words: tuple[str, ...], told: str) -> None:
+    with pytest.raises(ConfigError, match=told):
+        run(*words)

@@ -1,0 +1,60 @@
+"""The bench of faults judges by the truth: a stack that is told to drive on is not at rest, and one that dies is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from tools.bench.faults.bench import all_faults
+from tools.bench.faults.fault import Fault, Outcome
+from tools.bench.faults.watch import Watch, by_hand
+
+
+def test_a_robot_that_drives_on_is_not_at_rest_and_one_whose_guard_died_is() -> None:
+    stack = Lockstep(load(None, ["sim.lidar_step=8"], scene="flat"))
+    with Watch(_ready(stack)) as watch:
+        by_hand(stack, 0.4, 0.0, 1.5)
+        driving = watch.outcome()
+        assert math.isinf(driving.rest)
+        assert 0.3 < driving.moved < 0.7
+        assert driving.error < 0.05
+        stopped = Watch(stack)
+        stack.kill("guard")
+        by_hand(stack, 0.4, 0.0, 1.2)
+        outcome = stopped.outcome()
+        assert 0.05 < outcome.rest < 0.4
+        assert "waiting for guard" in outcome.words
+        assert not outcome.fell
+
+
+def _ready(stack: Lockstep) -> Lockstep:
+    stack.wait_ready()
+    return stack
+
+
+@pytest.mark.parametrize(
+    ("outcome", "missed"),
+    [
+        (Outcome(rest=0.6), "at rest after 0.60 s"),
+        (Outcome(rest=math.nan), "at rest after nan s"),
+        (Outcome(error=0.3, words="imu"), "called good at 0.30 m"),
+        (Outcome(words="the LiDAR"), "nobody said 'imu'"),
+        (Outcome(words="imu", fell=True), "fell"),
+        (Outcome(rest=0.5, error=0.2, words="the imu is late"), ""),
+    ],
+)
+def test_limits_of_a_fault(outcome: Outcome, missed: str) -> None:
+    fault = Fault("f", (), (0.0, 1.0), lambda _size, _seed: outcome, rest=0.5, error=0.25, says=("imu",))
+    if missed:
+        assert missed in fault.missed(outcome)
+    else:
+        assert not fault.missed(outcome)
+
+
+def test_every_fault_has_another_name_and_a_monitor() -> None:
+    for fault in all_faults().values():
+        assert fault.monitors, fault.name
+        assert fault.sizes[0] != fault.sizes[1], fault.name

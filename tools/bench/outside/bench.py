@@ -1,0 +1,140 @@
+"""Bags, layouts, trajectories and files of others: each a row that is 1 where it is read, or refused with the words that help.
+
+`--data FOLDER` adds public clips and files that lie there (`real/`, `files/`, `terrain/`): how far each scan moved, how well neighbours fit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from hal.errors import OperatorError
+from hal.scenes import load_scene
+from hal.scenes.readers import read_geometry
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.hosts.offline import rerun
+from rbtrg_robot.importer.bag import Bag
+from rbtrg_robot.importer.run import convert_bag, look
+from rbtrg_robot.log.read import read_run
+from rbtrg_robot.log.trajectory import of_run
+from rbtrg_robot.wire.messages import decode
+from tools.bench.outside import foreign
+from tools.bench.report import Report
+
+SCANS = 20
+"""Of a made-up drive."""
+
+
+def run(args: list[str]) -> Report:
+    """Run this bench with the arguments of its command line; returns its rows."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench outside", description=__doc__)
+    parser.add_argument("--data", type=Path, help="folder of public data")
+    options = parser.parse_args(args)
+    report = Report("outside")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for layout in (*foreign.LAYOUTS, "livox custom", "organised"):
+            key = layout.replace(" ", "_")
+            bag = foreign.write(folder / f"{key}_bag", foreign.sweeps(layout, 3))
+            _holds(report, f"layout.{key}", partial(_three, bag, folder / key))
+        for kind in ("mcap", "db3", "zstd", "messages", "bag"):
+            bag = foreign.write(folder / f"{kind}_kind", foreign.sweeps("ouster", 3), kind)
+            _holds(
+                report,
+                f"container.{kind}",
+                partial(_three, bag, folder / f"{kind}_run"),
+            )
+        _drive(report, folder)
+        _refusals(report, folder)
+        if options.data is not None:
+            _real(report, options.data, folder)
+    return report
+
+
+def _holds(report: Report, key: str, check: Callable[[], bool]) -> None:
+    try:
+        held = check()
+    except OperatorError as error:
+        held = False
+        print(f"{key}: {error}")
+    report.add(key, float(held), "read", 1.0, at_least=True)
+
+
+def _import(bag: Path, out: Path) -> dict[str, int]:
+    recording = Bag(bag)
+    return convert_bag(recording, look(recording, {}, {}), out)
+
+
+def _three(bag: Path, out: Path) -> bool:
+    return _import(bag, out).get(t.POINTS.name, 0) == 3
+
+
+def _drive(report: Report, folder: Path) -> None:
+    """A straight drive of known length by LiDAR alone, and with an IMU."""
+    for name, more in (("lidar_alone", []), ("lidar_imu", foreign.imu(SCANS / 10 + 0.3))):
+        bag = foreign.write(folder / f"{name}_bag", [*foreign.sweeps("hesai", SCANS), *more])
+        _import(bag, folder / name)
+        rerun(folder / name, ["odometry", "elevation"], folder / f"{name}.mcap")
+        way = of_run(folder / f"{name}.mcap")
+        driven = 0.05 * (len(way.stamps) - 1)
+        moved = float(np.linalg.norm(way.poses[-1, :3, 3] - way.poses[0, :3, 3]))
+        report.add(f"drive.{name}.error_m", abs(moved - driven), "m", 0.05)
+
+
+def _refusals(report: Report, folder: Path) -> None:
+    """Each with the words that tell what would work."""
+    two = [*foreign.sweeps("ouster", 2, "/left"), *foreign.sweeps("ouster", 2, "/right", "other")]
+    ambiguous = foreign.write(folder / "two", two)
+    nothing = foreign.write(folder / "nothing", [foreign.static("a", "b", (0.0, 0.0, 0.0))])
+    unread = foreign.write(folder / "unread", foreign.sweeps("ouster", 2))
+    (folder / "stub.mcap").write_text("version https://git-lfs.github.com/spec/v1\n")
+    (folder / "stub.ply").write_text("version https://git-lfs.github.com/spec/v1\n")
+    np.save(folder / "dem.npy", np.zeros((50, 60)))
+    cases: tuple[tuple[str, str, Callable[[], object]], ...] = (
+        ("two_lidars", "--map main=", lambda: look(Bag(ambiguous), {}, {})),
+        ("no_sensor", "neither a LiDAR nor an IMU", lambda: look(Bag(nothing), {}, {})),
+        (
+            "rerun_of_a_foreign_bag",
+            "rbtrg-robot import",
+            lambda: rerun(unread, ["odometry"], folder / "x.mcap"),
+        ),
+        ("lfs_bag", "git lfs pull", lambda: Bag(folder / "stub.mcap")),
+        ("lfs_scene", "git lfs pull", lambda: load_scene(folder / "stub.ply")),
+        ("dem_without_cells", "--resolution", lambda: load_scene(folder / "dem.npy")),
+    )
+    for key, words, act in cases:
+        told = ""
+        try:
+            act()
+        except OperatorError as error:
+            told = str(error)
+        report.add(f"refused.{key}", float(words in told), "told", 1.0, at_least=True)
+
+
+def _real(report: Report, data: Path, folder: Path) -> None:
+    for clip in ("os0_8_10scans", "os1_128_3scans"):
+        _import(data / "real" / clip, folder / clip)
+        rerun(folder / clip, ["odometry", "elevation"], folder / f"{clip}.mcap")
+        way = of_run(folder / f"{clip}.mcap")
+        steps = np.linalg.norm(np.diff(way.poses[1:, :3, 3], axis=0), axis=1)
+        report.add(f"real.{clip}.scans", len(way.stamps), "scans")
+        report.add(f"real.{clip}.step_m", float(np.median(steps)), "m")
+        report.add(f"real.{clip}.step_spread_m", float(np.ptp(steps)), "m", 0.15)
+        healths = [
+            decode(e.data, msg.OdometryHealth)
+            for e in read_run(folder / f"{clip}.mcap")
+            if e.topic == t.ODOM_HEALTH.name
+        ]
+        report.add(f"real.{clip}.inliers", min(h.inliers for h in healths), "share", 0.9, at_least=True)
+        report.add(f"real.{clip}.residual_m", float(np.median([h.residual for h in healths[1:]])), "m", 0.06)
+    clouds = sorted((data / "files").glob("pcl_*.pcd"))
+    read = 0
+    for cloud in clouds:
+        read += len(read_geometry(cloud).vertices) > 0
+    report.rate("files.pcl_clouds", read, len(clouds), limit=1.0)

@@ -46,7 +46,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.wire": "hal mapping mapping.elevation rbtrg_robot",
     "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
-    "rbtrg_robot.stages.navigation": "hal hal.safety rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
+    "rbtrg_robot.stages.navigation": "hal hal.safety hal.safety.monitors rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",
     "rbtrg_robot.stages.mission": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage rbtrg_robot.stages.navigation",
     "rbtrg_robot.stages": "hal hal.safety hal.safety.monitors mapping mapping.elevation mapping.odometry mapping.relocalise planning planning.baselines planning.graph planning.path "
     "planning.risk planning.search planning.tracking rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage "

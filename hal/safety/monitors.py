@@ -336,6 +336,17 @@ OWN_PARTS = Monitor(
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
+GOAL_SPENT = Monitor(
+    name="goal without progress",
+    stream="goal",
+    check=Check.RANGE,
+    consequence=Consequence.TELL,
+    judge="navigator",
+    words="nowhere new in {seconds:.0f} s and {metres:.1f} m",
+    remedy="choose another goal, or clear the way; the last hindrance stands beside it",
+    against="places where the robot was for this goal",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))
 BY_NAME: dict[str, Monitor] = {monitor.name: monitor for monitor in MONITORS}

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import wrap
+from hal.safety.monitors import GOAL_SPENT
 from hal.types import NS
 from rbtrg_robot.msg import Plan, RouteStatus
 
@@ -158,9 +159,9 @@ class Budget:
         if place not in self._been:
             self._been.add(place)
             self._seconds = self._metres = self._way = 0.0
-        if self._seconds <= SECONDS + self._way / SLOW and self._metres <= METRES + self._way:
-            return ""
-        return f"nowhere new in {self._seconds:.0f} s and {self._metres:.1f} m"
+        late = GOAL_SPENT.outside(self._seconds, high=SECONDS + self._way / SLOW)
+        far = GOAL_SPENT.outside(self._metres, high=METRES + self._way)
+        return GOAL_SPENT.tell(seconds=self._seconds, metres=self._metres) if late or far else ""
 
 
 class Trail:

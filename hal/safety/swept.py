@@ -372,6 +372,8 @@ def nearest_obstacle(
                     across = -1
                     if worst < 0.0:
                         for j in range(i + 1, min(samples, last + 1 + gap + 1)):
+                            if wide[j] and j > BEFORE and not walled[k, j]:
+                                break
                             if (
                                 not (low[j] or felt[j] or math.isnan(ground[j]))
                                 and abs(ground[j] - level) <= limit

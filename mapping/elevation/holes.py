@@ -17,8 +17,8 @@ from numba import njit
 from hal.kernels import borrows
 from mapping.elevation.bridging import OVER
 
-HOLE = 9
-"""`source` of cells of a hole that is wider than what is crossed, until it is told (`exchange.HOLE`)."""
+LIDAR, HOLE = 2, 9
+"""`source` of measured cells, and of a hole that is wider than what is crossed, until it is told (`exchange.HOLE`)."""
 REACH = 0.9
 """[m] between the rims of the widest hole that is looked for; what is wider is an edge that goes down, which needs no width."""
 SHALLOW = 0.05
@@ -31,6 +31,10 @@ STEEP, STEEPEST = 0.1, 0.5
 """[m/m] Ground that falls by more towards the hole goes on so, as in a valley; by so much at most."""
 BEHIND = 4
 """Cells behind a rim that tell its slope."""
+EVEN, UNEVEN = 3, 0.03
+"""Cells behind a rim that must be known and no more uneven [m], or steeper than `STEEPEST`: a rim is ground, and no post of a stepfield and no bar."""
+RISES, NEXT = 0.5, 0.6
+"""[m/m] by which ground may lie higher than where the robot stands, beyond what it climbs, from [m] on: between the tops of two walls there is no hole but a floor."""
 DIRECTIONS = 8
 ROUNDING = 0.25
 """Cells by which the middles of two rims are farther apart along a direction than the slit is wide, as a rule."""
@@ -49,7 +53,7 @@ class Crossing(NamedTuple):
 
 
 @borrows
-def _rim(height, ground, points, r, c, dr, dc, low, most, out):  # pragma: no cover - compiled
+def _rim(height, source, ground, points, r, c, dr, dc, low, most, out):  # pragma: no cover - compiled
     """The first rim from cell (r, c) along (dr, dc), a vector one cell long, that is not lower than `low` [m]. Into `out` (4,): its distance [cells];
     its height as it goes on to (r, c) [m], where it falls by more than the third number a cell, by the fourth at most. False where there is none
     within `most` cells."""
@@ -73,9 +77,15 @@ def _rim(height, ground, points, r, c, dr, dc, low, most, out):  # pragma: no co
             if b <= 2:
                 near += 0.5 * far
                 many += 0.5 * points[x, y]
-        if n >= 2 and walls < 2 and (near - z > WALL or points[i, j] < SHARE * many):
+        if (
+            n >= 2
+            and walls < 2
+            and (near - z > WALL or (source[i, j] == LIDAR and points[i, j] < SHARE * many))
+        ):
             walls += 1
             continue
+        if n < EVEN or abs(far - z) > max(UNEVEN, n * out[3]):
+            return False  # the top of a post, a bar or a wall
         away = (i - r) * dr + (j - c) * dc
         fall = (far - z) / n if n == BEHIND else 0.0
         out[0], out[1] = away, z - (min(fall, out[3]) * away if fall > out[2] else 0.0)
@@ -84,11 +94,13 @@ def _rim(height, ground, points, r, c, dr, dc, low, most, out):  # pragma: no co
 
 
 @njit(cache=True)
-def widths(height, source, trusted, points, bound, resolution, deep, out):  # pragma: no cover - compiled
+def widths(
+    height, source, trusted, points, bound, resolution, deep, stood, out
+):  # pragma: no cover - compiled
     """Into `out` (rows, cols) f32 [m]: how wide the hole is that a cell shows, the narrowest of eight directions; 0 where it shows none.
 
     height (rows, cols) [m], NaN unknown; source, points: where it comes from, and of how many; trusted: ground to stand on; bound [m]: the ground is not above this where it is not trusted, inf where no
-    ray tells. Trusted ground shows one where it is lower than both rims by more than `deep` [m].
+    ray tells; stood: row, column and height [m] of where the robot stands, NaN where nobody knows. Trusted ground shows one where it is lower than both rims by more than `deep` [m].
     """
     rows, cols = height.shape
     out[:] = 0.0
@@ -123,11 +135,14 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
         narrowest = np.inf
         for k in range(DIRECTIONS):
             dr, dc = math.sin(math.pi * k / DIRECTIONS), math.cos(math.pi * k / DIRECTIONS)
-            if not _rim(height, ground, points, r, c, dr, dc, z + 0.5 * drop, most, one):
+            if not _rim(height, source, ground, points, r, c, dr, dc, z + 0.5 * drop, most, one):
                 continue
-            if not _rim(height, ground, points, r, c, -dr, -dc, z + 0.5 * drop, most, other):
+            if not _rim(height, source, ground, points, r, c, -dr, -dc, z + 0.5 * drop, most, other):
                 continue
             width = (one[0] + other[0]) * resolution
+            here = math.hypot(r - stood[0], c - stood[1]) * resolution
+            if min(one[1], other[1]) > stood[2] + deep + RISES * max(0.0, here - NEXT):
+                continue
             if width <= REACH and min(one[1], other[1]) - z > drop:
                 narrowest = min(narrowest, width)
         if narrowest < np.inf:
@@ -136,12 +151,12 @@ def widths(height, source, trusted, points, bound, resolution, deep, out):  # pr
 
 @njit(cache=True)
 def mark_holes(
-    height, source, trusted, points, bound, resolution, gap, drop, width
+    height, source, trusted, points, bound, resolution, gap, drop, stood, width
 ):  # pragma: no cover - compiled
     """Mark in `source` (rows, cols) the cells that show a hole wider than `gap` [m]; what a bridge led over there is unknown again. `width` is
     scratch; see `widths`."""
     rows, cols = height.shape
-    widths(height, source, trusted, points, bound, resolution, drop, width)
+    widths(height, source, trusted, points, bound, resolution, drop, stood, width)
     reach = round(TOGETHER / resolution)
     for r in range(rows):
         for c in range(cols):

@@ -259,6 +259,8 @@ class ElevationMap:
         stands_on = carried(self.store, p.resolution, world)
         if not stands_on.any() or rotation[2, 2] < UPRIGHT:
             return 0
+        x, y, z = world[stands_on].mean(axis=0).tolist()
+        self._reader.stands = (x, y, z)
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
         written = enter(self.store, *around)

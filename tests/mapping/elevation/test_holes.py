@@ -38,9 +38,9 @@ def slit(cells: int, angle: float, *, deep: float = 0.3, seen: bool = False, fal
     return height, source, trusted, points, bound
 
 
-def measure(ground: tuple, drop: float = 0.24) -> np.ndarray:
+def measure(ground: tuple, drop: float = 0.24, stood: tuple | None = None) -> np.ndarray:
     out = np.zeros((N, N), np.float32)
-    widths(*ground, RES, drop, out)
+    widths(*ground, RES, drop, np.full(3, np.nan) if stood is None else np.array(stood), out)
     return out[N // 2 - 6 : N // 2 + 7, N // 2 - 4 : N // 2 + 24]
 
 
@@ -90,10 +90,23 @@ def test_a_single_cell_that_has_it_wide_marks_nothing() -> None:
     wide = slit(4, 0.0)
     for mine, theirs in zip((height, source, trusted, points, bound), wide, strict=True):
         mine[N // 2] = theirs[N // 2]
-    mark_holes(height, source, trusted, points, bound, RES, 0.13, 0.24, scratch)
+    mark_holes(height, source, trusted, points, bound, RES, 0.13, 0.24, np.full(3, np.nan), scratch)
     assert (source <= 2).all()
-    mark_holes(*wide, RES, 0.13, 0.24, scratch)
+    mark_holes(*wide, RES, 0.13, 0.24, np.full(3, np.nan), scratch)
     assert (wide[1][10:-10] > 2).any(axis=1).all()
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_floor_between_two_boxes_or_two_bars_is_none(seen: bool) -> None:
+    boxes = slit(8, 0.0, deep=0.5, seen=seen)
+    here = (N / 2.0, N / 2.0 + 4.0, -0.5)
+    assert measure(boxes).any()
+    assert not measure(boxes, stood=here).any(), "the robot stands on the floor"
+    assert measure(boxes, stood=(*here[:2], 0.0)).any(), "or on top"
+    height, source, trusted, points, bound = slit(8, 0.0, deep=0.15, seen=seen)
+    bars = np.full_like(height, -0.15)
+    bars[:, N // 2 - 2 : N // 2 + 11] = height[:, N // 2 - 2 : N // 2 + 11]  # two or three cells each
+    assert not measure((bars, source, trusted, points, bound), drop=0.1).any()
 
 
 def approach(width: float, angle: float, near: float) -> Iterator[ElevationMap]:

@@ -36,6 +36,8 @@ class ElevationGrid:
 
     plants: NDArray[np.bool_] | None = None
     """(rows, cols) bool; the cell is ground under leaves: nobody saw what stands in them. None: no such cell."""
+    holes: NDArray[np.bool_] | None = None
+    """(rows, cols) bool; the cell is part of a hole wider than the robot crosses. None: no such cell."""
 
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, dtype=np.float32)
@@ -46,7 +48,7 @@ class ElevationGrid:
             raise GridError(f"trusted must be bool, got {trusted.dtype}")
         if trusted.shape != height.shape:
             raise GridError(f"trusted has shape {trusted.shape}, height has {height.shape}")
-        for name, mask in (("virtual", self.virtual), ("plants", self.plants)):
+        for name, mask in (("virtual", self.virtual), ("plants", self.plants), ("holes", self.holes)):
             if mask is not None and (mask.dtype, mask.shape) != (np.bool_, height.shape):
                 raise GridError(f"{name} must be bool of shape {height.shape}")
         origin = (float(self.origin[0]), float(self.origin[1]))
@@ -87,5 +89,6 @@ class ElevationGrid:
         c1, r1 = (int(v) for v in np.clip(np.ceil(high), 0, (cols - 1, rows - 1)))
         part = (slice(r0, r1 + 1), slice(c0, c1 + 1))
         corner = (self.origin[0] + c0 * self.resolution, self.origin[1] + r0 * self.resolution)
-        virtual, plants = (None if mask is None else mask[part] for mask in (self.virtual, self.plants))
-        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution, virtual, plants)
+        masks = (self.virtual, self.plants, self.holes)
+        cut = [None if mask is None else mask[part] for mask in masks]
+        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution, *cut)

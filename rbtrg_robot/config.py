@@ -25,7 +25,9 @@ from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
+from mapping.elevation.holes import Crossing
 from mapping.grid import FARTHEST
+from mapping.odometry.own import OwnPart
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
 from planning.risk.body import BodyModel
@@ -102,6 +104,10 @@ class StackConfig(BaseModel):
     )
     lidars: tuple[LidarConfig, ...] = Field(
         DEFAULT_LIDARS, min_length=1, description="what the robot carries; the main one is needed"
+    )
+    own_parts: tuple[OwnPart, ...] = Field(
+        (),
+        description="boxes in base_link that are parts of the robot, beside its body: no LiDAR return counts there",
     )
     camera: CameraConfig = CameraConfig()
     seed: int = Field(0, ge=0, description="seed of everything random in the simulation and the graph")
@@ -246,6 +252,11 @@ class StackConfig(BaseModel):
         params = self.graph.params(self.capabilities())
         head = any(lidar.name == "head" for lidar in self.lidars)
         return params.model_copy(update={"blind_radius": 0.0}) if head else params
+
+    def crossing(self) -> Crossing:
+        """Which holes the robot crosses."""
+        params = self.graph_params()
+        return Crossing(params.max_gap, params.climbed)
 
     def tracker_config(self) -> TrackerConfig:
         """Settings of the tracker, which asks for no motion so slow that the robot does not follow."""

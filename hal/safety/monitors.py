@@ -428,6 +428,30 @@ TOUCHED = Monitor(
     "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
     high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
 )  # fmt: skip
+HOLE_WIDTH = Monitor(
+    name="width of a hole",
+    stream="elevation map",
+    check=Check.RANGE,
+    consequence=Consequence.HOLD,
+    judge="elevation",
+    words="a hole that is too wide to cross",
+    remedy="drive around it, or lay something over it",
+    setting="graph.max_gap",
+    against="rims on both sides",
+    test="mapping/elevation/test_holes.py",
+)
+OWN_PARTS = Monitor(
+    name="own parts",
+    stream="LiDAR sweeps",
+    check=Check.REPEAT,
+    consequence=Consequence.TELL,
+    judge="odometry",
+    words="the LiDAR sees something that moves with the robot, and it is in its way everywhere: own_parts: [{parts}]",
+    remedy="check that nothing hangs there; `rbtrg-robot calibrate lidar` writes own_parts for the configuration",
+    setting="own_parts",
+    against="odometry",
+    test="mapping/odometry/test_own.py",
+)
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 ROLLS_ON = Monitor(
@@ -506,7 +530,17 @@ PLACE_UNSURE = Monitor(
     against="the goal's tolerance",
     test="rbtrg_robot/stages/navigation/test_navigator.py",
 )
-
+GOAL_SPENT = Monitor(
+    name="goal without progress",
+    stream="goal",
+    check=Check.RANGE,
+    consequence=Consequence.TELL,
+    judge="navigator",
+    words="nowhere new in {seconds:.0f} s and {metres:.1f} m",
+    remedy="choose another goal, or clear the way; the last hindrance stands beside it",
+    against="places where the robot was for this goal",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))
 BY_NAME: dict[str, Monitor] = {monitor.name: monitor for monitor in MONITORS}

@@ -21,10 +21,6 @@ class ElevationConfig(BaseModel):
     ceiling_slope: float = Field(
         default=0.5, description="... plus this times their distance, so that ramps stay [m/m]"
     )
-    body_box: tuple[float, float, float, float, float, float] = Field(
-        default=(-0.45, 0.45, -0.30, 0.30, -0.50, 0.25),
-        description="x0 x1 y0 y1 z0 z1 of the robot itself, base_link [m]",
-    )
     # --- noise of the pose
     attitude_sigma: float = Field(default=0.0035, gt=0.0, description="roll/pitch noise of the pose [rad]")
     height_sigma: float = Field(

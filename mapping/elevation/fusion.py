@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from mapping.elevation.exchange import FuseReport
 from mapping.elevation.tiles import PLANTS
 
-DROP_NAN, DROP_RANGE, DROP_BODY, DROP_CEILING, USED, RAYS, NEXT = 0, 1, 2, 3, 4, 5, 6
+DROP_NAN, DROP_RANGE, DROP_CEILING, USED, RAYS, NEXT = 0, 1, 2, 3, 4, 5
 """Counters of `project`."""
 CELLS, AGREED, NEW, CONFLICT, REPLACED, OVERHANG = 0, 1, 2, 3, 4, 5
 """Counters of `fuse`."""
@@ -27,10 +27,10 @@ def report_of(
     points: int, drops: NDArray[np.int64], cells: NDArray[np.int64], z_correction: float
 ) -> FuseReport:
     """The counters of `project` and `fuse` by name."""
-    invalid, out_of_range, body, ceiling, used = drops.tolist()[: USED + 1]
+    invalid, out_of_range, ceiling, used = drops.tolist()[: USED + 1]
     seen, agreed, new, conflict, replaced, overhang = cells.tolist()
     return FuseReport(
-        points, used, invalid, out_of_range, body, ceiling,
+        points, used, invalid, out_of_range, ceiling,
         seen, agreed, new, conflict, replaced, overhang, z_correction,
     )  # fmt: skip
 
@@ -41,7 +41,7 @@ _NOWHERE = 1e12
 
 @njit(cache=True)
 def project(
-    points, rotation, position, origin, limits, body, noise, resolution, directory, first, shift,
+    points, rotation, position, origin, limits, noise, resolution, directory, first, shift,
     cell, z, weight, shared, ray, rays, counts, absent,
 ):  # fmt: skip  # pragma: no cover
     """Points of one scan to cells of the pool. Goes on at point counts[NEXT]; returns False when it met a tile that does
@@ -50,7 +50,6 @@ def project(
     points (n,3) f32 base_link; rotation (3,3) world <- base; position (3,); origin (3,) sensor in base_link.
     limits: min range, max range, ceiling above base at the robot, ceiling growth per metre; x0, x1, y0, y1 in base_link of what
     counts.
-    body (6,): x0, x1, y0, y1, z0, z1 of the self-filter box, base_link.
     noise: range sigma, beam angle sigma, attitude sigma, height sigma. directory, first, shift: of the tile store.
     Out, compacted (counts[USED]): cell u32 index into the pool; z f32 world height; weight f32, one over the variance
     of z that is each point's own; shared f32, the variance that all points of a place share (attitude, pose), which does
@@ -71,7 +70,6 @@ def project(
     # Copies: a compiler that cannot know that the outputs lie elsewhere reads these anew for each point.
     ox, oy, oz = origin[0], origin[1], origin[2]
     tx, ty, tz = position[0], position[1], position[2]
-    bx0, bx1, by0, by1, bz0, bz1 = body[0], body[1], body[2], body[3], body[4], body[5]
     ceiling, rise = limits[2], limits[3]
     x0, x1, y0, y1 = limits[4], limits[5], limits[6], limits[7]
     r00, r01, r02 = rotation[0, 0], rotation[0, 1], rotation[0, 2]
@@ -86,9 +84,6 @@ def project(
             continue
         if rr < near:
             counts[DROP_RANGE] += 1
-            continue
-        if bx0 < px < bx1 and by0 < py < by1 and bz0 < pz < bz1:
-            counts[DROP_BODY] += 1
             continue
         x = r00 * px + r01 * py + r02 * pz
         y = r10 * px + r11 * py + r12 * pz

@@ -23,6 +23,7 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import MAX_TILES, load_into, read_cloud, restore_store, save_store
+from mapping.elevation.holes import Crossing
 from mapping.elevation.mirror import BLOCK, PART
 from mapping.elevation.plants import HARD, LEAFY, PlantVolume
 from mapping.elevation.poses import checked_pose
@@ -42,6 +43,8 @@ AT_A_TIME = 300_000
 """Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its readers."""
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
+STEEP_RAYS = 2.0
+"""[m] along the ground that the rays of the head's LiDAR are followed to see into holes."""
 FINEST = 0.03
 """Cells [m] in which plants are looked for."""
 UPRIGHT = 0.7
@@ -53,7 +56,8 @@ CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
-    def __init__(self, params: ElevationConfig | None = None) -> None:
+    def __init__(self, params: ElevationConfig | None = None, crossing: Crossing = Crossing()) -> None:
+        """`crossing`: what the robot that reads it crosses."""
         self.params = p = params or ElevationConfig()
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
@@ -71,7 +75,6 @@ class ElevationMap:
         self._around: Layers | None = None
         self._prior: PriorCheck | None = None
         self._buffers(1024)
-        self._body = np.array(p.body_box)
         self._fuse_rule = np.array(
             [
                 p.gate, p.gate_min, p.face, p.clearance, p.up_after, p.down_after, p.min_sigma**2,
@@ -79,7 +82,8 @@ class ElevationMap:
             ]
         )  # fmt: skip
         self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
-        self._reader = MapReader(self.store, p)
+        self._no_looks = tuple(looks[:0] for looks in self._looks)
+        self._reader = MapReader(self.store, p, crossing)
         # Finer voxels would take 80 MB, and too few rays go through each.
         self._plants = PlantVolume(p.resolution) if p.plants and p.resolution >= FINEST else None
 
@@ -172,12 +176,12 @@ class ElevationMap:
         self._stay_near()
         self._reader.walls.fade(self.store, now)
         limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope, *sensor.region])
-        drops = np.zeros(7, dtype=np.int64)
+        drops = np.zeros(6, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
         s = self.store
         self._rays = 0  # what a refused scan leaves in the buffers is nobody's
         while not kernels.project(
-            points, rotation, place, origin, limits, self._body, noise, p.resolution,
+            points, rotation, place, origin, limits, noise, p.resolution,
             s.directory, s.first, s.shift,
             self._cell, self._z, self._weight, self._shared, self._ray, self._ends, drops, absent,
         ):  # fmt: skip
@@ -211,6 +215,13 @@ class ElevationMap:
         if self._plants is not None:
             self._plants.add(self._ends, rays, self._sensor, now)
         self._angle = math.hypot(noise[1], noise[2])
+        if not sensor.levels:
+            # The steep rays of the LiDAR in the head alone look into holes, and few of them into each: all count, where `clean` takes those of one scan in three.
+            trace(
+                self._ends, rays, 1, 0, self._sensor, s.directory, s.first, s.shift,
+                p.resolution, STEEP_RAYS, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
+                s.cells, s.touched, s.mark, *self._no_looks,
+            )  # fmt: skip
         self.scans += 1
         out[kernels.OVERHANG] += overhangs
         return kernels.report_of(len(points), drops, out, self.alignment.height)
@@ -251,6 +262,8 @@ class ElevationMap:
         stands_on = carried(self.store, p.resolution, world)
         if not stands_on.any() or rotation[2, 2] < UPRIGHT:
             return 0
+        x, y, z = world[stands_on].mean(axis=0).tolist()
+        self._reader.stands = (x, y, z)
         radius = p.start_radius if start else None
         around = world[stands_on], place[:2], yaw, half, radius, p.contact_sigma, p.resolution
         written = enter(self.store, *around)

@@ -10,10 +10,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import HOLE_WIDTH
 from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.exchange import HOLE, LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.holes import HOLE as WIDE
+from mapping.elevation.holes import Crossing, mark_holes
 from mapping.elevation.mirror import blocks_of
 from mapping.elevation.plants import TALLEST
 from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
@@ -32,9 +35,12 @@ Box = tuple[int, int, int, int]
 class MapReader:
     """Turns the tiles of one store into patches."""
 
-    def __init__(self, store: TileStore, params: ElevationConfig) -> None:
+    def __init__(self, store: TileStore, params: ElevationConfig, crossing: Crossing) -> None:
         self.store = store
         self.params = p = params
+        self._crossing = crossing
+        self.stands = (math.nan, math.nan, math.nan)
+        """Where the robot stands: x, y, z [m] of the ground in the middle of its wheels."""
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
         self.walls = TouchedWalls()
@@ -78,9 +84,27 @@ class MapReader:
             p.trust_sigma**2, p.trust_count, p.alone_count, p.gate_min, p.hole, bound,
         )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
+        if HOLE_WIDTH.active:
+            mark_holes(
+                height,
+                source,
+                trusted,
+                count,
+                bound,
+                p.resolution,
+                *self._crossing,
+                self._stood(top, left),
+                gap,
+            )
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         self.walls.paint(i0, j0, out, p.trust_sigma**2)
         return out
+
+    def _stood(self, top: int, left: int) -> NDArray[np.float64]:
+        """Row, column and height [m] of where the robot stands, for a read-out that begins at this cell."""
+        x, y, z = self.stands
+        r = self.params.resolution
+        return np.array([y / r - top, x / r - left, z])
 
     def take_changes(self, stamp: int, epoch: int, most: int) -> list[MapPatch]:
         """Patches of what reads differently from what the last ones said; at most one per row of tiles and block. No further block is begun after
@@ -163,7 +187,7 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
             a, b = r + top, c + left
             h, s, u = height[a, b], source[a, b], upper[a, b]
             out[0, r, c] = h
-            out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
+            out[1, r, c] = variance[a, b] if s < OVER or s == WIDE else np.float32(sigma2)
             out[2, r, c] = trusted[a, b]
             if s == PLANTS:
                 out[3, r, c] = min(
@@ -171,4 +195,7 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
                 )  # no ray told its top where the map came back from a reader
             else:
                 out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
-            out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)
+            if s == WIDE:
+                out[4, r, c] = HOLE
+            else:
+                out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)

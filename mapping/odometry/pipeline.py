@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -38,6 +38,7 @@ from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
 from mapping.odometry.inertial_kernels import SILENCE
 from mapping.odometry.intake import Sweep
+from mapping.odometry.own import OwnFilter, OwnPart, OwnParts
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
 from mapping.odometry.registration.observability import UNKNOWN
@@ -67,8 +68,12 @@ class LidarInertialOdometry:
         self,
         params: OdometryConfig = OdometryConfig(),
         mounts: Mapping[LidarName, Extrinsics] = MappingProxyType({"main": XT16_MOUNT}),
+        own: Sequence[OwnPart] = (),
     ) -> None:
-        """`mounts`: each LiDAR in base_link."""
+        """`mounts`: each LiDAR in base_link; `own`: parts of the robot beside its body."""
+        self._own = OwnFilter(own, mounts)
+        self.parts = OwnParts()
+        """What moves with the robot and is none of `own`."""
         self.params = params
         self.counters: Counter[str] = Counter()
         self.initialised = False
@@ -80,7 +85,7 @@ class LidarInertialOdometry:
         self._deskewer = Deskewer(mounts, self._lever)
         self.calibration = Calibration(mounts, params.max_time_offset)
         self._wheel_noise = np.array(params.inertial.wheel_noise)
-        self._inbox = Inbox(params, self.counters, self._follow_clock, self.calibration.shift)
+        self._inbox = Inbox(params, self.counters, self._follow_clock, self.calibration.shift, self._own)
         self._imu, self._joints = self._inbox.imu, self._inbox.joints
         self._stream = PoseStream(params.inertial, params.smoothing, self._imu, self._joints, self._monitor)
         self._startup = Startup()
@@ -170,7 +175,8 @@ class LidarInertialOdometry:
             for name in self.calibration.shift
             if name != sweep.name and streams[name].words
         ]
-        others = self._deskewer.beside(self._inbox.beside(sweep), stamps, track)
+        along = self._inbox.beside(sweep)
+        others = self._deskewer.beside(along, stamps, track)
         if sweep.problem or self._untrue:
             return self._dead_reckoned(sweep.problem)
         if sweep.untimed:
@@ -224,6 +230,9 @@ class LidarInertialOdometry:
             self._reason = "; ".join([*self._notes, verdict.reason] if verdict.reason else self._notes)
         self._notes.clear()
         self._rejoin()
+        if verdict.insert:
+            measured_in = [self._own.in_base(each.name, each.xyz) for each in (sweep, *along)]
+            self.parts.look(np.concatenate(measured_in), self._filter.pose())
         # nothing is mapped from a pose that is not sure
         clouds = {sweep.name: cloud, **others} if verdict.insert else {}
         return self._result(clouds, match, predicted, verdict.degenerate, verdict.degeneracy)
@@ -393,7 +402,7 @@ class LidarInertialOdometry:
             clouds=clouds,
             place_sigma=math.sqrt(self._place_variance()),
             lidars=self.calibration.fits(),
-            fault=self.calibration.fault(),
+            fault="; ".join(filter(None, (self.calibration.fault(), self.parts.words))),
         )
 
     def _place_variance(self) -> float:

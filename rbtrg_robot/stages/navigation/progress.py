@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import wrap
+from hal.safety.monitors import GOAL_SPENT
 from hal.types import NS
 from rbtrg_robot.msg import Plan, RouteStatus
 
@@ -24,6 +25,11 @@ STUCK_DISTANCE = 0.15
 """[m]: less than this in STUCK_SECONDS is no progress, unless it turned."""
 STUCK_ANGLE = 0.5
 """[rad]."""
+REST = 1.0, 0.02, 0.03
+"""In so many seconds less than so many [m] and [rad]: the robot is at rest."""
+SECONDS, METRES, SLOW, PLACE = 35.0, 12.0, 0.3, 0.5
+"""[s] and [m] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] side of a place: a robot that shuttles by 0.7 m has been at all of
+its places after the first time."""
 BESIDE = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
 STRAY = 0.10
@@ -96,9 +102,13 @@ class Slide:
 
 
 class ProgressMonitor:
-    """No progress for 5 s while it should drive = stuck."""
+    """No progress for 5 s while it should drive = stuck; with other numbers: the robot is at rest."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self, seconds: float = STUCK_SECONDS, distance: float = STUCK_DISTANCE, angle: float = STUCK_ANGLE
+    ) -> None:
+        """In `seconds` [s] less than `distance` [m] and `angle` [rad]."""
+        self._most = seconds, distance, angle
         self._anchor: tuple[int, Pose2] | None = None
 
     def reset(self) -> None:
@@ -111,11 +121,47 @@ class ProgressMonitor:
             self._anchor = (now, pose)
             return False
         since, (x, y, yaw) = self._anchor
-        moved = math.hypot(pose[0] - x, pose[1] - y) > STUCK_DISTANCE
-        if moved or abs(wrap(pose[2] - yaw)) > STUCK_ANGLE:
+        seconds, distance, angle = self._most
+        moved = math.hypot(pose[0] - x, pose[1] - y) > distance
+        if moved or abs(wrap(pose[2] - yaw)) > angle:
             self._anchor = (now, pose)
             return False
-        return now - since > STUCK_SECONDS * NS
+        return now - since > seconds * NS
+
+
+class Budget:
+    """What a goal may spend, in seconds and metres, without coming to a place where it has not been.
+
+    A robot that shuttles, circles what it cannot enter or waits before it spends both; one that comes nearer, or looks at what it has not
+    looked at, is somewhere new all the time. A plan adds the way back over old ground that it asks for, once.
+    """
+
+    def __init__(self) -> None:
+        self._been: set[tuple[int, int]] = set()
+        self._last: tuple[int, Pose2] | None = None
+        self._seconds = self._metres = self._way = 0.0
+
+    def plan(self, length: float) -> None:
+        """The robot is to drive so far [m]."""
+        self._way = max(self._way, length)
+
+    def rest(self) -> None:
+        """What passes from the last call to the next is not the goal's."""
+        self._last = None
+
+    def spent(self, now: int, pose: Pose2) -> str:
+        """In words what was spent, where that is all there is; else empty. Call it while the goal is worked on; `now` in ns."""
+        if self._last is not None:
+            self._seconds += (now - self._last[0]) / NS
+            self._metres += math.dist(self._last[1][:2], pose[:2])
+        self._last = now, pose
+        place = math.floor(pose[0] / PLACE), math.floor(pose[1] / PLACE)
+        if place not in self._been:
+            self._been.add(place)
+            self._seconds = self._metres = self._way = 0.0
+        late = GOAL_SPENT.outside(self._seconds, high=SECONDS + self._way / SLOW)
+        far = GOAL_SPENT.outside(self._metres, high=METRES + self._way)
+        return GOAL_SPENT.tell(seconds=self._seconds, metres=self._metres) if late or far else ""
 
 
 class Trail:

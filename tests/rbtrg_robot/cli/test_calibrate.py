@@ -124,5 +124,5 @@ def test_the_course_in_simulated_physics_gives_mounts_and_clock() -> None:
             for topic, message in orders(after, stack.now):
                 stack.host.inject(topic, message)
             stack.run(0.05)
-    for found in calibrate(late(samples), WRONG, OdometryConfig()):
+    for found in calibrate(late(samples), WRONG, OdometryConfig())[0]:
         within(found, RIGHT[found.lidar.name], LATE if found.lidar.name == "main" else 0.0)

@@ -107,6 +107,8 @@ class VelocityCommand:
     wz: float = 0.0
     """Yaw rate, counter-clockwise positive [rad/s]."""
     frame: str = "base_link"
+    climb: bool = True
+    """A held wheel may be lifted onto what holds it; False where the map has no face there."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -60,3 +60,16 @@ def wheel_loads(q: Array, tau: Array, up: Array) -> Array:
         fx, fy, fz = axle_force(jacobian[leg], -tau[3 * leg], -tau[3 * leg + 1], -tau[3 * leg + 2])
         load[leg] = fx * up[0] + fy * up[1] + fz * up[2]
     return load
+
+
+@njit(cache=True)
+def wheel_pushes(q: Array, tau: Array) -> Array:
+    """(4,) force of the ground on each wheel [N] along the trunk's x axis, as `wheel_loads`, with the reaction of the wheels' own motors."""
+    jacobian = wheel_jacobians(q)
+    push = np.empty(4)
+    for leg in range(4):
+        wheel = tau[12 + leg]
+        push[leg] = axle_force(
+            jacobian[leg], -tau[3 * leg], wheel - tau[3 * leg + 1], wheel - tau[3 * leg + 2]
+        )[0]
+    return push

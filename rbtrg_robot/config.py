@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from hal.camera import CameraConfig
 from hal.errors import OperatorError
-from hal.go2w import IMU_POSITION
+from hal.go2w import BODY_LENGTH, BODY_WIDTH, IMU_POSITION
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, SimConfig
@@ -46,6 +46,9 @@ from rbtrg_robot.stage_config import (
     RecorderConfig,
 )
 from rbtrg_robot.yaml_file import YamlError
+
+GUARD = "guard"
+"""The process that a real robot is not driven without."""
 
 
 class ConfigError(OperatorError):
@@ -173,6 +176,27 @@ class StackConfig(BaseModel):
             if not max(abs(v) for corner in area for v in corner) < FARTHEST:
                 raise ValueError(f"`map` reaches {FARTHEST / 1000:.0f} km")
         return area
+
+    @field_validator("body")
+    @classmethod
+    def _no_smaller_than_it_is(cls, body: BodyModel) -> BodyModel:
+        if not BODY_LENGTH <= body.length <= 1.5 or not BODY_WIDTH <= body.width <= 1.0:
+            raise ValueError(
+                f"the robot is {BODY_LENGTH} m long and {BODY_WIDTH} m wide: larger, up to 1.5 and 1.0 m, where it carries something"
+            )
+        return body
+
+    @model_validator(mode="after")
+    def _safe_on_hardware(self) -> StackConfig:
+        if not self.simulated and GUARD in self.without:
+            raise ValueError("`without` cannot hold guard: nothing else sees what the real robot runs into")
+        fastest, most = self.guard.fastest(), self.capabilities().max_vx
+        if most > fastest + 1e-6:
+            raise ValueError(
+                f"`guard.reaction` and `guard.deceleration` stop a robot of {fastest:.2f} m/s before what the guard sees, and this one drives "
+                f"{most:.2f} m/s"
+            )
+        return self
 
     @property
     def simulated(self) -> bool:

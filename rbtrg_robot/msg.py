@@ -417,6 +417,7 @@ class MapStatus(Message):
     restoring: bool = False
     warning: str = ""
     prior: str = ""
+    touched: int = 0
     refused: int = 0
     detail: str = ""
     location: str = ""
@@ -535,6 +536,8 @@ class MotionLimits(Message):
     left: float = 0.0
     right: float = 0.0
     reason: str = ""
+    uneven_ahead: float = 0.0
+    uneven_behind: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
@@ -549,6 +552,7 @@ class OdometryHealth(Message):
     inliers: float = 0.0
     residual: float = 0.0
     correction: float = 0.0
+    place_sigma: float = 0.0
     degenerate: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 3))
     degeneracy: float = 0.0
     lidar: list[str] = field(default_factory=list)
@@ -674,6 +678,7 @@ class RobotState(Message):
     refused_reason: list[str] = field(default_factory=list)
     refused_count: NDArray[np.uint32] = field(default_factory=lambda: _zeros("uint32", 0))
     hold: str = ""
+    hands: float = 0.0
     realtime_factor: float = 0.0
 
 

@@ -18,7 +18,7 @@ class NavigatorConfig(BaseModel):
 
     replan_period: float = Field(2.0, gt=0, description="least time between two replans while driving [s]")
     plan_retry: float = Field(2.0, gt=0, description="ask the planner again after [s]")
-    input_timeout: float = Field(1.0, gt=0, le=5.0, description="odometry or map older than this halts [s]")
+    input_timeout: float = Field(1.2, gt=0, le=5.0, description="odometry or map older than this halts [s]")
     patience: float = Field(12.0, gt=0, description="give up after inputs were missing for [s]")
     goal_tolerance: float = Field(
         0.25, gt=0, description="a path that ends further from the goal does not reach it [m]"
@@ -40,10 +40,10 @@ class FreshnessConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    pose: float = Field(0.12, gt=0, le=0.5, description="control pose [s]")
-    scan: float = Field(0.8, gt=0, le=3.0, description="scan odometry behind the pose [s]")
-    map: float = Field(1.2, gt=0, le=5.0, description="map status [s]")
-    goal: float = Field(1.0, gt=0, le=5.0, description="goal status of the navigator [s]")
+    pose: float = Field(0.12, ge=0.04, le=0.5, description="control pose [s]")
+    scan: float = Field(0.8, ge=0.3, le=2.0, description="scan odometry behind the pose [s]")
+    map: float = Field(1.2, ge=0.8, le=3.0, description="map status [s]")
+    goal: float = Field(1.0, ge=0.6, le=3.0, description="goal status of the navigator [s]")
 
 
 class GraphConfig(GraphSettings):
@@ -98,20 +98,38 @@ class GraphConfig(GraphSettings):
         return GraphParams(**(self.model_dump() | limits))
 
 
+FAR = 2.4
+"""[m] the guard looks ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the back whose lowest beam
+goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
+
+
 class GuardConfig(BaseModel):
-    """Distances and times at which the guard slows the robot down."""
+    """Distances and times at which the guard slows the robot down.
+
+    Bounds: `reaction` is a sweep, a tick of the guard and a period of the gate at least (0.17 s); the simulated robot brakes with 3 m/s^2,
+    the vendor's is not measured; the map errs by 0.02 m at an edge.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     reaction: float = Field(
-        0.3, gt=0, le=2.0, description="from the sweep that shows an obstacle to the brakes [s]"
+        0.3, ge=0.2, le=1.0, description="from the sweep that shows an obstacle to the brakes [s]"
     )
-    deceleration: float = Field(1.5, gt=0, le=5.0, description="that the robot brakes with at least [m/s^2]")
-    margin: float = Field(0.03, ge=0, description="kept between body and obstacle [m]")
+    deceleration: float = Field(
+        1.5, ge=0.5, le=2.5, description="that the robot brakes with at least [m/s^2]"
+    )
+    margin: float = Field(0.03, ge=0.02, le=0.3, description="kept between body and obstacle [m]")
     window_timeout: float = Field(
-        0.5, gt=0, le=2.0, description="a map window older than this says nothing [s]"
+        0.5, ge=0.2, le=1.0, description="a map window older than this says nothing [s]"
     )
-    pose_timeout: float = Field(0.2, gt=0, le=1.0, description="so does a pose [s]")
+    pose_timeout: float = Field(0.2, ge=0.05, le=0.5, description="so does a pose [s]")
+
+    def fastest(self) -> float:
+        """[m/s] from which the body stops within what the guard looks at."""
+        left = FAR - self.margin
+        return self.deceleration * (
+            math.sqrt(self.reaction**2 + 2.0 * left / self.deceleration) - self.reaction
+        )
 
 
 class ElevationStageConfig(BaseModel):

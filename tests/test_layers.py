@@ -17,15 +17,16 @@ from tests.places import ROOT
 ROOMS: dict[str, str] = {
     # room: the rooms it may import, beside itself; a room stands below all that import it
     "hal.safety.monitors": "",
+    "hal.safety.slope": "",
     "hal": "hal.safety.monitors",
-    "hal.safety": "hal",
+    "hal.safety": "hal hal.safety.monitors hal.safety.slope",
     "hal.lidar": "hal",
     "hal.locomotion": "hal",
     "hal.scenes": "hal hal.lidar",
     "hal.mujoco.postures": "hal",
     "hal.mujoco": "hal hal.lidar hal.locomotion hal.scenes hal.mujoco.postures",
     "hal.mujoco.view": "hal hal.scenes hal.mujoco",
-    "hal.unitree": "hal hal.lidar hal.safety.monitors",
+    "hal.unitree": "hal hal.lidar hal.safety.monitors hal.safety.slope",
     "mapping": "hal",  # which says where numba keeps kernels
     "mapping.odometry.registration": "hal",
     "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",

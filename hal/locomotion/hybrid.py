@@ -81,7 +81,7 @@ class HybridController:
         """One motor period."""
         fast = abs(velocity.vx) >= FAST
         # It lifts wheels only where the learnt policy cannot help.
-        self.wheels.lift_wheels(not fast)
+        driven = replace(velocity, climb=velocity.climb and not fast)
         centres = go2w.wheel_centres(state.q)
         heights = centres @ np.array(up_of(state.quaternion))
         blocked, moves = self.wheels.blocked(), velocity.vx != 0.0 or velocity.wz != 0.0
@@ -92,7 +92,7 @@ class HybridController:
         roll = way * go2w.WHEEL_RADIUS
         stalls = fast and min(roll * v for v in state.dq[go2w.WHEELS].tolist()) < STALLED * speed
         self._stalled = self._stalled + self.period if stalls else 0.0
-        held = fast and (blocked >= BLOCKED or self._stalled >= STALL_TIME)
+        held = fast and velocity.climb and (blocked >= BLOCKED or self._stalled >= STALL_TIME)
         if not self.climbing and (held or (moves and self._twist >= TWIST_TIME)):
             self.climbing = True
             self._calm = self._other = 0.0
@@ -107,11 +107,11 @@ class HybridController:
         self._share = min(max(self._share + (step if self.climbing else -step), 0.0), 1.0)
         if self._share == 0.0:
             self._push = max(self._push - PUSH_FADE * self.period, 0.0)
-            return self.wheels.step(state, velocity, posture)
+            return self.wheels.step(state, driven, posture)
         learnt = self.climber.step(state, self._helped(state, velocity), posture)
         if self._share == 1.0:
             return learnt
-        return mixed(self.wheels.step(state, velocity, posture), learnt, self._share, self._command)
+        return mixed(self.wheels.step(state, driven, posture), learnt, self._share, self._command)
 
     def warning(self) -> str:
         """What it does instead of plain driving, in words."""

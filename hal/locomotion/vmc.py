@@ -45,17 +45,15 @@ class VmcController:
         """Forget all state: the robot was moved, stood up or fell."""
         self._memory[:] = np.zeros(1, MEMORY)
 
-    def lift_wheels(self, may: bool) -> None:
-        """Whether blocked wheels are lifted onto what blocks them; a climb under way goes on."""
-        self._climb[0] = self.params.climb if may else 0.0
-
     def take_over(self, vx: float) -> None:
         """Forget all state but this: the robot drives at `vx` [m/s]."""
         self.reset()
         self._memory["vx"] = self._memory["speed"] = vx
 
     def step(self, state: LowState, velocity: VelocityCommand, posture: PostureCommand) -> LowCommand:
-        """One control tick. `velocity.vy` is not followed: the wheels cannot roll sideways."""
+        """One control tick. `velocity.vy` is not followed: the wheels cannot roll sideways. Without `velocity.climb` no wheel is lifted onto what
+        blocks it; a climb under way goes on."""
+        self._climb[0] = self.params.climb if velocity.climb else 0.0
         command = self._command
         command[0] = velocity.vx
         command[1] = velocity.wz

@@ -17,6 +17,7 @@ from hal.locomotion.controllers import controller_of
 from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
+from hal.mujoco.people import SIZE, People
 from hal.mujoco.postures.modes import Modes
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
@@ -95,7 +96,7 @@ class MujocoBackend:
             timestep=o.timestep,
             payload=o.payload,
             command_delay=o.command_delay,
-            boxes=tuple(box.size for box in o.obstacles),
+            boxes=(*(box.size for box in o.obstacles), *[SIZE] * o.people),
         )
         mounted = tuple(lidar.mounted() for lidar in lidars)
         self.capabilities = replace(CAPABILITIES[controller], lidars=mounted)
@@ -124,7 +125,8 @@ class MujocoBackend:
         ]
         self._pushes = sorted(o.pushes, key=lambda push: push.time)
         self._shown: tuple[bool, ...] = (False,) * len(o.obstacles)
-        self._moving = any(box.velocity != (0.0, 0.0) for box in o.obstacles)
+        self._people = People(o.people, self._seed)
+        self._moving = o.people > 0 or any(box.velocity != (0.0, 0.0) for box in o.obstacles)
         self._low = self._sensors.measure(self.simulation.low_state())
         self._modes.begin(self._low, o.seated)
         self._connected = True
@@ -217,7 +219,7 @@ class MujocoBackend:
         control = self._steps % self._control_steps == 0
         if control or elapsed % IMU_PERIOD < self._dt:
             self._low = self._sensors.measure(self.simulation.low_state())
-        if self.config.obstacles:
+        if self.config.obstacles or self.config.people:
             self._place_obstacles(elapsed)
         self._publish(elapsed)
 
@@ -270,16 +272,22 @@ class MujocoBackend:
         t = elapsed / NS
         shown = tuple(present(box, t) for box in self.config.obstacles)
         due = elapsed % LIDAR_SLICE < self._dt
-        if shown == self._shown and not (self._moving and any(shown) and due):
+        if shown == self._shown and not (self._moving and (any(shown) or self.config.people) and due):
             return
         self._shown = shown
-        boxes = [box_at(box, t) if on else None for box, on in zip(self.config.obstacles, shown, strict=True)]
+        boxes: list[OrientedBox | None] = [
+            box_at(box, t) if on else None for box, on in zip(self.config.obstacles, shown, strict=True)
+        ]
+        x, y, _ = self.simulation.position.tolist()
+        boxes += self._people.at(t, (x, y))
         for index, box in enumerate(boxes):
             self.simulation.place_box(
                 index, None if box is None else box.centre, 0.0 if box is None else box.yaw
             )
+        lit = zip(boxes, self.config.obstacles, strict=True)
+        seen = [box for box, obstacle in lit if box is not None and not obstacle.clear]
         for lidar in self._lidars:
-            lidar.set_boxes([box for box in boxes if box is not None])
+            lidar.set_boxes(seen)
 
 
 __all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 
+from hal.contract import UP
 from hal.safety.gate_types import (
     GateConfig,
     GateInputs,
@@ -26,7 +27,8 @@ from hal.safety.gate_types import (
 )
 from hal.safety.geofence import Geofence
 from hal.safety.trunk import TrunkTilt
-from hal.types import NS, Capabilities, Phase, PostureCommand, VelocityCommand
+from hal.safety.untold import Untold
+from hal.types import FELT_EDGE, NS, Capabilities, Phase, PostureCommand, VelocityCommand
 
 __all__ = [
     "GateConfig",
@@ -73,6 +75,7 @@ class SafetyGate:
         self._now: int | None = None
         self._since: dict[str, int] = {}
         self._zero_since: int | None = None
+        self._untold = Untold(self.params)
         self._unchecked = True
         self._trunk = TrunkTilt(capabilities, self.params)
 
@@ -82,14 +85,18 @@ class SafetyGate:
         """Take a command at `now` [ns], or say why not."""
         refusal = self._check(command, now)
         if refusal is not None:
-            self._refused[refusal.reason] += 1
-            self._refusal = refusal, now
+            self.refuse(refusal, now)
             return refusal
         self._accepted = command
         # A stamp slightly ahead of the clock must not prolong the command's life.
         self._fresh_from = min(command.stamp, now)
         self._count += 1
         return None
+
+    def refuse(self, refusal: Refusal, now: int) -> None:
+        """Count a command that does not count, and say why nothing moves."""
+        self._refused[refusal.reason] += 1
+        self._refusal = refusal, now
 
     def posture(self, command: PostureCommand, now: int) -> Refusal | None:
         """Take a tilt of the trunk at `now` [ns], or say why not. Like a velocity it must be repeated; the height is not passed on."""
@@ -140,6 +147,7 @@ class SafetyGate:
         self._accepted = None
         self._since.clear()
         self._zero_since = None
+        self._untold.forget()
 
     # -- what goes out ---------------------------------------------------------------------------------------------
 
@@ -150,6 +158,7 @@ class SafetyGate:
             self._accepted = None
             self._since.clear()
             self._zero_since = None
+            self._untold.forget()
         self._now = now
         elapsed = min(max(elapsed, 0.0), 0.1)
         self._watch_robot(now, inputs)
@@ -163,6 +172,7 @@ class SafetyGate:
             if self.geofence is not None and inputs.pose is not None:
                 self._keep_inside(self.geofence, inputs.pose)
         self._watch_motion(now, inputs)
+        self._watch_rest(now, inputs)
         if self._cause is not None:
             self._hold, self._output = "", VelocityCommand(now)
         free = self._cause is None and not self._hold and not self._wants_motion
@@ -192,6 +202,7 @@ class SafetyGate:
             hold=self._hold,
             not_moving=warn,
             motion_unchecked=self._unchecked,
+            creeps=self._untold.creeps,
             accepted=self._count,
             refused={r.value: self._refused[r] for r in RefusalReason if r in self._refused}
             if self._refused
@@ -312,7 +323,7 @@ class SafetyGate:
             self._hold = "geofence"
 
     def _watch_motion(self, now: int, inputs: GateInputs) -> None:
-        """Compare what was commanded with what was measured."""
+        """Whether the robot does what is commanded."""
         p, out = self.params, self._output
         standing = out.vx == 0.0 and out.vy == 0.0 and out.wz == 0.0
         if not standing:
@@ -322,7 +333,6 @@ class SafetyGate:
         self._unchecked = inputs.velocity is None or not all(map(math.isfinite, inputs.velocity))
         if inputs.velocity is None or self._unchecked:
             self._since.pop("not moving", None)
-            self._since.pop("moving", None)
             return
         vx, vy, wz = inputs.velocity
         wanted = max(math.hypot(out.vx, out.vy), 0.5 * abs(out.wz))
@@ -330,10 +340,20 @@ class SafetyGate:
         self._mark("not moving", now, wanted > 0.1 and actual < 0.2 * wanted)
         if self._lasted("not moving", now) >= p.not_moving_stop:
             self.stop(StopCause.NOT_MOVING, f"{wanted:.1f} m/s commanded for {p.not_moving_stop:.0f} s")
-        rested = self._zero_since is not None and (now - self._zero_since) / NS >= p.braking_time
-        self._mark("moving", now, rested and actual > p.moving_speed)
-        if self._lasted("moving", now) >= p.moving_stop:
-            self.stop(StopCause.MOVING, f"{actual:.1f} m/s measured")
+
+    def _watch_rest(self, now: int, inputs: GateInputs) -> None:
+        """Latch on motion that nothing explains: no command, no posture, no reflex of the robot."""
+        state = inputs.state
+        if (
+            self._zero_since is None
+            or not self._trunk.level
+            or state is None
+            or state.phase not in UP
+            or state.cause.startswith(FELT_EDGE)
+        ):
+            self._untold.forget()
+        elif found := self._untold.judge(now, inputs):
+            self.stop(StopCause.MOVING, found)
 
     def _mark(self, what: str, now: int, condition: bool) -> None:
         if condition:

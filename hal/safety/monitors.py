@@ -135,6 +135,46 @@ def taken_out(*names: str) -> Iterator[None]:
 # One block per area, in the order in which data flows. Rows are constants, so that the judge names its row.
 
 # -- clocks and streams of the robot ------------------------------------------------------------------------------------
+GUARD_BLIND = Monitor(
+    "guard is blind",
+    stream="/cloud/main, /cloud/head",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="guard",
+    words="no sweep of any LiDAR for {age} s: nobody sees what steps into the way",
+    remedy="power, cable and driver of the LiDARs; `status` lists their topics",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+MAIN_SILENT = Monitor(
+    "main LiDAR is silent",
+    stream="/cloud/main",
+    check=Check.AGE,
+    consequence=Consequence.TELL,
+    judge="guard",
+    words="the main LiDAR is silent for {age} s: 0.2 m/s and 0.3 rad/s at most, only the head's LiDAR sees what steps into the way",
+    remedy="power, cable and driver of the main LiDAR; `status` lists its topic",
+    low=-0.5,
+    high=0.5,
+    unit="s",
+    against="clock",
+    test="rbtrg_robot/stages/test_guard.py",
+)
+TRACKER_STALE = Monitor(
+    "tracker's inputs",
+    stream="/odom/fast, /odom, /elevation_map/status, /goal/status",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="tracker",
+    words="{topic} tells of {age} s ago, limit {limit} s",
+    remedy="if it lasts: `status` shows which process is slow or silent, its log says why",
+    setting="freshness",
+    against="clock",
+    test="rbtrg_robot/stages/test_tracker.py",
+)
 CLOCK_DRIFT = Monitor(
     "clock drift",
     "LowState, clouds, IMU of the L1",
@@ -278,6 +318,80 @@ MOTOR_LOST = Monitor(
 )
 
 # -- localisation -------------------------------------------------------------------------------------------------------
+LIDAR_REPEATS = Monitor(
+    "lidar_repeats",
+    "LiDAR",
+    Check.REPEAT,
+    Consequence.LOST,
+    "odometry",
+    "the {name} LiDAR repeats its sweep: its stamps go on, its points do not",
+    "power the LiDAR off and on, or restart its driver",
+    high=1,
+    unit="sweeps in a row; a sound one never repeats, its noise does not",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+IMU_REPEATS = Monitor(
+    "imu_repeats",
+    "IMU",
+    Check.REPEAT,
+    Consequence.LOST,
+    "odometry",
+    "the IMU repeats its sample: its stamps go on, its values do not",
+    "restart the robot; drive it by hand to a safe place with care",
+    high=4,
+    unit="samples in a row; at most 2 where a driver tells each sample more than once",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+JOINTS_REPEAT = Monitor(
+    "joints_repeat",
+    "joints",
+    Check.REPEAT,
+    Consequence.DEGRADE,
+    "odometry",
+    "the joints repeat their sample: their stamps go on, their values do not",
+    "restart the robot",
+    high=4,
+    unit="samples in a row",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+IMPOSSIBLE_SPEED = Monitor(
+    "impossible_speed",
+    "odometry",
+    Check.RANGE,
+    Consequence.LOST,
+    "odometry",
+    "the pose moves at {speed:.1f} m/s, faster than the robot drives: accelerometer or wheels tell what cannot be",
+    "let the robot stand; if it comes again, restart the stack and look at the IMU",
+    high=1.0,
+    unit="of 4 m/s, or 1.6 m/s up or down; the fastest of our robots drives 2.5",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+SCANS_DISAGREE = Monitor(
+    "scans_disagree",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "over {seconds:.0f} s the scans lead {moved:.2f} m and {turned:.0f} deg from where wheels and gyro do: the wheels slip, or what the LiDAR shows is not where the robot is",
+    "look whether the wheels spin; if not, restart the stack",
+    high=1.0,
+    unit="of 0.4 m or 6 deg over a second",
+    against="wheels, IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
+MOVED_WHILE_STILL = Monitor(
+    "moved_while_still",
+    "LiDAR",
+    Check.AGREEMENT,
+    Consequence.DEGRADE,
+    "odometry",
+    "wheels and gyro stand still, the scans moved by {moved:.2f} m and {turned:.0f} deg: is the robot carried, or its floor moving?",
+    "put the robot on firm ground; people who walk past are not taken for it",
+    high=10,
+    unit="scans in a row",
+    against="wheels, IMU",
+    test="mapping/odometry/test_inputs_that_lie.py",
+)
 
 STAMP_AHEAD = Monitor(
     "stamp ahead",
@@ -332,8 +446,76 @@ OWN_PARTS = Monitor(
     against="odometry",
     test="mapping/odometry/test_own.py",
 )
+TOUCHED = Monitor(
+    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
+    "touched something that the LiDAR does not see at {where}",
+    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
+    high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
+)  # fmt: skip
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
+ROLLS_ON = Monitor(
+    "rolls on",
+    stream="rt/lowstate, rt/sportmodestate",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot, guardian, sentry",
+    words="StopMove is not followed: {speed} after {after}",
+    remedy="use the hardware stop; find out who else commands the robot, then `posture recover` and `resume`",
+    high=0.05,
+    unit="m/s",
+    against="StopMove",
+    test="hal/unitree/test_motion.py",
+)
+MOVES_UNTOLD = Monitor(
+    "moves untold",
+    stream="/odom/fast, /joint_states",
+    check=Check.AGREEMENT,
+    consequence=Consequence.LATCH,
+    judge="robot",
+    words="it moves by {speed} m/s at a command of zero",
+    remedy="somebody else drives or pushes the robot, it slides, or odometry errs: find out, then `resume`",
+    high=0.05,
+    unit="m/s over 0.5 s",
+    setting="gate.moving_speed",
+    against="/cmd_vel",
+    test="hal/safety/test_gate.py",
+)
+TWO_ROBOTS = Monitor(
+    "two robots",
+    stream="rt/lowstate, rt/api/sport/response",
+    check=Check.OWNER,
+    consequence=Consequence.REFUSE,
+    judge="robot",
+    words="more than one robot on this DDS domain: {found}",
+    remedy="unplug one of them, or give it another DDS domain (`unitree.domain`); then `posture recover` and `resume`",
+    test="hal/unitree/test_two_robots.py",
+)
+OLD_HANDS = Monitor(
+    "old hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="their sender saw the robot {age} s ago, limit {limit} s",
+    remedy="let go until the link is quicker; move nearer",
+    low=0.0,
+    high=0.5,
+    unit="s",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
+BLIND_HANDS = Monitor(
+    "blind hands",
+    stream="/teleop/cmd_vel, /teleop/trunk",
+    check=Check.AGE,
+    consequence=Consequence.HOLD,
+    judge="robot",
+    words="the stamp is {stamp}, none that the robot told",
+    remedy="set header.stamp to the newest stamp of the robot that was seen, for example of /robot/state (docs/ros.md)",
+    against="/robot/state",
+    test="rbtrg_robot/stages/test_robot.py",
+)
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
 GOAL_SPENT = Monitor(
@@ -347,6 +529,19 @@ GOAL_SPENT = Monitor(
     against="places where the robot was for this goal",
     test="rbtrg_robot/stages/navigation/test_navigator.py",
 )
+PLACE_UNSURE = Monitor(
+    "place_unsure",
+    "odometry",
+    Check.AGREEMENT,
+    Consequence.TELL,
+    "navigator",
+    "the robot's place is known within {place:.2f} m (two standard deviations), the goal asks for {asked:.2f} m",
+    "drive where the LiDAR sees walls or posts, or set the pose; or ask for less: navigator.goal_tolerance",
+    setting="navigator.goal_tolerance",
+    against="the goal's tolerance",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
+
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))
 BY_NAME: dict[str, Monitor] = {monitor.name: monitor for monitor in MONITORS}

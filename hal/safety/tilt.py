@@ -49,3 +49,8 @@ class TiltFilter:
     def tilt(self) -> float | None:
         """[rad] in [0, pi]; None before the first sample."""
         return None if self._up is None else math.acos(max(-1.0, min(1.0, self._up[2])))
+
+    @property
+    def lean(self) -> tuple[float, float]:
+        """x and y of the upward direction in the trunk; 0 before the first sample."""
+        return (0.0, 0.0) if self._up is None else self._up[:2]

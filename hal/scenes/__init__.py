@@ -10,7 +10,7 @@ from hal.scenes import lanes, rescue
 from hal.scenes.maze import maze
 from hal.scenes.meadow import meadow
 from hal.scenes.scene import Goal, Pose, Scene, SceneError
-from hal.scenes.yard import flat, yard
+from hal.scenes.yard import field, flat, yard
 
 __all__ = ["DEFAULT_SCENE", "Goal", "Pose", "Scene", "SceneError", "load_scene", "scene_names"]
 
@@ -18,6 +18,9 @@ DEFAULT_SCENE = "yard"
 
 _BUILT_IN: dict[str, Callable[[], Scene]] = {
     "flat": flat,
+    "field": field,
+    "field_wall": lambda: field("wall"),
+    "field_posts": lambda: field("posts"),
     "yard": yard,
     "maze": maze,
     "meadow": meadow,

@@ -39,6 +39,27 @@ def flat() -> Scene:
     )
 
 
+def field(sight: str = "") -> Scene:
+    """48 x 48 m of level ground, farther than the LiDAR is used: nothing in sight, one wall ("wall") or two far posts ("posts")."""
+    canvas = Canvas((-24.0, 24.0, -24.0, 24.0), 0.05)
+    if sight == "wall":
+        canvas.box((-24.0, 24.0, 8.0, 8.4), 1.5)
+    elif sight == "posts":
+        canvas.box((12.0, 12.3, 5.0, 5.3), 1.5)
+        canvas.box((14.0, 14.3, -6.0, -5.7), 1.5)
+    return Scene(
+        name=f"field_{sight}" if sight else "field",
+        height=canvas.array(),
+        resolution=canvas.resolution,
+        origin=canvas.origin,
+        start=(0.0, 0.0, 0.0),
+        goals={"home": (0.0, 0.0, 0.0), "ahead": (5.0, 0.0, 0.0)},
+        description={"wall": "level ground beside one wall", "posts": "level ground, two far posts"}.get(
+            sight, "level ground, nothing in sight"
+        ),
+    )
+
+
 def yard() -> Scene:
     """12 x 12 m: a walled yard with a ramp to a platform, steps, rough ground, blocks and a hidden wall."""
     canvas = Canvas((-6.0, 6.0, -6.0, 6.0), RESOLUTION)

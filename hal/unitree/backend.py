@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 
 from hal.contract import BackendError, fulfilled, refusal
+from hal.safety.monitors import ROLLS_ON, TWO_ROBOTS
 from hal.types import (
     LYING,
     NS,
@@ -35,6 +36,8 @@ from hal.unitree.transitions import Failed, Steps, Transitions
 log = logging.getLogger(__name__)
 
 RECOVERING = "recovering"
+LISTEN = 0.1
+"""[s] at the start, before and after the first requests: long enough for another robot's LowState (500 Hz) and answer."""
 _STATE_PERIOD = NS // 25
 """[ns] between RobotState samples while nothing changes."""
 
@@ -92,7 +95,9 @@ class UnitreeBackend:
                 self._guardian = Guardian(self._interface, self._domain, self.options.avoid_obstacles)
             where = f"on {self._interface!r}, DDS domain {self._domain}"
             wait_for_robot(telemetry, self.options, where, self._clock, self._sleep)
+            self._alone(telemetry)
             self._run_now(self._steps.take_control())
+            self._alone(telemetry)
             if self._guardian is not None:
                 self._guardian.wait_ready(self.options.connect_timeout)
         except BackendError:
@@ -118,6 +123,7 @@ class UnitreeBackend:
             telemetry.believe_clock(now)
         self._steps.now = now
         self._fault = self._steps.advance() or self._fault
+        self._insist(telemetry, now)
         self._judge(telemetry, now)
         self._mover.pump(now, allowed=self._phase in (Phase.READY, Phase.MOVING))
         if self._guardian is not None:
@@ -134,8 +140,11 @@ class UnitreeBackend:
         if self._telemetry is None:
             return
         ready = self._phase in (Phase.READY, Phase.MOVING) and not self._steps.goal
+        rested = not self._mover.wanted
         self._mover.set(command if ready else VelocityCommand(command.stamp), self._now)
         if self._guardian is not None:
+            if rested and self._mover.wanted:
+                self._guardian.leave_off()
             # It must know before the robot does: this process may end in between.
             self._guardian.beat(self._mover.moving)
         self._mover.pump(self._now, allowed=ready)
@@ -167,9 +176,9 @@ class UnitreeBackend:
             case ModeRequest.RESUME:
                 self._stopped = ""
             case ModeRequest.DAMP:
+                self._start(self._steps.damp(), "going soft", Phase.DAMPED)
                 if self._guardian is not None:
                     self._guardian.damp()
-                self._start(self._steps.damp(), "going soft", Phase.DAMPED)
             case ModeRequest.SIT:
                 self._start(self._steps.sit(), "lying down", Phase.SITTING)
             case ModeRequest.STAND:
@@ -197,6 +206,10 @@ class UnitreeBackend:
                 lie = lie_down and self.options.sit_on_close and not lying and self._phase is not Phase.DAMPED
                 self._steps.abandon()
                 self._halt()
+                self._run_now(self._steps.come_to_rest())
+                lie = lie and not self._steps.rolls  # else the guardian sees to it
+                if lie:
+                    self._leave_off()
                 self._run_now(self._steps.leave(lie))
                 if self._guardian is not None:
                     self._guardian.beat(moving=False)
@@ -249,7 +262,24 @@ class UnitreeBackend:
         self._fault = ""
         self._steps.start(steps, goal, phase)
         self._mover.rest(self._now)
+        self._leave_off()
         self._mover.confirm_reset()
+
+    def _leave_off(self) -> None:
+        """The robot is told something else than to rest: nobody insists on that any more."""
+        self._mover.halt.end()
+        if self._guardian is not None:
+            self._guardian.leave_off()
+
+    def _insist(self, telemetry: Telemetry, now: int) -> None:
+        """A robot that was stopped rests, or is made soft, which is a fault."""
+        if self._dry_run:
+            self._mover.halt.end()
+            return
+        soft = self._mover.insist(now, telemetry)
+        if soft:
+            self._steps.abandon()
+            self._fault = f"{soft}: made soft (Damp); {ROLLS_ON.remedy}"
 
     def _halt(self) -> None:
         """StopMove on both paths."""
@@ -266,13 +296,32 @@ class UnitreeBackend:
         parts = (f"{DRY_RUN}: {cause}" if self._dry_run else cause, self._refusal)
         self._cause = "; ".join(part for part in parts if part)
         halting = self._phase in (Phase.DISCONNECTED, Phase.FAULT)
-        if halting and before[0] in (Phase.READY, Phase.MOVING):
+        if halting and before[0] in (Phase.READY, Phase.MOVING) and not self._mover.halt.damped:
             self._halt()
         if self._phase != before[0]:
             driving = {before[0], self._phase} == {Phase.READY, Phase.MOVING}
             level = logging.WARNING if self._phase is Phase.FAULT else logging.INFO
             level = logging.DEBUG if driving else level
             log.log(level, "%s -> %s: %s", before[0].value, self._phase.value, self._cause)
+
+    def _several(self, t: Telemetry, now: int) -> str:
+        """That more than one robot speaks, in words; empty where one does."""
+        service = self._rpc.several(now)
+        found = (t.several(now), f"service {service!r} answered a request twice" if service else "")
+        return (
+            TWO_ROBOTS.tell(found="; ".join(filter(None, found))) if any(found) and TWO_ROBOTS.active else ""
+        )
+
+    def _alone(self, telemetry: Telemetry) -> None:
+        """Nobody is commanded before it is sure who hears it. Raises BackendError."""
+        until = self._clock() + round(LISTEN * NS)
+        while self._clock() < until:
+            self._now = self._clock()
+            telemetry.read(self._now)
+            self._rpc.poll(self._now)
+            if several := self._several(telemetry, self._now):
+                raise BackendError(f"{several}; {TWO_ROBOTS.remedy}", retry=False)
+            self._sleep(0.005)
 
     def _verdict(self, t: Telemetry, now: int) -> tuple[Phase, str]:
         o = self.options
@@ -298,13 +347,14 @@ class UnitreeBackend:
             return self._steps.phase, f"{self._steps.goal}: {self._steps.doing}"
         if t.phase in LYING:
             return t.phase, self._stopped or ("lying" if t.phase is Phase.SITTING else "joints are soft")
+        rolls = self._mover.rolls_on(now, t)
         if self._stopped:
-            return Phase.STOPPED, self._stopped
+            return Phase.STOPPED, "; ".join(filter(None, (self._stopped, rolls)))
         if t.phase is Phase.STANDING:
             return Phase.STANDING, "joints are locked: request stand"
         if self._guardian is not None and not self._guardian.ready:
             return Phase.STANDING, "waiting for the guardian process"
-        note, ignored = self._mover.note, self._ignored(t, now)
+        note, ignored = rolls or self._mover.note, self._ignored(t, now)
         if ignored > 1.5:
             note = f"Move is not followed for {ignored:.0f} s (normal up to 10 s after standing up)"
         # Once seen to move it counts as moving while it is told to: measured speed flickers around zero.
@@ -316,6 +366,8 @@ class UnitreeBackend:
     def _trouble(self, t: Telemetry, now: int) -> str:
         """The reason of a fault now, in words; empty without a fault."""
         o = self.options
+        if several := self._several(t, now):
+            return several
         if not self._steps.goal and t.sport_age(now) > o.sport_timeout:
             return "sport service is silent (motion service released?): request recover"
         if (self._steps.phase if self._steps.goal else t.phase) is Phase.DAMPED:

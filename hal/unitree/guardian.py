@@ -5,8 +5,10 @@ metre. This process watches the driver's heartbeat on its standard input and sen
 participant, so that the emergency path shares nothing with the normal one. It imports little, does one thing and
 ends with its parent.
 
-Input, one byte each: `m` alive and moving, `i` alive and at rest, `s` stop now, `d` damp now; end of file: the driver is
-gone. Output: `r` once the robot's sport service is in reach, then `.` ten times a second.
+It hears the robot's own motion: what counts is rest, not the answer (`hal.unitree.motion`).
+
+Input, one byte each: `m` alive and moving, `i` alive and at rest, `s` stop now, `d` damp now, `e` the robot is told something
+else, leave off; end of file: the driver is gone. Output: `r` once the robot's sport service is in reach, then `.` ten times a second.
 """
 
 from __future__ import annotations
@@ -18,20 +20,21 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 from hal.contract import BackendError
 from hal.unitree import api
-from hal.unitree.api import Request
-from hal.unitree.link import DdsLink, Link
+from hal.unitree.api import Request, Sport, WireError
+from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, view
+from hal.unitree.link import LOW_STATE, SPORT_STATE, DdsLink, Link
+from hal.unitree.motion import Halt, Motion
 
 SILENCE = 0.15
 """[s] without a heartbeat while moving: stop."""
-INSIST = 1.0
-"""[s] an order is repeated until the robot confirms it."""
-REPEAT = 0.05
-"""[s] between repetitions."""
 LOST = 1.0
 """[s] without a sign from the guardian: it counts as lost."""
+CLOSING = 5.0
+"""[s] for its last order: to a robot that does not follow it, longer than until Damp."""
 START = 10.0
 """[s] from its start to its first sign, and to the robot's sport service: longer counts as lost."""
 
@@ -74,8 +77,12 @@ class Guardian:
         self._listen()
 
     def stop(self) -> None:
-        """Have the guardian send StopMove until the robot confirms."""
+        """Have the guardian send StopMove until the robot rests, and Damp where it does not."""
         self._tell(b"s")
+
+    def leave_off(self) -> None:
+        """The robot is told something else than to stop."""
+        self._tell(b"e")
 
     def damp(self) -> None:
         """Have the guardian send Damp until the robot confirms."""
@@ -124,7 +131,7 @@ class Guardian:
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:
-            self._process.wait(INSIST + 1.0)
+            self._process.wait(CLOSING)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
@@ -133,42 +140,65 @@ class Guardian:
 
 
 class Order:
-    """One emergency request that is repeated until it is confirmed."""
+    """One emergency request, insisted on until the robot rests."""
 
     def __init__(self, link: Link, avoid: bool) -> None:
         self._link = link
         self.avoid = avoid
         """Whether the robot drives through its obstacle avoidance, which then must rest too."""
-        self._api: int | None = None
-        self._until = self._next = 0.0
+        self.halt = Halt()
+        self._motion = Motion()
+        self._tick = -1
+        self._stamp = b""
         self._ids: set[int] = set()
 
-    def give(self, number: int) -> None:
-        """Start insisting on this sport request. Damp is not replaced by a stop."""
-        if self._api == api.Sport.DAMP and number != api.Sport.DAMP:
-            return
-        self._api, self._until, self._next = number, time.monotonic() + INSIST, 0.0
+    def give(self, number: Sport, now: float) -> None:
+        """Start insisting on this sport request, at `now` [s, monotonic]."""
+        self.halt.begin(number, now)
         self._ids.clear()
 
-    def pump(self) -> bool:
-        """Send and collect; False when there is nothing left to insist on."""
+    def sent(self, request: Request) -> bool:
+        """Whether this request is one of ours."""
+        return request.id in self._ids
+
+    def pump(self, now: float) -> bool:
+        """Listen and send; False when there is nothing left to insist on."""
+        self._listen(now)
         for response in self._link.responses(api.SPORT):
             if response.id in self._ids and response.code == 0:
-                self._api = None
-        now = time.monotonic()
-        if self._api is not None and now >= self._until:
-            self._api = None
-        if self._api is not None and now >= self._next:
+                self.halt.answered()
+        soft = self.halt.damped
+        number = self.halt.due(now, self._motion)
+        if self.halt.damped and not soft:
+            self._ids.clear()
+        if number is not None:
             identity = time.monotonic_ns()
             self._ids.add(identity)
-            self._link.send(api.SPORT, Request(identity, int(self._api)))
+            self._link.send(api.SPORT, Request(identity, int(number)))
             if self.avoid:
                 zero = api.compact({"x": 0.0, "y": 0.0, "yaw": 0.0, "mode": 0})
                 self._link.send(
                     api.OBSTACLES_AVOID, Request(identity + 1, api.ObstaclesAvoid.MOVE, zero, True)
                 )
-            self._next = now + REPEAT
-        return self._api is not None
+        if self.halt.damped and not soft:
+            _say(f"{self.halt.damped}: made soft (Damp)")
+        return self.halt.order is not None
+
+    def _listen(self, now: float) -> None:
+        """The newest of what the robot tells of its motion; a publisher that repeats itself tells nothing."""
+        for data in self._link.take(SPORT_STATE)[-1:]:
+            with contextlib.suppress(WireError):
+                sport = view(data, SPORT_MODE_STATE_CDR)
+                stamp = sport["stamp"].tobytes()
+                if stamp != self._stamp:
+                    self._stamp = stamp
+                    self._motion.hear_sport(sport, now)
+        for data in self._link.take(LOW_STATE)[-1:]:
+            with contextlib.suppress(WireError):
+                low = view(data, LOW_STATE_CDR)
+                if int(low["tick"]) != self._tick:
+                    self._tick = int(low["tick"])
+                    self._motion.hear_low(low, now)
 
 
 def main(interface: str, domain: int, avoid: bool) -> int:
@@ -176,7 +206,8 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # the end of the parent is the only signal that counts
     try:
-        link = DdsLink(interface, domain, [], (api.SPORT, api.OBSTACLES_AVOID) if avoid else (api.SPORT,))
+        services = (api.SPORT, api.OBSTACLES_AVOID) if avoid else (api.SPORT,)
+        link = DdsLink(interface, domain, motion_topics(), services)
     except BackendError as error:
         _say(str(error))
         return 1
@@ -187,13 +218,20 @@ def main(interface: str, domain: int, avoid: bool) -> int:
     return 0
 
 
+def motion_topics() -> list[tuple[str, Any, int]]:
+    """What `Order` listens to, the newest message alone."""
+    from hal.unitree import idl
+
+    return [(LOW_STATE, idl.LowState, 1), (SPORT_STATE, idl.SportModeState, 1)]
+
+
 def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
     """Read `orders` and write to `signs` (descriptors) as told above, until either is at its end and the last order is through."""
     order = Order(link, avoid)
     moving, ended, ready = False, False, False
     heard = sign = time.monotonic()
     while True:
-        busy = order.pump()
+        busy = order.pump(time.monotonic())
         if ended and not busy:
             return
         readable, _, _ = select.select([] if ended else [orders], [], [], 0.01 if busy else 0.02)
@@ -201,18 +239,17 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
         gone = False
         if readable:
             data = os.read(orders, 4096)
-            if b"d" in data:
-                order.give(api.Sport.DAMP)
-            elif b"s" in data:
-                order.give(api.Sport.STOP_MOVE)
+            for byte in data:
+                _obey(order, byte, now)
+                moving = byte == ord("m") if byte in b"mi" else moving
             if data:
-                moving, heard = data.rstrip(b"sd")[-1:] == b"m" if data.rstrip(b"sd") else moving, now
+                heard = now
             else:
                 gone = True
         elif moving and not ended and now - heard > SILENCE:
             moving = False
-            order.give(api.Sport.STOP_MOVE)
-            order.pump()
+            order.give(Sport.STOP_MOVE, now)
+            order.pump(now)
             _say(f"no heartbeat for {now - heard:.2f} s, stopping the robot")
         if not (ended or gone) and now - sign >= 0.1:
             sign = now
@@ -224,9 +261,19 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
         if gone:
             ended = True
             if moving:
-                order.give(api.Sport.STOP_MOVE)
-                order.pump()
+                order.give(Sport.STOP_MOVE, now)
+                order.pump(now)
                 _say("the driver is gone, stopping the robot")
+
+
+def _obey(order: Order, byte: int, now: float) -> None:
+    """One byte of the driver that is no beat."""
+    if byte == ord("d"):
+        order.give(Sport.DAMP, now)
+    elif byte == ord("s"):
+        order.give(Sport.STOP_MOVE, now)
+    elif byte == ord("e"):
+        order.halt.end()
 
 
 def _say(words: str) -> None:

@@ -44,6 +44,9 @@ class Link(Protocol):
     def take(self, topic: str) -> list[bytes]:
         """CDR messages since the last call, oldest first."""
 
+    def speakers(self, topic: str) -> list[int]:
+        """Who sent the messages of the last `take` of this topic, in their order: a number for each publisher."""
+
     def reachable(self, service: str) -> bool:
         """Whether a server of this service has been discovered."""
 
@@ -128,6 +131,7 @@ class DdsLink:
         check_interface(interface)
         self._request: Any = idl.RequestMessage
         self._bad = 0
+        self._speakers: dict[str, list[int]] = {}
         try:
             self._domain: Any = Domain(domain, domain_config(interface))
             self._participant: Any = DomainParticipant(domain)
@@ -183,7 +187,13 @@ class DdsLink:
 
     def take(self, topic: str) -> list[bytes]:
         """CDR messages since the last call, oldest first."""
-        return [sample.cdr for sample in self._readers[topic].take(N=256) if hasattr(sample, "cdr")]
+        samples = [sample for sample in self._readers[topic].take(N=256) if hasattr(sample, "cdr")]
+        self._speakers[topic] = [sample.sample_info.publication_handle for sample in samples]
+        return [sample.cdr for sample in samples]
+
+    def speakers(self, topic: str) -> list[int]:
+        """Who sent the messages of the last `take` of this topic, in their order."""
+        return self._speakers.get(topic, [])
 
     def reachable(self, service: str) -> bool:
         """Whether a server of this service has been discovered."""
@@ -240,6 +250,10 @@ class DryRunLink:
     def take(self, topic: str) -> list[bytes]:
         """Real telemetry."""
         return self._link.take(topic)
+
+    def speakers(self, topic: str) -> list[int]:
+        """Of the real telemetry."""
+        return self._link.speakers(topic)
 
     def reachable(self, service: str) -> bool:
         """Real discovery."""

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 
+from hal.safety.monitors import ROLLS_ON
 from hal.types import NS, Capabilities, PostureCommand, VelocityCommand
 from hal.unitree import api
 from hal.unitree.config import UnitreeConfig
+from hal.unitree.motion import Halt
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import Telemetry
 
 _ZERO_TIME = 0.3
 """[s] of zero Moves after a stop: a single packet may be lost."""
+_TOLD = 0.7
+"""[s] of rolling on after a stop before the cause tells it."""
 _EULER_PERIOD = 0.2
 """[s]; an attitude offset must be repeated to hold."""
 _EULER_STEP = 0.05
@@ -19,7 +23,10 @@ _EULER_STEP = 0.05
 
 
 class Mover:
-    """Repeats the wanted velocity as Move; at zero, or when the host falls silent: StopMove, zero Moves, silence."""
+    """Repeats the wanted velocity as Move; at zero, or when the host falls silent: StopMove, zero Moves, silence.
+
+    A robot that rolls on is told again, and made soft where that is safer: `halt`.
+    """
 
     def __init__(self, rpc: Rpc, options: UnitreeConfig, capabilities: Capabilities) -> None:
         self._rpc, self._options, self._capabilities = rpc, options, capabilities
@@ -32,20 +39,28 @@ class Mover:
         self._posture = self._told = (0.0, 0.0)
         """Roll and pitch [rad] to hold at rest: wanted, and sent last."""
         self._told_at = 0
+        self.halt = Halt()
+        """After a stop, until the robot rests."""
+        self._halted_at = 0
         self.note = ""
         """Why the robot is not given the wanted velocity; empty when it is."""
 
     @property
+    def wanted(self) -> bool:
+        """Whether a velocity other than zero is wanted."""
+        return self._velocity != (0.0, 0.0)
+
+    @property
     def moving(self) -> bool:
         """Whether a velocity other than zero is, or within the last moments was, on its way to the robot."""
-        return self._velocity != (0.0, 0.0) or self._rest_since is not None
+        return self.wanted or self._rest_since is not None
 
     def fed(self, now: int) -> None:
         """The host lives."""
         self._fed_at = now
 
     def set(self, command: VelocityCommand, now: int) -> None:
-        """The wanted velocity; not finite counts as zero, beyond the capabilities is clipped."""
+        """The wanted velocity; not finite counts as zero, beyond the capabilities is clipped. Motion ends `halt`."""
         self._fed_at = now
         limit_v, limit_w = self._capabilities.max_vx, self._capabilities.max_wz
         if not (math.isfinite(command.vx) and math.isfinite(command.wz)):
@@ -58,6 +73,7 @@ class Mover:
             self.rest(now)
         else:
             self._velocity, self._rest_since = velocity, None
+            self.halt.end()
 
     def rest(self, now: int) -> None:
         """Want zero: StopMove once, then zero Moves for a moment."""
@@ -66,8 +82,11 @@ class Mover:
             self.stop(now)
 
     def stop(self, now: int) -> None:
-        """StopMove at once, whatever was wanted."""
+        """StopMove at once, whatever was wanted, and again while the robot moves."""
         self._velocity, self._rest_since = (0.0, 0.0), now
+        self._halted_at = now
+        self.halt.begin(api.Sport.STOP_MOVE, now / NS)
+        self.halt.answered()
         self._rpc.send(api.SPORT, api.Sport.STOP_MOVE, now)
         self._move(now)
 
@@ -90,6 +109,22 @@ class Mover:
             self._move(now)
         if allowed and not self.moving:
             self._tilt(now)
+
+    def insist(self, now: int, telemetry: Telemetry) -> str:
+        """See that a robot that was stopped rests. Why it was made soft just now, in words; empty where it was not."""
+        soft = self.halt.damped
+        number = self.halt.due(now / NS, telemetry.motion)
+        if number is not None:
+            self._rpc.send(api.SPORT, number, now)
+        return "" if soft else self.halt.damped
+
+    def rolls_on(self, now: int, telemetry: Telemetry) -> str:
+        """That the robot does not follow a stop, in words; empty where it does."""
+        lasted = (now - self._halted_at) / NS
+        speed = telemetry.motion.speed(now / NS)
+        if self.halt.order is None or lasted < _TOLD or speed is None or not ROLLS_ON.outside(speed):
+            return ""
+        return ROLLS_ON.tell(speed=f"{speed:.2f} m/s", after=f"{lasted:.1f} s")
 
     def _tilt(self, now: int) -> None:
         """Repeat the attitude offset; level is sent once."""

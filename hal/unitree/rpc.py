@@ -27,6 +27,8 @@ class Rpc:
         self._last_id = 0
         self._pending: dict[int, tuple[str, int, int]] = {}
         self._done: dict[int, Response] = {}
+        self._answered: deque[int] = deque(maxlen=50)
+        self._twice: tuple[int, str] | None = None
         self.late = 0
         """Responses that came after their time was over, or to nobody."""
         self.history: deque[tuple[int, str, int, str]] = deque(maxlen=200)
@@ -54,10 +56,13 @@ class Rpc:
         for service in SERVICES:
             for response in self._link.responses(service):
                 waiting = self._pending.pop(response.id, None)
-                if waiting is None or waiting[0] != service:
-                    self.late += 1
-                else:
+                if waiting is not None and waiting[0] == service:
                     self._done[response.id] = response
+                    self._answered.append(response.id)
+                elif response.id in self._answered:
+                    self._twice = now, service
+                else:
+                    self.late += 1
         for identity, (_, api, deadline) in list(self._pending.items()):
             if now >= deadline:
                 del self._pending[identity]
@@ -66,6 +71,10 @@ class Rpc:
     def result(self, identity: int) -> Response | None:
         """The response, once; None while waiting."""
         return self._done.pop(identity, None)
+
+    def several(self, now: int) -> str:
+        """The service that answered one request twice within the last second; empty where none did."""
+        return self._twice[1] if self._twice is not None and 0 <= now - self._twice[0] < NS else ""
 
     def forget(self) -> None:
         """Give up all that is pending; its answers will count as late."""

@@ -5,7 +5,7 @@
 The robot holds the last Move for a second. The guardian beside the driver shortens that when the driver dies, but it dies
 with its computer and is cut off with its cable. This process runs on the robot's side of the cable, for example on the
 onboard computer. It hears the same Moves that the robot hears; when they cease without a stop it sends StopMove until the
-robot confirms. It asks nothing of the driver and never moves the robot.
+robot rests, and Damp where it rolls on (`hal.unitree.motion`). It asks nothing of the driver and never moves the robot.
 
 It is the one module of this library with a command line: the robot's computer needs nothing of the stack but this.
 """
@@ -24,7 +24,7 @@ from hal.contract import BackendError
 from hal.unitree import api
 from hal.unitree.api import Request, WireError
 from hal.unitree.factory import check
-from hal.unitree.guardian import SILENCE, Order
+from hal.unitree.guardian import SILENCE, Order, motion_topics
 
 log = logging.getLogger(__name__)
 
@@ -72,13 +72,16 @@ class Sentry:
             if speed is not None:
                 self._heard = None if speed == 0.0 else now
                 self._order.avoid = service == api.OBSTACLES_AVOID
-            elif service == api.SPORT and request.api in ENDS:
+                if speed != 0.0:
+                    self._order.halt.end()
+            elif service == api.SPORT and request.api in ENDS and not self._order.sent(request):
                 self._heard = None
+                self._order.halt.end()
         if self._heard is not None and now - self._heard > SILENCE:
             log.warning("Moves ceased for %.2f s without a stop: stopping the robot", now - self._heard)
             self._heard = None
-            self._order.give(api.Sport.STOP_MOVE)
-        self._order.pump()
+            self._order.give(api.Sport.STOP_MOVE, now)
+        self._order.pump(now)
 
 
 def main(interface: str, domain: int, stopping: Callable[[], bool]) -> None:
@@ -86,7 +89,8 @@ def main(interface: str, domain: int, stopping: Callable[[], bool]) -> None:
     from hal.unitree import idl
     from hal.unitree.link import DdsLink
 
-    link = DdsLink(interface, domain, [(name, idl.RequestMessage, 64) for name in TOPICS.values()], TOPICS)
+    topics = [*((name, idl.RequestMessage, 64) for name in TOPICS.values()), *motion_topics()]
+    link = DdsLink(interface, domain, topics, TOPICS)
     sentry = Sentry(Order(link, avoid=False))
     log.info("watching %s, domain %d", interface, domain)
     while not stopping():

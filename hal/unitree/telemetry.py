@@ -21,7 +21,9 @@ from hal.unitree.config import UnitreeConfig
 from hal.unitree.layout import LOW_STATE_CDR, SPORT_MODE_STATE_CDR, low_state_checksum, view
 from hal.unitree.lidars import STEP_TOLD, LidarInput, Silence
 from hal.unitree.link import L1_IMU, LOW_STATE, SPORT_STATE, Link
+from hal.unitree.motion import Motion, remote
 from hal.unitree.quality import LinkQuality
+from hal.unitree.turns import Turns
 
 log = logging.getLogger(__name__)
 
@@ -34,10 +36,6 @@ MOUNT_SAMPLES = 200
 MOUNT_TOLERANCE = math.radians(25.0)
 REFUSAL_TOLD = 2 * NS
 """[ns] for which an impossible sample is told."""
-STICK_REST, STICK_MOST = 0.1, 1.5
-"""A stick nearer to 0 than this is at rest; beyond the other the bytes are no stick."""
-_STICKS = [0, 1, 2, 4]
-"""lx, rx, ry, ly among the five floats after head and keys of `wireless_remote`; the fourth is the L2 trigger."""
 
 
 def _angle(a: Array, b: Array) -> float:
@@ -67,6 +65,8 @@ class Telemetry:
         """By stream why its newest impossible sample was not passed on, and when [ns]."""
         self.low_clock = RemoteClock(answers=True)
         self._link_quality = LinkQuality()
+        self.motion = Motion()
+        self._turns = Turns()
         self.low: np.void | None = None
         self.sport: np.void | None = None
         self._heard_at: int | None = None
@@ -107,7 +107,11 @@ class Telemetry:
         out: list[ImuSample | JointSample | LidarScan] = []
         for data in self._link.take(SPORT_STATE):
             self._guarded(SPORT_STATE, self._take_sport, data, now)
-        fresh = [self._guarded(LOW_STATE, self._take_low, data, now) for data in self._link.take(LOW_STATE)]
+        lows, speakers = self._link.take(LOW_STATE), self._link.speakers(LOW_STATE)
+        fresh = [
+            self._guarded(LOW_STATE, partial(self._take_low, who), data, now)
+            for data, who in zip(lows, speakers, strict=True)
+        ]
         for low in fresh:  # after the clock has seen the whole batch: all of it was received by now
             out += self._low_samples(low, now) if low is not None else []
         if self._l1 is not None:
@@ -136,16 +140,19 @@ class Telemetry:
         stamp = (int(sport["stamp"]["sec"]), int(sport["stamp"]["nanosec"]))
         if stamp != self._sport_stamp:  # a repeated stamp is a frozen publisher
             self._sport_stamp, self._sport_at, self.sport = stamp, now, sport
+            self.motion.hear_sport(sport, now / NS)
             if self._log_raw and self.raw != self._raw:
                 self._raw = self.raw
                 log.info("sportmodestate: %s, taken as %s", self._raw, self.phase)
 
-    def _take_low(self, data: bytes, now: int) -> np.void | None:
-        """The message if it is new."""
+    def _take_low(self, who: int, data: bytes, now: int) -> np.void | None:
+        """The message of a publisher if it is new, and of the robot that has the floor."""
         low = view(data, LOW_STATE_CDR)
         if self._options.check_crc and low["crc"] not in (0, low_state_checksum(data)):
             raise WireError("its checksum is wrong")
         self.low_unread = ""
+        if not self._turns.counts((who, "-".join(str(part) for part in low["sn"])), now):
+            return None
         step = (int(low["tick"]) - self._tick + 2**31) % 2**32 - 2**31
         if step == 0 and self.low is not None:
             return None  # frozen publisher: nothing new
@@ -155,6 +162,7 @@ class Telemetry:
             return None
         self._link_quality.heard(step if self.low is not None else 0, now)
         self._tick, self.low = tick, low
+        self.motion.hear_low(low, now / NS)
         return low
 
     def believe_clock(self, now: int) -> None:
@@ -270,6 +278,11 @@ class Telemetry:
         """Which LiDAR does not speak, in words, and where else clouds are sent, or whose stamps are wrong; empty when all is well."""
         notes = (self._silence.words(self.lidars, now), *(lidar.note(now) for lidar in self.lidars))
         return "; ".join(note for note in notes if note)
+
+    def several(self, now: int) -> str:
+        """The robots whose LowState comes by turns, in words; empty where one speaks."""
+        serials = [serial for _, serial in self._turns.several(now)]
+        return f"LowState of serial numbers {' and '.join(sorted(serials))}" if serials else ""
 
     def figures(self) -> dict[str, float]:
         """Figures for the operator: offsets of clocks [s] and the rate of LowState [Hz] as float, counters as int."""
@@ -388,11 +401,8 @@ class Telemetry:
 
     @property
     def remote(self) -> bool:
-        """Whether somebody moves a stick of the robot's own remote; its sticks rest at 0 and read -1..1."""
-        if self.low is None:
-            return False
-        sticks = np.frombuffer(self.low["wireless_remote"].tobytes(), "<f4", 5, offset=4)[_STICKS]
-        return bool(((np.abs(sticks) > STICK_REST) & (np.abs(sticks) <= STICK_MOST)).any())
+        """Whether somebody moves a stick of the robot's own remote."""
+        return self.low is not None and remote(self.low)
 
     @property
     def contact(self) -> tuple[bool, bool, bool, bool]:

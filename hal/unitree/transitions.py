@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import Any
 
+from hal.safety.monitors import ROLLS_ON
 from hal.types import LYING, NS, Phase
 from hal.unitree import api
 from hal.unitree.api import MotionSwitcher, ObstaclesAvoid, Response, Sport, WireError
@@ -103,12 +104,20 @@ class Transitions:
         yield from self._call(api.SPORT, Sport.DAMP, "damp")
         yield from self._until(lambda: self._seen(LYING, (7,)), 2.0, "going soft")
 
-    def leave(self, lie_down: bool) -> Steps:
-        """StopMove; wait for rest; give obstacle avoidance back; lie down. Never ReleaseMode: the robot would drop."""
+    def come_to_rest(self) -> Steps:
+        """StopMove, and the time that it takes."""
         yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping", tries=2, timeout=0.3)
         start = self.now
-        while self._telemetry.speed > 0.05 and self.now - start < 0.7 * NS:
+        while self.rolls and self.now - start < 0.9 * NS:
             yield
+
+    @property
+    def rolls(self) -> bool:
+        """Whether the robot moves, as far as is heard."""
+        return ROLLS_ON.outside(self._telemetry.motion.speed(self.now / NS) or 0.0)
+
+    def leave(self, lie_down: bool) -> Steps:
+        """At rest: give obstacle avoidance back; lie down. Never ReleaseMode: the robot would drop."""
         if self._options.avoid_obstacles:
             yield from self._call(
                 api.OBSTACLES_AVOID,

@@ -15,8 +15,12 @@ from mapping.grid import ElevationGrid
 
 PATCH_LAYERS = ("elevation", "variance", "trusted", "upper_bound", "source")
 
-PLANTS, HOLE = 5, 6
-"""`source` of ground under leaves, and of holes wider than the robot crosses."""
+PLANTS = 5
+"""`source` of ground under leaves."""
+TOUCHED = 6
+"""`source` of what the robot touched and no ray tells of; in read-outs only."""
+HOLE = 7
+"""`source` of holes wider than the robot crosses (`mapping.elevation.holes`); in read-outs only."""
 LARGEST = 50_000_000
 """Cells of one patch: 280 m x 280 m of 4 cm, 1 GB."""
 
@@ -50,8 +54,8 @@ class MapPatch:
 
     Row grows with y, column with x. Layers are (rows, cols) float32: `elevation` [m] (NaN unknown), `variance` [m^2]
     (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells),
-    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top),
-    6 a hole wider than the robot crosses (`mapping.elevation.holes`). That of `ElevationMap.complete`
+    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top), 6 touched by the robot,
+    7 a hole wider than the robot crosses. That of `ElevationMap.complete`
     has `age`, too: seconds since something agreed with the height (NaN: never, as on a prior map and where it is bridged).
     """
 

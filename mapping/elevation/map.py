@@ -31,6 +31,7 @@ from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, Layers, TileStore
+from mapping.elevation.touched import TouchedWalls
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -133,6 +134,7 @@ class ElevationMap:
         self._prior = None
         self._fresh = True
         self._granted = []
+        self._reader.walls = TouchedWalls()
         if self._plants is not None:
             self._plants.rays = None
 
@@ -172,6 +174,7 @@ class ElevationMap:
         )
         self._sensor = place + rotation @ origin
         self._stay_near()
+        self._reader.walls.fade(self.store, now)
         limits = np.array([p.min_range, p.max_range, p.ceiling, p.ceiling_slope, *sensor.region])
         drops = np.zeros(6, dtype=np.int64)
         absent = np.zeros(2, dtype=np.int64)
@@ -268,6 +271,25 @@ class ElevationMap:
             self._fresh = self._fresh and len(contacts) < 3
             self._granted = [written]
         return int(written.i.size)
+
+    def touch(self, x: float, y: float, z: float, yaw: float, stamp: int) -> None:
+        """The robot touched something no ray tells of, at x, y [m], z of its base_link [m] by the odometry, as it drove along `yaw` [rad].
+
+        It reads as a wall until it fades, or until `forget_touched`. Raises MapError for what is no number.
+        """
+        if not all(map(math.isfinite, (x, y, z, yaw))):
+            raise MapError(f"touched at {x}, {y}, {z}")
+        place = x, y, z + self.alignment.height
+        self._reader.walls.add(self.store, place, yaw, self.params.resolution, self._clock(stamp))
+
+    @property
+    def touched(self) -> int:
+        """Walls that were touched and not forgotten."""
+        return len(self._reader.walls)
+
+    def forget_touched(self) -> int:
+        """Forget what was touched; returns how many walls that were."""
+        return self._reader.walls.clear(self.store)
 
     def grant(self, granted: bool) -> None:
         """Whether ground around the wheels that nobody saw counts: the support plane beyond the body at the start, and gaps from there to the
@@ -411,6 +433,7 @@ class ElevationMap:
         now = self._clock(patch.stamp)
         self._fresh = False
         known = restore_store(self.store, patch, self.params, now)
+        self._reader.walls.restore(self.store, patch, now)
         self._granted.append(entered(patch))
         return known
 

@@ -20,6 +20,7 @@ from mapping.elevation.holes import Crossing, mark_holes
 from mapping.elevation.mirror import blocks_of
 from mapping.elevation.plants import TALLEST
 from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
+from mapping.elevation.touched import TouchedWalls
 
 _BLOCK = 12
 """Tiles per side of the blocks that deltas are worked out in: bounds the memory of one step, and holds what a LiDAR of
@@ -42,6 +43,7 @@ class MapReader:
         """Where the robot stands: x, y, z [m] of the ground in the middle of its wheels."""
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
+        self.walls = TouchedWalls()
         self._rules = [
             bridge_rule(
                 p.resolution, p.bridge_gap, p.bridge_step, p.bridge_slope, p.bridge_bound, p.hole, blind, p.bridge_trust
@@ -95,6 +97,7 @@ class MapReader:
                 gap,
             )
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
+        self.walls.paint(i0, j0, out, p.trust_sigma**2)
         return out
 
     def _stood(self, top: int, left: int) -> NDArray[np.float64]:

@@ -164,7 +164,7 @@ class MapFit:
 
     def add(
         self,
-        fitted: tuple[Array, Array, int, int, int, float],
+        fitted: tuple[Array, Array, int, int, int, float, float],
         pose: Array,
         off: Array,
         linear: Array,
@@ -173,7 +173,7 @@ class MapFit:
         shift: float,
     ) -> None:
         """What `VoxelPlanes.fit` says at the `pose` that was found with `off`, see `pose`; `sigma` [m]: error of a plane."""
-        h, b, _, _, inliers, total = fitted
+        h, b, _, _, inliers, total, _ = fitted
         if inliers < INDEPENDENT:
             return
         axes = np.zeros((6, 6))

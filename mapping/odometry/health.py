@@ -9,18 +9,16 @@ from enum import StrEnum
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.types import Array
+from hal.safety.monitors import MOVED_WHILE_STILL
+from hal.types import NS, Array
 from mapping.odometry.registration.engines import Match
+from mapping.odometry.registration.observability import observed
 
 INDEPENDENT = 60
 """Points of a scan whose errors are independent."""
 SCATTER = 0.6
 """Share of the scatter of a scan about the map that does not average out. More of it serves sparse LiDARs where wheels roll
 cleanly (synthetic runs), less of it where they slip and bump (physics)."""
-SLIDING = 0.8
-"""Standard deviation of a registration along a direction that nothing constrains [m]."""
-NORMAL_NOISE = 0.002
-"""Share of facing surface that noise of the normals (0.04 rad) alone pretends."""
 FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
 USUAL = 2.0
@@ -33,6 +31,10 @@ DROP = 0.25, 0.1
 """Loss of overlap and of points on surfaces [0..1] from one scan to the next that shows that the view is another."""
 TURN_SLACK = 0.1
 """Turn [rad] that the gyro does not tell, beside its own uncertainty: a square room fits four times."""
+SUSPECT = 0.5
+"""Share of what is strange that is suspect while wheels and gyro stand still."""
+CARRIED_FOR = 5 * NS
+"""How long a robot that was moved while it stood still counts as carried [ns]."""
 MEMORY = 0.1
 """Weight of a scan in what is usual."""
 CARRIED = "; if the robot was carried, bring it back or start the stack anew"
@@ -52,45 +54,67 @@ class HealthConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     min_on_planes: int = Field(
-        default=30, ge=0, description="points on known surfaces below which registration is not used"
+        default=30, ge=0, le=1000, description="points on known surfaces below which registration is not used"
     )
     min_points: int = Field(
-        default=60, ge=10, description="registered points below which a scan says nothing"
+        default=60, ge=10, le=1000, description="registered points below which a scan says nothing"
     )
-    overlap_low: float = Field(default=0.5, description="share of points in seen map: degraded below")
-    overlap_lost: float = Field(default=0.2, description="registration is not used below")
+    overlap_low: float = Field(
+        default=0.5, ge=0.2, le=1.0, description="share of points in seen map: degraded below"
+    )
+    overlap_lost: float = Field(default=0.2, ge=0.05, le=0.9, description="registration is not used below")
     inliers_low: float = Field(
-        default=0.8, description="share of points on the map's surfaces: degraded below"
+        default=0.8, ge=0.3, le=1.0, description="share of points on the map's surfaces: degraded below"
     )
-    inliers_lost: float = Field(default=0.6, description="registration is not used below")
+    inliers_lost: float = Field(default=0.6, ge=0.3, le=1.0, description="registration is not used below")
     residual_high: float = Field(
-        default=0.06, description="RMS distance from the map's surfaces: degraded above [m]"
+        default=0.06, ge=0.01, le=0.2, description="RMS distance from the map's surfaces: degraded above [m]"
     )
     information_low: float = Field(
-        default=0.02, description="least share of surface facing any direction: degraded below"
+        default=0.02,
+        ge=0.001,
+        le=0.2,
+        description="least share of surface facing any direction: degraded below",
     )
     disagreement: float = Field(
-        default=6.0, description="registration against prediction: degraded above [standard deviations]"
+        default=6.0,
+        ge=3.0,
+        le=20.0,
+        description="registration against prediction: degraded above [standard deviations]",
     )
     strange: float = Field(
         default=0.1,
+        ge=0.02,
+        le=0.5,
         description="a registration that disagrees and moves the prediction further is doubted [m]",
     )
-    strange_deg: float = Field(default=3.0, gt=0, description="the same for the attitude [deg]")
+    strange_deg: float = Field(default=3.0, ge=0.5, le=10.0, description="the same for the attitude [deg]")
     jump: float = Field(
-        default=3.0, description="registration is not used when it moves the prediction further [m]"
+        default=3.0,
+        ge=0.5,
+        le=5.0,
+        description="registration is not used when it moves the prediction further [m]",
     )
     young: int = Field(
-        default=10, ge=1, description="scans in the local map below which overlap says nothing"
+        default=10, ge=1, le=100, description="scans in the local map below which overlap says nothing"
     )
-    gap_degraded: float = Field(default=0.25, description="without a usable scan: degraded [s]")
-    gap_lost: float = Field(default=3.0, description="without a usable scan: lost [s]")
-    sigma_lost: float = Field(default=0.3, description="position uncertainty: lost [m]")
+    gap_degraded: float = Field(
+        default=0.25, ge=0.15, le=1.0, description="without a usable scan: degraded [s]"
+    )
+    gap_lost: float = Field(default=3.0, ge=0.5, le=5.0, description="without a usable scan: lost [s]")
+    sigma_lost: float = Field(default=0.3, ge=0.05, le=1.0, description="position uncertainty: lost [m]")
     overlap_again: float = Field(
-        default=0.6, description="in doubt registration is not used below: somewhere else it fits half"
+        default=0.6,
+        ge=0.3,
+        le=1.0,
+        description="in doubt registration is not used below: somewhere else it fits half",
     )
-    gap_again: float = Field(default=1.0, description="a longer time without a usable scan is such a gap [s]")
-    recover: int = Field(default=3, ge=1, description="fitting scans in a row that end doubt and `lost`")
+    gap_again: float = Field(
+        default=1.0, ge=0.3, le=3.0, description="a longer time without a usable scan is such a gap [s]"
+    )
+    recover: int = Field(
+        default=3, ge=1, le=20, description="fitting scans in a row that end doubt and `lost`"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +136,8 @@ class Verdict:
     """Share of the surface that faces this direction [0..1/3]; 0 means sliding freely."""
     strange: bool = False
     """Far from the prediction, more than its covariance allows."""
+    held: bool = False
+    """The robot stands: the pose corrects height and tilt alone."""
 
 
 class HealthMonitor:
@@ -126,15 +152,21 @@ class HealthMonitor:
         """Nothing but a second opinion speaks for that: scan after scan fitted."""
         self._last_fit = 0
         self._fits = 0
+        self._against = 0
+        """Scans in a row that say that a robot moved whose wheels and gyro stand still."""
         self._usual = np.array(FITS_AGAIN) / USUAL
         """Share of points off the surfaces and RMS distance [m] of scans that were mapped."""
+        self._carried_until = 0
+        """No scan is held against until then [ns]: the robot is carried, or its floor moves."""
+        self._sigma_fit = 0.0
+        """Position uncertainty when a scan last fitted [m]."""
         self._last = 0.0, 0.0
         """Overlap and share on surfaces of the last scan that was used."""
 
     def start(self, stamp: int, lost: bool = False) -> None:
         """Localisation begins at `stamp` [ns]; `lost`: in a map from before that scans have yet to fit."""
         self.lost, self._doubt, self._last_fit, self._fits = lost, "", stamp, 0
-        self._tracked = False
+        self._tracked, self._sigma_fit = False, 0.0
 
     def doubt(self, reason: str, tracked: bool = False) -> None:
         """The robot may be elsewhere: scans must fit beyond doubt, `recover` of them in a row.
@@ -156,28 +188,39 @@ class HealthMonitor:
     def without_match(self, stamp: int, sigma: float, reason: str) -> tuple[Health, str]:
         """No registration at `stamp` [ns]; `sigma`: position uncertainty [m] of the dead reckoning."""
         gap = self.gap(stamp)
-        if gap > self.params.gap_lost or sigma > self.params.sigma_lost:
-            self.lost, self._fits = True, 0
-        if self.lost:
-            return Health.LOST, f"{reason}; dead reckoning for {gap:.1f} s"
+        sigma = math.sqrt(max(sigma**2 - self._sigma_fit**2, 0.0))  # on open ground it was large before
+        if self.lost or gap > self.params.gap_lost or sigma > self.params.sigma_lost:
+            return self.lose(stamp, reason)
         if gap > self.params.gap_degraded or reason:
             return Health.DEGRADED, f"{reason or 'no scan'}; dead reckoning for {gap:.1f} s"
         return Health.GOOD, ""
+
+    def lose(self, stamp: int, reason: str) -> tuple[Health, str]:
+        """At `stamp` [ns] nobody can know where the robot is, for this `reason`: scans must fit again, `recover` of them in a row."""
+        self.lost, self._fits = True, 0
+        return Health.LOST, f"{reason}; dead reckoning for {self.gap(stamp):.1f} s"
 
     def dropped(self, match: Match) -> bool:
         """The scan fits much worse than the one before: the robot sees something new, or is elsewhere."""
         return match.overlap < self._last[0] - DROP[0] or match.inliers < self._last[1] - DROP[1]
 
     def judge(
-        self, stamp: int, match: Match, predicted: Array, prior: Array, scans: int, sigma: float
+        self,
+        stamp: int,
+        match: Match,
+        predicted: Array,
+        prior: Array,
+        scans: int,
+        sigma: float,
+        still: bool = False,
     ) -> Verdict:
         """Weigh a registration.
 
         `predicted`: (4, 4) pose before it; `prior`: (6, 6) covariance of that, axes as in `Verdict.covariance`;
-        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m].
+        `scans`: how many are in the local map; `sigma`: systematic error of a registered surface [m]; `still`: wheels and gyro say that the robot stands.
         """
         s = self.params
-        covariance, direction, share = pose_covariance(match, sigma)
+        covariance, direction, share = pose_covariance(match, sigma, prior)
         difference = np.concatenate(
             [match.pose[:3, 3] - predicted[:3, 3], _log(match.pose[:3, :3] @ predicted[:3, :3].T)]
         )
@@ -187,7 +230,7 @@ class HealthMonitor:
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         turned = math.degrees(float(np.linalg.norm(difference[3:])))
-        bad, weak, again, strange = "", "", False, False
+        bad, weak, again, strange, held = "", "", False, False, False
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
         elif scans:
@@ -195,6 +238,16 @@ class HealthMonitor:
             few = match.on_planes < max(ON_PLANES * match.points, s.min_on_planes)
             again = self.doubts(stamp)
             strange = off > s.disagreement and (moved > s.strange or turned > s.strange_deg)
+            held = still and not again and stamp > self._carried_until
+            if held:
+                suspect = off > s.disagreement and (
+                    moved > SUSPECT * s.strange or turned > SUSPECT * s.strange_deg
+                )
+                self._against = self._against + 1 if suspect else 0
+                strange = MOVED_WHILE_STILL.outside(self._against)
+                held = not strange
+                if strange:
+                    self._carried_until = stamp + CARRIED_FOR
             if match.overlap < s.overlap_lost and not young:
                 bad = f"scan overlaps the map by {match.overlap:.0%}"
             elif few and (match.overlap < s.overlap_low or match.on_planes < s.min_on_planes) and not young:
@@ -218,7 +271,8 @@ class HealthMonitor:
             elif off > s.disagreement:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
         if strange:
-            self.doubt("scan and dead reckoning disagree")
+            words = MOVED_WHILE_STILL.tell(moved=moved, turned=turned)
+            self.doubt(words if still else "scan and dead reckoning disagree")
         elif again and not self._doubt:
             self.doubt("no scan fitted for a while")
         if bad:
@@ -226,17 +280,19 @@ class HealthMonitor:
             health, reason = self.without_match(stamp, _sigma(prior), bad)
             return Verdict(health, reason, False, False, covariance, direction, share)
         self._last_fit, self._last = stamp, (match.overlap, match.inliers)
+        self._sigma_fit = _sigma(prior)
         self._fits += 1
         if (self.lost or self._doubt) and self._fits < s.recover:
             health = Health.LOST if self.lost else Health.DEGRADED
-            return Verdict(
-                health, "scans fit again, confirming", True, False, covariance, direction, share, strange
-            )
+            reason = "; ".join(filter(None, [self._doubt, "scans fit again, confirming"]))
+            return Verdict(health, reason, True, False, covariance, direction, share, strange)
         self.lost, self._doubt, self._tracked = False, "", False
         if scans >= s.young and self.fits_again(match, False):
             self._usual += MEMORY * (np.array([1.0 - match.inliers, match.residual]) - self._usual)
         health = Health.DEGRADED if weak else Health.GOOD
-        return Verdict(health, weak, True, True, covariance, direction, share, strange)
+        # What seems to move past a robot that stands must not become the map that shows it standing.
+        mapped = not (held and self._against)
+        return Verdict(health, weak, True, mapped, covariance, direction, share, strange, held)
 
     def _only_asked(self, stamp: int, strange: bool) -> bool:
         """Whether a second opinion is all that speaks against the tracker at `stamp` [ns]."""
@@ -262,23 +318,19 @@ class HealthMonitor:
         )
 
 
-def pose_covariance(match: Match, sigma: float) -> tuple[Array, Array, float]:
-    """Covariance (6, 6) of a registration, least constrained direction (3,) and its share of facing surface.
+def pose_covariance(match: Match, sigma: float, prior: Array) -> tuple[Array, Array, float]:
+    """Covariance (6, 6) of a registration, least constrained direction (3,) of the position and its share of facing surface.
 
     Errors of the map and of its discretisation (`sigma` [m]) are shared by neighbouring points, and what noise did to the map
-    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. Directions that hardly any surface faces are left to the prediction: point to point, a scan slides
-    towards where the last one was, and the normals that seem to face them are noise.
+    (`residual`) by the scans that follow: a scan counts as `INDEPENDENT` points, however many it has. What is not observed says nothing.
+    `prior`: (6, 6) of the prediction, see `Observed.blurred`.
     """
-    h = match.information
-    scale2 = _variance(match, sigma) / INDEPENDENT
-    free = scale2 / SLIDING**2
-    covariance = scale2 * np.linalg.inv(h + np.diag([free] * 3 + [1e-3] * 3))
+    seen = observed(match.information)
+    covariance = seen.covariance((_variance(match, sigma) + seen.blurred(prior)) / INDEPENDENT)
+    h = match.information / max(seen.weight, 1e-9)
     position = h[:3, :3] - h[:3, 3:] @ np.linalg.solve(h[3:, 3:] + 1e-3 * np.eye(3), h[3:, :3])
     values, vectors = np.linalg.eigh(0.5 * (position + position.T))
-    values = np.maximum(values, 0.0)
-    facing = np.maximum(values - NORMAL_NOISE, 0.0)
-    covariance[:3, :3] += vectors @ np.diag(scale2 / (facing + free) - scale2 / (values + free)) @ vectors.T
-    return 0.5 * (covariance + covariance.T), vectors[:, 0], float(values[0])
+    return 0.5 * (covariance + covariance.T), vectors[:, 0], max(float(values[0]), 0.0)
 
 
 def _variance(match: Match, sigma: float) -> float:

@@ -11,12 +11,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hal.plausible import ImuCheck, impossible_joints
-from hal.safety.monitors import STAMP_AHEAD, SWEEP_CLOCK
+from hal.safety.monitors import IMU_REPEATS, JOINTS_REPEAT, LIDAR_REPEATS, STAMP_AHEAD, SWEEP_CLOCK
 from hal.types import NS, Array, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.intake import SampleBuffer, Sweep, SweepClock, TopicClock, clean_scan
 from mapping.odometry.own import OwnFilter
+from mapping.odometry.repeats import Repeats
 from mapping.odometry.types import OdometryConfig
 
 STREAMS = {"imu": "IMU", "joints": "joints"}
@@ -60,6 +62,11 @@ class Inbox:
         self._refused: dict[str, str] = {}
         """By topic the newest reason for which a sample was refused."""
         self._params, self._counters, self._on_jump, self._shift = params, counters, on_jump, shift
+        self.streams: dict[str, Repeats] = {
+            "imu": Repeats(IMU_REPEATS),
+            "joints": Repeats(JOINTS_REPEAT),
+            **{name: Repeats(LIDAR_REPEATS, name) for name in self._sweeps},
+        }
         self._clocks: dict[str, TopicClock] = {
             "imu": TopicClock("imu", 20, counters),
             "joints": TopicClock("joints", 20, counters),
@@ -67,6 +74,12 @@ class Inbox:
         }
         self._agreement = {name: SweepClock() for name in self._sweeps}
         self._imu_samples = 0
+
+    def _repeats(self, topic: str, payload: NDArray) -> bool:
+        dead = self.streams[topic].dead(payload)
+        if dead:
+            self._counters[f"{topic}_repeated"] += 1
+        return dead
 
     def heard(self, topic: str) -> bool:
         """`imu`, `joints` or a LiDAR has ever spoken."""
@@ -81,7 +94,7 @@ class Inbox:
         self._imu_samples += 1
         if self._refuse("imu", self._imu_check.impossible(row[:3], row[3:])):
             return None
-        if not self._admit("imu", sample.stamp):
+        if not self._admit("imu", sample.stamp) or self._repeats("imu", row):
             return None
         if self._refuse("imu", self._imu_check.contradicted(int(sample.stamp), row[:3], row[3:])):
             return None
@@ -96,7 +109,7 @@ class Inbox:
             return None
         if self._refuse("joints", impossible_joints(row[:16], row[16:32], row[32:])):
             return None
-        if not self._admit("joints", sample.stamp):
+        if not self._admit("joints", sample.stamp) or self._repeats("joints", row):
             return None
         stamp = int(sample.stamp)
         if 0 < stamp - self._joint_stamp < JOINT_PERIOD:
@@ -125,6 +138,10 @@ class Inbox:
             return
         if not self._admit_sweep(scan.name, scan.stamp):
             return
+        dead = self._repeats(scan.name, scan.points)
+        if dead and scan.name != self.pace:
+            self._ends.pop(scan.name, None)  # it is not waited for
+            return
         p = self._params
         near = p.min_range if scan.name == "main" else NEAR
         sweep = clean_scan(scan, near, p.max_range, p.max_points, self._counters)
@@ -138,6 +155,8 @@ class Inbox:
             shift = self._shift[scan.name]
             sweep = replace(sweep, start=sweep.start + shift, end=sweep.end + shift)
             sweep = self._own.take_out(sweep, self._counters)
+            if dead:
+                sweep = replace(sweep, problem=self.streams[scan.name].words)
             self._sweeps[scan.name].append(sweep)
             self._ends[scan.name] = sweep.end
 

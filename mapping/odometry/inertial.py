@@ -24,6 +24,11 @@ AT_REST, MOVING = 0.1, 3.0
 """Tilt that the accelerometer tells at the start beside that of its bias, one standard deviation [deg]. Of 24 simulated starts, whose trunk still
 sways a little, 0.07 about each axis."""
 
+AT_STANDSTILL = 0.01
+"""Velocity of a body that stands, one standard deviation [m/s]."""
+STILL = 0.003
+"""Mean turn rate of a sweep beside the bias while the robot stands, one standard deviation: noise, and what is left of a sway [rad/s]."""
+
 
 class InertialConfig(BaseModel):
     """Noise of the inertial and wheel measurements, as seen by the filter (vibration and slip included)."""
@@ -156,6 +161,29 @@ class InertialFilter:
         self.p = a @ self.p @ a.T + gain @ r @ gain.T
         self.p = 0.5 * (self.p + self.p.T)
 
+    def hold(self, x: Array, variance: Array, rate: float) -> None:
+        """The body stood since the state `x` (16,), whose place in x and y and heading had the `variance` (3,): they are those of then, only the trunk may
+        have swayed. The mean `rate` of its gyro about z [rad/s] is bias; those about x and y gravity tells.
+        """
+        self.x[:2] = x[:2]
+        then, now = rotation(x[6:10]), rotation(self.x[6:10])
+        about_z(self.x[6:10], math.atan2(then[1, 0], then[0, 0]) - math.atan2(now[1, 0], now[0, 0]))
+        over_ground = [0, 1, 8]
+        kept = np.ones(15)
+        kept[over_ground] = np.sqrt(variance / np.diag(self.p)[over_ground]).clip(max=1.0)
+        self.p = kept[:, None] * self.p * kept
+        rows = [3, 4, 5, 11]
+        r = np.diag([AT_STANDSTILL**2] * 3 + [STILL**2])
+        gain = np.linalg.solve(self.p[np.ix_(rows, rows)] + r, self.p[rows]).T
+        correct(self.x, gain @ np.append(-self.x[3:6], rate - self.x[12]))
+        self.p -= gain @ self.p[rows]
+        self.p = 0.5 * (self.p + self.p.T)
+
+    def refuse(self, x: Array) -> None:
+        """What was integrated since the state `x` (16,) cannot be: the body is taken to be where it was then, at rest, with room for what it may have moved."""
+        self.x[:] = x
+        settle(self.x, self.p)
+
     def misplaced(self, moved: float, turned: float) -> None:
         """The body was put elsewhere, about `moved` [m] and `turned` [rad] from here; how fast it is stays known."""
         self.p[:3, :3] += moved**2 * np.eye(3)
@@ -187,3 +215,10 @@ class InertialFilter:
     def copy_from(self, other: InertialFilter) -> None:
         """Take over the state of another filter."""
         self.stamp, self.x, self.p, self.u = other.stamp, other.x.copy(), other.p.copy(), other.u.copy()
+
+
+def about_z(q: Array, yaw: float) -> None:
+    """Turn the orientation `q` (4,) x, y, z, w in place by `yaw` [rad] about the z axis of the world."""
+    c, s = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    x, y, z, w = q
+    q[:] = c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z

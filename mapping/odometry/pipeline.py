@@ -27,7 +27,9 @@ from numpy.typing import NDArray
 
 from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_vector
+from hal.safety.monitors import IMPOSSIBLE_SPEED
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
+from mapping.odometry.agreement import Agreement
 from mapping.odometry.calibration import TURNING, Calibration
 from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
@@ -39,14 +41,24 @@ from mapping.odometry.intake import Sweep
 from mapping.odometry.own import OwnFilter, OwnPart, OwnParts
 from mapping.odometry.pose_stream import PoseStream
 from mapping.odometry.registration.engines import Match, make_engine
+from mapping.odometry.registration.observability import UNKNOWN
 from mapping.odometry.registration.witness import Witness
 from mapping.odometry.rehearsal import rehearse
 from mapping.odometry.startup import WINDOW, Before, Startup, put_at, start
+from mapping.odometry.stillness import still
 from mapping.odometry.types import FastPose, OdometryConfig, ScanOdometry
 from mapping.odometry.wheel_scale import WheelScale
 from mapping.odometry.wheels import WheelOdometry, velocities
 
 ZERO = np.zeros(6)
+FASTEST, FALLS = 4.0, 1.6
+"""No robot of ours moves faster, nor up or down: that is a fall of 0.13 m, or an IMU whose gravity is wrong [m/s]."""
+TOLD = 1.0
+"""A scan whose standard deviation ahead is larger [m] does not tell how far the robot came."""
+TYRES = 0.01
+"""What tyres slip on firm ground beside what the scans taught, as a share of the way, one standard deviation. Loose ground is worse."""
+OVER_GROUND = [0, 1, 5]
+"""Position in the plane and heading, of a (6, 6) covariance."""
 
 
 class LidarInertialOdometry:
@@ -79,7 +91,19 @@ class LidarInertialOdometry:
         self._startup = Startup()
         self._before: Before | None = None
         self._scale = WheelScale()
-        self._rolled = math.nan
+        self._agreement = Agreement()
+        self._rolled, self._turned = math.nan, 0.0
+        """What wheels [m] and gyro [rad] tell of the way and the turn since the last scan."""
+        self._untrue = ""
+        """Why what the filter integrated since the last scan cannot be believed; empty where it can."""
+        self._still = False
+        """Wheels and gyro say that the robot stood since the last scan."""
+        self._seen: Array | None = None
+        """Where the scans see a robot (4, 4) whose wheels and gyro stand still, if that is elsewhere."""
+        self._born = 0.0
+        """Variance of the place when what the last scan fitted was first seen [m^2]."""
+        self._blind = 0.0
+        """Way of the wheels without a scan that tells how far [m]."""
         self._misfits = 0
         self._looks = 0
         self._notes: list[str] = []
@@ -145,9 +169,15 @@ class LidarInertialOdometry:
         stamps, track = self._predict(sweep.end)
         if sweep.name != "main":
             self._notes.append(f"the main LiDAR is silent, the {sweep.name} LiDAR takes its place")
+        streams = self._inbox.streams
+        self._notes += [
+            streams[name].words
+            for name in self.calibration.shift
+            if name != sweep.name and streams[name].words
+        ]
         along = self._inbox.beside(sweep)
         others = self._deskewer.beside(along, stamps, track)
-        if sweep.problem:
+        if sweep.problem or self._untrue:
             return self._dead_reckoned(sweep.problem)
         if sweep.untimed:
             self._notes.append(
@@ -163,24 +193,37 @@ class LidarInertialOdometry:
         beside = [seen for name, seen in others.items() if self.calibration.joins(name)]
         self._engine.take(cloud, beside)
         match = self._register(predicted, searching)
-        verdict = self._monitor.judge(sweep.end, match, predicted, prior, scans, self._engine.sigma)
+        verdict = self._monitor.judge(
+            sweep.end, match, predicted, prior, scans, self._engine.sigma, self._still
+        )
         if verdict.use and scans:
             measured = _rotation_to_body(verdict.covariance, match.pose)
             # The local map tilts slowly with every scan put into it, so its tilt errors are not independent from
             # scan to scan: gravity has the last word there.
             measured[[3, 4], [3, 4]] += math.radians(self.params.tilt_sigma) ** 2
+            if verdict.held:
+                measured[OVER_GROUND, OVER_GROUND] += UNKNOWN**2
             if verdict.strange:
                 apart = np.linalg.inv(predicted) @ match.pose
                 moved, turned = np.linalg.norm(apart[:3, 3]), np.linalg.norm(rotation_vector(apart[:3, :3]))
                 self._filter.misplaced(3.0 * float(moved), 3.0 * float(turned))
             self._filter.update_pose(match.pose, measured)
+        self._seen = match.pose if verdict.use and not verdict.insert and verdict.held else None
+        self._slip_unseen(verdict)
         self._misfits = 0 if verdict.use else self._misfits + 1
+        if verdict.use:
+            self._born = match.born
         if verdict.insert:
-            self._engine.insert(self._filter.pose())
+            self._engine.insert(self._filter.pose(), self._place_variance())
             self._compare(searching, verdict.health is Health.GOOD)
             if sweep.name == "main":
                 self._calibrate(since, before, predicted, match.pose, verdict.covariance, cloud, others)
         self._learn_scale(before, sweep.end - since, verdict)
+        if verdict.insert and not (searching or verdict.strange):
+            after, rolled = self._filter.pose(), self._rolled * self._scale.value
+            self._notes += filter(None, [self._agreement.add(sweep.end, before, after, rolled, self._turned)])
+        else:
+            self._agreement.forget()
         self._health, self._reason = verdict.health, verdict.reason
         if self._notes and verdict.health is not Health.LOST:
             self._health = Health.DEGRADED
@@ -196,7 +239,7 @@ class LidarInertialOdometry:
 
     def _register(self, predicted: Array, searching: bool) -> Match:
         """Where the scan fits: near the prediction, or, in doubt or where it fits badly of a sudden, where KISS-ICP finds it from there."""
-        match = self._engine.align(predicted)
+        match = self._engine.align(predicted if self._seen is None else self._seen)
         young = self._engine.scans < self.params.health.young
         if self._monitor.fits_again(match, young) or not (searching or self._monitor.dropped(match)):
             return match
@@ -243,7 +286,7 @@ class LidarInertialOdometry:
         if self._before is not None:
             put_at(self._filter, self._before.pose)
             self._engine.take(self._before.cloud)
-            self._engine.insert(self._before.pose)
+            self._engine.insert(self._before.pose, settled=True)
             self._witness.look(self._engine.frame, self._before.pose)
         self._stream.start(self._filter)
         self._monitor.start(sweep.end, lost=self._before is not None)
@@ -258,7 +301,7 @@ class LidarInertialOdometry:
                 continue
             self.counters[f"scan_without_{topic}"] += 1
             if topic == "imu" or (self._inbox.heard(topic) and self.params.use_joints):
-                self._notes.append(f"no {name} data")
+                self._notes.append(self._inbox.streams[topic].words or f"no {name} data")
         stamps, track = self._advance(end)
         if (silence := int(np.diff(stamps).max(initial=0))) > SILENCE:
             self._notes.append(f"no IMU data for {silence / NS:.1f} s")
@@ -278,7 +321,20 @@ class LidarInertialOdometry:
         self._rolled = (
             float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )
-        return state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+        x, variance = state.x.copy(), np.diag(state.p)[[0, 1, 8]]
+        inside = imu[imu_stamp <= end]
+        self._still = still(inside, x[10:13], joints, wheel)
+        rate = float(inside[:, 2].mean()) if len(inside) else x[12]
+        self._turned = (rate - x[12]) * (end - state.stamp) * 1e-9
+        stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
+        speed = float(np.linalg.norm(state.x[3:6]))
+        self._untrue = self._inbox.streams["imu"].words
+        if IMPOSSIBLE_SPEED.outside(max(speed / FASTEST, abs(state.x[5]) / FALLS)):
+            self._untrue = IMPOSSIBLE_SPEED.tell(speed=speed)
+            state.refuse(x)
+        elif self._still:
+            state.hold(x, variance, rate)
+        return stamps, track
 
     def _learn_scale(self, before: Array, interval: int, verdict: Verdict) -> None:
         """Compare what the wheels rolled since `before` (4, 4), `interval` [ns] ago, with what the scans say, where they constrain the way ahead."""
@@ -292,6 +348,16 @@ class LidarInertialOdometry:
         self._scale.learn(self._rolled, float(moved), interval * 1e-9, sigma)
         self._stream.scale = self._scale.value
 
+    def _slip_unseen(self, verdict: Verdict) -> None:
+        """Where no scan tells how far the robot came, its tyres may have slipped alike all the way: that error grows with the way, not with its root."""
+        ahead = self._filter.pose()[:2, 0]
+        if verdict.use and float(ahead @ verdict.covariance[:2, :2] @ ahead) < TOLD**2:
+            self._blind = 0.0
+        elif math.isfinite(self._rolled):
+            way = self._blind + abs(self._rolled)
+            self._filter.p[:2, :2] += TYRES**2 * (way**2 - self._blind**2) * np.outer(ahead, ahead)
+            self._blind = way
+
     def _coast(self, until: int) -> ScanOdometry:
         """No scan came: move the filter on so that a later one finds it near."""
         self._advance(until)
@@ -300,7 +366,11 @@ class LidarInertialOdometry:
     def _dead_reckoned(self, reason: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
-        self._health, self._reason = self._monitor.without_match(self._filter.stamp, sigma, reason)
+        stamp, streams = self._filter.stamp, self._inbox.streams
+        if untrue := self._untrue or streams[self._inbox.pace].words:
+            self._health, self._reason = self._monitor.lose(stamp, untrue)
+        else:
+            self._health, self._reason = self._monitor.without_match(stamp, sigma, reason)
         self._rejoin()
         nothing = Match(self._filter.pose(), 0, 0.0, 0, 0.0, 0.0, np.zeros((6, 6)))
         return self._result({}, nothing, nothing.pose, np.array([0.0, 0.0, 1.0]), 0.0)
@@ -330,9 +400,14 @@ class LidarInertialOdometry:
             degeneracy=share,
             correction=float(np.linalg.norm(match.pose[:3, 3] - predicted[:3, 3])),
             clouds=clouds,
+            place_sigma=math.sqrt(self._place_variance()),
             lidars=self.calibration.fits(),
             fault="; ".join(filter(None, (self.calibration.fault(), self.parts.words))),
         )
+
+    def _place_variance(self) -> float:
+        """Of x and y in `odom` [m^2]: where the robot is on its map, and where that was made."""
+        return float(np.linalg.eigvalsh(self._filter.output(ZERO).covariance[:2, :2])[-1]) + self._born
 
     def _rejoin(self) -> None:
         self._stream.rejoin(self._filter)

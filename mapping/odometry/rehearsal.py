@@ -28,14 +28,16 @@ class Hearer(Protocol):
 def rehearse(odometry: Hearer) -> None:
     """Let `odometry` see a floor for longer than the rest at its start."""
     grid = np.stack(np.meshgrid(np.linspace(-3, 3, 60), np.linspace(-3, 3, 60), [-0.4]), -1).reshape(-1, 3)
+    noise = np.random.default_rng(0)  # a stream that repeats itself is refused
     for k in range(12):
         points = np.zeros(len(grid), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("time", "<f4")])
         points["x"], points["y"], points["z"] = grid.T
+        points["z"] += noise.normal(0.0, 0.002, len(points))
         points["time"] = np.linspace(0.0, 0.09, len(points))
         start = NS + k * NS // 10
         odometry.add_scan(LidarScan(start, points))
         for i in range(20):
             stamp = start + 1 + i * 5_000_000
-            odometry.add_imu(ImuSample(stamp, np.zeros(3), np.array([0.0, 0.0, 9.81])))
-            odometry.add_joints(JointSample(stamp, np.zeros(16), np.zeros(16), np.zeros(16)))
+            odometry.add_imu(ImuSample(stamp, noise.normal(0.0, 1e-3, 3), np.array([0.0, 0.0, 9.81])))
+            odometry.add_joints(JointSample(stamp, noise.normal(0.0, 1e-4, 16), np.zeros(16), np.zeros(16)))
         odometry.poll()

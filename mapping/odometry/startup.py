@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation, turn
 from hal.types import NS, Array
-from mapping.odometry.inertial import InertialFilter
+from mapping.odometry.inertial import InertialFilter, about_z
 from mapping.odometry.wheels import velocities
 
 SETTLE = 0.5
@@ -76,14 +76,7 @@ def put_at(state: InertialFilter, pose: Array) -> None:
     yaw = math.atan2(pose[1, 0], pose[0, 0]) - math.atan2(now[1, 0], now[0, 0])
     c, s = math.cos(yaw), math.sin(yaw)
     heading = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    q = np.array([0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)])
-    x, y, z, w = state.x[6:10]
-    state.x[6:10] = (  # q * orientation, q a turn about z
-        q[3] * x - q[2] * y,
-        q[3] * y + q[2] * x,
-        q[3] * z + q[2] * w,
-        q[3] * w - q[2] * z,
-    )
+    about_z(state.x[6:10], yaw)
     state.x[3:6] = heading @ state.x[3:6]
     state.x[:3] = pose[:3, 3] + rotation(state.x[6:10]) @ state.lever
     state.misplaced(MOVED, TURNED)

@@ -125,6 +125,7 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.hosts.calibrate import HEARD, sample_of
+    from rbtrg_robot.wire.messages import stamp_of
 
     out: list[Sample] = []
     with connect(robot) as bus:
@@ -132,29 +133,34 @@ def _watch(robot: str, seconds: float, drive: bool) -> list[Sample]:
         if drive:
             bus.advertise(t.TELEOP)
             bus.advertise(t.TELEOP_TRUNK)
+            bus.subscribe([t.ROBOT_STATE])
+        seen = 0
+        """Newest stamp of the robot [ns], which velocities echo."""
         began = time.monotonic()
         length = sum(part.lasts for part in COURSE) if drive else seconds
         say(f"watching for {length:.0f} s", error=True)
         while (now := time.monotonic() - began) < length:
             if drive:
-                _order(bus, now)
+                _order(bus, now, seen)
             end = time.monotonic() + PERIOD
             while (left := end - time.monotonic()) > 0.0:
                 for received in bus.take(left):
                     message = bus.open(received)
+                    if received.topic is t.ROBOT_STATE:
+                        seen = stamp_of(message) if message is not None else seen
+                        continue
                     sample = None if message is None else sample_of(t.BY_NAME[received.topic.name], message)
                     out += [] if sample is None else [sample]
         if drive:
-            _order(bus, length)
+            _order(bus, length, seen)
             say("`rbtrg-robot resume` gives the motion back to the stack", error=True)
     return out
 
 
-def _order(bus: Any, after: float) -> None:
-    """What `COURSE` asks for `after` its begin [s]."""
-    stamp = time.time_ns()
-    for topic, message in orders(after, stamp):
-        bus.publish(topic, message, stamp)
+def _order(bus: Any, after: float, seen: int) -> None:
+    """What `COURSE` asks for `after` its begin [s]; `seen`: newest stamp of the robot [ns]."""
+    for topic, message in orders(after, seen):
+        bus.publish(topic, message, time.time_ns())
 
 
 def orders(after: float, stamp: int) -> list[tuple[Topic, Any]]:

@@ -122,6 +122,21 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
     say(f"{known} known cells -> {file}")
 
 
+@map_app.command("clear")
+def map_clear(robot: Robot = ROBOT) -> None:
+    """Forget what the robot touched and the LiDAR does not see; what was measured stays."""
+    from mapping.elevation import MapError
+    from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.orders.map import ForgetTouched
+    from rbtrg_robot.orders.order import follow
+
+    with connect(robot) as bus:
+        end = follow(bus, ForgetTouched())
+    if not end.ok:
+        raise MapError(end.words)
+    say(end.words)
+
+
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
     """Check this machine: libraries, port, shared memory, clock, rendering. Exit status 1 on a fault."""
     from rbtrg_robot.process.doctor import Level, examine

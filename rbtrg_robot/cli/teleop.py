@@ -59,6 +59,7 @@ def _drive(bus: Any, speed: float) -> None:
     from rbtrg_robot.orders.keys import FASTER, KEYS, QUIT, RESUME, SLOWER, STOP_KEYS, HeldKeys
     from rbtrg_robot.orders.order import Order, send
     from rbtrg_robot.orders.robot import Resume, Stop
+    from rbtrg_robot.wire.messages import stamp_of
 
     held, state, limits = HeldKeys(), None, None
     driving = leaving = False
@@ -84,7 +85,8 @@ def _drive(bus: Any, speed: float) -> None:
         want = held.want(now)
         if want is not None or driving:
             forward, left = want or (0.0, 0.0)
-            bus.publish(t.TELEOP, _velocity(speed * forward, speed * left), time.time_ns())
+            seen = 0 if state is None else stamp_of(state)
+            bus.publish(t.TELEOP, _velocity(speed * forward, speed * left, seen), time.time_ns())
             driving = want is not None
         for received in bus.take(PERIOD):
             message = bus.open(received)
@@ -122,12 +124,12 @@ def _keys() -> list[str]:
     return keys
 
 
-def _velocity(forward: float, left: float) -> Any:
-    """geometry_msgs/TwistStamped in base_link; `forward` in m/s, `left` in half rad/s."""
+def _velocity(forward: float, left: float, seen: int) -> Any:
+    """geometry_msgs/TwistStamped in base_link; `forward` in m/s, `left` in half rad/s; `seen`: newest stamp of the robot that came [ns]."""
     from rbtrg_robot import msg
     from rbtrg_robot.wire.messages import header
 
-    message = msg.TwistStamped(header=header(time.time_ns(), "base_link"))
+    message = msg.TwistStamped(header=header(seen, "base_link"))
     message.twist.linear.x = forward
     message.twist.angular.z = 2.0 * left
     return message
@@ -144,6 +146,8 @@ def _words(state: Any, limits: Any, speed: float, active: Any, now: float) -> st
     if state is None:
         return "the robot is not heard yet"
     words = [f"{state.vx:.2f} m/s {state.wz:.2f} rad/s (up to {speed:.1f})", state.phase]
+    if state.hands >= 0.0:
+        words.append(f"link {1000 * state.hands:.0f} ms")
     if state.estop:
         words.append(f"E-STOP ({state.estop_cause})")
     else:

@@ -221,7 +221,7 @@ class Site:
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":
-                self._desk.alive(page, time.monotonic(), watched=bool(wish.get("watched")))
+                self._desk.alive(page, time.monotonic(), wish)
             elif what == "ping":
                 reply(True, "")
             elif what == "take over":

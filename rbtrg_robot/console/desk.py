@@ -12,6 +12,7 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from hal.errors import OperatorError
+from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -28,13 +29,11 @@ from rbtrg_robot.stages.navigation.reasons import words
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire.bus import Bus, Received
 from rbtrg_robot.wire.convert import BASE, vector
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import header, stamp_of
 
 log = logging.getLogger(__name__)
 
 POSTURE_LIMIT = 30.0
-LATE = 0.2
-"""[s] a velocity may have been under way longer than the quickest of its page: what waited in a network is not driven."""
 PRESENCE = 1.0
 """[s] between two signs that an operator watches."""
 LOGS = ("replay", "pause replay", "live", "rerun")
@@ -62,12 +61,16 @@ class Page:
         self.slots = slots
         self.role = role
         self.driving = False
-        self.quickest = math.inf
-        """Least difference of the clocks here and there that a velocity showed [s]."""
 
 
 Wish = Callable[[Page, dict[str, Any]], Coroutine[Any, Any, Answer]]
 """What a page asks for. Raises OperatorError."""
+
+
+def _seen(wish: dict[str, Any]) -> int:
+    """The newest stamp of the robot that a page says it saw [ns]; 0 where it says none that can be one."""
+    seen = str(wish.get("seen", ""))
+    return int(seen) if seen.isascii() and seen.isdigit() and len(seen) < 20 and int(seen) < 1 << 62 else 0
 
 
 def answer(outcome: Outcome) -> Answer:
@@ -164,11 +167,16 @@ class Desk:
         if self._feed.busy:
             raise Refused(f"{what} while the robot stands and has no goal")
 
-    def alive(self, page: Page, now: float, *, watched: bool = False) -> None:
-        """The page says that it is there: it keeps the lease, or takes it where nobody has it.
+    def alive(self, page: Page, now: float, wish: dict[str, Any] | None = None) -> None:
+        """The page says that it is there, in a `wish` of its own or by asking for something: it keeps the lease, or takes it where nobody has it.
+        It is told how old what it sees is, there and back again on its link.
 
         `watched`: it is in front of somebody and shows what is. Whoever operates is then in contact with the mission.
         """
+        wish = wish or {}
+        watched, seen = bool(wish.get("watched")), _seen(wish)
+        if seen and self._feed.state is not None and page.slots.feed is self._feed:
+            page.slots.tell("link", {"delay": max(0.0, (stamp_of(self._feed.state) - seen) / NS)})
         if page.role is not Role.OPERATOR or not self.lease.take(page.number, now):
             return
         if watched and now - self._present >= PRESENCE:
@@ -187,7 +195,7 @@ class Desk:
     def leave(self, page: Page) -> None:
         """It was closed: what it drove stands."""
         if page.driving:
-            self._velocity(0.0, 0.0)
+            self._velocity(0.0, 0.0, 0 if self._feed.state is None else stamp_of(self._feed.state))
         self.lease.give_back(page.number)
 
     def stop(self) -> None:
@@ -277,24 +285,23 @@ class Desk:
 
     def _drive(self, page: Page, wish: dict[str, Any]) -> None:
         try:
-            v, w, at = float(wish["v"]), float(wish["w"]), float(wish["t"]) / 1000.0
+            v, w = float(wish["v"]), float(wish["w"])
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise Refused("a velocity is v, w and t") from error
-        if not all(map(math.isfinite, (v, w, at))):
+            raise Refused("a velocity is v, w and what the page saw") from error
+        if not all(map(math.isfinite, (v, w))):
             raise Refused("a velocity is finite")
-        delay = time.monotonic() - at
-        page.quickest = min(page.quickest, delay)
-        if delay - page.quickest > LATE and (v or w or not page.driving):
-            return  # the hands that let go count, however long that was under way
+        if not (v or w or page.driving):
+            return  # who does not drive takes no motion away
         robot = self._capabilities
         v = max(-robot.max_vx, min(robot.max_vx, v))
         w = max(-robot.max_wz, min(robot.max_wz, w))
         page.driving = bool(v or w)
-        self._velocity(v, w)
+        self._velocity(v, w, _seen(wish))
 
-    def _velocity(self, v: float, w: float) -> None:
+    def _velocity(self, v: float, w: float, seen: int) -> None:
+        """`seen`: the newest stamp of the robot that the page had when its hands moved [ns]; the robot judges it."""
         stamp = time.time_ns()
-        message = msg.TwistStamped(header=header(stamp, BASE))
+        message = msg.TwistStamped(header=header(seen, BASE))
         message.twist.linear = vector((v, 0.0, 0.0))
         message.twist.angular = vector((0.0, 0.0, w))
         self._bus.publish(t.TELEOP, message, stamp)

@@ -22,6 +22,7 @@ from rbtrg_robot.stages.navigation.reasons import hindrance, words
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import stamp_of
 
 JSON, TERRAIN, POINTS, AGES, PICTURE = 1, 2, 3, 4, 5
 POINTS_MOST = 6000
@@ -101,6 +102,8 @@ def robot(message: msg.RobotState) -> dict[str, Any]:
         "wz": message.wz,
         "refused": dict(zip(message.refused_reason, message.refused_count.tolist(), strict=True)),
         "realtime_factor": message.realtime_factor,
+        "seen": str(stamp_of(message)),
+        "hands": message.hands,
     }
 
 

@@ -68,6 +68,29 @@ class FetchMap(Order):
         return Outcome(False, "the elevation process sends no map; see `rbtrg-robot status`")
 
 
+class ForgetTouched(Order):
+    """What the robot touched is forgotten."""
+
+    hears = (t.MAP_STATUS,)
+    sends = (t.MAP_REQUEST,)
+
+    def __init__(self) -> None:
+        super().__init__(AGAIN, LIMIT)
+
+    def message(self) -> tuple[Topic, msg.Message] | None:
+        """The request."""
+        return t.MAP_REQUEST, msg.MapRequest(header=header(time.time_ns(), ""), action="clear")
+
+    def take(self, topic: Topic, message: Any) -> None:
+        """A MapStatus."""
+        if message.touched == 0 and not math.isinf(self._sent):
+            self.outcome = Outcome(True, "nothing counts as touched")
+
+    def silence(self) -> Outcome:
+        """Elevation is gone."""
+        return Outcome(False, "the elevation process does not answer; see `rbtrg-robot status`")
+
+
 class LoadMap(Order):
     """A prior map, sent until the elevation process has begun anew with it."""
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 import logging
 from collections import Counter
 
-from hal.safety.gate import SafetyGate, StopCause
+from hal.safety.gate import Refusal, RefusalReason, SafetyGate, StopCause
+from hal.safety.monitors import BLIND_HANDS, OLD_HANDS
 from hal.safety.mux import TELEOP, TRACKER, CommandMux, Source
-from hal.types import ModeRequest, PostureCommand, VelocityCommand
+from hal.types import NS, ModeRequest, PostureCommand, VelocityCommand
 from rbtrg_robot import msg
 from rbtrg_robot.latch import number
+from rbtrg_robot.wire.messages import stamp_of
 
 log = logging.getLogger(__name__)
 
 UNKNOWN = "unknown request"
+HANDS_LAST = NS
+"""[ns] the age of what hands saw is told after their last command."""
 MOST = 1 << 62
 """No latch that was told is numbered so high: what rises from there has no room in a message, and the next stop would end this process."""
 
@@ -32,23 +36,59 @@ class CommandPath:
         self._latch = 0
         """Names what `resume` must release; it rises with every stop and every time somebody takes the motion."""
         self._latched = False
+        self._hands: tuple[int, float] | None = None
+        """When the newest command by hand came [ns], and how old what its sender had seen was [s]."""
         self.turned_away: Counter[str] = Counter()
         """Commands and requests that did not reach the gate, by reason."""
 
-    def drive(self, source: Source, message: msg.TwistStamped, stamp: int, sender: str, now: int) -> None:
-        """A velocity command of `sender`, valid from `stamp`."""
+    def drive(self, source: Source, message: msg.TwistStamped, sender: str, now: int) -> None:
+        """A velocity command of `sender`. That of hands counts from now on, for their clock is another one: its stamp is the newest one of
+        the robot that they saw."""
         if not self._has_say(source, sender, now):
             return
+        stamp = stamp_of(message)
+        if source is TELEOP:
+            if refusal := self._blind(stamp, now):
+                self._gate.refuse(refusal, now)
+                return
+            stamp = now
         twist = message.twist
         command = VelocityCommand(
             stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
         )
         self._gate.command(command, now)
 
-    def tilt(self, source: Source, message: msg.TrunkCommand, stamp: int, sender: str, now: int) -> None:
-        """A tilt of the trunk by `sender`, valid from `stamp`."""
-        if self._has_say(source, sender, now, "trunk"):
-            self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
+    def tilt(self, source: Source, message: msg.TrunkCommand, sender: str, now: int) -> None:
+        """A tilt of the trunk by `sender`; stamped as velocities are."""
+        if not self._has_say(source, sender, now, "trunk"):
+            return
+        stamp = stamp_of(message)
+        if source is TELEOP:
+            if refusal := self._blind(stamp, now):
+                self._gate.refuse(refusal, now)
+                return
+            stamp = now
+        self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
+
+    def _blind(self, seen: int, now: int) -> Refusal | None:
+        """Why hands do not see what they do; `seen`: the newest stamp of the robot that they echo [ns]."""
+        age = (now - seen) / NS
+        if seen == 0 or age < -OLD_HANDS.high:
+            stamp = "0" if seen == 0 else f"{-age:.1f} s ahead of the robot's clock"
+            if BLIND_HANDS.active:
+                return Refusal(RefusalReason.BLIND_HANDS, BLIND_HANDS.tell(stamp=stamp))
+        # A stamp that is a little ahead was told at the same time, by another process.
+        self._hands = now, max(age, 0.0)
+        if OLD_HANDS.outside(max(age, 0.0)):
+            said = OLD_HANDS.tell(age=f"{age:.1f}", limit=f"{OLD_HANDS.high:.1f}")
+            return Refusal(RefusalReason.OLD_HANDS, said)
+        return None
+
+    def hands(self, now: int) -> float:
+        """How old what the hands saw was when their newest command came [s]; -1 while nobody drives by hand."""
+        if self._hands is None or not 0 <= now - self._hands[0] < HANDS_LAST:
+            return -1.0
+        return self._hands[1]
 
     def _has_say(self, source: Source, sender: str, now: int, channel: str = "") -> bool:
         taken, _ = self._mux.taken(now)

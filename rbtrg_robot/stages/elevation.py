@@ -45,6 +45,7 @@ from rbtrg_robot.wire.convert import (
     patch_msg,
     xyz,
     xyzw,
+    yaw_of,
 )
 from rbtrg_robot.wire.frames import MapFrame, Planar, stands
 from rbtrg_robot.wire.messages import decode, encode, header, stamp_of
@@ -81,7 +82,7 @@ class ElevationStage:
         clouds = {t.CLOUDS[lidar.name]: lidar.name for lidar in lidars}
         self.inputs = (
             *(t.ODOM, *clouds, t.JOINTS, t.TF_STATIC),
-            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.ROUTE_STATUS, t.INITIAL_POSE),
+            *(t.MAP_REQUEST, t.MAP_PRIOR, t.MAP_MIRROR, t.ROUTE_STATUS, t.INITIAL_POSE, t.TOUCHED),
         )
         self.map = elevation
         self._params = params
@@ -105,6 +106,8 @@ class ElevationStage:
         """The robot is on ground that nobody saw, or was sent there."""
         self._odom: msg.Odometry | None = None
         self._scans = 0
+        self._fused = 0
+        """Stamp of the newest scan in the map [ns]."""
         self._now = 0
         self._detail = ""
         self._status_due = 0
@@ -151,6 +154,9 @@ class ElevationStage:
                     self._status_due = 0
             elif t.MAP_PRIOR.carried(message, topic):
                 return self._take_prior(message)
+            elif t.TOUCHED.carried(message, topic):
+                x, y, z = xyz(message.pose.position).tolist()
+                self.map.touch(x, y, z, yaw_of(message.pose.orientation), stamp_of(message))
             elif t.MAP_REQUEST.carried(message, topic):
                 return self._request(message)
             elif t.MAP_STATUS.carried(message, topic):
@@ -181,6 +187,7 @@ class ElevationStage:
         self._course.follow(position, stamp)
         sigmas = self._sigmas(odom)
         self._scans += 1
+        self._fused = stamp
         seen = []
         for name, sensor in self._sensors.items():
             points = clouds.get(name, NOTHING)
@@ -245,6 +252,15 @@ class ElevationStage:
             words.append("the ground at the feet is not seen: the robot drives on what it saw before alone")
         return "; ".join(words)
 
+    def _felt(self) -> str:
+        """What was touched, for the operator."""
+        count = self.map.touched
+        return (
+            f"{count} places were touched that the LiDAR does not see; `map clear` forgets them"
+            if count
+            else ""
+        )
+
     def _take_prior(self, message: msg.MapPrior) -> Outputs:
         patches = tuple(map_patch(block, self.map.epoch) for block in message.map)
         if not patches:
@@ -291,7 +307,10 @@ class ElevationStage:
             except MapError as error:
                 self._detail, self._status_due = str(error), 0
                 raise
-        self._detail = f"unknown request {message.action!r}"
+        if message.action == "clear":
+            self._detail = f"forgot {self.map.forget_touched()} places that the robot touched"
+        else:
+            self._detail = f"unknown request {message.action!r}"
         self._status_due = 0
         return []
 
@@ -331,7 +350,7 @@ class ElevationStage:
         return []
 
     def tick(self, now: int) -> Outputs:
-        """Status twice a second."""
+        """Status twice a second, with the stamp of the newest scan in the map: who depends on the map sees how old it is."""
         self._now = now
         if self._handover.overdue(now):
             return self._give_up()
@@ -341,7 +360,7 @@ class ElevationStage:
         self._status_due = now + STATUS_PERIOD
         tiles, known, trusted = self.map.store.counts()
         status = msg.MapStatus(
-            header=header(now, "map"),
+            header=header(self._fused, "map"),
             epoch=self.map.epoch,
             scans=self._scans,
             tiles=tiles,
@@ -351,7 +370,10 @@ class ElevationStage:
             height_correction=self.map.alignment.height,
             restoring=self._handover.under_way,
             prior=self._prior.id,
-            warning="; ".join(filter(None, (self._course.warning, self._blind(), self.map.warning))),
+            warning="; ".join(
+                filter(None, (self._course.warning, self._blind(), self._felt(), self.map.warning))
+            ),
+            touched=self.map.touched,
             refused=self._refused,
             detail=self._detail,
             **self._location.report(),

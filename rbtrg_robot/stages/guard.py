@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation
 from hal.safety.contact import contact_at
-from hal.safety.monitors import HOLE_WIDTH
+from hal.safety.monitors import GUARD_BLIND, HOLE_WIDTH, MAIN_SILENT
 from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
@@ -27,6 +27,7 @@ from hal.safety.swept import (
     PLANTS,
     POINTS,
     SPACING,
+    TOUCHED,
     WHEELS,
     Body,
     Reach,
@@ -40,12 +41,13 @@ from hal.safety.swept import (
     turn_step,
     turn_tracks,
 )
-from hal.types import NS, Array, Capabilities
+from hal.safety.touch import uneven
+from hal.types import NS, Array, Capabilities, MountedLidar
 from mapping.filling import fill_unknown
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
-from rbtrg_robot.stage_config import GuardConfig
+from rbtrg_robot.stage_config import FAR, GuardConfig
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import (
@@ -60,9 +62,6 @@ from rbtrg_robot.wire.convert import (
 from rbtrg_robot.wire.frames import MapFrame, Planar
 from rbtrg_robot.wire.messages import header, stamp_of
 
-FAR = 2.4
-"""[m] looked ahead of the body. A LiDAR sees the ground below an edge only far behind the edge: one on the back whose lowest beam
-goes down by 15 deg shows that ground lies a step lower not before 2.3 m ahead of the body."""
 AROUND = 2.0
 """[m] from base_link: points of a sweep beyond are of no interest."""
 CREEPING, TURNING = 0.2, 0.3
@@ -71,6 +70,7 @@ LEANS = math.radians(25.0)
 """[rad] A robot that leans by more than this goes nowhere along a wall: one that was let go on at 30 deg came to 40 to 50 deg in each of six drives."""
 LEAVES = (0.2, 0.5)
 """[m/s] and [rad/s] of a turn, 0.2 m/s at a corner of the body, over ground under leaves: what stands in them is felt, not seen."""
+NO_POINTS = np.zeros((0, 3), np.float32)
 STANDS = 0.05
 """[m] above a step that points must be to count as something that stands there: noise of map and pose."""
 WORDS = {
@@ -90,16 +90,19 @@ class GuardStage:
     drop or something that stands there. It knows no goal and no plan, and it never moves the robot.
     """
 
-    inputs = (t.MAP_WINDOW, t.CLOUD, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
     outputs = (t.MOTION_LIMITS,)
 
-    def __init__(self, params: GuardConfig, robot: Capabilities) -> None:
+    def __init__(self, params: GuardConfig, robot: Capabilities, lidars: tuple[MountedLidar, ...]) -> None:
+        """lidars: whose sweeps it hears."""
+        self._sweeps = tuple(t.CLOUDS[lidar.name] for lidar in lidars)
+        self.inputs = (t.MAP_WINDOW, *self._sweeps, t.ODOM, t.POSE, t.TF_STATIC, t.MAP_STATUS)
         self._params = params
         self._robot = robot
         self._frame = MapFrame()
         self._now = 0
         self._pose: msg.Odometry | None = None
-        self._clouds: OrderedDict[int, NDArray[np.float32]] = OrderedDict()
+        self._clouds: OrderedDict[int, dict[Topic, NDArray[np.float32]]] = OrderedDict()
+        """By stamp, those of all LiDARs."""
         self._odoms: OrderedDict[int, msg.Odometry] = OrderedDict()
         self._correction = 0.0
         self._around: Surroundings | None = None
@@ -161,14 +164,20 @@ class GuardStage:
                 self._correction = message.height_correction
         elif t.ODOM.carried(message, topic):
             self._keep(self._odoms, stamp_of(message), message)
-        elif t.CLOUD.carried(message, topic):
-            try:
-                self._keep(self._clouds, stamp_of(message), cloud_points(message))
-            except LayoutError:
-                self._malformed += 1
+        elif topic in self._sweeps:
+            self._cloud(topic, message)
         elif t.MAP_WINDOW.carried(message, topic):
             self._window(message)
         return []
+
+    def _cloud(self, topic: Topic, message: msg.PointCloud2) -> None:
+        stamp = stamp_of(message)
+        try:
+            points = cloud_points(message)
+        except LayoutError:
+            self._malformed += 1
+            return
+        self._keep(self._clouds, stamp, {**self._clouds.get(stamp, {}), topic: points})
 
     def _keep(self, kept: OrderedDict[int, Any], stamp: int, what: Any) -> None:
         """With the newest of its kind: a pose may come before the cloud of its scan, or after it."""
@@ -191,7 +200,7 @@ class GuardStage:
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
-            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, HOLE)), source, 0).astype(np.uint8),
+            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, TOUCHED, HOLE)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,
@@ -214,7 +223,13 @@ class GuardStage:
         newest = max(both)
         if newest < self._stamp:
             return
-        points = self._clouds[newest]
+        # The head's sweeps stand in for the main ones alone: 2 cm beside a wall the noise of an L1 holds the robot, and the map has what it sees.
+        clouds = self._clouds[newest]
+        points = (
+            np.concatenate([NO_POINTS, *clouds.values()])
+            if self._main_silent()
+            else clouds.get(t.CLOUD, NO_POINTS)
+        )
         x, y = points[:, 0], points[:, 1]
         near = points[np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < AROUND)].astype(np.float64)
         pose = self._odoms[newest].pose.pose
@@ -251,7 +266,8 @@ class GuardStage:
         )
         upright = rotation(orientation)[2, 2] >= math.cos(LEANS)
         contact = contact_at(self._around, here, stand, self._robot) if held and upright else None
-        speeds, words = [], []
+        slow_by_sight = self._main_silent()
+        speeds, words = [], [slow_by_sight] if slow_by_sight else []
         for k, (where, tracks, whole, step) in enumerate(self._ways):
             turning, behind, reach = k > 1, k == 1, reaches[k]
             most = self._robot.max_wz if turning else self._robot.max_vx
@@ -279,7 +295,7 @@ class GuardStage:
             slow = max(LEAVES[turning], self._stops_in(leaves, turning=turning))
             if slow < speed:
                 speed, why = slow, f"grass {where}"
-            speeds.append(speed)
+            speeds.append(min(speed, creeping) if slow_by_sight else speed)
             words += [why] if why else []
         limits = msg.MotionLimits(
             header=header(now, BASE),
@@ -288,6 +304,8 @@ class GuardStage:
             left=speeds[2],
             right=speeds[3],
             reason="; ".join(words),
+            uneven_ahead=uneven(self._around, here, 1.0),
+            uneven_behind=uneven(self._around, here, -1.0),
         )
         return [(t.MOTION_LIMITS, limits)]
 
@@ -317,6 +335,9 @@ class GuardStage:
             age = (self._now - stamp) / NS
             if abs(age) > limit:
                 return f"{topic.name} is {age:.1f} s old"
+        seen = self._unseen(*self._sweeps)
+        if GUARD_BLIND.outside(seen):
+            return GUARD_BLIND.tell(age=f"{seen:.1f}")
         assert self._around is not None
         if self._dark:
             return "the map knows no ground around the robot"
@@ -325,6 +346,21 @@ class GuardStage:
             # Beyond the window nothing is known, and ground that nobody saw does not stop a robot that drives forward.
             return f"{t.POSE.name} lies outside of {t.MAP_WINDOW.name}"
         return ""
+
+    def _unseen(self, *topics: Topic) -> float:
+        """Seconds since the newest sweep with a point on any of these; an empty one says that nothing came, one that is stamped ahead of
+        the clock nothing at all."""
+        stamps = (
+            stamp
+            for stamp, clouds in self._clouds.items()
+            if stamp <= self._now + self._ahead and any(len(clouds.get(topic, ())) for topic in topics)
+        )
+        return (self._now - max(stamps, default=0)) / NS
+
+    def _main_silent(self) -> str:
+        """Why it is slow: the head's LiDAR looks ahead, and nobody sees who comes from the side; empty where the main one speaks."""
+        age = self._unseen(t.CLOUD)
+        return MAIN_SILENT.tell(age=f"{age:.1f}") if MAIN_SILENT.outside(age) else ""
 
     def _place(self) -> tuple[Planar, NDArray[np.float64]]:
         """x, y [m], yaw [rad] of the robot in `map`, and its orientation x, y, z, w."""
@@ -338,4 +374,4 @@ def build(config: StackConfig) -> GuardStage:
     """From the stack's configuration."""
     # What the operator forbids to drive over is in the way, whatever the robot could climb.
     robot = replace(config.capabilities(), max_step=config.graph_params().max_step)
-    return GuardStage(config.guard, robot)
+    return GuardStage(config.guard, robot, config.mounted_lidars())

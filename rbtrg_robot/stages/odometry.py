@@ -97,6 +97,8 @@ class OdometryStage:
         self._shift = MapFrame()
         self._announced = False
         self._odom: msg.Odometry | None = None
+        self._place_sigma = self._told = 0.0
+        """Standard deviation of the place in `odom` [m]: now, and when its offset in `map` was told."""
         self._poses = 0
         self._malformed = 0
 
@@ -201,6 +203,7 @@ class OdometryStage:
         if odom is None or not known or not stands(odom):
             return []
         if math.dist((x, y), self._start[:2]) > SAME or abs(wrap(turn - self._start[2])) > SAME:
+            self._told = self._place_sigma
             self._start = (x, y, turn)  # otherwise a repeat: the frames stay, and are told again
         return [(t.TF_STATIC, self._frames(stamp_of(odom)))]
 
@@ -232,6 +235,7 @@ class OdometryStage:
             inliers=float(scan.inliers),
             residual=float(scan.residual),
             correction=float(scan.correction),
+            place_sigma=math.sqrt(max(scan.place_sigma**2 - self._told**2, 0.0)),
             degenerate=np.ascontiguousarray(scan.degenerate, np.float64),
             degeneracy=float(scan.degeneracy),
             lidar=[lidar.name for lidar in scan.lidars],
@@ -242,7 +246,7 @@ class OdometryStage:
             counter=list(counters),
             count=array(list(counters.values()), "uint32"),
         )
-        self._odom = odom
+        self._odom, self._place_sigma = odom, scan.place_sigma
         outputs: Outputs = [(t.ODOM_HEALTH, health), (t.ODOM, odom)]
         if not isinstance(self._odometry, LidarInertialOdometry):  # no pose in between: tf has this one
             transform = transform_msg(scan.stamp, ODOM, BASE, position, orientation)

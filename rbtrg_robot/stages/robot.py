@@ -5,12 +5,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hal.contract import UP, Backend
+from hal.go2w import WHEEL_RADIUS, WHEELS
 from hal.safety.gate import GateInputs, GateStatus, SafetyGate
 from hal.safety.gate_types import MotionLimits
 from hal.safety.mux import TELEOP, TRACKER
 from hal.safety.tilt import TiltFilter
 from hal.types import (
+    FELT_EDGE,
     NS,
     GroundTruth,
     ImuSample,
@@ -26,10 +31,11 @@ from hal.types import (
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.command_path import CommandPath
+from rbtrg_robot.stages.feeling import Feeling
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import messages
-from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, yaw_of
+from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg, truth_msg, xyz, xyzw, yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import array, header, stamp_of
 
@@ -82,7 +88,7 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
-        self._limits: MotionLimits | None = None
+        self._feeling = Feeling()
         self._now = 0
         self._ticks = 0
         self._state_due = 0
@@ -90,12 +96,14 @@ class RobotStage:
         self._figures: dict[str, float] = {}
         """Of the backend, when they were last told."""
         self._shown: tuple[Any, ...] = ()
+        self._rolls = self._turns = 0.0
+        """Speed of the wheels [m/s], yaw rate of the gyro [rad/s]."""
         self._driven = VelocityCommand(0)
         self._trunk = PostureCommand(0)
         self._commands = CommandPath(gate)
         self.realtime_factor = 1.0
         lidars: tuple[Topic, ...] = tuple(t.SWEEPS[lidar.name] for lidar in backend.capabilities.lidars)
-        sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE, t.DIAGNOSTICS)
+        sensors: tuple[Topic, ...] = (t.IMU, t.JOINTS, *lidars, t.ROBOT_STATE, t.TOUCHED, t.DIAGNOSTICS)
         self.outputs: tuple[Topic, ...] = (*sensors, t.CLOCK, t.TRUTH) if simulated else sensors
 
     def warm_up(self) -> None:
@@ -128,30 +136,25 @@ class RobotStage:
         """Take one message; `sender` names its publisher."""
         if t.CMD_VEL.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.drive(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.drive(TRACKER, message, sender, self._now)
         elif t.TRUNK.carried(message, topic):
             if not self._missing and self._now >= self._settled:
-                self._commands.tilt(TRACKER, message, stamp_of(message), sender, self._now)
+                self._commands.tilt(TRACKER, message, sender, self._now)
         elif t.TELEOP.carried(message, topic):
-            # Stamped where it arrives: the clocks of two computers differ. The guard is all that hands need.
+            # The guard is all that hands need.
             if GUARD not in self._missing:
-                self._commands.drive(TELEOP, message, self._now, sender, self._now)
+                self._commands.drive(TELEOP, message, sender, self._now)
         elif t.TELEOP_TRUNK.carried(message, topic):
             if GUARD not in self._missing:
-                self._commands.tilt(TELEOP, message, self._now, sender, self._now)
+                self._commands.tilt(TELEOP, message, sender, self._now)
         elif t.POSE.carried(message, topic):
             self._pose = message
         elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         elif t.MOTION_LIMITS.carried(message, topic):
-            self._limits = MotionLimits(
-                stamp_of(message),
-                message.forward,
-                message.backward,
-                message.left,
-                message.right,
-                message.reason,
-            )
+            limits = (message.forward, message.backward, message.left, message.right)
+            uneven = (message.uneven_ahead, message.uneven_behind)
+            self._feeling.guard(MotionLimits(stamp_of(message), *limits, message.reason, *uneven))
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif t.ROBOT_STOP.carried(message, topic):
@@ -174,7 +177,7 @@ class RobotStage:
             self._lost.clear()
         state = self.backend.state()
         self._driven = self._gate.output(now, self._inputs(now, state))
-        self.backend.drive(self._driven)
+        self.backend.drive(replace(self._driven, climb=self._feeling.may_climb(self._driven.vx)))
         trunk = self._gate.trunk
         if (trunk.roll, trunk.pitch) != (self._trunk.roll, self._trunk.pitch):
             self.backend.posture(trunk)
@@ -194,6 +197,7 @@ class RobotStage:
             self._commands.taken(now),
             status.not_moving,
             status.motion_unchecked,
+            status.creeps > 0.0,
         )
         if now >= self._state_due or shown != self._shown:
             self._shown = shown
@@ -235,16 +239,43 @@ class RobotStage:
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
-        return GateInputs(state, self._tilt.tilt, velocity, pose, self._limits, self._stamps)
+        wheels = (self._rolls, self._turns)
+        fresh = all(0 <= now - self._stamps.get(x, -NS) < POSE_LIMIT * NS for x in ("imu", "joints"))
+        return GateInputs(
+            state,
+            self._tilt.tilt,
+            velocity,
+            wheels if fresh else None,
+            self._tilt.lean,
+            pose,
+            self._feeling.limits(now),
+            self._stamps,
+        )
+
+    def _motion(self) -> tuple[tuple[NDArray[np.float64], float] | None, float | None]:
+        """Position (3,) and yaw of base_link in `map`, and its forward speed [m/s], by the newest pose; None what is not known."""
+        if self._pose is None or abs(self._now - stamp_of(self._pose)) / NS >= POSE_LIMIT:
+            return None, None
+        place, speed = self._pose.pose.pose, self._pose.twist.twist.linear.x
+        if not self._frame.known:
+            return None, speed
+        position, _ = self._frame.pose3(xyz(place.position), xyzw(place.orientation))
+        return (position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]), speed
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
             self._stamps["imu"] = sample.stamp
+            self._turns = float(sample.gyro[2])
             self._tilt.update(sample)
+            self._feeling.imu(sample)
             return [(t.IMU, imu_msg(sample))]
         if isinstance(sample, JointSample):
             self._stamps["joints"] = sample.stamp
-            return [(t.JOINTS, joint_msg(sample))]
+            self._rolls = float(sample.velocity[WHEELS].mean()) * WHEEL_RADIUS
+            # Where the wheels feel an edge their reflex moves the robot, not the command.
+            reflex = self.backend.state().cause.startswith(FELT_EDGE)
+            driven = VelocityCommand(self._now) if reflex else self._driven
+            return [(t.JOINTS, joint_msg(sample)), *self._feeling.joints(sample, driven, *self._motion())]
         if isinstance(sample, LidarScan):
             # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
             self._stamps["lidar"] = max(sample.stamp, self._stamps.get("lidar", 0))
@@ -268,7 +299,7 @@ class RobotStage:
         return msg.RobotState(
             header=header(now, "base_link"),
             phase=phase.value,
-            cause=state.cause + _remark(state, status),
+            cause="; ".join(filter(None, (state.cause + _remark(state, status), self._feeling.words(now)))),
             estop=status.latched,
             estop_cause=status.cause,
             latch=self._commands.latch(now),
@@ -284,6 +315,7 @@ class RobotStage:
             refused_reason=list(refused),
             refused_count=array(list(refused.values()), "uint32"),
             hold=hold,
+            hands=self._commands.hands(now),
             realtime_factor=self.realtime_factor,
         )
 
@@ -292,6 +324,8 @@ def _remark(state: RobotState, status: GateStatus) -> str:
     """Remark of the gate after the robot's own words."""
     if status.not_moving:
         return "; commanded but not moving"
+    if status.creeps:
+        return f"; it creeps down a slope at {status.creeps:.2f} m/s"
     return (
         "; motion is not checked, odometry is silent" if status.motion_unchecked and state.phase in UP else ""
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.safety.monitors import TRACKER_STALE
 from hal.types import NS
 from planning.tracking.tracker import PathError, PathTracker, TrackerConfig, TrackOutput, TrackPhase
 from rbtrg_robot import msg
@@ -45,7 +46,8 @@ class TrackerStage:
             t.MAP_STATUS: freshness.map,
             t.GOAL_STATUS: freshness.goal,
         }
-        self._seen: dict[Topic, int] = {}
+        self._stamps: dict[Topic, int] = {}
+        """Newest stamp of each topic [ns]: what a message tells of counts, not when it came."""
         self._lost = ""
         self._path_id = ""
         self._path_fault = ""
@@ -69,7 +71,8 @@ class TrackerStage:
 
     def on(self, topic: Topic, message: Any) -> Outputs:
         """Take one message."""
-        self._seen[topic] = self._now
+        if topic in self._limits:
+            self._stamps[topic] = stamp_of(message)
         if t.POSE.carried(message, topic):
             self._pose = message
         elif t.PATH_COMMAND.carried(message, topic):
@@ -106,7 +109,7 @@ class TrackerStage:
     def tick(self, now: int) -> Outputs:
         """One control step."""
         if now < self._now:
-            self._seen.clear()
+            self._stamps.clear()
         self._now = now
         self._ticks += 1
         hold = self._hold() if self._tracker.has_path or self._path_fault or self._look else ""
@@ -140,18 +143,13 @@ class TrackerStage:
         if self._lost:
             return f"localization lost: {self._lost}"
         for topic, limit in self._limits.items():
-            if topic not in self._seen:
+            if topic not in self._stamps:
                 return f"no {topic.name} yet"
-            age = (self._now - self._seen[topic]) / NS
-            if age > limit:
-                return f"{topic.name} is {age:.2f} s old"
-        if self._pose is None:
-            return f"no {t.POSE.name} yet"
-        behind = (self._now - stamp_of(self._pose)) / NS
-        if behind < -self._limits[t.POSE]:
-            return f"{t.POSE.name} is stamped {-behind:.2f} s ahead of the clock"
-        if behind > self._limits[t.POSE] + 0.2:
-            return f"{t.POSE.name} is stamped {behind:.2f} s ago"
+            age = (self._now - self._stamps[topic]) / NS
+            if TRACKER_STALE.outside(age, low=-limit, high=limit):
+                if age < 0.0:
+                    return f"{topic.name} is stamped {-age:.2f} s ahead of the clock"
+                return TRACKER_STALE.tell(topic=topic.name, age=f"{age:.2f}", limit=limit)
         return ""
 
     def _state(self, now: int, step: TrackOutput, hold: str) -> msg.TrackerState:

@@ -8,11 +8,12 @@ from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import decode
 
-TOLD = {
+TOLD: dict[Topic, tuple[str, ...]] = {
     t.ROBOT_STATE: ("cause", "estop_cause", "hold"),
     t.ODOM_HEALTH: ("reason", "calibration"),
     t.MAP_STATUS: ("warning", "detail"),
     t.TRACKER_STATE: ("hold",),
+    t.MOTION_LIMITS: ("reason",),
     t.GOAL_STATUS: ("reason", "detail"),
 }
 """Fields that an operator reads."""
@@ -23,7 +24,7 @@ class Raised:
 
     def __init__(self, stack: Lockstep) -> None:
         self._words: dict[str, None] = {}
-        stack.host.listen(self._hear, TOLD)
+        stack.host.listen(self._hear, list(TOLD))
 
     def _hear(self, topic: Topic, payload: bytes, _now: int) -> None:
         message = decode(payload, topic.kind)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hal.rotation import rotation, turn
 from hal.types import Array
+from mapping.odometry.registration.observability import observed
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 
@@ -24,9 +25,6 @@ STEPS = 12
 """Most point to plane steps of a scan."""
 CONVERGED = 1e-4
 """Smallest step [m, rad] that is followed by another."""
-DAMPING = 2e-3
-"""Share of facing surface below which a direction is not registered: it stays as predicted."""
-_DAMPED = DAMPING * np.eye(6)
 WIDE = 0.6
 """Reach of correspondences of small_gicp [m]."""
 FEW_PLANES = 50
@@ -52,6 +50,8 @@ class Match:
     information: Array
     """(6, 6) mean of J^T J over inliers: position in `odom` [-], rotation about base_link in `odom` axes [m^2]. Singular where the
     scene does not constrain."""
+    born: float = 0.0
+    """Variance [m^2] of the place in the plane when the surfaces that constrain it were first seen."""
 
 
 class Engine(Protocol):
@@ -74,8 +74,8 @@ class Engine(Protocol):
     def align(self, guess: Array) -> Match:
         """Register the cloud near `guess` (4, 4)."""
 
-    def insert(self, pose: Array) -> None:
-        """Add the cloud to the local map at `pose` (4, 4)."""
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
+        """Add the cloud to the local map at `pose` (4, 4), see `VoxelPlanes.insert`."""
 
 
 class PlanesConfig(BaseModel):
@@ -142,9 +142,9 @@ class PlaneEngine:
         pose = _refine(self.planes, self._source, guess) if self.scans else guess
         return _quality(self.planes, self._source, np.ascontiguousarray(pose))
 
-    def insert(self, pose: Array) -> None:
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
-        self.planes.insert(self.frame, np.ascontiguousarray(pose))
+        self.planes.insert(self.frame, np.ascontiguousarray(pose), born, settled)
         self.scans += 1
 
 
@@ -198,21 +198,21 @@ class GicpEngine:
             pose = np.ascontiguousarray(result.T_target_source)
         return _quality(self.planes, self._points, pose)
 
-    def insert(self, pose: Array) -> None:
+    def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
         self._map.insert(self._cloud, pose)
-        self.planes.insert(self.frame, np.ascontiguousarray(pose))
+        self.planes.insert(self.frame, np.ascontiguousarray(pose), born, settled)
         self.scans += 1
 
 
 def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
-    """Point to plane steps from `pose` (4, 4). Directions that no plane faces stay as they are."""
+    """Point to plane steps from `pose` (4, 4). Directions that are not observed stay as they are."""
     pose = np.ascontiguousarray(pose)
     for _ in range(STEPS):
-        h, b, _, _, inliers, _ = planes.fit(points, pose, gate=0.15, scale=0.05)
+        h, b, _, _, inliers, *_ = planes.fit(points, pose, gate=0.15, scale=0.05)
         if inliers < FEW_PLANES:
             break
-        step = -np.linalg.solve(h / inliers + _DAMPED, b / inliers)
+        step = observed(h / inliers).step(b / inliers)
         largest = np.abs(step).max()
         if not largest < 0.2:
             break
@@ -229,7 +229,7 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
 
 def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
     """Fit of `points` (n, 3), body frame, at `pose` to the planes of the map."""
-    h, _, seen, planar, inliers, total = planes.fit(points, pose, gate=0.15, scale=0.05)
+    h, _, seen, planar, inliers, total, born = planes.fit(points, pose, gate=0.15, scale=0.05)
     return Match(
         pose=pose,
         points=len(points),
@@ -238,6 +238,7 @@ def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
         inliers=inliers / planar if planar >= FEW_PLANES else 1.0,
         residual=float(np.sqrt(total / max(inliers, 1))),
         information=h / max(inliers, FEW_PLANES),
+        born=born,
     )
 
 

@@ -21,6 +21,12 @@ POINTS = 60
 """A voxel with this many points is settled and takes no more."""
 PLANE = 5
 """Points that make a plane."""
+EARNED = 15.0
+"""Scans after which a surface counts in full, with the square of their share before. Who walks past at 0.5 m/s is in a voxel for 8 of them,"""
+LEVEL = 0.01
+"""Share of upright surface that is none but noise of level ground: level ground tells nothing of where it was seen first."""
+LOSES = 0.5
+"""and each scan that does not see it takes so many back, until it counts in full: a wall is seen in every scan or every other, a place where people pass is not."""
 
 
 @borrows
@@ -38,9 +44,9 @@ def _slot(keys: NDArray[np.int64], kx: int, ky: int, kz: int) -> int:
 
 @borrows
 def _plane(stats: Array, plane: Array) -> None:
-    """Plane of one voxel from its sums: unit normal (3,), thickness [m]; thickness inf where there is no plane.
+    """Plane of one voxel from its sums: unit normal (3,) and its weight [0..1], 0 where there is no plane.
 
-    `stats` (10,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point).
+    `stats` (12,): count, sum x y z, sum xx xy xz yy yz zz (relative to the voxel's first point), scans earned, newest scan.
     """
     n = stats[0]
     mx, my, mz = stats[1] / n, stats[2] / n, stats[3] / n
@@ -55,7 +61,7 @@ def _plane(stats: Array, plane: Array) -> None:
     large = third + 2.0 * spread * math.cos(phi)
     small = third + 2.0 * spread * math.cos(phi + 2.0 * math.pi / 3.0)
     middle = 3.0 * third - large - small
-    plane[3] = np.inf
+    plane[3] = 0.0
     if middle < 9.0 * max(small, 0.0) or middle < 1e-4:  # a line or a clump
         return
     # Eigenvector: the longest cross product of two rows of (matrix - small I).
@@ -73,7 +79,7 @@ def _plane(stats: Array, plane: Array) -> None:
             best = length
             plane[0], plane[1], plane[2] = x / length, y / length, z / length
     if best > 0.0:
-        plane[3] = math.sqrt(max(small, 0.0))
+        plane[3] = (stats[10] / EARNED) ** 2
 
 
 @njit(cache=True)
@@ -85,8 +91,12 @@ def _insert(
     points: Array,
     pose: Array,
     size: float,
+    scan: float,
+    earned: float,
+    born: float,
 ) -> int:
-    """Add points (n, 3) in the body frame at `pose`; returns how many voxels are new."""
+    """Add points (n, 3) in the body frame at `pose`, of scan number `scan` that counts as `earned` scans; returns how many voxels are new, which remember
+    `born`."""
     new = 0
     for i in range(len(points)):
         x = pose[0, 0] * points[i, 0] + pose[0, 1] * points[i, 1] + pose[0, 2] * points[i, 2] + pose[0, 3]
@@ -97,10 +107,18 @@ def _insert(
         if s < 0:
             s = -s - 1
             keys[s] = ((kx + 1048576) << 42) | ((ky + 1048576) << 21) | (kz + 1048576)
-            anchor[s, 0], anchor[s, 1], anchor[s, 2] = x, y, z
+            anchor[s, 0], anchor[s, 1], anchor[s, 2], anchor[s, 3] = x, y, z, born
             stats[s] = 0.0
-            plane[s, 3] = np.inf
+            stats[s, 11] = scan
+            plane[s, 3] = 0.0
             new += 1
+        if stats[s, 11] != scan or stats[s, 10] == 0.0:
+            if stats[s, 10] < EARNED:
+                kept = max(stats[s, 10] - LOSES * max(scan - stats[s, 11] - 1.0, 0.0), 0.0)
+                stats[s, 10] = min(kept + earned, EARNED)
+                if plane[s, 3] > 0.0:
+                    plane[s, 3] = (stats[s, 10] / EARNED) ** 2
+            stats[s, 11] = scan
         if stats[s, 0] >= POINTS:
             continue
         x, y, z = x - anchor[s, 0], y - anchor[s, 1], z - anchor[s, 2]
@@ -132,11 +150,12 @@ def _fit(
     scale: float,
     h: Array,
     b: Array,
-) -> tuple[int, int, int, float]:
+) -> tuple[int, int, int, float, float]:
     """Plane residuals of points (n, 3) at `pose`: sums of w J^T J into h (6, 6) and of w J^T r into b (6,).
 
-    J: position in the world, rotation about the body origin in world axes. Geman-McClure weight of width `scale` [m].
-    Returns points in seen voxels, points on planes, inliers (|r| < gate) and the sum of squared inlier residuals.
+    J: position in the world, rotation about the body origin in world axes. Geman-McClure weight of width `scale` [m], times what the surface has earned.
+    Returns points in seen voxels, points on planes, inliers (|r| < gate), the sum of squared inlier residuals, and what the upright surfaces among them
+    remember of their birth, in the mean.
     """
     h[:] = 0.0
     b[:] = 0.0
@@ -144,6 +163,9 @@ def _fit(
     planar = 0
     inliers = 0
     total = 0.0
+    births = 0.0
+    upright = 0.0
+    weight = 0.0
     j = np.empty(6)
     # Copies: a compiler that cannot know that the outputs lie elsewhere reads these anew for each point.
     r00, r01, r02, tx = pose[0, 0], pose[0, 1], pose[0, 2], pose[0, 3]
@@ -170,7 +192,7 @@ def _fit(
             for k in range(3):
                 plane[s, 5 + k] = stats[s, 1 + k] / n
             plane[s, 4] = 0.0
-        if plane[s, 3] == np.inf:
+        if plane[s, 3] == 0.0:
             continue
         planar += 1
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
@@ -189,7 +211,10 @@ def _fit(
         inliers += 1
         total += r * r
         w = scale * scale / (scale * scale + r * r)
-        w *= w
+        w *= w * plane[s, 3]
+        weight += w
+        upright += w * (1.0 - nz * nz)
+        births += w * (1.0 - nz * nz) * anchor[s, 3]
         j[0], j[1], j[2] = nx, ny, nz
         j[3], j[4], j[5] = ry * nz - rz * ny, rz * nx - rx * nz, rx * ny - ry * nx
         for k in range(6):
@@ -199,7 +224,7 @@ def _fit(
     for k in range(6):
         for m in range(k):
             h[m, k] = h[k, m]
-    return seen, planar, inliers, total
+    return seen, planar, inliers, total, births / max(upright + LEVEL * weight, 1e-12)
 
 
 @njit(cache=True)
@@ -229,7 +254,7 @@ def _trim(
         kz = (old_keys[i] & 2097151) - 1048576
         s = -_slot(keys, kx, ky, kz) - 1
         keys[s] = old_keys[i]
-        for k in range(3):
+        for k in range(anchor.shape[1]):
             anchor[s, k] = old_anchor[i, k]
         for k in range(stats.shape[1]):
             stats[s, k] = old_stats[i, k]
@@ -246,14 +271,20 @@ class VoxelPlanes:
         """`size`: voxel edge [m]; voxels further than `radius` [m] are forgotten when space runs short."""
         self.size, self.radius = size, radius
         self._keys = np.full(CAPACITY, -1, np.int64)
-        self._anchor = np.zeros((CAPACITY, 3))
-        self._stats = np.zeros((CAPACITY, 10))
+        self._anchor = np.zeros((CAPACITY, 4))
+        """First point [m], and what was said of its birth."""
+        self._stats = np.zeros((CAPACITY, 12))
         self._plane = np.zeros((CAPACITY, 8))
-        """Unit normal, thickness [m], whether points came since, mean of the points beside the anchor: what a fit reads lies together."""
+        """Unit normal, weight, whether points came since, mean of the points beside the anchor: what a fit reads lies together."""
         self._used = 0
+        self._scans = 0
 
-    def insert(self, points: Array, pose: Array) -> None:
-        """Add points (n, 3) [m], body frame, at `pose` (4, 4)."""
+    def insert(self, points: Array, pose: Array, born: float = 0.0, settled: bool = False) -> None:
+        """Add points (n, 3) [m] of a scan, body frame, at `pose` (4, 4), whose place in the plane has the variance `born` [m^2].
+
+        Its surfaces have yet to earn their weight, unless they are `settled`.
+        """
+        self._scans += 1
         radius = self.radius
         while self._used + len(points) > CAPACITY // 2 and radius > 1.0:
             self._used = _trim(
@@ -262,20 +293,21 @@ class VoxelPlanes:
             radius *= 0.7
         room = max(CAPACITY * 3 // 4 - self._used, 0)
         self._used += _insert(
-            self._keys, self._anchor, self._stats, self._plane, points[:room], pose, self.size
-        )
+            self._keys, self._anchor, self._stats, self._plane, points[:room], pose, self.size,
+            float(self._scans), EARNED if settled else 1.0, born,
+        )  # fmt: skip
 
     def fade(self, share: float) -> None:
         """Let what was inserted count for this share, at least for a plane: points that come now move settled surfaces again."""
         n = self._stats[:, 0]
         kept = np.maximum(share * n, np.minimum(n, PLANE))
-        self._stats[:, 1:] *= (kept / np.maximum(n, 1.0))[:, None]
+        self._stats[:, 1:10] *= (kept / np.maximum(n, 1.0))[:, None]
         self._stats[:, 0] = kept
 
     def fit(
         self, points: Array, pose: Array, gate: float, scale: float
-    ) -> tuple[Array, Array, int, int, int, float]:
-        """Information h (6, 6), gradient b (6,), and counts seen, planar, inliers, sum of squared residuals; see `_fit`."""
+    ) -> tuple[Array, Array, int, int, int, float, float]:
+        """Information h (6, 6), gradient b (6,), and counts seen, planar, inliers, sum of squared residuals, variance at birth; see `_fit`."""
         h, b = np.empty((6, 6)), np.empty(6)
         counts = _fit(
             self._keys, self._anchor, self._stats, self._plane, points, pose, self.size, gate, scale, h, b

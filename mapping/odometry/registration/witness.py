@@ -17,6 +17,8 @@ from mapping.odometry.registration.voxels import voxel_down_sample
 
 HEADINGS = (0.0, 0.25, -0.25, 0.5, -0.5)
 """Tried in turn in a search [rad]: registration finds a heading that is 0.4 rad off, a robot out of contact turns further."""
+OUTVOTED = 0.5
+"""KISS-ICP is not believed where the tracker ends this many times nearer to where wheels and gyro lead."""
 LOOKS = 10
 """Looks over which a slow disagreement adds up."""
 
@@ -48,6 +50,12 @@ class KissConfig(BaseModel):
     )
 
 
+def _apart(before: Array, after: Array, reckoned: Array) -> float:
+    """How far a way from `before` (4, 4) to `after` ends from where dead reckoning does, `reckoned` (4, 4) [m]; a turn counts as a metre a radian."""
+    off = np.linalg.inv(reckoned) @ np.linalg.inv(before) @ after
+    return float(np.linalg.norm(off[:3, 3]) + np.linalg.norm(rotation_vector(off[:3, :3])))
+
+
 class Witness:
     """KISS-ICP with a memory of where the tracker was at its looks."""
 
@@ -74,6 +82,8 @@ class Witness:
         self._started = False
         self._motion = np.eye(4)
         """Dead reckoning since the last look: what the tracker corrected is not in it."""
+        self._tracked = np.eye(4)
+        """Where the tracker was at the last look."""
         self._offsets: deque[Array] = deque(maxlen=LOOKS)
         """(4, 4) frame of the tracker <- own frame, at the last looks."""
 
@@ -94,11 +104,13 @@ class Witness:
             self._started, self._motion = True, np.eye(4)
             self._restart(tracked)
             return ""
+        reckoned = self._motion
         guess, sigma = self._pose @ self._motion, self._threshold.get_threshold()
         pose = self._align(source, guess, sigma)
         self._threshold.update_model_deviation(np.linalg.inv(guess) @ pose)
         self._map.update(thin, pose)
-        self._pose, self._motion = pose, np.eye(4)
+        outvoted = _apart(self._tracked, tracked, reckoned) < OUTVOTED * _apart(self._pose, pose, reckoned)
+        self._pose, self._motion, self._tracked = pose, np.eye(4), tracked
         off, turned = 0.0, 0.0
         for old in self._offsets:
             apart = np.linalg.inv(old @ pose) @ tracked
@@ -109,10 +121,13 @@ class Witness:
         if off <= self.params.disagreement * sigma and turned <= self.params.disagreement_deg * sigma:
             return ""
         self._restart(tracked)
+        if outvoted:  # people who walk past carry it along
+            return ""
         return f"KISS-ICP disagrees with the tracker by {100 * off:.0f} cm and {turned:.0f} deg"
 
     def _restart(self, tracked: Array) -> None:
         """Compare from here on."""
+        self._tracked = tracked
         self._offsets.clear()
         self._offsets.append(tracked @ np.linalg.inv(self._pose))
 

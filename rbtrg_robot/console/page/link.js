@@ -19,6 +19,9 @@ export function open() {
     replay: "",
     fresh: "stale",
     age: Infinity,
+    seen: "", // newest stamp of the robot that this page saw: every velocity echoes it, and the robot refuses what is older than 0.5 s
+    delay: 0, // seconds that this page's picture is behind the robot, there and back again on its link
+    lag: () => (link.delay ? `, link ${Math.round(1000 * link.delay)} ms` : ""),
     on,
     wish,
     quick,
@@ -70,6 +73,12 @@ export function open() {
       ages = content.ages;
       look();
     }
+    if (content.kind === "robot") link.seen = content.seen;
+    if (content.kind === "robot" && content.hands >= 0) link.delay = content.hands;
+    if (content.kind === "link") {
+      link.delay = content.delay;
+      look();
+    }
     if (content.kind === "welcome") {
       link.page = content.page;
       link.role = content.role;
@@ -87,7 +96,7 @@ export function open() {
   function look() {
     const since = (performance.now() - beat) / 1000;
     const topics = STEADY.map((name) => (name in ages ? ages[name] + since : Infinity));
-    link.age = Math.max(since, ...topics);
+    link.age = Math.max(since, link.delay, ...topics);
     link.silent = since > STALE ? "console" : topics[1] > STALE ? "robot" : topics[0] > STALE ? "odometry" : "";
     const fresh = link.age > STALE ? "stale" : link.age > OLD ? "old" : "live";
     const changed = fresh !== link.fresh;
@@ -148,7 +157,7 @@ export function open() {
   }
 
   setInterval(look, 100);
-  setInterval(() => quick({ do: "alive", watched: !document.hidden && !link.replay && link.fresh !== "stale" }), 500);
+  setInterval(() => quick({ do: "alive", seen: link.seen, watched: !document.hidden && !link.replay && link.fresh !== "stale" }), 500);
   dial();
   return link;
 }

@@ -137,7 +137,7 @@ export function makeStick(link, view, about, free) {
   const speed = () => (held === "pad" && pad?.buttons[TURBO]?.pressed ? 1 : Number($("speed").value));
 
   function send(v, w) {
-    link.quick({ do: "drive", v, w, t: performance.now() });
+    link.quick({ do: "drive", v, w, seen: link.seen });
   }
   setInterval(() => {
     gamepad();
@@ -165,10 +165,10 @@ export function makeStick(link, view, about, free) {
           : robot.estop
             ? "The robot is stopped"
             : held
-              ? `${figure(robot.vx)} m/s, ${figure(robot.wz)} rad/s${ahead()}`
+              ? `${figure(robot.vx)} m/s, ${figure(robot.wz)} rad/s${link.lag()}${ahead()}`
               : robot.taken
                 ? "You have the motion"
-                : "Hold the stick",
+                : `Hold the stick${link.lag()}`,
     );
     const limits = link.newest.limits;
     put(

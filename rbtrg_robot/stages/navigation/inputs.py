@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hal.safety.monitors import PLACE_UNSURE
 from hal.types import FELT_EDGE, NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.navigation.progress import TURNING
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, unlocated
 from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.messages import stamp_of
 
 AHEAD = 0.2
 """[m/s] that the guard must allow forward: it stops the robot within 0.1 m then."""
@@ -19,6 +21,10 @@ HELD = 0.1
 
 STANDS = 0.05
 """[m/s] A robot that the guard slows down to less than this is held."""
+
+
+DATED = (t.ODOM, t.MAP_STATUS)
+"""Topics without which no goal is driven, by what they tell of."""
 
 
 class Inputs:
@@ -93,9 +99,19 @@ class Inputs:
             return not self.tracker.hold and bool(self.held)
         return self.way in self.held
 
+    def unsure(self, tolerance: float) -> str:
+        """Why a robot that seems to be within `tolerance` [m] of its goal may be elsewhere, in words; empty where it is known well enough."""
+        place = 2.0 * self._health.place_sigma if self._health is not None else 0.0
+        return (
+            PLACE_UNSURE.tell(place=place, asked=tolerance)
+            if PLACE_UNSURE.outside(place, high=tolerance)
+            else ""
+        )
+
     def take(self, topic: Topic, message: Any, now: int) -> None:
         """Note one message of any topic."""
-        self._heard[topic] = now
+        # What odometry and map tell of counts, not when they came; a stamp ahead of the clock makes nothing younger.
+        self._heard[topic] = min(now, stamp_of(message)) if topic in DATED else now
         if t.ODOM_HEALTH.carried(message, topic):
             self._health = message
         elif t.MAP_STATUS.carried(message, topic):
@@ -124,6 +140,6 @@ class Inputs:
             return lost
         if not frame:
             return Reason.PROCESS_LOST, f"no {t.TF_STATIC.name} yet"
-        ages = ((topic, (now - self._heard.get(topic, 0)) / NS) for topic in (t.ODOM, t.MAP_STATUS))
+        ages = ((topic, (now - self._heard.get(topic, 0)) / NS) for topic in DATED)
         old = (f"no {x.name} for {age:.1f} s" for x, age in ages if age > timeout)
         return next(((Reason.PROCESS_LOST, why) for why in old), None)

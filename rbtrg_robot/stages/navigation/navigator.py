@@ -70,6 +70,7 @@ class NavigatorStage:
         t.ROBOT_STATE,
         t.TF_STATIC,
         t.MOTION_LIMITS,
+        t.TOUCHED,
     )
     outputs = (t.GOAL_STATUS, t.PLAN_REQUEST, t.PATH_COMMAND)
 
@@ -134,6 +135,8 @@ class NavigatorStage:
             self._take_plan(message)
         elif t.ROUTE_STATUS.carried(message, topic) and self._query.is_about_route(message):
             self._route.told(self._now, message)
+        elif t.TOUCHED.carried(message, topic):
+            self._touched(message)
         elif t.GOAL_STATUS.carried(message, topic):
             self._restore(message)
         return self._out
@@ -161,7 +164,7 @@ class NavigatorStage:
             self._end(GoalState.PREEMPTED, Reason.PREEMPTED, self._goal.foreign(goal.owner))
         self._goal = goal
         self._short = 0
-        if self._recovery.felt:
+        if self._recovery.at_edge:
             self._trail = Trail()
         self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
         self._looks = Looks(self._tilt)
@@ -194,7 +197,7 @@ class NavigatorStage:
             return  # asked before the inputs went: a new route is asked for when they are back
         self._route = RouteWatch()
         if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
-            return self._end(GoalState.REACHED, Reason.NONE)
+            return self._end_there()
         if message.ok:
             self._recovery.found()
             self._budget.plan(message.length)
@@ -261,12 +264,12 @@ class NavigatorStage:
             return self._ask()
         if self._pose is not None:
             if self._rest.stuck(now, self._pose) and self._arrived(goal):
-                return self._end(GoalState.REACHED, Reason.NONE)
+                return self._end_there()
             if spent := self._budget.spent(now, self._pose):
                 last = f", last: {self._trouble}" if self._trouble else ""
                 return self._end(GoalState.ABORTED, Reason.STUCK, spent + last + goal.place(self._pose))
         if self._recovery.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
-            return self._keep_off_edge(goal, self._pose)
+            return self._keep_off(goal, self._recovery.edge(self._pose), 1.0)
         if self._query.open:
             if self._query.waited(now) > p.patience:
                 return self._end(GoalState.ABORTED, Reason.PROCESS_LOST, "the planner does not answer")
@@ -297,7 +300,7 @@ class NavigatorStage:
         if broken:
             self._stand(goal, broken)
             if self._arrived(goal):
-                return self._end(GoalState.REACHED, Reason.NONE)
+                return self._end_there()
             return self._replan(goal)
         if on_path and self._inputs.phase == "final_turn":
             self._progress.reset()  # the tracker ends that in time by itself
@@ -322,7 +325,7 @@ class NavigatorStage:
             goal.state = GoalState.MOVING
             return self._replan(goal)
         if self._arrived(goal):
-            return self._end(GoalState.REACHED, Reason.NONE)
+            return self._end_there()
         short = self._distance(goal)
         if short <= self._params.goal_tolerance and self._pose is not None:
             self._end(GoalState.ABORTED, Reason.STUCK, heading_off(goal.yaw, self._pose[2]))
@@ -343,6 +346,11 @@ class NavigatorStage:
             return False
         return not heading_off(goal.yaw, self._pose[2])
 
+    def _end_there(self) -> None:
+        """The robot is at its goal: that is told where its place is known as well as the goal asks."""
+        unsure = self._inputs.unsure(self._params.goal_tolerance)
+        self._end(*(GoalState.ABORTED, Reason.UNSURE, unsure) if unsure else (GoalState.REACHED, Reason.NONE))
+
     def _ends_nearer(self, goal: Goal, plan: msg.Plan) -> bool:
         end = math.dist((plan.x[-1], plan.y[-1]), (goal.x, goal.y)) if len(plan.x) else math.inf
         return end < self._distance(goal) - NEARER
@@ -350,11 +358,11 @@ class NavigatorStage:
     def _recover(self, goal: Goal) -> None:
         """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at the goal needs neither."""
         if self._arrived(goal):
-            return self._end(GoalState.REACHED, Reason.NONE)
+            return self._end_there()
         self._progress.reset()
         assert self._pose is not None
         way = self._inputs.way
-        room_ahead = self._inputs.room_ahead and not self._recovery.felt
+        room_ahead = self._inputs.room_ahead and not self._recovery.at_edge
         measure = self._recovery.stuck(self._pose, way, room_ahead=room_ahead)
         if measure is Measure.GIVE_UP:
             tried = f"after {goal.recoveries} recoveries{goal.place(self._pose)}"
@@ -366,12 +374,18 @@ class NavigatorStage:
             self._replan(goal)
         return None
 
-    def _keep_off_edge(self, goal: Goal, pose: Pose2) -> None:
-        """The wheels feel an edge where the map has none: get away from it, then replan around it; give up where that was done often enough."""
+    def _touched(self, message: msg.PoseStamped) -> None:
+        goal, place = self._goal, message.pose.position
+        if goal and goal.state.active and self._pose is not None and not self._missing_since:
+            way = math.copysign(1.0, math.cos(yaw_of(message.pose.orientation) - self._pose[2]))
+            self._keep_off(goal, self._recovery.touched(place.x, place.y), way)
+
+    def _keep_off(self, goal: Goal, measure: Measure, way: float) -> None:
+        """The robot felt what the map did not tell, ahead, `way` 1.0, or behind, -1.0: get away from it, then replan around it; or give up."""
         self._query.drop()
-        if self._recovery.edge(pose) is Measure.GIVE_UP:
+        if measure is Measure.GIVE_UP:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, "choose another goal")
-        elif not self._move_out(goal, barred=1.0):
+        elif not self._move_out(goal, barred=way):
             self._stand(goal, self._recovery.felt)
             self._replan(goal)
 
@@ -379,7 +393,7 @@ class NavigatorStage:
         """Move straight over ground it stood on, for which no turn is needed, not in the direction `barred` nor where the guard holds it; False when
         there is none."""
         ways = self._inputs.held | {barred}
-        if self._recovery.felt:
+        if self._recovery.at_edge:
             ways |= {1.0}  # the body covered what lies below the edge, too
         reach = self._trail.reach(self._pose, self._params.back_out, ways) if self._pose else 0.0
         if reach != 0.0:

@@ -20,6 +20,7 @@ class Reason(StrEnum):
     NO_ROUTE = "no_route"
     LOST = "localization_lost"
     UNLOCATED = "not_located"
+    UNSURE = "place_unsure"
     STUCK = "stuck"
     ESTOP = "emergency_stop"
     TIMEOUT = "timeout"
@@ -46,6 +47,7 @@ WORDS: dict[Reason, str] = {
     Reason.NO_ROUTE: "no route to the goal",
     Reason.LOST: "localization is lost",
     Reason.UNLOCATED: "the robot has not found itself in the map",
+    Reason.UNSURE: "where the robot is is not known as well as the goal asks",
     Reason.STUCK: "the robot is stuck",
     Reason.ESTOP: "emergency stop",
     Reason.TIMEOUT: "the goal timed out",

@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
+from hal.safety.monitors import TOUCHED
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.progress import Pose2
 
 SAME_PLACE = 1.0
 """[m]"""
+TOUCHES = 8
+"""Touches for one goal: a pane 4 m wide is gone round after as many."""
 LOOK_DOWN_AT = 2
 """Which try in a row without a route: noise closes many a passage for a moment, and another graph often has a way."""
 
@@ -35,7 +38,7 @@ class Recovery:
 
     No route: look again a few times, once of these with the nose down; then once more without the places to keep off, because they may be the only way; then creep onto
     ground that nobody saw, from now on, where the wheels feel edges; then move out of the
-    place once, because it may only lack the room to turn; then give up. An edge that was felt is kept off for good, and ends the creeping. Stuck: keep off the place and move out, a few times at each place. A turn
+    place once, because it may only lack the room to turn; then give up. An edge that was felt is kept off for good, and ends the creeping. What was touched is in the map. Stuck: keep off the place and move out, a few times at each place. A turn
     that is held goes on a little farther ahead first: behind the corner of a wall a robot that turned 0.1 m too early has its tail at it, and
     came back to the same place each time that it had backed out.
     """
@@ -48,6 +51,8 @@ class Recovery:
         self._avoid: list[float] = []
         self._edges: list[Pose2] = []
         """Where base_link was."""
+        self._touched: list[tuple[float, float]] = []
+        """Where it was touched."""
         self._failed = 0
         self._stuck_at: list[Pose2] = []
         self._lost_at: list[Pose2] = []
@@ -63,10 +68,24 @@ class Recovery:
         return self._avoid + [v for pose in self._edges for v in self._disc(pose, 1.0)]
 
     @property
+    def at_edge(self) -> bool:
+        """Whether the wheels felt an edge."""
+        return bool(self._edges)
+
+    @property
     def felt(self) -> str:
-        """In words where the wheels felt edges; empty where they did not."""
-        places = " and ".join(f"at x {x:.2f} y {y:.2f}" for x, y, _ in self._edges)
-        return f"the wheels felt an edge that goes down {places}" if places else ""
+        """In words where the wheels felt edges, and where something was touched; empty where they did not."""
+        edges = " and ".join(f"at x {x:.2f} y {y:.2f}" for x, y, _ in self._edges)
+        said = [f"the wheels felt an edge that goes down {edges}"] if edges else []
+        if self._touched:
+            where = " and ".join(f"({x:.1f}, {y:.1f})" for x, y in self._touched)
+            said.append(TOUCHED.tell(where=where))
+        return "; ".join(said)
+
+    def touched(self, x: float, y: float) -> Measure:
+        """Something that the map does not explain was touched there, as often as a wide pane takes to be gone round."""
+        self._touched.append((x, y))
+        return Measure.GIVE_UP if len(self._touched) > TOUCHES else Measure.MOVE_OUT
 
     def edge(self, pose: Pose2) -> Measure:
         """The wheels felt an edge ahead of `pose`."""

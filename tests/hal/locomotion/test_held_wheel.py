@@ -20,6 +20,8 @@ from hal.locomotion.climb import (
     climb_tick,
     detect_blocked,
 )
+from hal.locomotion.controllers import OURS
+from hal.locomotion.hybrid import HybridController
 from hal.locomotion.memory import MEMORY
 from hal.locomotion.params import RECORD, VmcParams
 from hal.locomotion.vmc import VmcController
@@ -158,3 +160,25 @@ def test_the_kerbs_of_a_lane_are_crossed_askew_without_tipping() -> None:
     end = through_lane(VmcController(), 112, "kerbs", WAYS[0])
     assert end.passed
     assert end.tilt < 35.0
+
+
+@pytest.mark.parametrize("hybrid", [False, True])
+def test_what_holds_a_wheel_is_climbed_only_where_that_is_allowed(hybrid: bool) -> None:
+    """At a face of 9 cm: the model-based controller lifts a wheel, the hybrid one hands over, or neither does."""
+    x, _ = np.meshgrid(np.arange(-1.0, 2.0, 0.02), np.arange(-1.0, 1.0, 0.02))
+    height = np.where(x > 0.5, 0.09, 0.0).astype(np.float32)
+    for climb in (True, False):
+        controller = HybridController(OURS) if hybrid else VmcController()
+        wheels = controller.wheels if isinstance(controller, HybridController) else controller
+        simulation = Simulation(height, 0.02, (-1.0, -1.0))
+        simulation.reset()
+        every = round(controller.period / simulation.timestep)
+        climbed = False
+        for k in range(round(2.0 / simulation.timestep)):
+            if k % every == 0:
+                command = VelocityCommand(0, 0.4, climb=climb)
+                simulation.apply(controller.step(simulation.low_state(), command, PostureCommand(0)))
+                climbed |= wheels._mode[0] != DRIVE
+                climbed |= isinstance(controller, HybridController) and controller.climbing
+            simulation.step()
+        assert climbed == climb

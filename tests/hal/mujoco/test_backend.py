@@ -521,3 +521,22 @@ def test_capabilities_tell_the_lidar_and_its_mount() -> None:
     mount = Extrinsics((0.1, 0.0, 0.2), (0.0, 0.1, 0.0))
     backend = MujocoBackend(floor(), lidars=only("mid360", mount))
     assert backend.capabilities.lidars == (MountedLidar("main", "mid360", mount),)
+
+
+def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
+    from hal.mujoco.people import ROOM, People
+
+    first, again, other = People(5, 3), People(5, 3), People(5, 4)
+    nearest, ways = np.inf, 0.0
+    places = []
+    for k in range(3000):
+        robot = (0.002 * k, 0.0)
+        boxes = first.at(0.01 * k, robot)
+        assert boxes == again.at(0.01 * k, robot)
+        assert boxes != other.at(0.01 * k, robot)
+        places.append([box.centre[:2] for box in boxes])
+        nearest = min(nearest, *(np.hypot(x - robot[0], y - robot[1]) for x, y in places[-1]))
+    ways = np.linalg.norm(np.diff(np.array(places), axis=0), axis=2)
+    assert nearest >= ROOM - 1e-9
+    assert nearest < 1.5
+    assert (np.median(ways, axis=0) > 0.004).all()

@@ -14,8 +14,9 @@ from pydantic import ValidationError
 from hal.safety.gate import GateConfig, GateInputs, RefusalReason, SafetyGate, StopCause
 from hal.safety.gate_types import MotionLimits
 from hal.safety.geofence import Geofence, GeofenceError
+from hal.safety.monitors import MOVES_UNTOLD, taken_out
 from hal.safety.tilt import TiltFilter
-from hal.types import NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
+from hal.types import FELT_EDGE, NS, Capabilities, ImuSample, Phase, RobotState, VelocityCommand
 
 CAPS = Capabilities("test", max_vx=1.0, max_wz=1.0, max_accel=1.0, max_alpha=3.0)
 MS = NS // 1000
@@ -209,9 +210,9 @@ def test_a_stale_sensor_holds_and_its_return_releases(sensor: str, limit: float)
 
 
 def test_no_setting_takes_a_sensor_out_of_the_checks():
-    one = GateConfig.model_validate({"sensor_timeout": {"lidar": 2.0}})
+    one = GateConfig.model_validate({"sensor_timeout": {"lidar": 1.5}})
     none = GateConfig.model_validate({"sensor_timeout": {}})
-    assert one.sensor_timeout.lidar == 2.0
+    assert one.sensor_timeout.lidar == 1.5
     for params in (one, none):
         for sensor in ("state", "imu", "joints", "lidar"):
             gate = SafetyGate(CAPS, params)
@@ -355,14 +356,94 @@ def test_a_command_that_moves_nothing_is_flagged_and_latches_in_the_end():
     assert gate.status().cause.startswith("commanded but not moving")
 
 
-def test_moving_without_a_command_latches_after_the_braking_time():
+RESTS = GateConfig().braking_time + GateConfig().moving_stop
+"""[s] from a command of zero to the latch of a robot that moves on."""
+
+
+@pytest.mark.parametrize(
+    "velocity", [(0.06, 0.0, 0.0), (-0.35, 0.0, 0.0), (0.0, 0.06, 0.0), (0.0, 0.0, 0.12)]
+)
+@pytest.mark.parametrize("witnesses", ["both", "odometry", "wheels"])
+def test_moving_without_a_command_latches_after_the_braking_time(velocity, witnesses: str):
+    told = {"velocity": None if witnesses == "wheels" else velocity}
+    if witnesses != "odometry":
+        told["wheels"] = (math.hypot(*velocity[:2]), velocity[2])
     gate = SafetyGate(CAPS)
     _, now = run(gate, 0, 1.0, velocity=(0.5, 0.0, 0.0))
     # Braking is not an offence.
-    _, now = run(gate, now, 1.9, vx=0.0, velocity=(0.35, 0.0, 0.0))
+    _, now = run(gate, now, RESTS - 0.1, vx=0.0, **told)
     assert not gate.status().latched
-    _, now = run(gate, now, 0.2, vx=0.0, velocity=(0.35, 0.0, 0.0))
+    _, now = run(gate, now, 0.2, vx=0.0, **told)
+    assert gate.status().cause.startswith("moving but not commanded: it moves by 0.")
+    gate.resume()
+    run(gate, now, RESTS + 0.1, vx=0.0, **told)
+    assert gate.status().latched, "it moves still"
+
+
+@pytest.mark.parametrize(
+    ("velocity", "wheels"),
+    [
+        ((0.04, 0.0, 0.0), (0.04, 0.0)),
+        ((0.25, 0.0, 0.0), (0.0, 0.0)),  # odometry drifts, or is dragged by what moves around it
+        ((0.0, 0.0, 0.3), (0.0, 0.01)),
+        ((0.0, 0.0, 0.0), (0.8, 0.0)),  # wheels in the air
+        ((math.nan, 0.0, 0.0), (0.0, 0.0)),
+    ],
+)
+def test_what_one_witness_alone_tells_is_no_motion(velocity, wheels):
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    run(gate, now, 5.0, vx=0.0, velocity=velocity, wheels=wheels)
+    assert not gate.status().latched
+
+
+def test_a_robot_that_slides_or_is_carried_off_latches():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    run(gate, now, 3.0, vx=0.0, velocity=(0.0, 0.4, 0.0), wheels=(0.0, 0.0))
     assert gate.status().cause.startswith("moving but not commanded")
+
+
+def test_sway_is_no_motion():
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    for k in range(200):
+        v = 0.15 * math.sin(2 * math.pi * k / 20)
+        _, now = run(gate, now, 0.02, vx=0.0, velocity=(0.0, v, v), wheels=(v, v))
+    assert not gate.status().latched
+
+
+@pytest.mark.parametrize(
+    ("speed", "lean", "latched"),
+    [(-0.2, 0.15, False), (0.2, -0.15, False), (0.2, 0.15, True), (-0.35, 0.15, True), (-0.2, 0.04, True)],
+)
+def test_down_a_slope_it_creeps_and_the_operator_reads_it(speed: float, lean: float, latched: bool):
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    run(gate, now, 3.0, vx=0.0, velocity=(speed, 0.0, 0.0), wheels=(speed, 0.0), lean=(lean, 0.0))
+    assert gate.status().latched == latched
+    assert latched or gate.status().creeps == pytest.approx(abs(speed))
+
+
+@pytest.mark.parametrize(
+    "reason",
+    [
+        {"state": RobotState(0, Phase.STANDING)},
+        {"state": RobotState(0, Phase.READY, f"{FELT_EDGE} ahead")},
+    ],
+)
+def test_a_posture_or_a_reflex_explains_motion(reason):
+    gate = SafetyGate(CAPS)
+    _, now = run(gate, 0, 1.0)
+    run(gate, now, 5.0, vx=0.0, velocity=(-0.2, 0.0, 0.0), wheels=(-0.2, 0.0), **reason)
+    assert not gate.status().latched
+
+
+def test_without_the_monitor_nothing_moves_untold():
+    gate = SafetyGate(CAPS)
+    with taken_out(MOVES_UNTOLD.name):
+        run(gate, 0, 5.0, vx=0.0, velocity=(0.5, 0.0, 0.0), wheels=(0.5, 0.0))
+    assert not gate.status().latched
 
 
 def test_the_fence_stops_what_leads_out_and_lets_the_robot_turn_and_come_back():

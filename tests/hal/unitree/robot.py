@@ -91,6 +91,10 @@ class Faults:
     """The mode switcher's answers are cut off."""
     remote: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     """Sticks and trigger of the robot's own remote: lx, rx, ry, L2, ly."""
+    rolls: bool = False
+    """StopMove and zero Moves are answered, and it rolls on until Damp."""
+    serial: int = 0
+    """Serial number in LowState."""
     refuse: dict[int, int] = field(default_factory=dict)
     """Sport api id -> result code."""
 
@@ -329,12 +333,14 @@ class RobotSide:
         if self.mode in (1, 3) and now >= self._deaf_until and self.motion:
             if (vx, wz) == (0.0, 0.0):
                 self._end("zero")
+                if self.command != (0.0, 0.0):
+                    return
             elif self.command == (0.0, 0.0):
                 self.ended = ""
             self.command, self._commanded_at = (vx, wz), now
 
     def _end(self, why: str) -> None:
-        if self.command != (0.0, 0.0):
+        if self.command != (0.0, 0.0) and not (self.faults.rolls and why in ("stop", "zero", "hold")):
             self.command, self.ended = (0.0, 0.0), why
 
     # -- telemetry -------------------------------------------------------------------------------------------------
@@ -406,6 +412,7 @@ class RobotSide:
         low, body = self._low[0], self.body
         low["head"] = (0xFE, 0xEF)
         low["tick"] = self._tick % 2**32
+        low["sn"] = (self.faults.serial, 0)
         motors = low["motor_state"]
         motors["q"][:16], motors["dq"][:16], motors["tau_est"][:16] = body.q, body.dq, body.tau
         motors["temperature"][:16] = 38

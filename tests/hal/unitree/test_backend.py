@@ -610,7 +610,7 @@ class FakeGuardian:
     def beat(self, moving: bool) -> None:
         self.moving = moving
 
-    stop = damp = close = lambda self: None
+    stop = damp = leave_off = close = lambda self: None
 
     def wait_ready(self, _timeout: float) -> None:
         self.ready = True

@@ -54,6 +54,9 @@ class DdsWorld(World):
     def take(self, topic: str) -> list[bytes]:
         return self._dds.take(topic)
 
+    def speakers(self, topic: str) -> list[int]:
+        return self._dds.speakers(topic)
+
     def reachable(self, service: str) -> bool:
         return self._dds.reachable(service)
 

@@ -61,7 +61,7 @@ def until(backend: UnitreeBackend, phase: Phase, seconds: float = 15.0, vx: floa
 
 @pytest.fixture(scope="module")
 def domain() -> int:
-    """A DDS domain that no other test run on this machine is likely to use; 50 and 100 further on are ours too."""
+    """A DDS domain that no other test run on this machine is likely to use; 50, 100, 150 and 160 further on are ours too."""
     return 20 + os.getpid() % 50
 
 
@@ -212,6 +212,38 @@ def test_a_peer_killed_in_motion_is_disconnected_and_its_return_is_taken_up(doma
     finally:
         backend.close()
         back.end()
+
+
+def test_two_robots_on_one_domain_are_both_named_and_neither_is_driven(domain: int):
+    peers = [PeerProcess(domain + 150, "--fault", f"serial={serial}") for serial in (11, 22)]
+    backend = make_backend("lo", options=UnitreeConfig(domain=domain + 150, sit_on_close=False))
+    try:
+        with pytest.raises(BackendError, match="serial numbers 11-0 and 22-0"):
+            backend.connect()
+    finally:
+        backend.close()
+        for peer in peers:
+            peer.end()
+
+
+def test_a_robot_that_says_yes_and_rolls_on_is_made_soft_by_the_guardian_alone(domain: int):
+    peer = PeerProcess(domain + 160, "--fault", "rolls=1")
+    host = subprocess.Popen(
+        [sys.executable, "-c", DRIVER, str(domain + 160)], cwd=ROOT, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert host.stdout is not None
+        assert host.stdout.readline() == "up\n"
+        peer.until(lambda: bool(peer.reports) and peer.last["v"] > 0.4)
+        children = psutil.Process(host.pid).children()
+        host.kill()
+        peer.until(lambda: peer.last["phase"] == "damped" and peer.at_rest)
+    finally:
+        host.kill()
+        host.communicate()
+        peer.end()
+    _gone, alive = psutil.wait_procs(children, timeout=5.0)
+    assert not alive
 
 
 def test_a_stop_is_a_stop_move(backend: UnitreeBackend, peer: PeerProcess):

@@ -15,7 +15,8 @@ import pytest
 
 from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
-from hal.unitree.guardian import INSIST, SILENCE, Guardian, Order, watch
+from hal.unitree.guardian import SILENCE, Guardian, Order, watch
+from hal.unitree.motion import INSIST
 from hal.unitree.sentry import Sentry, run
 
 
@@ -32,6 +33,9 @@ class Link:
     def responses(self, _service: str) -> list[Response]:
         out, self.answers = self.answers, []
         return out
+
+    def take(self, _topic: str) -> list[bytes]:
+        return []
 
     def reachable(self, _service: str) -> bool:
         return True

@@ -44,6 +44,9 @@ class World:
         self.backend = UnitreeBackend(
             "lo", options=options, link=self, clock=lambda: self.now, sleep=self.advance, **kwargs
         )
+        self.other: RobotSide | None = None
+        """Another robot on the same network."""
+        self._spoke: list[int] = []
         self.states: list[RobotState] = []
         self.samples: list = []
 
@@ -55,7 +58,8 @@ class World:
     def send(self, service: str, request: Request) -> None:
         self.sent.append((self.elapsed, service, request))
         if not self.cut:
-            self.robot.handle(service, Request.unpack(request.pack()), self.elapsed)
+            for robot in self._robots:
+                robot.handle(service, Request.unpack(request.pack()), self.elapsed)
 
     def responses(self, service: str) -> list[Response]:
         return self._come(service)
@@ -63,17 +67,21 @@ class World:
     def take(self, topic: str) -> list[bytes]:
         return self._come(topic)
 
-    def _leave(self, name: str, what: Any, late: float) -> None:
+    def _leave(self, name: str, what: Any, late: float, speaker: int) -> None:
         """Onto the way, which keeps the order."""
         way = self._way.setdefault(name, [])
         due = self.elapsed + round(late * NS)
-        way.append((max(due, way[-1][0]) if way else due, what))
+        way.append((max(due, way[-1][0]) if way else due, what, speaker))
 
     def _come(self, name: str) -> list:
         way = self._way.get(name, [])
-        here = [what for due, what in way if due <= self.elapsed]
+        here = [(what, speaker) for due, what, speaker in way if due <= self.elapsed]
         self._way[name] = way[len(here) :]
-        return here
+        self._spoke = [speaker for _, speaker in here]
+        return [what for what, _ in here]
+
+    def speakers(self, topic: str) -> list[int]:
+        return self._spoke
 
     def reachable(self, service: str) -> bool:
         return service in SERVICES
@@ -84,18 +92,28 @@ class World:
     def close(self) -> None:
         pass
 
+    def begin(self) -> None:
+        """From now on the host's clock counts from 0: whoever drives it began with that while this one was connecting."""
+        self.epoch = -self.elapsed
+
     # -- time ----------------------------------------------------------------------------------------------------
     def advance(self, seconds: float) -> None:
         end = self.elapsed + round(seconds * NS)
         while self.elapsed < end:
             self.elapsed = min(end, self.elapsed + 2_000_000)
-            self.robot.step(self.elapsed)
-            for service, response in self.robot.responses(self.elapsed):
-                if not self.cut:
-                    self._leave(service, response, self.late.get(service, 0.0))
-            for topic, messages in self.robot.outbox().items():
-                for message in () if self.cut else messages:
-                    self._leave(topic, message, self.late.get(topic, self.late.get(EVERYTHING, 0.0)))
+            for number, robot in enumerate(self._robots):
+                robot.step(self.elapsed)
+                for service, response in robot.responses(self.elapsed):
+                    if not self.cut:
+                        self._leave(service, response, self.late.get(service, 0.0), number)
+                for topic, messages in robot.outbox().items():
+                    late = self.late.get(topic, self.late.get(EVERYTHING, 0.0))
+                    for message in () if self.cut else messages:
+                        self._leave(topic, message, late, number)
+
+    @property
+    def _robots(self) -> list[RobotSide]:
+        return [self.robot] if self.other is None else [self.robot, self.other]
 
     def run(self, seconds: float, vx: float = 0.0, wz: float = 0.0) -> list:
         """The host's 50 Hz loop."""

@@ -13,6 +13,7 @@ from hal.types import NS
 from mapping.odometry.deskew import deskew, mount_matrix
 from mapping.odometry.inertial import InertialConfig, InertialFilter
 from mapping.odometry.inertial_kernels import propagate, update_velocity
+from mapping.odometry.registration.observability import observed
 from mapping.odometry.registration.planes import PLANE, POINTS, VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 from mapping.odometry.wheels import leg_velocity
@@ -252,10 +253,10 @@ def test_planes_measure_the_distance_and_the_free_direction_of_a_floor() -> None
     rng = np.random.default_rng(7)
     floor = np.column_stack([rng.uniform(-4, 4, (6000, 2)), np.full(6000, 0.25) + rng.normal(0, 0.002, 6000)])
     planes = VoxelPlanes(0.4, 20.0)
-    planes.insert(floor, np.eye(4))
+    planes.insert(floor, np.eye(4), settled=True)
     pose = np.eye(4)
     pose[2, 3] = 0.03
-    h, b, seen, planar, inliers, total = planes.fit(floor[:500], pose, 0.15, 0.05)
+    h, b, seen, planar, inliers, total, _ = planes.fit(floor[:500], pose, 0.15, 0.05)
     assert seen > 450
     assert inliers == planar > 400
     assert np.sqrt(total / inliers) == pytest.approx(0.03, abs=0.001)
@@ -271,7 +272,7 @@ def test_the_fit_to_planes_equals_numpy() -> None:
     wall = rng.uniform((-3.0, 2.0, 0.0), (3.0, 2.02, 1.5), (3000, 3))
     floor = rng.uniform((-3.0, -3.0, 0.0), (3.0, 2.0, 0.01), (3000, 3))
     planes = VoxelPlanes(size, 20.0)
-    planes.insert(np.vstack([wall, floor]), np.eye(4))
+    planes.insert(np.vstack([wall, floor]), np.eye(4), settled=True)
     points = np.vstack([wall[::9], floor[::9], rng.uniform(-9.0, 9.0, (300, 3))])
     points += rng.normal(0.0, 0.05, points.shape)
     pose = np.eye(4)
@@ -311,6 +312,73 @@ def test_the_fit_to_planes_equals_numpy() -> None:
     np.testing.assert_allclose(b, want_b, rtol=1e-6, atol=1e-6 * np.abs(want_b).max())
 
 
+@pytest.mark.parametrize(
+    ("seen", "weight"),
+    [
+        ([1] * 30, 1.0),
+        ([1] * 5, (5 / 15) ** 2),  # young
+        ([1, 0] * 40, 1.0),  # a far wall, every other scan
+        ([1] * 6 + [0] * 12 + [1] * 3, (3 / 15) ** 2),  # people who pass one after the other
+        ([1] * 20 + [0] * 90 + [1], 1.0),  # a wall that was out of sight
+    ],
+)
+def test_a_surface_earns_its_weight_scan_by_scan(seen: list[int], weight: float) -> None:
+    rng = np.random.default_rng(12)
+    planes = VoxelPlanes(0.4, 20.0)
+    where = np.array([0.05, 0.05, 0.05])
+    for there in seen:
+        patch = np.column_stack([rng.uniform(0.0, 0.3, (20, 2)), rng.normal(0.0, 0.001, 20)]) + where
+        planes.insert(patch if there else patch + 5.0, np.eye(4))
+    h, _, _, planar, inliers, *_ = planes.fit(np.tile([0.2, 0.2, 0.05], (50, 1)), np.eye(4), 0.15, 1e3)
+    assert planar == inliers == 50
+    assert np.trace(h[:3, :3]) / inliers == pytest.approx(weight, rel=1e-3)
+
+
+def test_a_flat_floor_observes_height_and_tilt_and_nothing_else() -> None:
+    """Normals are off by noise: what they pretend about the heading grows with the lever, and must not count."""
+    rng = np.random.default_rng(13)
+    floor = np.column_stack([rng.uniform(-8, 8, (4000, 2)), np.full(4000, -0.4)])
+    normal = np.column_stack([rng.normal(0.0, 0.03, (4000, 2)), np.ones(4000)])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    j = np.concatenate([normal, np.cross(floor, normal)], axis=1)
+    seen = observed(j.T @ j / len(j))
+    assert np.count_nonzero(seen.facing) == 3
+    assert not seen.heading
+    sigma = np.sqrt(np.diag(seen.covariance(1e-6)))
+    assert (sigma[[0, 1, 5]] > 10.0).all()
+    known = np.sqrt(1.0 / np.diag(np.linalg.inv(seen.covariance(1e-6))))
+    assert (known[[2, 3, 4]] < 0.002).all()
+    step = seen.step(np.array([1.0, 1.0, 1.0, 0.0, 0.0, 5.0]))
+    assert np.abs(step[[0, 1, 5]]).max() < 0.1 * abs(step[2])
+    wall = np.column_stack([rng.uniform(-8, 8, 400), np.full(400, 3.0), rng.uniform(0, 1, 400)])
+    face = np.tile([0.0, -1.0, 0.0], (400, 1))
+    j = np.concatenate([j, np.concatenate([face, np.cross(wall, face)], axis=1)])
+    with_wall = observed(j.T @ j / len(j))
+    assert np.count_nonzero(with_wall.facing) == 5
+    assert with_wall.heading
+    sigma = np.sqrt(np.diag(with_wall.covariance(1e-6)))
+    assert sigma[0] > 50.0
+    known = np.sqrt(1.0 / np.diag(np.linalg.inv(with_wall.covariance(1e-6))))
+    assert (known[1:] < 0.02).all()
+
+
+def test_one_post_ties_the_turn_to_the_displacement() -> None:
+    """What a post far ahead observes is a mixture: neither the place nor the heading alone is free, and one direction of the two is."""
+    rng = np.random.default_rng(14)
+    floor = np.column_stack([rng.uniform(-8, 8, (4000, 2)), np.full(4000, -0.4)])
+    up = np.tile([0.0, 0.0, 1.0], (4000, 1))
+    post = np.column_stack([np.full(200, 6.0), rng.uniform(-0.1, 0.1, 200), rng.uniform(0, 1, 200)])
+    side = np.tile([0.0, 1.0, 0.0], (200, 1))
+    points, normals = np.concatenate([floor, post]), np.concatenate([up, side])
+    j = np.concatenate([normals, np.cross(points, normals)], axis=1)
+    seen = observed(j.T @ j / len(j))
+    covariance = seen.covariance(1e-6)
+    at_post = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 6.0])  # how a turn moves it sideways
+    assert at_post @ covariance @ at_post < 0.01**2
+    assert covariance[1, 1] > 10.0
+    assert covariance[5, 5] > 0.1
+
+
 def test_planes_stay_within_their_memory_and_forget_the_far() -> None:
     planes = VoxelPlanes(0.4, 20.0)
     rng = np.random.default_rng(8)
@@ -334,12 +402,12 @@ def test_a_faded_surface_is_moved_by_what_comes_now_and_stays_a_surface() -> Non
         return np.column_stack([random.uniform(0.0, 4.0, (20_000, 2)), np.full(20_000, height)])
 
     def beside(planes: VoxelPlanes) -> tuple[float, int]:
-        _, b, _, planar, inliers, _ = planes.fit(floor(0.1), np.eye(4), 0.15, 1e3)
+        _, b, _, planar, inliers, *_ = planes.fit(floor(0.1), np.eye(4), 0.15, 1e3)
         return b[2] / max(inliers, 1), planar
 
     planes, settled = VoxelPlanes(0.4, 20.0), VoxelPlanes(0.4, 20.0)
     for both in (planes, settled):
-        both.insert(floor(0.13), np.eye(4))
+        both.insert(floor(0.13), np.eye(4), settled=True)
         assert beside(both) == (pytest.approx(-0.03, abs=1e-3), 20_000)
     planes.fade(0.1)
     assert beside(planes) == (pytest.approx(-0.03, abs=1e-3), 20_000)

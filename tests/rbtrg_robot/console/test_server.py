@@ -109,7 +109,7 @@ def test_another_page_or_another_name_gets_nothing(console: Console) -> None:
             assert json.loads(socket.recv()[4:])["words"] == "not a message of this console"
         for text in (
             '{"do": "goal", "x": 1, "y": 1, "name": "\\ud800"}',  # half a character: nothing can send it
-            '{"do": "drive", "v": 1' + "0" * 400 + ', "w": 0, "t": 0}',
+            '{"do": "drive", "v": 1' + "0" * 400 + ', "w": 0, "seen": "0"}',
             '{"do": "mission", "what": "skip", "step": 1' + "0" * 30 + "}",
         ):
             socket.send(text)
@@ -162,7 +162,7 @@ def test_an_observer_is_refused_whatever_moves_the_robot_and_may_stop_it(console
         socket.recv()
         assert console.serve is not None
         for number, what in enumerate((*console.serve.desk.wishes, "drive", "take over"), 1):
-            socket.send(json.dumps({"do": what, "n": number, "x": 1, "y": 1, "v": 0.1, "w": 0, "t": 0}))
+            socket.send(json.dumps({"do": what, "n": number, "x": 1, "y": 1, "v": 0.1, "w": 0, "seen": "0"}))
             answer = json.loads(socket.recv()[4:])
             while answer.get("n") != number:
                 answer = json.loads(socket.recv()[4:])

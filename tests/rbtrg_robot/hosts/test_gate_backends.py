@@ -50,6 +50,10 @@ class Wired:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._backend, name)
 
+    def connect(self) -> None:
+        self._backend.connect()
+        self.world.begin()
+
     def read(self, now: int) -> list[Sample]:
         self.world.advance(max(now - self.world.now, 0) / NS)
         return self._backend.read(now)
@@ -279,7 +283,7 @@ def test_a_request_that_is_not_known_is_counted_and_changes_nothing(rig: Rig) ->
 def test_motion_without_a_command_latches(rig: Rig) -> None:
     rig.vx, rig.measured = None, 0.5
     rig.run(3.0)
-    assert "E-STOP (moving but not commanded: 0.5 m/s measured)" in rig.line()
+    assert "E-STOP (moving but not commanded: it moves by 0.50 m/s at a command of zero)" in rig.line()
 
 
 def test_a_jump_of_the_command_is_slewed(rig: Rig) -> None:

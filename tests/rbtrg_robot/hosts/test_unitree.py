@@ -34,6 +34,7 @@ class Wired:
 
     def connect(self) -> None:
         self.backend.connect()
+        self.world.begin()
 
     def read(self, now: int) -> list[Sample]:
         self.world.advance(max(now - self.world.now, 0) / 1e9)
@@ -54,8 +55,8 @@ class Wired:
     def diagnostics(self) -> dict[str, float]:
         return self.backend.diagnostics()
 
-    def close(self) -> None:
-        self.backend.close()
+    def close(self, *, lie_down: bool = True) -> None:
+        self.backend.close(lie_down=lie_down)
 
 
 @pytest.fixture

@@ -46,7 +46,7 @@ class Stack:
 
     def up(self) -> subprocess.CompletedProcess[str]:
         return self.run(
-            *("up", "--detach", "--scene", "flat", *SPARSE),
+            *("up", "--detach", "--scene", "flat", "--set", "recorder.profile=full", *SPARSE),
             *("--port", str(self.port), "--log-dir", str(self.logs)),
             limit=START_LIMIT,
         )

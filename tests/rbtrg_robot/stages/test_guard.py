@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.safety.monitors import GUARD_BLIND, MAIN_SILENT, taken_out
 from hal.safety.swept import LIDAR, PLANTS
 from hal.types import NS
 from mapping.elevation.exchange import PATCH_LAYERS, MapPatch
@@ -22,6 +23,7 @@ from tests.rbtrg_robot.hearsay import map_offset
 
 RES = 0.04
 CONFIG = load(None, ["graph.max_step=0.1"], scene="flat")
+FAR_AWAY = np.array([[5.0, 0.0, 1.0]])
 START = (2.0, 3.0, 1.0)
 """Where `odom` lies in `map`: x, y [m], yaw [rad]."""
 
@@ -33,7 +35,11 @@ class Around:
         self.stage = guard.build(CONFIG)
         self.now = NS
         self.yaw = yaw
-        self.silent: set[Topic] = set()
+        self.silent: set[Topic] = {t.HEAD_CLOUD}
+        self.by = t.CLOUD
+        """The cloud that holds the points; the main one is empty where it is that of the head."""
+        self.head: Any = None
+        """Points of the head's sweep where they are others."""
         self.limits: Any = None
         self.position, self.orientation = (0.0, 0.0, 0.4), rpy_quaternion((0.0, 0.0, yaw))
         self.hear(t.TF_STATIC, map_offset(*START))
@@ -57,16 +63,24 @@ class Around:
         for name, layer in others.items():
             layers[name] = np.asarray(layer(forward, left), np.float32)
         pose = odometry_msg(self.now, self.position, self.orientation, np.zeros(3), np.zeros(3))
-        cloud = cloud_msg(self.now, "base_link", np.reshape(points, (-1, 3)).astype(np.float32))
+        swept = np.concatenate([FAR_AWAY, np.reshape(points, (-1, 3))]).astype(np.float32)
         for topic, message in (
             (t.MAP_WINDOW, patch_msg(MapPatch(corner, RES, self.now, 0, layers))),
-            (t.CLOUD, cloud),
+            (t.CLOUD, cloud_msg(self.now, "base_link", swept if self.by is t.CLOUD else swept[:0])),
+            (
+                t.HEAD_CLOUD,
+                cloud_msg(self.now, "base_link", swept if self.head is None else _cloud(self.head)),
+            ),
             (t.ODOM, pose),
             (t.POSE, pose),
         ):
             self.hear(topic, message)
         ((_, limits),) = self.stage.tick(self.now)
         return decode(encode(limits), t.MOTION_LIMITS.kind)
+
+
+def _cloud(points: Any) -> Any:
+    return np.reshape(points, (-1, 3)).astype(np.float32)
 
 
 def flat(forward: Any, left: Any) -> Any:
@@ -315,3 +329,49 @@ def test_a_correction_of_the_map_that_is_no_number_hides_no_obstacle() -> None:
     leg = np.array([[0.6, y, z] for y in (-0.03, 0.0, 0.03) for z in (-0.2, -0.1, 0.0)])
     around.hear(t.MAP_STATUS, t.MAP_STATUS.kind(height_correction=math.nan))
     assert around.tick(flat, leg).forward < 0.7
+
+
+def test_without_a_sweep_nothing_moves_and_the_age_is_told() -> None:
+    around = Around()
+    for _ in range(5):
+        assert around.tick(flat).forward == 1.0
+    around.silent |= {t.CLOUD}
+    held = [around.tick(flat) for _ in range(10)]
+    assert [four(limits) == (0.0,) * 4 for limits in held] == [False] * 5 + [True] * 5
+    assert held[-1].reason.startswith("no sweep of any LiDAR for 1.0 s")
+    with taken_out(GUARD_BLIND.name, MAIN_SILENT.name):
+        assert around.tick(flat).forward == 1.0
+    around.silent -= {t.CLOUD}
+    assert around.tick(flat).forward == 1.0
+
+
+def test_a_sweep_from_the_future_makes_no_guard_see() -> None:
+    around = Around()
+    around.silent |= {t.CLOUD}
+    later = cloud_msg(around.now + 3600 * NS, "base_link", FAR_AWAY.astype(np.float32))
+    around.stage.on(t.CLOUD, decode(encode(later), t.CLOUD.kind))
+    assert four(around.tick(flat)) == (0.0,) * 4
+
+
+def test_with_the_heads_lidar_alone_it_creeps_and_sees_what_that_sees() -> None:
+    around = Around()
+    around.silent, around.by = set(), t.HEAD_CLOUD
+    assert four(around.tick(flat)) == (0.2, 0.2, 0.3, 0.3)
+    box = [(0.42 + 0.01 * k, 0.05 * j, -0.1) for k in range(5) for j in range(-3, 4)]
+    limits = around.tick(flat, box)
+    assert limits.forward < 0.2
+    assert "something the last sweep saw" in limits.reason
+    assert "the main LiDAR is silent for " in limits.reason
+    with taken_out(MAIN_SILENT.name):
+        assert four(around.tick(flat))[1:] == (1.0, 1.0, 1.0)
+
+
+def test_where_the_main_lidar_speaks_the_heads_noise_stops_nobody() -> None:
+    around = Around()
+    around.silent = {t.CLOUD}
+    around.tick(flat)
+    around.silent = set()
+    box = [(0.42 + 0.01 * k, 0.05 * j, -0.1) for k in range(5) for j in range(-3, 4)]
+    assert around.tick(flat, box).forward < 0.3
+    around.head = box
+    assert around.tick(flat).forward == 1.0

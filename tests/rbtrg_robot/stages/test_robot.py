@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from hal.safety.gate import SafetyGate
+from hal.safety.monitors import BLIND_HANDS, OLD_HANDS, Monitor, taken_out
 from hal.types import NS
 from hal.unitree.api import SPORT, Sport
 from rbtrg_robot import msg
@@ -31,7 +32,7 @@ class Rig:
     """The robot process in front of a robot that does what it is told. Velocities [m/s] by source; None: silent."""
 
     def __init__(self, world: World | None = None) -> None:
-        self.world = world or World(epoch=0)
+        self.world = world or World(epoch=10 * NS)
         gate = SafetyGate(self.world.backend.capabilities)
         self.stage = RobotStage(self.world.backend, gate, simulated=False, watched=WATCHED)
         self.stage.warm_up()
@@ -39,6 +40,8 @@ class Rig:
             self.stage.alive(process, True)
         self.tracker: float | None = 0.3
         self.teleop: float | None = None
+        self.link = 0.1
+        """[s] there and back again on the link of the hand."""
         self.state: msg.RobotState = msg.RobotState()
 
     def run(self, seconds: float) -> None:
@@ -53,9 +56,9 @@ class Rig:
                     self.state = message
 
     def say(self, topic: Topic, speed: float | None, who: str) -> None:
-        """One command; the hand's clock is an hour wrong."""
+        """One command; the hand echoes what it saw."""
         if speed is not None:
-            stamp = self.world.now - (3600 * NS if topic is t.TELEOP else 0)
+            stamp = self.world.now - (round(self.link * NS) if topic is t.TELEOP else 0)
             command = msg.TwistStamped(header=header(max(stamp, 0), "base_link"))
             command.twist.linear.x = speed
             self.stage.on(topic, command, endpoint(who, topic))
@@ -205,6 +208,55 @@ def test_a_hand_needs_the_guard_and_nobody_else(rig: Rig) -> None:
     rig.stage.alive("guard", False)
     rig.run(0.1)
     assert rig.speed == 0.0
+
+
+@pytest.mark.parametrize(
+    ("link", "refused_as"),
+    [
+        (0.0, ""),
+        (0.4, ""),
+        (-0.3, ""),
+        (0.6, "old hands"),
+        (3.0, "old hands"),
+        (-1.0, "blind hands"),
+        (1e9, "blind hands"),
+    ],
+)
+def test_hands_that_saw_the_robot_too_long_ago_move_nothing(rig: Rig, link: float, refused_as: str) -> None:
+    """Through a link of 3 s it moved 0.30 m, all after the hands had let go."""
+    rig.link, rig.teleop = link, 0.2
+    rig.run(0.3)
+    x = rig.world.body.x
+    rig.run(1.0)
+    assert (rig.speed == 0.2) == (not refused_as)
+    assert (rig.world.body.x - x > 0.1) == (not refused_as)
+    assert set(refused(rig.state)) == ({refused_as} if refused_as else set())
+    assert not refused_as or f"command refused, {refused_as}: " in rig.state.hold
+    if refused_as != "blind hands":
+        assert rig.state.hands == pytest.approx(max(link, 0.0), abs=0.01)
+    rig.teleop = None
+    rig.run(1.5)
+    assert rig.state.hands == -1.0
+
+
+@pytest.mark.parametrize("row", [OLD_HANDS, BLIND_HANDS])
+def test_without_the_monitor_old_hands_drive(rig: Rig, row: Monitor) -> None:
+    rig.link, rig.teleop = (3.0 if row is OLD_HANDS else -3.0), 0.2
+    with taken_out(row.name):
+        rig.run(1.0)
+    assert rig.speed == 0.2
+
+
+def test_a_trunk_is_not_tilted_by_old_hands(rig: Rig) -> None:
+    rig.teleop = 0.0
+    rig.run(1.0)
+    for age, tilted in ((3.0, False), (0.1, True)):
+        for _ in range(25):
+            stamp = rig.world.now - round(age * NS)
+            command = msg.TrunkCommand(header=header(stamp, "base_link"), pitch=0.2)
+            rig.stage.on(t.TELEOP_TRUNK, command, endpoint("hand", t.TELEOP_TRUNK))
+            rig.run(0.02)
+        assert (rig.state.trunk_pitch > 0.1) == tilted
 
 
 @pytest.mark.parametrize("latch", [2**63 - 1, -5])

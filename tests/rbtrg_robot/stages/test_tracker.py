@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hal.safety.monitors import TRACKER_STALE, taken_out
 from hal.safety.trunk import STANDS, TILT_RATE
 from hal.types import NS
 from rbtrg_robot import topics as t
@@ -28,6 +29,8 @@ class Inputs:
         self.stage = tracker.build(load(None, [], scene="flat"))
         self.now = 0
         self.silent: set[Topic] = set()
+        self.late: dict[Topic, float] = {}
+        """[s] by which the stamps of a topic are older than its messages."""
         self.state: Any = None
         self.pitches: list[tuple[int, float]] = []
         """Tilts that were commanded: when [ns], nose down [rad]."""
@@ -41,18 +44,21 @@ class Inputs:
         fields = {"x": line, "y": zero, "z": zero, "yaw": zero, "speed": speed}
         self.stage.on(t.PATH_COMMAND, t.PATH_COMMAND.kind(id=path_id, **fields))
 
+    def _told(self, topic: Topic) -> int:
+        return max(0, self.now - round(self.late.get(topic, 0.0) * NS))
+
     def run(self, seconds: float) -> list[float]:
         """Forward speeds [m/s] that were commanded."""
         speeds = []
         for _ in range(round(seconds * 50)):
             self.now += NS // 50
-            pose = odometry_msg(self.now, np.zeros(3), STILL, np.zeros(3), np.zeros(3))
             for topic in (t.POSE, t.ODOM):
                 if topic not in self.silent:
+                    pose = odometry_msg(self._told(topic), np.zeros(3), STILL, np.zeros(3), np.zeros(3))
                     self.stage.on(topic, pose)
             for topic in (t.MAP_STATUS, t.GOAL_STATUS):
                 if topic not in self.silent:
-                    self.stage.on(topic, topic.kind(header=header(self.now, "map")))
+                    self.stage.on(topic, topic.kind(header=header(self._told(topic), "map")))
             for topic, message in self.stage.tick(self.now):
                 if topic is t.CMD_VEL:
                     speeds.append(message.twist.linear.x)
@@ -78,6 +84,24 @@ def test_no_path_is_driven_on_old_inputs_whatever_its_id(path_id: str, topic: To
     assert set(speeds[ticks:]) == {0.0}
     assert world.state.phase == "stopped"
     assert topic.name in world.state.hold
+
+
+@pytest.mark.parametrize(
+    ("topic", "limit"), [(t.POSE, 0.12), (t.ODOM, 0.8), (t.MAP_STATUS, 1.2), (t.GOAL_STATUS, 1.0)]
+)
+def test_what_comes_in_time_and_tells_of_long_ago_is_old(topic: Topic, limit: float) -> None:
+    """A process that repeats what it said last, or a link that delays everything, came in time before."""
+    world = Inputs()
+    world.run(0.1)
+    world.path("goal/1")
+    assert max(world.run(1.0)) > 0.3
+    world.late = {topic: 0.9 * limit}
+    assert min(world.run(0.5)) > 0.0
+    world.late = {topic: 1.1 * limit}
+    assert set(world.run(0.5)) == {0.0}
+    assert f"{topic.name} tells of " in world.state.hold
+    with taken_out(TRACKER_STALE.name):
+        assert max(world.run(0.5)) > 0.0
 
 
 def test_no_path_is_driven_on_a_pose_from_the_future() -> None:

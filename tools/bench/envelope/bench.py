@@ -2,6 +2,12 @@
 
     python -m tools.bench envelope --controller vmc [--only BEGINNING_OF_KEY] [--json]
     python -m tools.bench envelope --controller policy --policy DIR
+    python -m tools.bench envelope --controller hybrid --write [--seconds BUDGET] [--only up]
+
+    python -m tools.bench envelope --controller sport --write
+
+With `--write` it measures what the planner believes (docs/envelope.md) and adds the trials to the controller's file.
+Nobody measured the vendor's service (`sport`): its file is made from that of `ASSUMED_FROM`, and says so.
 
 A drive succeeds when the robot passes the obstacle without tipping over, stays within 0.6 m of the line and needs at most three
 times the nominal time. Each course is driven three times: wheel friction 0.6, 0.8, 1.0, each with its own start offset.
@@ -10,10 +16,13 @@ times the nominal time. Each course is driven three times: wheel friction 0.6, 0
 from __future__ import annotations
 
 import argparse
+import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from hal.envelope import FAILURES, PARTS, SPORT, Envelope, file_of, limits, stored
 from hal.locomotion.controllers import controller_of
 from hal.lowlevel import CONTROLLERS, Controller, Locomotion
 from hal.mujoco.config import CAPABILITIES
@@ -38,21 +47,26 @@ from tools.bench.envelope.asked import (
     UNSEEN,
 )
 from tools.bench.envelope.backward import TRIALS, passes_backward
+from tools.bench.envelope.campaign import assumed, measure
 from tools.bench.envelope.cliff import WAYS, creep_to_edge
 from tools.bench.envelope.driving import figure_eight, hold_on_slope, real_time_factor, stopping_time
 from tools.bench.envelope.lane import LANES, through_lane
 from tools.bench.envelope.lane import WAYS as LANE_WAYS
+from tools.bench.envelope.picture import draw
 from tools.bench.envelope.response import along, turning, turning_while_driving
 from tools.bench.envelope.terrain import ANGLES
 from tools.bench.envelope.trial import RUNS, Conditions, drive
 from tools.bench.envelope.turning import CURVES, CURVING, PLACES, turn_on_bar, turn_on_ramp
 from tools.bench.report import Report
 
+ASSUMED_FROM: Controller = "vmc"
+"""Whose counts stand for the vendor's service: of those measured the one that climbs least."""
+
 
 def run(args: list[str]) -> Report:
     """Run this bench; returns its rows. `--only` drives what its keys need; exit 2 when no key begins so."""
     parser = argparse.ArgumentParser(prog="envelope", description=__doc__)
-    parser.add_argument("--controller", choices=CONTROLLERS, default="vmc")
+    parser.add_argument("--controller", choices=(*CONTROLLERS, SPORT), default="vmc")
     parser.add_argument(
         "--policy",
         default="",
@@ -61,8 +75,41 @@ def run(args: list[str]) -> Report:
     parser.add_argument(
         "--only", default="", help="beginning of the keys wanted: envelope.vmc.ramp, hold_m, ..."
     )
+    parser.add_argument("--write", action="store_true", help="measure the envelope and add to its file")
+    parser.add_argument(
+        "--seconds", type=float, default=600.0, help="of wall time that `--write` measures for"
+    )
+    parser.add_argument("--drives", type=int, default=None, help="end `--write` after so many drives")
+    parser.add_argument("--seed", type=int, default=0, help="of what `--write` draws")
+    parser.add_argument(
+        "--picture", type=Path, default=None, help="PNG of trials and fit that `--write` makes"
+    )
+    parser.add_argument(
+        "--file", type=Path, default=None, help="that `--write` adds to; else the controller's own"
+    )
     options = parser.parse_args(args)
+    if options.controller == SPORT:
+        if not options.write:
+            parser.error(
+                f"{SPORT} runs on the real robot alone; with --write its envelope is assumed from {ASSUMED_FROM}'s"
+            )
+        envelope = assumed(stored(ASSUMED_FROM))
+        envelope.write(options.file or file_of(SPORT))
+        return counted(envelope)
     controller = controller_of(options.controller, options.policy)
+    if options.write:
+        envelope = measure(
+            controller,
+            options.controller,
+            options.file or file_of(options.controller),
+            seconds=options.seconds,
+            drives=options.drives,
+            seed=options.seed,
+            only=options.only,
+        )
+        if options.picture:
+            draw(envelope, options.picture)
+        return counted(envelope)
     bench = _Bench(Report("envelope"), controller, options.controller, options.only)
     bench.courses()
     bench.conditions()
@@ -74,6 +121,28 @@ def run(args: list[str]) -> Report:
     if not bench.report.rows:
         parser.error(f"no row begins with {options.only!r}")
     return bench.report
+
+
+def counted(envelope: Envelope) -> Report:
+    """What stands in an envelope: drives, trials, failures of each kind, how well the fit predicts, and the limits read off it."""
+    report = Report("envelope")
+    for name, table in envelope.manoeuvres.items():
+        key = f"{{}}.{envelope.controller}.{name}"
+        report.add(key.format("drives"), table.drives, "drives")
+        report.add(key.format("trials"), int(table.trials.sum()), f"of one {table.per}")
+        for k, kind in enumerate(FAILURES):
+            column = len(table.axes) + 1 + k
+            report.add(key.format(kind), sum(row[column] for row in table.cells), "trials")
+        if table.log_loss is not None and table.log_loss_of_rate is not None:
+            report.add(
+                key.format("log_loss"), table.log_loss, "nats, left out", baseline=table.log_loss_of_rate
+            )
+    if set(envelope.manoeuvres) == set(PARTS):
+        for name, value in limits(envelope).items():
+            angle = name in ("max_slope", "max_oblique")
+            unit = "deg" if angle else "m/s" if name == "step_vx" else "m"
+            report.add(f"{name}.{envelope.controller}", math.degrees(value) if angle else value, unit)
+    return report
 
 
 @dataclass

@@ -1,11 +1,12 @@
 """Odometry and elevation map against the truth of the synthetic arena run: figure-eight, 60 s, trunk pitching by +-10 deg.
 
     python -m tools.bench perception [--json] [--seconds 60] [--seed 0] [--lidar xt16,mid360,l1] [--soak 3] [--lanes 4] [--basin 24] [--poses 20] [--offset 20] [--mounts 15] [--metres 1000]
-                                    [--only relocalise|offset|mounts|map_1km|map|soak|odometry|basin|lanes] [--no-joints]
+                                    [--only relocalise|offset|mounts|map_1km|map|soak|odometry|open|basin|lanes] [--no-joints]
 
 Baseline is stock KISS-ICP in the same run. `--soak 30` is the full endurance run (several times faster than real time);
 `--soak 0` leaves it out. `--lanes 40` drives 40 generated rescue lanes, `--lanes 0` none. `--poses 100` puts the robot at 100 places of
 scenes mapped before. `--offset 20` drives so long with stamps that are off the IMU, `--mounts 15` with mounts that are off. `--metres 1000` maps a street of that length. `--only NAME` runs one part. `--basin 24` moves the robot 24 times while it sees nothing, `--basin 0` never.
+`--open 20` drives so often on open ground of each kind, and in a crowd.
 `--no-joints` hides the joints from the odometry.
 """
 
@@ -21,13 +22,14 @@ from tools.bench.perception import lidar as _perception_lidar
 from tools.bench.perception import map as _perception_map
 from tools.bench.perception import mounts as _perception_mounts
 from tools.bench.perception import offset as _perception_offset
+from tools.bench.perception import open_ground as _perception_open
 from tools.bench.perception import relocalise as _perception_relocalise
 from tools.bench.perception import soak as _perception_soak
 from tools.bench.perception.odometry import Errors, drive, errors
 from tools.bench.report import Report
 from tools.synthetic import arena_run
 
-PARTS = "relocalise", "offset", "mounts", "map_1km", "map", "soak", "odometry", "basin", "lanes"
+PARTS = "relocalise", "offset", "mounts", "map_1km", "map", "soak", "odometry", "open", "basin", "lanes"
 ENGINES = ("kiss_icp", "small_gicp", "stock")
 RPE_LIMIT = {
     ("xt16", "kiss_icp"): (12.0, 0.20),
@@ -56,6 +58,7 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--only", choices=PARTS)
     parser.add_argument("--metres", type=float, default=1000.0)
     parser.add_argument("--basin", type=int, default=24, metavar="N")
+    parser.add_argument("--open", type=int, default=20, metavar="N")
     parser.add_argument("--mounts", type=float, default=15.0, metavar="SECONDS")
     parser.add_argument("--offset", type=float, default=20.0, metavar="SECONDS")
     parser.add_argument("--no-joints", action="store_true")
@@ -78,6 +81,8 @@ def run(args: list[str]) -> Report:
         for lidar in options.lidar.split(","):
             _odometry_rows(report, lidar, options.seconds, options.seed, not options.no_joints)
         _perception_lidar.rows(report, options.lidar.split(","))
+    if options.open > 0 and "open" in asked:
+        _perception_open.rows(report, options.open)
     if options.basin > 0 and "basin" in asked:
         _perception_basin.rows(report, options.basin)
     if options.lanes > 0 and "lanes" in asked:

@@ -14,13 +14,15 @@ from hal.rotation import wrap
 from hal.safety.geofence import Geofence
 from hal.types import NS
 from planning.tracking.tracker import PathTracker
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import GoalArea, GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
+from rbtrg_robot.stages.navigation.recovery import TOUCHES
 from rbtrg_robot.topics import Topic
-from rbtrg_robot.wire.convert import odometry_msg, rpy_quaternion
+from rbtrg_robot.wire.convert import odometry_msg, quaternion, rpy_quaternion
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.hearsay import map_offset
 
@@ -39,6 +41,7 @@ class World:
         self.out: list[tuple[Topic, Any]] = []
         self.pose = (0.0, 0.0, 0.0)
         self.health = "good"
+        self.place_sigma = 0.01
         self.silent: set[Topic] = set()
         self.tracker_phase = "following"
         self.heading_error = 0.0
@@ -77,7 +80,8 @@ class World:
                 q = rpy_quaternion((0.0, 0.0, yaw))
                 odom = odometry_msg(self.now, (x, y, 0.0), q, np.zeros(3), np.zeros(3))
                 self._take(self.stage.on(t.ODOM, odom))
-            self.send(t.ODOM_HEALTH, health=self.health, reason="no overlap" if self.health == "lost" else "")
+            reason = "no overlap" if self.health == "lost" else ""
+            self.send(t.ODOM_HEALTH, health=self.health, reason=reason, place_sigma=self.place_sigma)
             if t.MAP_STATUS not in self.silent:
                 self.send(t.MAP_STATUS)
             self.send(
@@ -194,6 +198,23 @@ def test_a_goal_is_planned_driven_and_reached(world: World) -> None:
     world.run(0.2)
     assert world.status.state == "reached"
     assert world.last(t.PATH_COMMAND).id == ""
+
+
+@pytest.mark.parametrize(("sigma", "state"), [(0.10, "reached"), (0.20, "aborted")])
+def test_a_goal_is_reached_only_where_the_place_is_known_as_well_as_it_asks(
+    world: World, sigma: float, state: str
+) -> None:
+    """Two standard deviations must lie within the tolerance of 0.25 m."""
+    world.place_sigma = sigma
+    world.goal()
+    world.answer()
+    world.pose = (2.9, 0.1, 0.0)
+    world.tracker_phase = "done"
+    world.run(0.2)
+    assert world.status.state == state
+    if state == "aborted":
+        assert world.status.reason == "place_unsure"
+        assert "within 0.40 m" in world.status.detail
 
 
 def test_a_way_over_ground_that_nobody_saw_is_told(world: World) -> None:
@@ -1322,3 +1343,58 @@ def test_an_edge_that_is_felt_while_it_does_not_creep_is_nothing_to_the_goal(cre
     creeper.cause = EDGE
     creeper.run(0.5)
     assert (creeper.status.state, creeper.status.detail) == ("moving", "")
+
+
+def touch(world: World, y: float = 0.0, way: float = 1.0) -> None:
+    """The robot at x 0.95 meets something ahead, or behind."""
+    q = rpy_quaternion((0.0, 0.0, world.pose[2] + (0.0 if way > 0.0 else math.pi)))
+    place = msg.Point(world.pose[0] + 0.35 * way, y, 0.4)
+    world.send(t.TOUCHED, pose=msg.Pose(place, quaternion(q)))
+
+
+def test_what_was_touched_is_backed_out_from_and_gone_round(world: World) -> None:
+    world.come_along()
+    world.goal()
+    world.answer()
+    touch(world)
+    path = world.last(t.PATH_COMMAND)
+    assert path.x[0] - path.x[-1] > 0.3
+    assert world.status.state == "recovering"
+    world.run(0.1)
+    world.tracker_phase = "done"
+    asked = world.count(t.PLAN_REQUEST)
+    world.run(0.3)
+    assert world.count(t.PLAN_REQUEST) > asked
+    assert not len(world.last(t.PLAN_REQUEST).avoid), "the map has it"
+
+
+def test_what_was_touched_while_it_backs_out_stops_that(world: World) -> None:
+    world.come_along()
+    world.goal()
+    world.answer()
+    touch(world)
+    touch(world, way=-1.0)
+    path = world.last(t.PATH_COMMAND)
+    assert not len(path.x) or path.x[-1] > path.x[0]
+
+
+def test_after_many_touches_the_goal_ends_and_says_where(world: World) -> None:
+    world.come_along()
+    world.goal()
+    for k in range(TOUCHES):
+        world.answer()
+        touch(world, y=0.5 * k)
+        assert world.status.state != "aborted"
+        world.tracker_phase = "done"
+        world.run(0.3)
+        world.tracker_phase = "following"
+    touch(world, y=-1.0)
+    assert (world.status.state, world.status.reason) == ("aborted", "no_route")
+    assert world.status.detail.startswith(
+        "touched something that the LiDAR does not see at (1.3, 0.0) and (1.3, 0.5)"
+    )
+
+
+def test_a_touch_without_a_goal_is_nothing_to_it(world: World) -> None:
+    touch(world)
+    assert world.last(t.PATH_COMMAND) is None

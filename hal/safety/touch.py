@@ -1,0 +1,152 @@
+"""What the robot touches and no sensor foretold, felt from joints and IMU: something holds the body, or one wheel.
+
+Newton's law does the work: what the wheels get from the ground, by the leg torques, is all that moves the robot. What the
+accelerometer tells beyond that pushes at the body. A slope is in both. A wheel is held where it alone is pushed back, while the
+others drive. Whether the map explains it is not decided here: `update` is told how uneven the map is at the wheels.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SY, THIGH_LINK, THIGH_Y, TREAD_Y
+from hal.safety import monitors
+from hal.safety.swept import TOUCHED, Surroundings
+from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
+from hal.wheel_force import wheel_loads, wheel_pushes
+
+SPRUNG = BASE.mass + 4.0 * (HIP.mass + THIGH_LINK.mass)
+"""[kg] that the legs push, without payload; shanks and wheels get their share from the ground itself."""
+HEAVIEST, WEIGH_TIME = 40.0, 1.0
+"""[kg] with payload at most, and time constant [s] of weighing it: by the wheels' loads, so that a payload on a slope pushes nothing."""
+UP = np.array([0.0, 0.0, 1.0])
+SHORT = 0.85
+"""A robot that drives no slower than this share of its command is not held: it brakes, or its wheels strain against each other in a bend."""
+DRIVES = 0.03
+"""[m/s] A robot that is commanded slower than this drives nowhere."""
+PUSHED = 12.0
+"""[N] A wheel that is pushed back less than this is not held."""
+STRAIN = 0.3
+"""Share of a wheel's push that the wheel behind or before it feels as well when the robot turns: it is no obstacle then."""
+TURN = 60.0
+"""[N s/rad] A turn pushes wheels back as well: what more it takes then."""
+FACE = 0.04
+"""[m] The map explains a held wheel where its ground lies this far off the plane that the robot stands on: what is lower does not hold a wheel."""
+TALL = 0.20
+"""[m] The same of the body, whose belly is higher."""
+ROUGH = 3.0
+"""On uneven ground legs are thrown about: so many times the force tells a touch of the body there."""
+BODY_TIME, WHEEL_TIME = 0.05, 0.09
+"""[s] that it lasts: three and five joint samples. A wheel that jumps over a pebble is held for less."""
+AHEAD = 0.2
+"""[m] beyond the end of the body: what lies farther away holds no wheel."""
+BESIDE = 0.05
+"""[m] beside the body: a wall there holds a wheel that scrapes it. It explains no touch of the body."""
+CELLS = 3
+"""Cells that must lie off the plane: one may be noise."""
+LONGEST = 0.05
+"""[s] between joint samples that count: after a gap the first one counts no longer than this."""
+
+
+class Touch(NamedTuple):
+    """Something was touched at an end of the body."""
+
+    way: float
+    """1.0 ahead, -1.0 behind."""
+    left: float
+    """[m] of the wheel that is held, left of the middle; 0 of the body."""
+
+
+class TouchWatch:
+    """Feeds on IMU and joint samples as they come."""
+
+    def __init__(self) -> None:
+        self._accel: Array = np.array([0.0, 0.0, GRAVITY])
+        """[m/s^2] mean specific force since the joint sample before."""
+        self._sum, self._count = np.zeros(3), 0
+        self._mass = SPRUNG
+        self._stamp = 0
+        self._body = 0.0
+        """For how long the body was pushed back [s]; `_wheel`: one of the wheels."""
+        self._wheel = np.zeros(4)
+
+    def imu(self, sample: ImuSample) -> None:
+        """Between joint samples."""
+        self._sum += sample.accel
+        self._count += 1
+
+    def joints(
+        self, sample: JointSample, vx: float, wz: float, uneven: float, speed: float | None = None
+    ) -> Touch | None:
+        """What is touched just now, by a robot that is commanded to drive at `vx` [m/s], `wz` [rad/s] where the map is `uneven` [m] ahead of the wheels and
+        under them. `speed`: measured, forward [m/s]; None: not known."""
+        elapsed = min(max((sample.stamp - self._stamp) / NS, 0.0), LONGEST)
+        self._stamp = sample.stamp
+        if self._count:
+            self._accel = self._sum / self._count
+            self._sum, self._count = np.zeros(3), 0
+        weighed = float(wheel_loads(sample.position, sample.effort, UP).sum()) / max(
+            float(self._accel[2]), 0.5 * GRAVITY
+        )
+        self._mass += elapsed / WEIGH_TIME * (min(max(weighed, SPRUNG), HEAVIEST) - self._mass)
+        if abs(vx) < DRIVES:
+            self._body, self._wheel = 0.0, np.zeros(4)
+            return None
+        way = math.copysign(1.0, vx)
+        back = -way * wheel_pushes(sample.position, sample.effort)
+        held = -way * self._mass * self._accel[0] - back.sum()
+        rough = uneven > FACE
+        slow = speed is None or way * speed < SHORT * abs(vx)
+        pushed = slow and uneven < TALL and monitors.TOUCHED.outside(held / (ROUGH if rough else 1.0))
+        self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
+        others = (back.sum() - back) / 3.0
+        beside = back[[2, 3, 0, 1]]
+        alone = (back > PUSHED) & (beside < STRAIN * back)
+        worst = np.where(alone, back - others - TURN * abs(wz), 0.0)
+        for leg in range(4):
+            more = slow and not rough and monitors.TOUCHED.outside(float(worst[leg]))
+            self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
+        if self._body >= BODY_TIME:
+            return self._tell(Touch(way, 0.0))
+        if self._wheel.max() >= WHEEL_TIME:
+            leg = int(self._wheel.argmax())
+            return self._tell(Touch(way, float(SY[leg]) * (HIP_Y + THIGH_Y + TREAD_Y)))
+        return None
+
+    def _tell(self, touch: Touch) -> Touch:
+        self._body, self._wheel = 0.0, np.zeros(4)
+        return touch
+
+
+def uneven(around: Surroundings, pose: tuple[float, float, float], way: float) -> float:
+    """How far [m] the ground under the body and AHEAD of it, `way` 1.0, or behind it, -1.0, lies off the plane under the body at `pose` x, y [m], yaw [rad].
+
+    By what was measured: what was touched explains no touch. The plane is fitted, because the trunk is level on a slope, too.
+    """
+    x, y, yaw = (float(v) for v in pose)
+    front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution
+    reach = math.ceil(math.hypot(front + AHEAD, side + BESIDE) / resolution)
+    row, col = round((y - around.origin[1]) / resolution), round((x - around.origin[0]) / resolution)
+    rows, cols = slice(max(row - reach, 0), row + reach + 1), slice(max(col - reach, 0), col + reach + 1)
+    height = around.height[rows, cols]
+    known = np.isfinite(height) & (around.source[rows, cols] != TOUCHED)
+    r, k = np.nonzero(known)
+    dx, dy = (
+        around.origin[0] + (k + cols.start) * resolution - x,
+        around.origin[1] + (r + rows.start) * resolution - y,
+    )
+    c, s = math.cos(yaw), math.sin(yaw)
+    along, across = way * (c * dx + s * dy), c * dy - s * dx
+    near = (along >= -front) & (along <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
+    terms = np.column_stack([np.ones_like(along), along, across])[near]
+    ground = height[r, k][near].astype(float)
+    beside = np.abs(terms[:, 2]) > side
+    under = (terms[:, 1] <= front) & ~beside
+    if np.count_nonzero(under) < CELLS or len(ground) <= CELLS:
+        return 0.0
+    plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
+    off = np.abs(ground - terms @ plane)
+    return float(np.sort(np.where(beside, np.minimum(off, 0.5 * TALL), off))[-CELLS])

@@ -1,0 +1,189 @@
+"""Whether the robot moves, and what brings it to rest: judged by what it does, whatever it answers.
+
+The driver, the guardian and the sentry use the same two classes, each on what it hears itself. No compiler is imported
+here: the guardian must be ready soon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from hal.safety.monitors import ROLLS_ON
+from hal.safety.slope import CREEP, SLOPE
+from hal.unitree.api import Sport
+
+WHEELS = slice(12, 16)
+"""Slots of the wheels among the motors, as in `hal.go2w`."""
+WHEEL_RADIUS = 0.086
+"""[m], as in `hal.go2w`."""
+WINDOW = 0.3
+"""[s] that is averaged: the sway of legs and trunk after a stop lasts as long in each direction, and is no motion."""
+SAMPLE = 0.015
+"""[s] between two samples; LowState comes at 500 Hz."""
+OLD = 0.3
+"""[s] What was heard before says nothing."""
+STICK_REST, STICK_MOST = 0.1, 1.5
+"""A stick nearer to 0 than this is at rest; beyond the other the bytes are no stick."""
+_STICKS = [0, 1, 2, 4]
+"""lx, rx, ry, ly among the five floats after head and keys of `wireless_remote`; the fourth is the L2 trigger."""
+
+BRAKING = 0.5
+"""[s] a robot needs to stand: from 0.8 m/s at 1.5 m/s^2."""
+AGAIN = 0.1
+"""[s] between two StopMoves to a robot that moves on."""
+UNANSWERED = 0.05
+"""[s] the same, before the first answer."""
+PATIENCE = 1.5
+"""[s] before Damp: the robot may have lost the StopMove, holds its last Move for 1 s, then brakes."""
+WAY = 0.3
+"""[m] that a slow robot rolls before Damp."""
+FASTEST = 1.5
+"""[m/s] Damp drops the trunk onto its belly. From here v^2 / 2g = 0.11 m, less than half of what it takes to lift the centre of mass
+over the front edge (0.35 m ahead, 0.08 m high: 0.28 m). A faster robot could go head over heels."""
+STEEPEST = math.radians(15.0)
+"""[rad] On its belly a robot slides where the slope is steeper than its friction: 0.4 holds up to 22 deg."""
+INSIST = 1.0
+"""[s] an order is repeated to a robot whose motion is not heard and that does not answer."""
+LONGEST = 60.0
+"""[s] an order is repeated at most: a robot that was lifted turns its wheels as long as it likes."""
+
+
+def remote(low: np.void) -> bool:
+    """Whether somebody moves a stick of the robot's own remote; its sticks rest at 0 and read -1..1."""
+    sticks = np.frombuffer(low["wireless_remote"].tobytes(), "<f4", 5, offset=4)[_STICKS]
+    return bool(((np.abs(sticks) > STICK_REST) & (np.abs(sticks) <= STICK_MOST)).any())
+
+
+class Motion:
+    """Speed and slope over the last moments, from LowState and sportmodestate. Times in s of any clock that goes on."""
+
+    def __init__(self) -> None:
+        self._kept: deque[tuple[float, float, float, float, float]] = deque()
+        """When, speed of the wheels, x and y of the robot's estimate [m/s], yaw rate [rad/s]."""
+        self._sport: tuple[float, float, float] | None = None
+        """When, and the robot's estimate x, y [m/s]."""
+        self.slope = 0.0
+        """[rad] between the trunk and level; 0 before it was heard."""
+        self._nose = 0.0
+        """Sine of the angle by which the nose is up."""
+        self.remote = False
+        """Somebody moves a stick of the robot's own remote."""
+
+    def hear_sport(self, sport: np.void, now: float) -> None:
+        """A sportmodestate with a new stamp."""
+        x, y = (float(v) for v in sport["velocity"][:2])
+        # A firmware that leaves the field empty says nothing by it.
+        self._sport = (now, x, y) if math.isfinite(x + y) and (x, y) != (0.0, 0.0) else None
+
+    def hear_low(self, low: np.void, now: float) -> None:
+        """A LowState with a new tick."""
+        if self._kept and 0.0 <= now - self._kept[-1][0] < SAMPLE:
+            return
+        wheels = float(low["motor_state"]["dq"][WHEELS].mean()) * WHEEL_RADIUS
+        turn = float(low["imu_state"]["gyroscope"][2])
+        x, y = wheels, 0.0  # alone, the wheels are believed
+        if self._sport is not None and 0.0 <= now - self._sport[0] < OLD:
+            x, y = self._sport[1:]
+        if not math.isfinite(wheels + turn):
+            return
+        if self._kept and now < self._kept[-1][0]:
+            self._kept.clear()
+        self._kept.append((now, wheels, x, y, turn))
+        while now - self._kept[0][0] > WINDOW:
+            self._kept.popleft()
+        w, i, j, k = (float(v) for v in low["imu_state"]["quaternion"])
+        if math.isfinite(w + i + j + k):
+            self.slope = math.acos(max(-1.0, min(1.0, 1.0 - 2.0 * (i * i + j * j))))
+            self._nose = 2.0 * (i * k - w * j)
+        self.remote = remote(low)
+
+    def speed(self, now: float) -> float | None:
+        """Mean [m/s] of the last `WINDOW`, half the yaw rate where that is more; None where it is not heard.
+
+        Wheels and the robot's estimate must agree, the slower counts: a wheel that spins or an estimate that drifts is no motion.
+        """
+        if not self._kept or not 0.0 <= now - self._kept[-1][0] < OLD:
+            return None
+        _, wheels, x, y, turn = np.mean(self._kept, axis=0)
+        return float(max(min(abs(wheels), math.hypot(x, y)), 0.5 * abs(turn)))
+
+    @property
+    def downhill(self) -> bool:
+        """Whether it rolls down a slope, as gravity has it."""
+        return self.slope > SLOPE and bool(self._kept) and self._kept[-1][1] * self._nose <= 0.0
+
+
+class Halt:
+    """Which request brings the robot to rest: StopMove while it moves, then Damp where that is safer. Times in s."""
+
+    def __init__(self) -> None:
+        self.order: Sport | None = None
+        """What is insisted on; None at rest."""
+        self._since = self._sent = self._seen = 0.0
+        self._answered = False
+        self._way = 0.0
+        self.damped = ""
+        """Why it was made soft, in words; empty where it was not."""
+
+    def begin(self, order: Sport, now: float) -> None:
+        """From now on the robot shall rest. Damp is not replaced by a stop; a repeated order is the same one."""
+        if self.order is not None and (self.order is Sport.DAMP or order is self.order):
+            self._answered = False
+            return
+        self.order, self._since, self._seen = order, now, now
+        self._sent, self._answered, self._way = -math.inf, False, 0.0
+        self.damped = ""
+
+    def end(self) -> None:
+        """The robot is told something else."""
+        self.order = None
+
+    def answered(self) -> None:
+        """The robot said yes. It counts where its motion is not heard."""
+        self._answered = True
+
+    def due(self, now: float, motion: Motion) -> Sport | None:
+        """The request to send now, None where none is."""
+        if self.order is None:
+            return None
+        speed, lasted = motion.speed(now), now - self._since
+        moves = speed is not None and ROLLS_ON.outside(speed)
+        self._way += speed * max(0.0, now - self._seen) if moves and speed is not None else 0.0
+        self._seen = now
+        if lasted > LONGEST or motion.remote or self._over(speed is not None, moves, lasted):
+            self.order = None
+            return None
+        if (
+            moves
+            and self.order is Sport.STOP_MOVE
+            and speed is not None
+            and self._soft(lasted, speed, motion)
+        ):
+            self.damped = ROLLS_ON.tell(speed=f"{speed:.2f} m/s", after=f"{lasted:.1f} s")
+            self.order, self._answered, self._sent = Sport.DAMP, False, -math.inf
+        if self._answered and not (moves and lasted > BRAKING):
+            return None
+        if now - self._sent < (AGAIN if self._answered else UNANSWERED):
+            return None
+        self._sent = now
+        return self.order
+
+    def _over(self, heard: bool, moves: bool, lasted: float) -> bool:
+        """Whether the robot rests, or, where it is not heard, has said so."""
+        if moves:
+            return False
+        return self._answered and (lasted >= WINDOW or not heard) if lasted < INSIST else True
+
+    def _soft(self, lasted: float, speed: float, motion: Motion) -> bool:
+        """Whether Damp is safer than to go on asking."""
+        creeps = motion.downhill and speed < CREEP
+        return (
+            lasted >= PATIENCE
+            and self._way >= WAY
+            and speed <= FASTEST
+            and motion.slope <= STEEPEST
+            and not creeps
+        )

@@ -1,0 +1,44 @@
+"""Wheels and gyro against the scans, over a second: the wheels slip, or the scans show what is not there."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from hal.rotation import rotation_vector, wrap
+from hal.safety.monitors import SCANS_DISAGREE
+from hal.types import NS, Array
+
+WINDOW = NS
+"""Time that is looked at [ns]."""
+MOVED, TURNED = 0.4, math.radians(6.0)
+"""Most that wheels on firm ground [m] and a gyro [rad] are off within it; a wheel that spins on an edge loses 0.1 m."""
+
+
+class Agreement:
+    """Sums what the scans say beside dead reckoning."""
+
+    def __init__(self) -> None:
+        self._off: deque[tuple[int, float, float]] = deque()
+        """End of a scan [ns], and way ahead [m] and turn about z [rad] by which it and dead reckoning differ."""
+
+    def add(self, stamp: int, before: Array, after: Array, rolled: float, turned: float) -> str:
+        """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`; the wheels rolled `rolled` [m], NaN where they do not tell, and the gyro
+        turned by `turned` [rad]. Why the two disagree, in words; empty while they do not.
+        """
+        moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
+        turn = rotation_vector(before[:3, :3].T @ after[:3, :3])[2]
+        ahead = float(moved) - rolled if math.isfinite(rolled) else 0.0
+        self._off.append((stamp, ahead, wrap(float(turn) - turned)))
+        while self._off[0][0] <= stamp - WINDOW:
+            self._off.popleft()
+        ahead, turn = np.abs(np.array(self._off)[:, 1:].sum(axis=0)).tolist()
+        if not SCANS_DISAGREE.outside(max(ahead / MOVED, turn / TURNED)):
+            return ""
+        return SCANS_DISAGREE.tell(seconds=WINDOW / NS, moved=ahead, turned=math.degrees(turn))
+
+    def forget(self) -> None:
+        """Break the comparison: the robot was found elsewhere."""
+        self._off.clear()

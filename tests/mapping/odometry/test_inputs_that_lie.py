@@ -1,0 +1,182 @@
+"""Streams that are fresh and wrong: what repeats, what cannot be, what the others contradict. Each check is taken out once, to see that it is the one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hal.lidar import LIDARS
+from hal.rotation import rotation_vector
+from hal.safety import monitors
+from hal.safety.monitors import Monitor, taken_out
+from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
+from mapping.odometry.health import Health
+from tests.mapping.odometry.test_pipeline import Driven, error
+from tools.synthetic import SyntheticRun, arena_run
+from tools.synthetic_motion import Motion
+
+AT = 3 * NS
+"""The fault begins this long after the start [ns]; the robot drives by then."""
+
+
+@pytest.fixture(scope="module")
+def recorded() -> tuple[SyntheticRun, list[Sample]]:
+    """Figure-eight, XT16 with every eighth firing."""
+    run = replace(arena_run("xt16", duration=6.0, seed=4), lidar=LIDARS["xt16"].decimated(8))
+    return run, [s for s in run.samples() if not isinstance(s, GroundTruth)]
+
+
+def frozen(samples: list[Sample], kind: type[Sample], seconds: float) -> list[Sample]:
+    """The last sample of a kind before the fault again and again, with stamps that go on."""
+    start = samples[0].stamp + AT
+    last = [s for s in samples if isinstance(s, kind) and s.stamp <= start][-1]
+    during = (start, start + round(seconds * NS))
+    return [
+        replace(last, stamp=s.stamp) if isinstance(s, kind) and during[0] < s.stamp <= during[1] else s
+        for s in samples
+    ]
+
+
+def lost_after(out: Driven, start: int) -> float:
+    """Seconds from `start` [ns] to the first `lost`; infinite without one."""
+    return min(((s.stamp - start) / NS for s in out.scans if s.health is Health.LOST), default=np.inf)
+
+
+def test_a_sound_stream_never_repeats(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    _, samples = recorded
+    counters = Driven(samples).odometry.counters
+    assert not [name for name in counters if name.endswith("repeated")]
+
+
+@pytest.mark.parametrize(
+    ("kind", "row", "seconds"),
+    [(LidarScan, monitors.LIDAR_REPEATS, 0.45), (ImuSample, monitors.IMU_REPEATS, 0.25)],
+)
+def test_a_stream_that_repeats_is_lost_and_comes_back(
+    recorded: tuple[SyntheticRun, list[Sample]], kind: type[Sample], row: Monitor, seconds: float
+) -> None:
+    run, samples = recorded
+    start = samples[0].stamp + AT
+    out = Driven(frozen(samples, kind, 1.0))
+    assert lost_after(out, start) <= seconds
+    lost = [s for s in out.scans if s.health is Health.LOST and s.stamp < start + NS]
+    assert all(row in monitors.raised(s.reason) for s in lost)
+    assert out.scans[-1].health is Health.GOOD
+    assert error(run, out.scans, 10, -1)[0] < 0.05
+    with taken_out(row.name):
+        assert lost_after(Driven(frozen(samples, kind, 1.0)), start) > 0.9
+
+
+def test_joints_that_repeat_are_told_and_not_believed(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    run, samples = recorded
+    start = samples[0].stamp + AT
+    out = Driven(frozen(samples, JointSample, 1.5))
+    during = [s for s in out.scans if start + NS // 4 < s.stamp < start + 3 * NS // 2]
+    assert all(s.health is Health.DEGRADED for s in during)
+    assert all(monitors.JOINTS_REPEAT in monitors.raised(s.reason) for s in during)
+    assert error(run, out.scans, 10, -1)[0] < 0.03
+
+
+def test_an_impossible_speed_is_lost_at_once_and_does_not_carry_the_pose(
+    recorded: tuple[SyntheticRun, list[Sample]],
+) -> None:
+    run, samples = recorded
+    start = samples[0].stamp + AT
+    shoved = [
+        replace(s, accel=s.accel + np.array([120.0, 0.0, 0.0]))
+        if isinstance(s, ImuSample) and start < s.stamp <= start + NS // 10
+        else s
+        for s in samples
+    ]
+    out = Driven(shoved)
+    assert lost_after(out, start) <= 0.2
+    lost = [s for s in out.scans if s.health is Health.LOST]
+    assert monitors.IMPOSSIBLE_SPEED in monitors.raised(lost[0].reason)
+    assert max(np.linalg.norm(s.linear) for s in out.scans) < 2.0
+    assert out.scans[-1].health is Health.GOOD
+    assert error(run, out.scans, 10, -1)[0] < 0.05
+    with taken_out(monitors.IMPOSSIBLE_SPEED.name):
+        assert max(np.linalg.norm(s.linear) for s in Driven(shoved).scans) > 4.0
+
+
+def test_wheels_that_spin_are_told_within_a_second(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    run, samples = recorded
+    start = samples[0].stamp + AT
+
+    def spun(s: Sample) -> Sample:
+        if not (isinstance(s, JointSample) and start < s.stamp <= start + 2 * NS):
+            return s
+        rate = s.velocity.copy()
+        rate[12:] += 8.0  # 0.7 m/s too fast
+        return replace(s, velocity=rate)
+
+    out = Driven([spun(s) for s in samples])
+    told = [s.stamp for s in out.scans if monitors.SCANS_DISAGREE in monitors.raised(s.reason)]
+    assert start < told[0] <= start + 1.0 * NS
+    assert {s.health for s in out.scans if s.stamp in told} == {Health.DEGRADED}
+    assert error(run, out.scans, 10, -1)[0] < 0.03
+
+
+def standing(run: SyntheticRun, seconds: float, change: Callable[[float], float]) -> list[Sample]:
+    """A robot whose wheels and gyro stand, and what it sees from `change(t)` [m] further ahead, `t` [s] after the start."""
+    still = replace(run, motion=Motion(kind="standstill"), duration=seconds)
+    proprioception = [s for s in still.samples() if isinstance(s, ImuSample | JointSample)]
+    x, y, yaw = still.motion.start
+    out: list[Sample] = [*proprioception]
+    ahead = np.array([np.cos(yaw), np.sin(yaw)])
+    for k in range(round(seconds * 10) - 1):
+        there = np.array([x, y]) + change(0.1 * k) * ahead
+        motion = Motion(kind="standstill", start=(float(there[0]), float(there[1]), yaw))
+        stamp = still.start_stamp + k * NS // 10
+        seen = replace(still, motion=motion, start_stamp=stamp, duration=0.12)
+        out += [s for s in seen.samples() if isinstance(s, LidarScan)][:1]
+    return sorted(out, key=lambda s: s.stamp + (NS // 10 if isinstance(s, LidarScan) else 0))
+
+
+def test_a_robot_whose_floor_moves_is_noticed(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+    """Wheels and gyro stand still; after two seconds all that the LiDAR sees goes by at 0.25 m/s."""
+    run, _ = recorded
+    samples = standing(run, 6.0, lambda t: 0.25 * max(t - 2.0, 0.0))
+    start = samples[0].stamp + 2 * NS
+    out = Driven(samples)
+    told = [s.stamp for s in out.scans if monitors.MOVED_WHILE_STILL in monitors.raised(s.reason)]
+    assert told
+    assert told[0] < start + 2 * NS
+    assert {s.health for s in out.scans if s.stamp in told} == {Health.DEGRADED}
+    moved = float(np.linalg.norm((out.scans[-1].position - out.scans[0].position)[:2]))
+    assert moved == pytest.approx(
+        0.25 * (out.scans[-1].stamp - start) / NS, abs=0.1
+    )  # not held where it is not
+    with taken_out(monitors.MOVED_WHILE_STILL.name):
+        held = Driven(samples)
+    assert np.linalg.norm((held.scans[-1].position - held.scans[0].position)[:2]) < 0.02
+
+
+def test_a_gyro_that_drifts_does_not_turn_a_robot_that_stands(
+    recorded: tuple[SyntheticRun, list[Sample]],
+) -> None:
+    """Its bias walks by 0.3 deg/s within a minute, on ground where no scan tells the heading."""
+    run, _ = recorded
+    still = replace(run, motion=Motion(kind="standstill"), duration=30.0, lidar=LIDARS["xt16"].decimated(24))
+    samples = []
+    for s in still.samples():
+        if isinstance(s, ImuSample):
+            t = (s.stamp - still.start_stamp) / NS
+            s = replace(s, gyro=s.gyro + np.array([0.0, 0.0, np.radians(0.3) * t / 60.0]))
+        elif isinstance(s, LidarScan):
+            s = LidarScan(s.stamp, s.points[s.points["z"] < -0.45])
+        if not isinstance(s, GroundTruth):
+            samples.append(s)
+    out = Driven(samples)
+    turned = rotation_vector(_turn(out, -1).T @ _turn(out, 0))
+    assert np.degrees(np.abs(turned[2])) < 0.3
+    assert np.linalg.norm((out.scans[-1].position - out.scans[0].position)[:2]) < 0.01
+
+
+def _turn(out: Driven, k: int) -> np.ndarray:
+    from hal.rotation import rotation
+
+    return rotation(out.scans[k].orientation)

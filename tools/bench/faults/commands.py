@@ -1,0 +1,145 @@
+"""Faults of the way from hands to wheels: a robot that does not follow, another robot, hands that see too late, a LiDAR that is silent."""
+
+from __future__ import annotations
+
+import math
+import random
+
+from hal.contract import BackendError
+from hal.lidar.config import DEFAULT_LIDARS
+from hal.safety.monitors import MAIN_SILENT, OLD_HANDS, ROLLS_ON, TWO_ROBOTS
+from hal.types import NS, LidarScan, Sample
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import load
+from rbtrg_robot.hosts.lockstep import Lockstep
+from rbtrg_robot.wire.convert import BASE
+from rbtrg_robot.wire.messages import header
+from tests.hal.unitree.robot import Faults, KinematicBody, RobotSide
+from tests.hal.unitree.world import World
+from tools.bench.faults.fault import Fault, Outcome
+from tools.bench.faults.watch import Watch, by_hand, tap
+
+PEER_REST = 0.05
+"""[m/s]"""
+
+
+def _peer(world: World, seconds: float) -> Outcome:
+    """What the simulated Unitree robot does from now on; the host asks for zero."""
+    began, x, moved_at, words = world.elapsed, world.body.x, world.elapsed, set()
+    for _ in range(round(seconds / 0.02)):
+        world.run(0.02)
+        words.add(world.cause)
+        if abs(world.body.v) > PEER_REST:
+            moved_at = world.elapsed
+    rest = (moved_at - began) / NS
+    return Outcome(
+        abs(world.body.x - x), rest if rest < seconds - 0.1 else math.inf, "\n".join(sorted(words))
+    )
+
+
+def _rolls_on(speed: float, seed: int) -> Outcome:
+    """It answers StopMove and rolls on; 20 s."""
+    world = World(Faults(rolls=True))
+    world.backend.connect()
+    world.run(1.0 + random.Random(seed).random())
+    world.run(2.0, vx=speed)
+    return _peer(world, 20.0)
+
+
+def _another_robot(serial: float, seed: int) -> Outcome:
+    """Another Go2-W comes onto the DDS domain while this one drives."""
+    world = World(Faults(serial=11))
+    world.backend.connect()
+    world.run(1.0 + random.Random(seed).random())
+    world.run(2.0, vx=0.5)
+    world.other = RobotSide(KinematicBody(), Faults(serial=int(serial), epoch=100.0 * seed))
+    world.run(0.02, vx=0.5)
+    began, x, moved_at, words = world.elapsed, world.body.x, world.elapsed, set()
+    for _ in range(100):
+        world.run(0.02, vx=0.5)
+        words.add(world.cause)
+        if max(abs(world.body.v), abs(world.other.body.v)) > PEER_REST:
+            moved_at = world.elapsed
+    rest = (moved_at - began) / NS
+    return Outcome(world.body.x - x, rest if rest < 1.9 else math.inf, "\n".join(sorted(words)))
+
+
+def _two_at_the_start(serial: float, seed: int) -> Outcome:
+    world = World(Faults(serial=11))
+    world.other = RobotSide(KinematicBody(), Faults(serial=int(serial), epoch=100.0 * seed))
+    try:
+        world.backend.connect()
+    except BackendError as error:
+        return Outcome(words=str(error))
+    world.run(2.0, vx=0.5)
+    return Outcome(world.body.x, math.inf)
+
+
+def _stack(seed: int) -> Lockstep:
+    stack = Lockstep(
+        load(None, ["record=false", "sim.lidar_step=8"], scene="yard", seed=seed, lidars=DEFAULT_LIDARS)
+    )
+    stack.wait_ready()
+    return stack
+
+
+def _old_hands(delay: float, seed: int) -> Outcome:
+    """Hands on a link that takes `delay` [s], half each way: 1 s held, then let go."""
+    stack = _stack(seed)
+    with Watch(stack) as watch:
+        sent: list[tuple[float, int]] = []
+        for k in range(round((1.0 + delay + 1.0) * 25)):
+            now = stack.seconds
+            if k < 25:
+                sent.append((now, stack.now))
+            while sent and now - sent[0][0] >= delay:
+                command = msg.TwistStamped(header=header(sent.pop(0)[1], BASE))
+                command.twist.linear.x = 0.3
+                stack.host.inject(t.TELEOP, command)
+            stack.run(0.04)
+        return watch.outcome()
+
+
+def _silent(names: tuple[str, ...], speed: float, seed: int) -> Outcome:
+    """LiDARs fall silent while hands drive."""
+    stack = _stack(seed)
+    by_hand(stack, speed, 0.0, 1.5)
+    with Watch(stack) as watch:
+        tap(stack, lambda samples: [s for s in samples if not _of(s, names)])
+        by_hand(stack, speed, 0.0, 2.0)
+        return watch.outcome()
+
+
+def _of(sample: Sample, names: tuple[str, ...]) -> bool:
+    return isinstance(sample, LidarScan) and sample.name in names
+
+
+FAULTS = (
+    # 1.5 s of patience: the robot's own hold of the last Move and its braking; or 0.3 m, whichever is later.
+    Fault("rolls_on", (ROLLS_ON,), (0.15, 0.6), _rolls_on, rest=2.8, says=("StopMove is not followed",)),
+    Fault(
+        "another_robot",
+        (TWO_ROBOTS,),
+        (22.0, 33.0),
+        _another_robot,
+        rest=0.5,
+        says=("serial numbers 11-0 and",),
+    ),
+    Fault(
+        "two_robots_at_start",
+        (TWO_ROBOTS,),
+        (22.0, 0.0),
+        _two_at_the_start,
+        rest=0.5,
+        says=("more than one robot",),
+    ),
+    Fault("old_hands", (OLD_HANDS,), (0.7, 3.0), _old_hands, rest=0.0, says=("their sender saw the robot",)),
+    Fault(
+        "main_lidar_silent",
+        (MAIN_SILENT,),
+        (0.3, 0.5),
+        lambda speed, seed: _silent(("main",), speed, seed),
+        says=("the main LiDAR is silent for",),
+    ),
+)

@@ -422,6 +422,12 @@ SWEEP_CLOCK = Monitor(
 )
 
 # -- map, contact, what the robot feels -----------------------------------------------------------------------------------
+TOUCHED = Monitor(
+    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
+    "touched something that the LiDAR does not see at {where}",
+    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
+    high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
+)  # fmt: skip
 HOLE_WIDTH = Monitor(
     name="width of a hole",
     stream="elevation map",
@@ -446,12 +452,6 @@ OWN_PARTS = Monitor(
     against="odometry",
     test="mapping/odometry/test_own.py",
 )
-TOUCHED = Monitor(
-    "touched", "joints and IMU", Check.CONTACT, Consequence.HOLD, "robot",
-    "touched something that the LiDAR does not see at {where}",
-    "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
-    high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
-)  # fmt: skip
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 ROLLS_ON = Monitor(
@@ -518,17 +518,6 @@ BLIND_HANDS = Monitor(
 )
 
 # -- goals ----------------------------------------------------------------------------------------------------------------
-GOAL_SPENT = Monitor(
-    name="goal without progress",
-    stream="goal",
-    check=Check.RANGE,
-    consequence=Consequence.TELL,
-    judge="navigator",
-    words="nowhere new in {seconds:.0f} s and {metres:.1f} m",
-    remedy="choose another goal, or clear the way; the last hindrance stands beside it",
-    against="places where the robot was for this goal",
-    test="rbtrg_robot/stages/navigation/test_navigator.py",
-)
 PLACE_UNSURE = Monitor(
     "place_unsure",
     "odometry",
@@ -541,7 +530,17 @@ PLACE_UNSURE = Monitor(
     against="the goal's tolerance",
     test="rbtrg_robot/stages/navigation/test_navigator.py",
 )
-
+GOAL_SPENT = Monitor(
+    name="goal without progress",
+    stream="goal",
+    check=Check.RANGE,
+    consequence=Consequence.TELL,
+    judge="navigator",
+    words="nowhere new in {seconds:.0f} s and {metres:.1f} m",
+    remedy="choose another goal, or clear the way; the last hindrance stands beside it",
+    against="places where the robot was for this goal",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))
 BY_NAME: dict[str, Monitor] = {monitor.name: monitor for monitor in MONITORS}

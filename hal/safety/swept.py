@@ -35,8 +35,8 @@ POINTS = 3
 """Returns in one cell that count as something there."""
 
 WHEELS, LIDAR, PLANTS, TOUCHED, HOLE = 1, 2, 5, 6, 7
-"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body, a hole
-that is measured from rim to rim and wider than the robot crosses (then the height counts for nothing); else filled in between."""
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body,
+a hole that is measured from rim to rim and wider than the robot crosses (then the height counts for nothing); else filled in between."""
 
 CLEAR, FACE, DROP, SWEEP, UNSEEN, GAP = 0, 1, 2, 3, 4, 5
 """What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw, a hole that is too wide."""

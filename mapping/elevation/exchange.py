@@ -20,7 +20,7 @@ PLANTS = 5
 TOUCHED = 6
 """`source` of what the robot touched and no ray tells of; in read-outs only."""
 HOLE = 7
-"""`source` of holes wider than the robot crosses (`mapping.elevation.holes`); in read-outs only."""
+"""`source` of holes wider than the robot crosses."""
 LARGEST = 50_000_000
 """Cells of one patch: 280 m x 280 m of 4 cm, 1 GB."""
 
@@ -54,8 +54,8 @@ class MapPatch:
 
     Row grows with y, column with x. Layers are (rows, cols) float32: `elevation` [m] (NaN unknown), `variance` [m^2]
     (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells),
-    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top), 6 touched by the robot,
-    7 a hole wider than the robot crosses. That of `ElevationMap.complete`
+    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top),
+    6 touched by the robot, 7 a hole wider than the robot crosses (`mapping.elevation.holes`). That of `ElevationMap.complete`
     has `age`, too: seconds since something agreed with the height (NaN: never, as on a prior map and where it is bridged).
     """
 

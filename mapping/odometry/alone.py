@@ -117,7 +117,7 @@ class LidarAlone:
         near = np.linalg.norm(cloud, axis=1) <= self._params.max_range
         cloud = np.ascontiguousarray(cloud[near], np.float32)
         frame = voxel_down_sample(cloud, 0.5 * MAP_VOXEL)
-        _, _, seen, planar, inliers, total = self._planes.fit(
+        _, _, seen, planar, inliers, total, _ = self._planes.fit(
             frame, np.ascontiguousarray(pose), gate=GATE, scale=NEAR
         )
         self._planes.insert(frame, np.ascontiguousarray(pose))

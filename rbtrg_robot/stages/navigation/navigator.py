@@ -197,7 +197,7 @@ class NavigatorStage:
             return  # asked before the inputs went: a new route is asked for when they are back
         self._route = RouteWatch()
         if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
-            return self._end_there()
+            return self._reach()
         if message.ok:
             self._recovery.found()
             self._budget.plan(message.length)
@@ -264,7 +264,7 @@ class NavigatorStage:
             return self._ask()
         if self._pose is not None:
             if self._rest.stuck(now, self._pose) and self._arrived(goal):
-                return self._end_there()
+                return self._reach()
             if spent := self._budget.spent(now, self._pose):
                 last = f", last: {self._trouble}" if self._trouble else ""
                 return self._end(GoalState.ABORTED, Reason.STUCK, spent + last + goal.place(self._pose))
@@ -300,7 +300,7 @@ class NavigatorStage:
         if broken:
             self._stand(goal, broken)
             if self._arrived(goal):
-                return self._end_there()
+                return self._reach()
             return self._replan(goal)
         if on_path and self._inputs.phase == "final_turn":
             self._progress.reset()  # the tracker ends that in time by itself
@@ -325,7 +325,7 @@ class NavigatorStage:
             goal.state = GoalState.MOVING
             return self._replan(goal)
         if self._arrived(goal):
-            return self._end_there()
+            return self._reach()
         short = self._distance(goal)
         if short <= self._params.goal_tolerance and self._pose is not None:
             self._end(GoalState.ABORTED, Reason.STUCK, heading_off(goal.yaw, self._pose[2]))
@@ -346,10 +346,12 @@ class NavigatorStage:
             return False
         return not heading_off(goal.yaw, self._pose[2])
 
-    def _end_there(self) -> None:
-        """The robot is at its goal: that is told where its place is known as well as the goal asks."""
-        unsure = self._inputs.unsure(self._params.goal_tolerance)
-        self._end(*(GoalState.ABORTED, Reason.UNSURE, unsure) if unsure else (GoalState.REACHED, Reason.NONE))
+    def _reach(self) -> None:
+        """The robot is at the goal, as far as its place is known: one that is known worse than the tolerance is not called reached."""
+        if unsure := self._inputs.unsure(self._params.goal_tolerance):
+            self._end(GoalState.ABORTED, Reason.UNSURE, unsure)
+        else:
+            self._end(GoalState.REACHED, Reason.NONE)
 
     def _ends_nearer(self, goal: Goal, plan: msg.Plan) -> bool:
         end = math.dist((plan.x[-1], plan.y[-1]), (goal.x, goal.y)) if len(plan.x) else math.inf
@@ -358,7 +360,7 @@ class NavigatorStage:
     def _recover(self, goal: Goal) -> None:
         """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at the goal needs neither."""
         if self._arrived(goal):
-            return self._end_there()
+            return self._reach()
         self._progress.reset()
         assert self._pose is not None
         way = self._inputs.way

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hal.mujoco.backend import MujocoBackend
 from hal.safety.monitors import IMPOSSIBLE_SPEED, IMU_REPEATS, LIDAR_REPEATS, MOVED_WHILE_STILL
 from hal.types import NS, ImuSample, LidarScan, Sample
+from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from tools.bench.faults.fault import Fault, Outcome
@@ -29,7 +31,7 @@ def _driving(speed: float, seed: int) -> Lockstep:
     stack.wait_ready()
     x, y, _ = stack.config.start_pose()
     stack.send_goal(x + WAY, y)
-    stack.run_until(lambda: stack.robot.backend.simulation.linear_velocity[0] > 0.8 * speed, 20.0, "motion")
+    stack.run_until(lambda: stack.newest[t.TRUTH].twist.twist.linear.x > 0.8 * speed, 20.0, "motion")
     stack.run(DRIVEN)
     return stack
 
@@ -88,7 +90,9 @@ def _moving_floor(speed: float, seed: int) -> Outcome:
     stack.wait_ready()
     stack.run(2.0)
     with Watch(stack) as watch:
-        simulation = stack.robot.backend.simulation
+        backend = stack.robot.backend
+        assert isinstance(backend, MujocoBackend)
+        simulation = backend.simulation
 
         def carry(samples: list[Sample]) -> list[Sample]:
             simulation.data.qpos[0] += 0.005 * speed

@@ -85,8 +85,10 @@ def _off(scans: list[ScanOdometry], truths: list[GroundTruth]) -> Off:
     errors = []
     for true, got in off:
         d = np.linalg.inv(np.linalg.inv(true0) @ true) @ np.linalg.inv(got0) @ got
-        errors.append((np.linalg.norm(d[:2, 3]), abs(math.degrees(float(rotation_vector(d[:3, :3])[2])))))
-    worst = np.max(errors, axis=0)
+        errors.append(
+            (float(np.linalg.norm(d[:2, 3])), abs(math.degrees(float(rotation_vector(d[:3, :3])[2]))))
+        )
+    worst = np.array(errors).max(axis=0)
     return Off(float(errors[-1][0]), float(errors[-1][1]), float(worst[0]), float(worst[1]))
 
 

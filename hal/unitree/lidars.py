@@ -41,6 +41,7 @@ class LidarInput:
             self.inputs[topic + CUSTOM] = decode_livox
         self.clock = RemoteClock()
         """The LiDAR's own clock; its IMU has the same."""
+        self.mount = mounted.mount
         self.rotation = rotation_rpy(*mounted.mount.rpy)
         """(3, 3) base_link <- its frame."""
         self._limits = Limits()

@@ -27,7 +27,7 @@ STUCK_ANGLE = 0.5
 """[rad]."""
 REST = 1.0, 0.02, 0.03
 """In so many seconds less than so many [m] and [rad]: the robot is at rest."""
-SECONDS, METRES, SLOW, PLACE = 35.0, 12.0, 0.3, 0.5
+SECONDS, METRES, SLOW, PLACE = 25.0, 12.0, 0.3, 0.5
 """[s] and [m] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] side of a place: a robot that shuttles by 0.7 m has been at all of
 its places after the first time."""
 BESIDE = 0.15

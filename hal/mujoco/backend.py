@@ -278,16 +278,19 @@ class MujocoBackend:
         boxes: list[OrientedBox | None] = [
             box_at(box, t) if on else None for box, on in zip(self.config.obstacles, shown, strict=True)
         ]
+        seen = [
+            box
+            for box, obstacle in zip(boxes, self.config.obstacles, strict=True)
+            if box is not None and not obstacle.clear
+        ]
         x, y, _ = self.simulation.position.tolist()
-        boxes += self._people.at(t, (x, y))
-        for index, box in enumerate(boxes):
+        people = self._people.at(t, (x, y))
+        for index, box in enumerate([*boxes, *people]):
             self.simulation.place_box(
                 index, None if box is None else box.centre, 0.0 if box is None else box.yaw
             )
-        lit = zip(boxes, self.config.obstacles, strict=True)
-        seen = [box for box, obstacle in lit if box is not None and not obstacle.clear]
         for lidar in self._lidars:
-            lidar.set_boxes(seen)
+            lidar.set_boxes([*seen, *people])
 
 
 __all__ = ["CAPABILITIES", "MujocoBackend", "Obstacle", "Push", "SimConfig"]

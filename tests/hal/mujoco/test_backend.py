@@ -540,3 +540,21 @@ def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
     assert nearest >= ROOM - 1e-9
     assert nearest < 1.5
     assert (np.median(ways, axis=0) > 0.004).all()
+
+
+def test_the_lidar_sees_people_and_they_are_no_obstacle_that_goes() -> None:
+    """Beside an obstacle that is clear to the LiDAR and one that is not."""
+    near = {}
+    for people in (0, 8):
+        robot = MujocoBackend(
+            floor(),
+            lidar_step=8,
+            people=people,
+            obstacles=(Obstacle((2.5, 0.0, 0.5), (0.1, 0.4, 1.0), clear=True),),
+        )
+        robot.connect()
+        scans = [s for k in range(1, 81) for s in robot.read(k * NS // 200) if isinstance(s, LidarScan)]
+        robot.close()
+        tall = [s.points[s.points["z"] > 0.2] for s in scans if s.name == "main"]
+        near[people] = sum(int((np.hypot(p["x"], p["y"]) < 5.0).sum()) for p in tall)
+    assert near[8] > near[0] + 20

@@ -114,6 +114,17 @@ class MotionLimits:
     reason: str = ""
     """The obstacle; empty without one."""
 
+    def least(self, other: MotionLimits) -> MotionLimits:
+        """What both allow, as old as the older one."""
+        return MotionLimits(
+            min(self.stamp, other.stamp),
+            min(self.forward, other.forward),
+            min(self.backward, other.backward),
+            min(self.left, other.left),
+            min(self.right, other.right),
+            self.reason or other.reason,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class GateInputs:

@@ -311,6 +311,18 @@ SWEEP_CLOCK = Monitor(
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 
+STRANGER = Monitor(
+    "stranger",
+    "every topic with an owner",
+    Check.OWNER,
+    Consequence.REFUSE,
+    "every process",
+    "{topic} also comes from {who}, which is refused: it belongs to {owner}",
+    "end that program; where it is to replace the process, bring the stack up with `--without` it",
+    against="the process that owns the topic",
+    test="rbtrg_robot/wire/test_owner.py",
+)
+
 # -- goals ----------------------------------------------------------------------------------------------------------------
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))

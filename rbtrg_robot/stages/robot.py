@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 from hal.contract import UP, Backend
@@ -82,7 +83,8 @@ class RobotStage:
         self._frame = MapFrame()
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
-        self._limits: MotionLimits | None = None
+        self._limits: dict[str, MotionLimits] = {}
+        """The newest of each sender: a guard that was started anew is another one than before."""
         self._now = 0
         self._ticks = 0
         self._state_due = 0
@@ -144,7 +146,7 @@ class RobotStage:
         elif t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         elif t.MOTION_LIMITS.carried(message, topic):
-            self._limits = MotionLimits(
+            self._limits[sender] = MotionLimits(
                 stamp_of(message),
                 message.forward,
                 message.backward,
@@ -235,7 +237,19 @@ class RobotStage:
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
-        return GateInputs(state, self._tilt.tilt, velocity, pose, self._limits, self._stamps)
+        return GateInputs(state, self._tilt.tilt, velocity, pose, self._least(now), self._stamps)
+
+    def _least(self, now: int) -> MotionLimits | None:
+        """The guard's limits. While several senders are fresh, the least of all: nobody lifts what another one sets."""
+        fresh = {
+            sender: limits
+            for sender, limits in self._limits.items()
+            if abs(now - limits.stamp) <= self._gate.params.guard_timeout * NS
+        }
+        if not fresh:
+            return max(self._limits.values(), key=lambda limits: limits.stamp, default=None)
+        self._limits = fresh
+        return reduce(MotionLimits.least, fresh.values())
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):

@@ -202,7 +202,8 @@ def _run_folder(base: Path, label: str) -> Path:
     name = f"{time.strftime('%Y%m%d-%H%M%S')}_{Path(label).stem}_{os.getpid()}"
     folder = (base / name).resolve()
     try:
-        folder.mkdir(parents=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700)  # places, pictures and words of people are in there
     except OSError as error:
         raise LogError(f"cannot write {folder}: {error.strerror}; choose another --log-dir") from error
     return folder
@@ -236,7 +237,8 @@ def _supervise(config: StackConfig, zygote: Zygote) -> int:
 
 def _detach() -> None:
     """The same command line without --detach, in a session of its own."""
-    from rbtrg_robot.process.runfiles import NotRunning, run_dir, state_of
+    from rbtrg_robot.process.runfiles import NotRunning, state_of
+    from rbtrg_robot.run_folder import run_dir
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"

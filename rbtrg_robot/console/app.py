@@ -137,6 +137,7 @@ class Site:
         while True:
             now = time.monotonic()
             self._desk.watch_stop(now)
+            self._door.renew()
             holder = self._desk.lease.holder(now)
             content = {"ages": self._feed.ages(), "operator": holder, "pages": self._feed.pages}
             self._feed.tell("beat", content, keep=False)

@@ -8,13 +8,12 @@ import json
 import logging
 import os
 import socket
-import stat
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from hal.errors import OperatorError
+from rbtrg_robot.run_folder import run_dir
 
 log = logging.getLogger(__name__)
 
@@ -46,29 +45,13 @@ class NoRoom(OperatorError):
     """The run folder takes no file."""
 
 
-class UnsafeFolder(OperatorError):
-    """Somebody else could have put locks and state there."""
-
-
-def run_dir() -> Path:
-    """Per-user folder for locks and state: XDG_RUNTIME_DIR, else the temporary folder."""
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    path = Path(base) / "rbtrg" if base else Path(tempfile.gettempdir()) / f"rbtrg-{os.getuid()}"
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise UnsafeFolder(
-            f"{path} belongs to somebody else or is writable by others: remove it, or set XDG_RUNTIME_DIR to a folder of yours"
-        )
-    return path
-
-
 class RunLock:
     """Held by `up` while it lives; the system releases it however `up` ends."""
 
     def __init__(self, robot: str) -> None:
         """Raises AlreadyRunning, NoRoom."""
         self._state = run_dir() / f"{robot}.json"
+        self._console = console_file(robot)
         self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
         patience = time.monotonic() + LOOKING
         while not self._taken():
@@ -79,6 +62,7 @@ class RunLock:
                 self._file.close()
                 raise AlreadyRunning(robot, pid)
             time.sleep(0.01)
+        self._console.unlink(missing_ok=True)  # of a stack that was killed: its cookies end with it
         self._file.truncate(0)
         try:
             os.write(self._file.fileno(), str(os.getpid()).encode())
@@ -105,8 +89,9 @@ class RunLock:
             log.warning("%s cannot be written (%s)", self._state, error.strerror)
 
     def release(self) -> None:
-        """Remove the state file and give the lock away."""
+        """Remove the state file, and with the console's secret its cookies; give the lock away."""
         self._state.unlink(missing_ok=True)
+        self._console.unlink(missing_ok=True)
         self._file.truncate(0)
         self._file.close()
 

@@ -68,6 +68,35 @@ def test_an_address_lets_in_once_and_nobody_else_reads_it(console: Console) -> N
     assert get(console, "/enter?token=")[0] == 401
 
 
+def test_a_token_that_nobody_used_ends_and_a_fresh_one_lies_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    now = [1000.0]
+    monkeypatch.setattr("rbtrg_robot.console.door.time.monotonic", lambda: now[0])
+    own = door.Door("a", "http://127.0.0.1:1")
+
+    def token(role: str) -> str:
+        return str(json.loads(console_file("a").read_text())[role])
+
+    first = token("operator")
+    now[0] += 0.6 * door.TOKEN_LIFE
+    own.renew()
+    second = token("operator")
+    assert second != first
+    assert own.enter(token("observer"))
+    assert own.enter(first), "its life is not over"
+    assert not own.enter(first)
+    now[0] += 0.5 * door.TOKEN_LIFE
+    own.renew()
+    third = token("operator")
+    assert third != second, "whoever asks now has half a life"
+    assert not own.enter(first)
+    now[0] += 0.6 * door.TOKEN_LIFE
+    assert not own.enter(second)
+    assert own.enter(third)
+
+
 def test_nothing_is_served_to_who_has_no_cookie(console: Console) -> None:
     for path in ("/", "/about", "/page/main.js", "/runs", "/maps", "/nowhere"):
         status, headers, words = get(console, path)

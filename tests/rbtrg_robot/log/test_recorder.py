@@ -21,7 +21,7 @@ from rbtrg_robot.log.read import is_intact, read_log
 from rbtrg_robot.log.recorder import Recorder
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.process.leftovers import last_words, rotate
-from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
+from rbtrg_robot.run_folder import UnsafeFolder, run_dir
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import encode, header

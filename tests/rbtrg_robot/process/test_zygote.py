@@ -55,6 +55,7 @@ def test_exit_status_and_last_words_arrive(zygote: Zygote, tmp_path: Path) -> No
     assert forked.wait(60.0) == FATAL
     assert forked.poll() == FATAL
     assert log.read_text().startswith("error: ")
+    assert log.stat().st_mode & 0o077 == 0, "the user's alone"
 
 
 def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, tmp_path: Path) -> None:
@@ -63,7 +64,7 @@ def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, t
     assert alone.wait(60.0) == PASSING
     assert "nothing answers" in (tmp_path / "alone.log").read_text().splitlines()[-1]
     with Bus(f"tcp/127.0.0.1:{port}", "test", router=True):
-        wrong = tracker("robot", port=port, backend="unitree", interface="none0")
+        wrong = tracker("robot", port=port, backend="unitree", interface="none0", network={"open_bus": True})
         robot = zygote.fork(wrong, tmp_path / "robot.log")
         assert robot.wait(60.0) == FATAL
     assert "'none0' does not exist" in (tmp_path / "robot.log").read_text().splitlines()[-1]

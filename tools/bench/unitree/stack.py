@@ -107,6 +107,7 @@ def running_stack(domain: int, peer: PeerProcess) -> Iterator[Stack]:
     with tempfile.TemporaryDirectory() as scratch:
         port = free_port()
         arguments = ["--backend", "unitree", "--interface", "lo", "--set", f"unitree.domain={domain}"]
+        arguments += ["--set", "network.open_bus=true"]
         arguments += ["--set", "unitree.sit_on_close=false"]  # the next one drives at once
         up = subprocess.Popen(
             [

@@ -23,7 +23,7 @@ FITS_AGAIN = 0.1, 0.04
 """Share of points off the surfaces and RMS distance from them [m] of a scan that fits beyond doubt, at most,"""
 USUAL = 2.0
 """and never more than this times what is usual,"""
-SPARE = 0.03, 0.01
+SPARE = 0.02, 0.01
 """with this share of points off the surfaces [0..1] and this distance [m] to spare: where the usual ground is level, all other fits worse."""
 ON_PLANES = 0.25
 """Least share of its points in voxels that have a plane."""

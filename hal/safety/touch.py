@@ -1,8 +1,8 @@
 """What the robot touches and no sensor foretold, felt from joints and IMU: something holds the body, or one wheel.
 
 Newton's law does the work: what the wheels get from the ground, by the leg torques, is all that moves the robot. What the
-accelerometer tells beyond that pushes at the body. A slope is in both. A wheel is held where it alone is pushed back, while the
-others drive. Whether the map explains it is not decided here: `update` is told how uneven the map is at the wheels.
+accelerometer tells beyond that pushes at the body. A slope is in both. A wheel that leads is held where it alone is pushed back, while
+the others drive. Whether the map explains it is not decided here: `joints` is told how uneven the map is at the wheels.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SY, THIGH_LINK, THIGH_Y, TREAD_Y
+from hal.go2w import BASE, BODY_LENGTH, BODY_WIDTH, HIP, HIP_Y, SX, SY, THIGH_LINK, THIGH_Y, TREAD_Y
 from hal.safety import monitors
 from hal.safety.swept import TOUCHED, Surroundings
 from hal.types import GRAVITY, NS, Array, ImuSample, JointSample
@@ -34,7 +34,10 @@ STRAIN = 0.3
 TURN = 60.0
 """[N s/rad] A turn pushes wheels back as well: what more it takes then."""
 FACE = 0.04
-"""[m] The map explains a held wheel where its ground lies this far off the plane that the robot stands on: what is lower does not hold a wheel."""
+"""[m] Ground that lies this far off the plane that the robot stands on throws legs about, and is a face to climb."""
+EDGE = 0.025
+"""[m] The map explains a held wheel from here on: an edge of this height takes as much push as a wheel carries (its radius is 0.086 m), and the
+map tells no lower one from its noise."""
 TALL = 0.20
 """[m] The same of the body, whose belly is higher."""
 ROUGH = 3.0
@@ -104,10 +107,12 @@ class TouchWatch:
         self._body = max(self._body + (elapsed if pushed else -elapsed), 0.0)
         others = (back.sum() - back) / 3.0
         beside = back[[2, 3, 0, 1]]
-        alone = (back > PUSHED) & (beside < STRAIN * back)
+        alone = (
+            (way * SX > 0.0) & (back > PUSHED) & (beside < STRAIN * back)
+        )  # a wheel behind rolls where one rolled
         worst = np.where(alone, back - others - TURN * abs(wz), 0.0)
         for leg in range(4):
-            more = slow and not rough and monitors.TOUCHED.outside(float(worst[leg]))
+            more = slow and uneven < EDGE and monitors.TOUCHED.outside(float(worst[leg]))
             self._wheel[leg] = max(self._wheel[leg] + (elapsed if more else -elapsed), 0.0)
         if self._body >= BODY_TIME:
             return self._tell(Touch(way, 0.0))

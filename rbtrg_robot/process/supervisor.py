@@ -86,7 +86,8 @@ class Supervisor:
         self._looked = math.inf
         self._deaf_until = 0.0
         self._narrator = Narrator(say)
-        self._mission: MissionFile | None = None
+        self._latch = LatchFile(config.robot)
+        self._mission = MissionFile(config.robot)
         self._notifier = Notifier()
         self._diagnosis = Diagnosis(config.robot)
         self._diagnosis_due = 0.0
@@ -110,11 +111,9 @@ class Supervisor:
 
     def _run(self, stopping: Callable[[], bool], on_turn: Callable[[dict[str, Any]], None]) -> None:
         lock = RunLock(self._config.robot)
-        self._latch = LatchFile(self._config.robot)
         if latched := self._latch.read():
             self._kept[t.ROBOT_STATE] = latched
             self._say("the emergency stop of before is still latched: `rbtrg-robot resume` releases it")
-        self._mission = MissionFile(self._config.robot)
         if left := self._mission.read():
             self._kept |= left
             self._say("a mission of before is paused: see `rbtrg-robot mission status`")
@@ -149,7 +148,7 @@ class Supervisor:
                 continue
             if any(received.topic in c.row.restores for c in self._children.values()):
                 self._kept[received.topic] = received.payload
-            if self._mission and t.MISSION_STATE.carried(message, received.topic):
+            if t.MISSION_STATE.carried(message, received.topic):
                 self._mission.write(self._kept, message)
             if received.topic in Health.WATCHED:
                 self._health.take(received.topic, message)

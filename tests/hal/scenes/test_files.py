@@ -209,7 +209,7 @@ def test_rasterised_triangles_match_their_plane(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (("nowhere.ply", {}), "no such file"),
-        (("nowhere", {}), "use one of flat, yard"),
+        (("nowhere", {}), "use one of flat, .*yard, .*or a file"),
         (("yard", {"resolution": 0.1}), "built in"),
         (("yard", {"seed": 3}), "no seed"),
         (("maze:x", {}), "whole number"),

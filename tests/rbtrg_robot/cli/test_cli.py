@@ -119,6 +119,7 @@ def test_a_rerun_takes_the_configuration_of_the_log_with_changes(tmp_path: Path)
     with LogWriter(path, {}, {CONFIG: b"scene: flat\ntracker: {max_speed: 0.4, old_key: 1}\n"}) as writer:
         for stamp in range(0, NS, NS // 10):
             writer.write(t.CLOCK, encode(t.CLOCK.kind(clock=time_msg(stamp))), stamp, stamp, 1)
+        writer.write(t.PATH_COMMAND, encode(t.PATH_COMMAND.kind()), NS, NS, 1)
     out = tmp_path / "new.mcap"
     order = ("replay", str(path), "--rerun", "tracker", "--out", str(out), "--set")
     wrong = run(*order, "tracker.max_sped=1", tmp_path=tmp_path)

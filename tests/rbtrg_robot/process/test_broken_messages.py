@@ -13,7 +13,6 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import render
 from rbtrg_robot.config import load
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.process.mission_file import MissionFile
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.bus import Received, Refusals
 from rbtrg_robot.wire.convert import LayoutError, map_patch
@@ -40,8 +39,9 @@ class Inbox(Refusals):
 
 
 @pytest.fixture
-def supervisor(tmp_path: Path) -> Supervisor:
+def supervisor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Supervisor:
     """One that has no processes to start: it only listens."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     made = Supervisor(load(record=False, log_dir=str(tmp_path)), None, print)  # type: ignore[arg-type]
     made._bus = Inbox()  # type: ignore[assignment]
     made._mend = made._measure = lambda: None  # type: ignore[method-assign]
@@ -84,11 +84,7 @@ def test_no_mutation_of_a_watched_message_ends_the_supervisor(supervisor: Superv
     assert supervisor._health.beats.keys() <= supervisor._children.keys()
 
 
-def test_a_mission_of_an_unknown_phase_leaves_the_supervisor_up(
-    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    supervisor._mission = MissionFile("a")
+def test_a_mission_of_an_unknown_phase_leaves_the_supervisor_up(supervisor: Supervisor) -> None:
     state = msg.MissionState(order_id="o", phase="dancing", step=9)
     assert turn(supervisor, t.MISSION_STATE, encode(state))["robot"]["mission"]["phase"] == "dancing"
 

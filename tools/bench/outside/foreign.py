@@ -107,11 +107,16 @@ def imu(
     topic: str = "/imu",
     frame: str = "imu",
 ) -> list[Message]:
-    """200 Hz of a robot that does not turn."""
+    """200 Hz of a robot that does not turn, with the noise that a real sensor has."""
     out = []
-    for k in range(round(seconds * 200)):
+    noise = np.random.default_rng(0).normal(0.0, (1e-3,) * 3 + (1e-2,) * 3, (round(seconds * 200), 6))
+    for k, (x, y, z, *shaken) in enumerate(noise.tolist()):
         stamp = START + k * NS // 200
-        message = msg.Imu(header=header(stamp, frame), linear_acceleration=msg.Vector3(*accel))
+        message = msg.Imu(
+            header=header(stamp, frame),
+            angular_velocity=msg.Vector3(x, y, z),
+            linear_acceleration=msg.Vector3(*np.add(accel, shaken).tolist()),
+        )
         out.append((topic, msg.Imu.__msgtype__, stamp + 1_000_000, encode(message)))
     return out
 

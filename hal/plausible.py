@@ -16,10 +16,14 @@ from hal.safety.monitors import (
     TURN_RATE,
     UPRIGHT,
 )
-from hal.types import NS, Array
+from hal.types import GRAVITY, NS, Array
 
 _SMOOTH = 0.5
 """[s] over which a specific force is averaged: a shock is over, a wrong unit stays."""
+_SHOCK = 2.0 * GRAVITY
+"""[m/s^2] A larger force counts as one of this size: one blow outweighs no half second, a wrong unit does."""
+_TUMBLES = 2.0
+"""[rad/s] No robot turns so fast on its feet: one that was thrown over flies for longer than half a second, and feels no gravity then."""
 _TRUST = 5.0
 """[s] in which the direction that the gyro tells is drawn to the measured one: a bias of 1 deg/s puts it off by 5 deg."""
 _GAP = NS // 5
@@ -41,6 +45,8 @@ class ImuCheck:
         self._mean = self._up = (0.0, 0.0, 0.0)
         """Specific force [m/s^2] and the direction up, by gyro and by what was believed."""
         self._stood = False
+        self._spin = 0.0
+        """Mean turn rate [rad/s]."""
 
     def impossible(self, gyro: Array, accel: Array) -> str:
         """Which value of a sample, (3,) [rad/s] and (3,) [m/s^2], no such sensor can measure; empty where all can be."""
@@ -53,7 +59,9 @@ class ImuCheck:
     def contradicted(self, stamp: int, gyro: Array, accel: Array) -> str:
         """Why gravity contradicts a possible sample at `stamp` [ns]; empty where it does not. Call it for each, in order."""
         # Plain floats: at the rate of an IMU, numpy on three numbers costs more than all the rest.
-        a = tuple(accel.tolist())
+        x, y, z = accel.tolist()
+        share = min(1.0, _SHOCK / (math.hypot(x, y, z) or 1.0))
+        a = share * x, share * y, share * z
         wx, wy, wz = gyro.tolist()
         dt = 0.0 if self._stamp is None else stamp - self._stamp
         if self._stamp is None or not 0 <= dt <= _GAP:
@@ -66,6 +74,7 @@ class ImuCheck:
             return x - dt * (wy * z - wz * y), y - dt * (wz * x - wx * z), z - dt * (wx * y - wy * x)
 
         self._mean = _toward(turned(self._mean), a, dt / (_SMOOTH + dt))
+        self._spin += dt / (_SMOOTH + dt) * (math.hypot(wx, wy, wz) - self._spin)
         self._up = turned(self._up)
         reason = self._gravity()
         if not reason:
@@ -74,7 +83,7 @@ class ImuCheck:
 
     def _gravity(self) -> str:
         size = math.hypot(*self._mean)
-        if GRAVITY_SIZE.outside(size):
+        if GRAVITY_SIZE.outside(size) and self._spin < _TUMBLES:
             return GRAVITY_SIZE.tell(stream=self._stream, value=size)
         direction = _unit(self._mean)
         if not self._stood:

@@ -232,10 +232,10 @@ ACCELERATION = Monitor(
     Check.RANGE,
     Consequence.REFUSE,
     "robot, odometry",
-    "{stream}: an acceleration of {value:.3g} m/s^2, possible are -160 to 160",
+    "{stream}: an acceleration of {value:.3g} m/s^2, possible are -400 to 400",
     "the sensor or its driver is broken: replace it, or `unitree.imu` of the other one",
-    low=-160.0,  # 16 g, the widest range of such sensors
-    high=160.0,
+    low=-400.0,  # 40 g, the widest range of inertial sensors (ADXL357); a fall onto concrete reaches 30 g
+    high=400.0,
     unit="m/s^2",
     test="hal/test_plausible.py",
 )
@@ -360,10 +360,10 @@ IMPOSSIBLE_SPEED = Monitor(
     Check.RANGE,
     Consequence.LOST,
     "odometry",
-    "the pose moves at {speed:.1f} m/s, faster than the robot drives: accelerometer or wheels tell what cannot be",
+    "the pose moves at {speed:.1f} m/s, as no robot can: accelerometer or wheels tell what cannot be",
     "let the robot stand; if it comes again, restart the stack and look at the IMU",
     high=1.0,
-    unit="of 4 m/s, or 1.6 m/s up or down; the fastest of our robots drives 2.5",
+    unit="of 4 m/s gained in a sweep, or 1.6 m/s up or down with wheels on the ground",
     test="mapping/odometry/test_inputs_that_lie.py",
 )
 SCANS_DISAGREE = Monitor(

@@ -180,8 +180,10 @@ class InertialFilter:
         self.p = 0.5 * (self.p + self.p.T)
 
     def refuse(self, x: Array) -> None:
-        """What was integrated since the state `x` (16,) cannot be: the body is taken to be where it was then, at rest, with room for what it may have moved."""
-        self.x[:] = x
+        """What was integrated since the state `x` (16,) cannot be: the body is taken to be where it was then, at rest, with room for what it may have moved.
+        Its attitude is what the gyro tells.
+        """
+        self.x[:6], self.x[10:] = x[:6], x[10:]
         settle(self.x, self.p)
 
     def misplaced(self, moved: float, turned: float) -> None:

@@ -51,7 +51,7 @@ from mapping.odometry.wheels import WheelOdometry, velocities
 
 ZERO = np.zeros(6)
 FASTEST, FALLS = 4.0, 1.6
-"""No robot of ours moves faster, nor up or down: that is a fall of 0.13 m, or an IMU whose gravity is wrong [m/s]."""
+"""No robot gains more speed from one sweep to the next, also when it is thrown, and none goes up or down faster with its wheels on the ground [m/s]."""
 TOLD = 1.0
 """A scan whose standard deviation ahead is larger [m] does not tell how far the robot came."""
 TYRES = 0.01
@@ -314,13 +314,15 @@ class LidarInertialOdometry:
         )
         x, variance = state.x.copy(), np.diag(state.p)[[0, 1, 8]]
         inside = imu[imu_stamp <= end]
-        self._still = still(inside, x[10:13], joints, wheel)
+        self._still = touching and still(inside, x[10:13], joints, wheel)
         rate = float(inside[:, 2].mean()) if len(inside) else x[12]
         self._turned = (rate - x[12]) * (end - state.stamp) * 1e-9
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)
         speed = float(np.linalg.norm(state.x[3:6]))
+        gained = float(np.linalg.norm(state.x[3:6] - x[3:6]))
+        fast = max(gained / FASTEST, abs(state.x[5]) / FALLS if touching else 0.0)
         self._untrue = self._inbox.streams["imu"].words
-        if IMPOSSIBLE_SPEED.outside(max(speed / FASTEST, abs(state.x[5]) / FALLS)):
+        if IMPOSSIBLE_SPEED.outside(fast):
             self._untrue = IMPOSSIBLE_SPEED.tell(speed=speed)
             state.refuse(x)
         elif self._still:

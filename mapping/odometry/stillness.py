@@ -17,8 +17,9 @@ SAMPLES = 10
 
 
 def still(imu: Array, bias: Array, joints: Array, velocity: Array) -> bool:
-    """Over one sweep: inertial samples (n, 6) beside the `bias` (3,) of the gyro, joint samples (m, 48) and the velocities (m, 3) that these tell."""
-    if len(imu) < SAMPLES or len(joints) < 2 or not np.isfinite(velocity).all():
+    """Over one sweep: inertial samples (n, 6) beside the `bias` (3,) of the gyro, joint samples (m, 48) and the velocities (m, 3) that these tell, of wheels
+    that are on the ground."""
+    if len(imu) < SAMPLES or len(joints) < 2:
         return False
     turning = np.abs(imu[:, :3].mean(axis=0) - bias).max()
     rolling = np.abs(joints[:, 28:32]).max()

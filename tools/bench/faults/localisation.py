@@ -114,7 +114,7 @@ FAULTS = (
     ),
     Fault(
         "impossible_speed", (IMPOSSIBLE_SPEED,), (0.3, 0.5), _while_driving(_shoved), error=0.25,
-        says=("faster than the robot drives",),
+        says=("as no robot can",),
     ),
     Fault(
         "moving_floor", (MOVED_WHILE_STILL,), (0.1, 0.3), _moving_floor, error=0.35, says=("is the robot carried",),

@@ -117,7 +117,7 @@ class UnitreeBackend:
         out: list[Sample] = list(telemetry.read(now))
         self._rpc.poll(now)
         # What makes LowState late: the way, or the robot's clock? A request that is answered at once tells.
-        if not (telemetry.low_clock.doubtful and not self._dry_run):
+        if self._dry_run or not telemetry.low_clock.doubtful:
             self._echo.rest()
         elif self._echo.prompt(now):
             telemetry.believe_clock(now)

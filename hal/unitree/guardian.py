@@ -229,6 +229,7 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
     """Read `orders` and write to `signs` (descriptors) as told above, until either is at its end and the last order is through."""
     order = Order(link, avoid)
     moving, ended, ready = False, False, False
+    own = False  # the order is ours, for a silent driver: not what it asked for
     heard = sign = time.monotonic()
     while True:
         busy = order.pump(time.monotonic())
@@ -239,6 +240,10 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
         gone = False
         if readable:
             data = os.read(orders, 4096)
+            if data and own:  # the driver is back, and says itself whether the robot rests
+                own = False
+                if order.halt.order is Sport.STOP_MOVE:
+                    order.halt.end()
             for byte in data:
                 _obey(order, byte, now)
                 moving = byte == ord("m") if byte in b"mi" else moving
@@ -247,7 +252,7 @@ def watch(link: Link, avoid: bool, orders: int, signs: int) -> None:
             else:
                 gone = True
         elif moving and not ended and now - heard > SILENCE:
-            moving = False
+            moving, own = False, True
             order.give(Sport.STOP_MOVE, now)
             order.pump(now)
             _say(f"no heartbeat for {now - heard:.2f} s, stopping the robot")

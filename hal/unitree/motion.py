@@ -150,20 +150,17 @@ class Halt:
         if self.order is None:
             return None
         speed, lasted = motion.speed(now), now - self._since
-        moves = speed is not None and ROLLS_ON.outside(speed)
-        self._way += speed * max(0.0, now - self._seen) if moves and speed is not None else 0.0
+        rolls = speed if speed is not None and ROLLS_ON.outside(speed) else 0.0
+        moves = rolls > 0.0
+        self._way += rolls * max(0.0, now - self._seen)
         self._seen = now
         if lasted > LONGEST or motion.remote or self._over(speed is not None, moves, lasted):
             self.order = None
             return None
-        if (
-            moves
-            and self.order is Sport.STOP_MOVE
-            and speed is not None
-            and self._soft(lasted, speed, motion)
-        ):
-            self.damped = ROLLS_ON.tell(speed=f"{speed:.2f} m/s", after=f"{lasted:.1f} s")
+        if moves and self.order is Sport.STOP_MOVE and self._soft(lasted, rolls, motion):
+            self.damped = ROLLS_ON.tell(speed=f"{rolls:.2f} m/s", after=f"{lasted:.1f} s")
             self.order, self._answered, self._sent = Sport.DAMP, False, -math.inf
+            self._since, lasted = now, 0.0
         if self._answered and not (moves and lasted > BRAKING):
             return None
         if now - self._sent < (AGAIN if self._answered else UNANSWERED):
@@ -173,9 +170,7 @@ class Halt:
 
     def _over(self, heard: bool, moves: bool, lasted: float) -> bool:
         """Whether the robot rests, or, where it is not heard, has said so."""
-        if moves:
-            return False
-        return self._answered and (lasted >= WINDOW or not heard) if lasted < INSIST else True
+        return not moves and (lasted >= INSIST or (self._answered and (lasted >= WINDOW or not heard)))
 
     def _soft(self, lasted: float, speed: float, motion: Motion) -> bool:
         """Whether Damp is safer than to go on asking."""

@@ -48,7 +48,7 @@ class Telemetry:
     """Drains the link into samples. Ages are host time since the last message that carried something new."""
 
     def __init__(self, link: Link, options: UnitreeConfig, *, log_raw: bool = False) -> None:
-        """`log_raw`: log what the posture is read from whenever it changes."""
+        """`log_raw`: a dry run. What the posture is read from is logged whenever it changes, and no request is answered by the robot."""
         self._log_raw = log_raw
         self._link, self._options = link, options
         self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)
@@ -63,7 +63,7 @@ class Telemetry:
         """Samples with values that cannot be."""
         self._refused: dict[str, tuple[str, int]] = {}
         """By stream why its newest impossible sample was not passed on, and when [ns]."""
-        self.low_clock = RemoteClock(answers=True)
+        self.low_clock = RemoteClock(answers=not log_raw)
         self._link_quality = LinkQuality()
         self.motion = Motion()
         self._turns = Turns()

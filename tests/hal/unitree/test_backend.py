@@ -505,6 +505,18 @@ def test_a_restarted_robot_is_noticed():
     assert abs(stamps[-1] - world.now) < NS // 10
 
 
+def test_a_dry_run_follows_a_restarted_robot():
+    """It asks nothing, so no answer tells a restart from a delay: the tick that begins anew does."""
+    world = World(dry_run=True)
+    world.backend.connect()
+    world.run(3.0)
+    restarted(world, Faults(epoch=5.0), standing=True)
+    world.run(3.0)
+    stamps = [s.stamp for s in world.run(1.0) if isinstance(s, ImuSample)]
+    assert abs(stamps[-1] - world.now) < NS // 10
+    assert world.sent == []
+
+
 def test_control_of_a_restarted_robot_is_taken_again():
     """It came back listening to its joystick alone."""
     world = ready(options=UnitreeConfig(lidars=only("l1"), avoid_obstacles=True))
@@ -793,12 +805,12 @@ IMPOSSIBLE = {
     "IMU too large": (
         "accel_scale",
         1e28,
-        "IMU: an acceleration of 9.81e+28 m/s^2, possible are -160 to 160",
+        "IMU: an acceleration of 9.81e+28 m/s^2, possible are -400 to 400",
     ),
     "L1 too large": (
         "l1_accel",
         1e28,
-        "IMU of the L1: an acceleration of -7.05e+27 m/s^2, possible are -160 to 160",
+        "IMU of the L1: an acceleration of -7.05e+27 m/s^2, possible are -400 to 400",
     ),
     "motor": ("lost", 9999, "motor FL_calf has lost 9999 messages, error bits 0x4"),
 }

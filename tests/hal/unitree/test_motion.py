@@ -19,7 +19,7 @@ from hal.unitree.api import Response, Sport
 from hal.unitree.guardian import Order
 from hal.unitree.layout import CDR_HEADER, LOW_STATE_CDR, SPORT_MODE_STATE_CDR
 from hal.unitree.link import LOW_STATE, SPORT_STATE
-from hal.unitree.motion import FASTEST, PATIENCE, STEEPEST, WAY, Halt, Motion
+from hal.unitree.motion import FASTEST, INSIST, PATIENCE, STEEPEST, WAY, Halt, Motion
 from hal.unitree.sentry import Sentry
 from tests.hal.unitree.robot import Faults
 from tests.hal.unitree.world import World
@@ -181,6 +181,24 @@ def test_a_robot_whose_motion_is_not_heard_is_told_until_it_answers_for_a_second
             if halt.due(10.0 + 0.02 * k, deaf) is not None:
                 told.append(0.02 * k)
         assert told[-1] == pytest.approx(0.2 if answers else 1.0, abs=0.1)
+
+
+def test_damp_is_insisted_on_where_the_motion_falls_silent() -> None:
+    """The order was as old as the stop before it: it ended unsaid after the first Damp, which can get lost."""
+    robot = Rolling()
+    robot.run(1.0, 0.5)
+    robot.stop()
+    while not robot.halt.damped:
+        robot.run(0.02, 0.5)
+    robot.sent.clear()
+    for _ in range(100):
+        robot.now += 0.02
+        order = robot.halt.due(robot.now, robot.motion)
+        if order is not None:
+            robot.sent.append((robot.now, order))
+    assert robot.sent[-1][0] - robot.sent[0][0] == pytest.approx(INSIST, abs=0.1)
+    assert {order for _, order in robot.sent} == {Sport.DAMP}
+    assert robot.halt.order is None, "not for ever"
 
 
 # --- the driver -----------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,8 +17,10 @@ import pytest
 from hal.unitree import api, guardian
 from hal.unitree.api import ObstaclesAvoid, Request, Response, Sport
 from hal.unitree.guardian import SILENCE, Guardian, Order, watch
+from hal.unitree.layout import CDR_HEADER
 from hal.unitree.motion import INSIST
 from hal.unitree.sentry import Sentry, run
+from tests.hal.unitree.test_motion import low as low_state
 
 
 class Link:
@@ -169,6 +172,49 @@ def test_a_guardian_that_can_say_nothing_stops_the_robot(
         for end in (orders, read, signs):
             os.close(end)
     assert {(s, r.api) for s, r in link.sent} == {(api.SPORT, Sport.STOP_MOVE)}
+
+
+class Rolling(Link):
+    """Beside a robot that rolls at 0.5 m/s, whatever it is told."""
+
+    def take(self, topic: str) -> list[bytes]:
+        if topic != guardian.LOW_STATE:
+            return []
+        tick = time.monotonic_ns() // 2_000_000 % 2**31
+        return [CDR_HEADER + low_state(0.5, tick=tick)[0].tobytes()]
+
+
+def test_a_driver_that_pauses_and_comes_back_is_not_stopped_by_what_was_begun_for_it() -> None:
+    """A pause of 0.18 s ended in Damp 1.5 s later, while the driver drove on as it should."""
+    link = Rolling()
+    orders, tell = os.pipe()
+    read, signs = os.pipe()
+    watcher = threading.Thread(target=watch, args=(link, False, orders, signs))
+    watcher.start()
+
+    def drive(seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until:
+            os.write(tell, b"m")
+            time.sleep(0.02)
+
+    try:
+        drive(0.3)
+        begun = time.monotonic() + 10 * SILENCE
+        while not link.sent and time.monotonic() < begun:  # the driver is silent until the guardian acts
+            time.sleep(0.01)
+        assert link.sent, "the guardian stops the robot of a silent driver"
+        drive(0.2)
+        told = len(link.sent)
+        drive(2.5)
+        assert link.sent[told:] == []
+    finally:
+        os.write(tell, b"i")
+        os.close(tell)
+        watcher.join(10.0)
+        for end in (orders, read, signs):
+            os.close(end)
+    assert Sport.DAMP not in [request.api for _, request in link.sent]
 
 
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, lines: str) -> None:

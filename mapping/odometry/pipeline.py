@@ -308,7 +308,7 @@ class LidarInertialOdometry:
         wheel, sigma, _ = velocities(
             joint_stamp, joints, imu_stamp, imu, state.x[10:13], self._lever, noise, scale
         )
-        touching = np.isfinite(sigma[:, 0]).all() and len(wheel) >= 3
+        touching = bool(np.isfinite(sigma[:, 0]).all()) and len(wheel) >= 3
         self._rolled = (
             float(wheel[:, 0].mean()) / scale * (end - state.stamp) * 1e-9 if touching else math.nan
         )

@@ -1,4 +1,4 @@
-"""The one reader of .npz files from somebody else: what an array takes is known, and allowed, before anything is unpacked.
+"""The one reader of .npz and .npy files from somebody else: what an array takes is known, and allowed, before anything is unpacked.
 
 `numpy.load` unpacks what an archive says, up to a thousand times its size, and its parser of headers raises whatever it trips over.
 """
@@ -6,11 +6,10 @@
 from __future__ import annotations
 
 import math
-import struct
-import tokenize
+import os
 import zipfile
-import zlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,15 +26,12 @@ MAX_HEADER = 10_000
 KINDS = "biufU"
 """Kinds of numbers and texts that are read: no objects, which would run code, no records."""
 GIGABYTE = 1_000_000_000
-TRIPS = (
-    zipfile.BadZipFile, zlib.error, tokenize.TokenError, struct.error, ValueError, SyntaxError, TypeError, KeyError, IndexError,
-    AttributeError, EOFError, OverflowError, RecursionError, MemoryError, NotImplementedError, RuntimeError, AssertionError,
-)  # fmt: skip
-"""What zip, zlib and numpy raise over bytes that are none of theirs."""
+PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""How a member may be packed. The other ways take memory that the size of the member does not tell."""
 
 
 class DamagedFile(ValueError):
-    """It is no readable .npz, or larger than allowed; the message says what is wrong, without the file's name."""
+    """It is no readable file of arrays, or larger than allowed; the message says what is wrong, without the file's name."""
 
 
 def read_npz(path: Path | str, most: float = GIGABYTE, only: Collection[str] = ()) -> dict[str, NDArray[Any]]:
@@ -43,30 +39,55 @@ def read_npz(path: Path | str, most: float = GIGABYTE, only: Collection[str] = (
 
     most: bytes that all arrays of the file may take together. Raises OSError, and DamagedFile for everything else.
     """
-    with open_regular(path) as file:
-        try:
-            with zipfile.ZipFile(file) as archive:
-                return _arrays(archive, most, only)
-        except DamagedFile:
-            raise
-        except TRIPS as error:
-            raise DamagedFile(" ".join(f"broken or truncated .npz file ({error})".split())[:200]) from error
+    with open_regular(path) as file, _told("npz"), zipfile.ZipFile(file) as archive:
+        return _arrays(archive, most, only)
+
+
+def read_npy(path: Path | str, most: float = GIGABYTE) -> NDArray[Any]:
+    """The array of a .npy file of `most` bytes. Raises OSError, and DamagedFile for everything else."""
+    with open_regular(path) as file, _told("npy"):
+        size = os.fstat(file.fileno()).st_size
+        _check_size(size, most)
+        return _array(file, size, "the array")
+
+
+def check_packed(member: zipfile.ZipInfo) -> None:
+    """Raises DamagedFile: it is packed in a way that is not read."""
+    if member.compress_type not in PACKED:
+        raise DamagedFile(
+            f"{member.filename[:40]}: packed by method {member.compress_type}: pack it as plain zip"
+        )
+
+
+@contextmanager
+def _told(kind: str) -> Iterator[None]:
+    """Whatever zip, zlib and numpy trip over is a damaged file."""
+    try:
+        yield
+    except (DamagedFile, OSError):
+        raise
+    except Exception as error:
+        raise DamagedFile(" ".join(f"broken or truncated .{kind} file ({error})".split())[:200]) from error
+
+
+def _check_size(size: int, most: float) -> None:
+    if size > most:
+        raise DamagedFile(
+            f"{size / GIGABYTE:.1f} GB of arrays, more than {most / GIGABYTE:g}: cut it or use a coarser resolution"
+        )
 
 
 def _arrays(archive: zipfile.ZipFile, most: float, only: Collection[str]) -> dict[str, NDArray[Any]]:
     members = archive.infolist()
     if len(members) > MAX_MEMBERS:
         raise DamagedFile(f"{len(members)} arrays, more than {MAX_MEMBERS}")
-    size = sum(member.file_size for member in members)
-    if size > most:
-        raise DamagedFile(
-            f"{size / GIGABYTE:.1f} GB of arrays, more than {most / GIGABYTE:g}: cut it or use a coarser resolution"
-        )
+    _check_size(sum(member.file_size for member in members), most)
     out: dict[str, NDArray[Any]] = {}
     for member in members:
         name = member.filename.removesuffix(".npy")
         if only and name not in only:
             continue
+        check_packed(member)
         with archive.open(member) as stream:
             out[name] = _array(stream, member.file_size, name)
     return out

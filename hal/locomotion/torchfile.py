@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hal.errors import OperatorError
-from hal.npzfile import TRIPS
+from hal.npzfile import check_packed
 from hal.regular import open_regular
 
 Float32 = NDArray[np.float32]
@@ -103,6 +103,7 @@ class _Unpickler(pickle.Unpickler):
     def persistent_load(self, pid: Any) -> NDArray[Any]:
         _, dtype, key, _, count = pid
         member = self._archive.getinfo(f"{self._root}/data/{int(key)}")
+        check_packed(member)
         self._room -= member.file_size
         if self._room < 0 or not isinstance(dtype, np.dtype):
             raise PolicyError(
@@ -123,6 +124,7 @@ def read_mlp(path: Path) -> list[Layer]:
                 raise PolicyError(
                     f"{path} holds no data.pkl: export the policy with torch.jit.script and save"
                 )
+            check_packed(archive.getinfo(entry))
             if archive.getinfo(entry).file_size > MAX_TREE:
                 raise PolicyError(
                     f"{path} is no policy: its tree of modules takes more than {MAX_TREE / 1e6:.0f} MB"
@@ -131,11 +133,13 @@ def read_mlp(path: Path) -> list[Layer]:
                 tree = _Unpickler(file, archive, entry.removesuffix("/data.pkl")).load()
         layers: list[Layer] = []
         _collect(tree, layers, path)
+    except PolicyError:
+        raise
     except FileNotFoundError as error:
         raise PolicyError(f"{path} does not exist: give the folder of a policy with --policy DIR") from error
     except OSError as error:
         raise PolicyError(f"cannot read {path}: {error.strerror}") from error
-    except (*TRIPS, pickle.UnpicklingError) as error:
+    except Exception as error:  # whatever a broken file trips zip, pickle and numpy over
         what = " ".join(str(error).split())[:200]
         raise PolicyError(f"{path} is damaged or not a TorchScript file ({what}): fetch it again") from error
     if not layers:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
-from hal.npzfile import DamagedFile, read_npz
+from hal.npzfile import DamagedFile, read_npy, read_npz
 from hal.regular import open_regular
 from hal.scenes.foreign import NODATA, read_las, read_tif, resolution_for, understood
 from hal.scenes.gridding import fill, grid, place_start
@@ -56,14 +56,14 @@ def read_scene(
     elif ending == ".npy" and (array := _read_npy(path)).shape[1:] != (3,):
         if resolution is None:
             raise SceneError(f"{path.name}: heights without a cell size: give --resolution METRES")
-        height, origin = array, (0.0, 0.0)
+        height, origin = _heights(array), (0.0, 0.0)
     elif ending in ENDINGS:
-        if ending in (".las", ".laz"):
-            geometry, local = Geometry(read_las(path), np.empty((0, 3), np.int64)), True
-        elif ending == ".npy":
-            geometry, local = Geometry(array.astype(np.float64), np.empty((0, 3), np.int64)), False
+        local = ending in (".las", ".laz")
+        if local or ending == ".npy":
+            points = read_las(path) if local else array
+            geometry = Geometry(points, np.empty((0, 3), np.int64)).finite(path.name)
         else:
-            geometry, local = read_geometry(path), False
+            geometry = read_geometry(path)
         taken = understood(geometry, units, up, local)
         geometry, words = taken.geometry, taken.words
         if resolution is None and not len(geometry.triangles):
@@ -107,18 +107,20 @@ def _scene(
     )
 
 
-def _read_npy(path: Path) -> NDArray[np.float32]:
-    """Heights (rows, cols), row 0 in the south, or points (n, 3)."""
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    """Heights (rows, cols), row 0 in the south, or points (n, 3): in double precision, since they may be of a country's grid."""
     try:
-        with open_regular(path) as file:
-            array = np.load(file, allow_pickle=False)
-        array = np.asarray(array, np.float32)
-    except (OSError, ValueError, TypeError, EOFError, MemoryError) as error:
+        array = np.asarray(read_npy(path), np.float64)
+    except (OSError, ValueError) as error:  # a damaged file, or one of texts
         raise SceneError(f"{path.name}: not a readable .npy ({error})") from error
     if array.ndim != 2 or min(array.shape) < 2:
         raise SceneError(f"{path.name}: heights are (rows, cols) and points (n, 3), this is {array.shape}")
-    array[np.isin(array, NODATA) | (np.abs(array) > 1e6)] = np.nan
     return array
+
+
+def _heights(array: NDArray[np.float64]) -> NDArray[np.float32]:
+    """With NaN where the model says that there is none."""
+    return np.where(np.isin(array, NODATA) | (np.abs(array) > 1e6), np.nan, array).astype(np.float32)
 
 
 def _read_png(
@@ -135,7 +137,7 @@ def _read_png(
         with open_regular(path) as file, Image.open(file) as image:
             deep = image.mode.startswith("I")  # 16 bit
             pixels = np.asarray(image if deep else image.convert("L"), np.float64)
-    except (OSError, UnidentifiedImageError, ValueError) as error:
+    except Exception as error:  # whatever a broken file trips the library over
         raise SceneError(f"{path.name}: not a readable PNG ({error})") from error
     height = low + (high - low) * pixels[::-1] / (65535.0 if deep else 255.0)  # row 0 of a picture is north
     rows, cols = height.shape

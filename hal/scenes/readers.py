@@ -32,20 +32,18 @@ def read_geometry(path: Path) -> Geometry:
         if data.startswith(b"version https://git-lfs"):
             raise SceneError(f"{path.name} is a Git LFS pointer, not the file: `git lfs pull` fetches it")
         geometry = reader(data)
+    except SceneError:
+        raise
     except OSError as error:
         raise SceneError(f"{path}: {error.strerror}") from error
-    except (ValueError, IndexError, KeyError, TypeError, OverflowError, MemoryError) as error:
+    except Exception as error:  # whatever a broken file trips a reader over
         raise SceneError(
             f"{path.name}: broken or truncated {path.suffix[1:].upper()} file ({error})"
         ) from error
-    finite = np.asarray(np.isfinite(geometry.vertices).all(axis=1))
-    if not finite.any():
-        raise SceneError(f"{path.name}: holds no points")
-    if len(geometry.triangles):
-        if geometry.triangles.min() < 0 or geometry.triangles.max() >= len(geometry.vertices):
-            raise SceneError(f"{path.name}: broken file (a face names a vertex that is not there)")
-        return Geometry(geometry.vertices, geometry.triangles[finite[geometry.triangles].all(axis=1)])
-    return Geometry(geometry.vertices[finite], geometry.triangles)
+    named = geometry.triangles
+    if len(named) and (named.min() < 0 or named.max() >= len(geometry.vertices)):
+        raise SceneError(f"{path.name}: broken file (a face names a vertex that is not there)")
+    return geometry.finite(path.name)
 
 
 _NO_FACES = np.empty((0, 3), np.int64)

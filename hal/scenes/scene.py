@@ -34,6 +34,14 @@ class Geometry:
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int64]
 
+    def finite(self, name: str) -> Geometry:
+        """Without vertices that are no numbers, and without their triangles. Raises SceneError: nothing is left of file `name`."""
+        good = np.asarray(np.isfinite(self.vertices).all(axis=1))
+        if not good.any():
+            raise SceneError(f"{name}: holds no points")
+        whole = self.triangles[good[self.triangles].all(axis=1)]
+        return Geometry(self.vertices[good], (np.cumsum(good) - 1)[whole])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:

@@ -59,17 +59,18 @@ def rerun(
     if unknown:
         say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
     config = load(file, sets, base=base)
-    held = overview(log).topics
+    found = overview(log)
+    held = found.topics
     _check(log, names, held, config)
     metadata = contents.metadata.get(METADATA, {}) | {"rerun": ",".join(names)}
     stages = build_stages(config, names)
     for stage, _period in stages.values():
         stage.warm_up()
     counts: Counter[str] = Counter()
-    steps, restarted = read_journals(read_run(log))
-    begin = next((entry.log_time for entry in read_run(log)), 0)
-    within = Window(begin, start_offset, duration)
-    steps = {name: deque(step for step in of if within.holds(step[3])) for name, of in steps.items()}
+    within = Window(found.begin, start_offset, duration)
+    # From a later start on, stages begin anew: their messages have other numbers than the journals say.
+    journals = t.JOURNAL.name in held and not start_offset
+    steps, restarted = read_journals(within.entries(read_run(log)) if journals else ())
     live = stages.keys() <= steps.keys()
     replaced = {
         topic
@@ -93,6 +94,7 @@ def rerun(
                     topic is not None
                     and topic not in replaced
                     and topic is not t.HEARTBEAT
+                    and (live or topic is not t.JOURNAL)  # in the order of the log, messages get new numbers
                     and entry.type == topic.type
                 ):
                     yield topic, entry
@@ -117,18 +119,14 @@ class Window:
                 f"--start-offset must be 0 or more and --duration positive, got {offset} and {duration}"
             )
         self._first = begin + round(offset * NS)
-        self._end = self._first + min(duration, 1e9) * NS
-
-    def holds(self, log_time: int) -> bool:
-        """Whether what was recorded then [ns] is in the part."""
-        return self._first <= log_time <= self._end
+        self._end = self._first + round(min(duration, 1e9) * NS)
 
     def entries(self, entries: Iterable[Entry]) -> Iterator[Entry]:
-        """Those of the part, after what was latched before it."""
+        """Those of the part, after what was latched before it. Nothing behind it is read."""
         latched: dict[str, Entry] = {}
         for entry in entries:
             if entry.log_time > self._end:
-                continue
+                return
             if entry.log_time >= self._first:
                 yield from latched.values()
                 latched = {}

@@ -21,7 +21,7 @@ from hal.errors import OperatorError
 from hal.locomotion.controllers import OURS
 from hal.locomotion.torchfile import PolicyError, _rebuild_tensor, read_mlp
 from hal.locomotion.weights import load_weights
-from hal.npzfile import DamagedFile, read_npz
+from hal.npzfile import DamagedFile, read_npy, read_npz
 from hal.scenes import load_scene
 from mapping.elevation.files import load_into, read_cloud
 from mapping.elevation.tiles import TileStore
@@ -62,6 +62,8 @@ def test_what_numpy_wrote_is_read_as_numpy_does(
     np.testing.assert_array_equal(found["one"], array)
     assert str(found["two"]) == "text"
     assert list(read_npz(path, only=("two",))) == ["two"]
+    np.save(path.with_suffix(".npy"), array)
+    np.testing.assert_array_equal(read_npy(path.with_suffix(".npy")), array)
 
 
 HEADER = "{{'descr': {}, 'fortran_order': False, 'shape': {}, }}"
@@ -109,6 +111,25 @@ def test_a_crafted_array_is_one_line(tmp_path: Path, reader: Callable[[Path], ob
     with pytest.raises(OperatorError) as told:
         reader(path)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("member", CRAFTED.values(), ids=CRAFTED)
+def test_a_crafted_npy_is_one_line(tmp_path: Path, member: bytes) -> None:
+    path = tmp_path / "crafted.npy"
+    path.write_bytes(member)
+    with pytest.raises(OperatorError, match=r"^crafted.npy: not a readable") as told:
+        load_scene(path, resolution=0.1)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("packed", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_what_is_packed_in_another_way_is_not_unpacked(tmp_path: Path, packed: int) -> None:
+    for name, read in (("a.npz", read_npz), ("x/data.pkl", read_mlp)):
+        path = tmp_path / "file.zip"
+        with zipfile.ZipFile(path, "w", packed) as file:
+            file.writestr(name, bytes(1000))
+        with pytest.raises((DamagedFile, PolicyError), match=f"method {packed}"):
+            read(path)
 
 
 @pytest.mark.parametrize("reader", READERS.values(), ids=READERS)

@@ -79,6 +79,24 @@ def test_vertices_with_lists_and_capital_names_are_read(tmp_path: Path) -> None:
         assert read_geometry(tmp_path / f"{name}.ply").vertices.tolist() == [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
 
 
+def test_a_cloud_of_a_countrys_grid_keeps_its_points_and_their_distances(tmp_path: Path) -> None:
+    points = bumps()
+    points[7] = np.nan
+    for name, at in (("here", (0.0, 0.0, 0.0)), ("there", (3_500_000.0, 5_400_000.0, 0.0))):
+        np.save(tmp_path / f"{name}.npy", points + np.array(at))
+    here, there = (load_scene(tmp_path / f"{name}.npy") for name in ("here", "there"))
+    assert "x, y count from (3500000, 5400000)" in there.description
+    np.testing.assert_allclose(there.height, here.height, atol=0.01)
+
+
+def test_a_mesh_is_read_without_its_broken_vertices(tmp_path: Path) -> None:
+    square = "v 0 0 0\nv 4 0 0\nv 4 3 0\nv 0 3 0\n"
+    (tmp_path / "a.obj").write_text(f"v nan 1 1\n{square}f 2 3 4\nf 2 4 5\nf 1 2 3\n")
+    scene = load_scene(tmp_path / "a.obj")
+    assert scene.extent == pytest.approx((0.0, 0.0, 4.0, 3.0), abs=0.05)
+    assert scene.survey is None, "the ground has no hole"
+
+
 def test_a_line_of_an_obj_goes_on_after_a_backslash(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 \\\n0 0\nv 0 1 0\nf 1 2 \\\n 3\n")
     geometry = read_geometry(tmp_path / "a.obj")
@@ -149,7 +167,12 @@ def test_each_refusal_says_what_would_help(tmp_path: Path, monkeypatch: pytest.M
     np.save(tmp_path / "a.npy", np.zeros((50, 60)))
     with pytest.raises(SceneError, match="--resolution METRES"):
         load_scene(tmp_path / "a.npy")
-    assert load_scene(tmp_path / "a.npy", resolution=0.1).height.shape == (50, 60)
+    heights = np.zeros((50, 60))
+    heights[:9] = -9999.0
+    np.save(tmp_path / "a.npy", heights)
+    scene = load_scene(tmp_path / "a.npy", resolution=0.1)
+    assert scene.survey is not None
+    assert np.isnan(scene.survey).sum() == 9 * 60
     monkeypatch.setitem(sys.modules, "laspy", None)
     (tmp_path / "a.laz").write_bytes(b"LASF")
     with pytest.raises(SceneError, match="uv sync --extra files"):

@@ -24,7 +24,7 @@ _DATATYPES = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4"
 _CODES = {np.dtype(v): k for k, v in _DATATYPES.items()}
 RELATIVE = 1e3
 """[s]: times below are relative to the header, unless the header is that early too."""
-_TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
+TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
 _SURE = 100
 """Points from which the unit of a time field is believed for the sweeps that follow."""
 
@@ -198,7 +198,7 @@ def _times(
 ) -> tuple[int, NDArray[np.float32], float | None]:
     """Start of the sweep [ns, LiDAR clock], the seconds since then per point, NaN for strays, and the unit [s]."""
     raw = cloud.points
-    name = next((name for name in _TIME_NAMES if name in (raw.dtype.names or ())), None)
+    name = next((name for name in TIME_NAMES if name in (raw.dtype.names or ())), None)
     if name is None or not hit.any():
         return cloud.stamp, np.zeros(len(raw), np.float32), unit
     field = raw[name]

@@ -122,13 +122,16 @@ def topic_echo(
         from rbtrg_robot.importer.bag import Bag, Decoder
 
         topic, decoder = _in_log(name, log), Decoder()
-        for source, _log_time, _stamp, data in Bag(log).messages([topic]):
+        bag = Bag(log)
+        for source, _log_time, _stamp, data in bag.messages([topic]):
             message = decoder.decode(source, data)
             what = f"{len(data)} bytes of {source.type or '?'}, encoding {source.encoding or 'not told'}: not read here"
             say_text(f"{what if message is None else as_text(message)}\n---")
             shown += 1
             if count and shown >= count:
                 return
+        for words in bag.damage:
+            say(f"damage: {words}", error=True)
         return
     from rbtrg_robot.cli.link import connect
 

@@ -5,27 +5,29 @@ Messages come out as CDR. MCAP is read by our own reader, which reads a damaged 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from mcap.records import Channel, Schema
 from rosbags.interfaces import Connection
 from rosbags.rosbag1 import Reader as Reader1
-from rosbags.rosbag1 import ReaderError as Reader1Error
 from rosbags.rosbag2 import Reader as Reader2
-from rosbags.rosbag2 import ReaderError as Reader2Error
+from rosbags.rosbag2.metadata import dump_qos_v8
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hal.regular import open_regular
-from rbtrg_robot import yaml_file
-from rbtrg_robot.log.read import Entry, LogContents, LogError, read_log
+from rbtrg_robot import msg, yaml_file
+from rbtrg_robot.log.packed import ForeignError, unpack
+from rbtrg_robot.log.read import MCAP0_MAGIC, Entry, LogContents, LogError, log_files, read_log
 from rbtrg_robot.log.summary import channels_of
 from rbtrg_robot.wire.messages import STORE, definition
 from rbtrg_robot.yaml_file import YamlError
 
-MAGIC = ((b"\x89MCAP0\r\n", "mcap"), (b"SQLite format 3\0", "db3"), (b"#ROSBAG V2.0", "bag"))
+MAGIC = ((MCAP0_MAGIC, "mcap"), (b"SQLite format 3\0", "db3"), (b"#ROSBAG V2.0", "bag"))
 """How a file begins, and what it is."""
 METADATA_YAML = "metadata.yaml"
 HEADER, TIME = "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
@@ -74,25 +76,60 @@ class Bag:
         """Topic, when it was recorded and when it was published [ns], bytes. `topics`: only these."""
         for part in self._parts:
             yield from part.messages(topics)
-            if part.damage:
-                self.damage.append(part.damage)
+            self.damage += part.damage
 
 
-class _Part:
+class _Part(Protocol):
     """One file, or what rosbags reads as one."""
 
     sources: list[Source]
-    damage = ""
+    damage: list[str]
+    """Of the last pass over its messages."""
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Source, int, int, bytes]]:
         """See Bag."""
-        raise NotImplementedError
 
 
-class _Mcap(_Part):
+class _FromRos1:
+    """Messages of ROS 1 as CDR, by the number of their connection. One that is not what its definition says is left out and counted."""
+
+    def __init__(self) -> None:
+        self._convert: dict[int, Callable[[bytes], bytes]] = {}
+        self.broken: Counter[str] = Counter()
+        """By topic, of this pass."""
+
+    def add(self, number: int, kind: str, text: str) -> str | None:
+        """A connection with its definition. Returns that of ROS 2, None where it cannot be read."""
+        try:
+            store = get_typestore(Stores.EMPTY)
+            store.register(
+                get_types_from_msg(text, kind) | {name: STORE.fielddefs[name] for name in (HEADER, TIME)}
+            )
+            told = store.generate_msgdef(kind, ros_version=2)[0]
+        except Exception:  # noqa: BLE001  a definition may hold anything
+            return None
+        self._convert[number] = lambda raw: bytes(store.ros1_to_cdr(raw, kind))
+        return told
+
+    def take(self, number: int, topic: str, data: bytes) -> bytes | None:
+        """A message; None where it is broken. As it is where its connection is not of ROS 1, or its definition cannot be read."""
+        convert = self._convert.get(number)
+        try:
+            return data if convert is None else convert(data)
+        except Exception:  # noqa: BLE001  whatever the broken bytes trip over
+            self.broken[topic] += 1
+            return None
+
+    def damage(self) -> list[str]:
+        """What was left out, in words."""
+        return [f"{n} messages of {topic} are broken, and left out" for topic, n in self.broken.items()]
+
+
+class _Mcap:
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._ros1: dict[int, Callable[[bytes], bytes]] = {}
+        self.damage: list[str] = []
+        self._ros1 = _FromRos1()
         self._known: dict[int, Source] = {}
         for schema, channel, count in channels_of(path):
             self._known[channel.id] = self._source(schema, channel, count)
@@ -102,69 +139,78 @@ class _Mcap(_Part):
         kind = ros2_name(schema.name) if schema else ""
         if channel.message_encoding != "ros1" or schema is None:
             return Source(channel.topic, kind, count, channel.message_encoding, schema, channel)
-        convert, text = _from_ros1(kind, schema.data.decode(errors="replace"))
-        if convert is None:
+        text = self._ros1.add(channel.id, kind, schema.data.decode(errors="replace"))
+        if text is None:
             return Source(channel.topic, kind, count, "ros1", schema, channel)
-        self._ros1[channel.id] = convert
         return _source(channel.topic, kind, count, text, {})
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Source, int, int, bytes]]:
         contents = LogContents()
+        self._ros1.broken.clear()
         for entry, schema, channel in read_log(self._path, contents, raw=True):
             if topics is not None and entry.topic not in topics:
                 continue
             source = self._known.get(channel.id)
             if source is None:
                 source = self._known[channel.id] = self._source(schema, channel, 0)
-            convert = self._ros1.get(channel.id)
-            data = convert(entry.data) if convert else entry.data
-            yield source, entry.log_time, entry.publish_time, data
+            data = self._ros1.take(channel.id, entry.topic, entry.data)
+            if data is not None:
+                yield source, entry.log_time, entry.publish_time, data
+        self.damage = self._ros1.damage()
         if contents.damage:
-            self.damage = f"{self._path.name} ends {contents.damage}"
+            self.damage.append(f"{self._path.name} ends {contents.damage}")
 
 
-class _Rosbag(_Part):
+class _Rosbag:
     def __init__(self, path: Path, reader: Any) -> None:
         self._path, self._reader = path, reader
+        self.damage: list[str] = []
         self._sources: dict[int, Source] = {}
-        self._convert: dict[int, Callable[[bytes], bytes]] = {}
-        with self._opened() as bag:
-            for connection in bag.connections:
+        self._ros1 = _FromRos1()
+        with ExitStack() as stack:
+            for connection in self._opened(stack).connections:
                 self._add(connection)
         self.sources = list(self._sources.values())
 
-    def _opened(self) -> Any:
+    def _opened(self, stack: ExitStack) -> Any:
+        """The open reader, until `stack` ends. Raises LogError."""
         try:
-            return self._reader(self._path)
-        except (Reader1Error, Reader2Error, OSError, ValueError, KeyError) as error:
+            return stack.enter_context(self._reader(self._path))
+        except Exception as error:  # rosbags opens it with libraries of its own, each with errors of its own
             raise LogError(f"{self._path} cannot be read: {error}") from error
 
     def _add(self, connection: Connection) -> None:
         kind = ros2_name(connection.msgtype)
-        text = str(connection.msgdef.data or "")
-        qos = str(getattr(connection.ext, "offered_qos_profiles", "") or "")
-        if self._reader is Reader1:
-            convert, text = _from_ros1(kind, text)
-            if convert is not None:
-                self._convert[connection.id] = convert
-        encoding = "cdr" if self._reader is Reader2 or connection.id in self._convert else "ros1"
-        metadata = {"offered_qos_profiles": qos} if qos else {}
+        text, encoding = str(connection.msgdef.data or ""), "cdr"
+        if self._reader is Reader1 and (told := self._ros1.add(connection.id, kind, text)) is not None:
+            text = told
+        elif self._reader is Reader1:
+            encoding = "ros1"
+        profiles = getattr(connection.ext, "offered_qos_profiles", ())
+        metadata = {"offered_qos_profiles": dump_qos_v8(profiles)} if profiles else {}
         self._sources[connection.id] = _source(
             connection.topic, kind, connection.msgcount, text, metadata, encoding
         )
 
     def messages(self, topics: Collection[str] | None) -> Iterator[tuple[Source, int, int, bytes]]:
-        with self._opened() as bag:
+        self.damage = []
+        self._ros1.broken.clear()
+        with ExitStack() as stack:
+            bag = self._opened(stack)
             wanted = [c for c in bag.connections if topics is None or c.topic in topics]
             if not wanted:
                 return
             try:
                 for connection, stamp, raw in bag.messages(connections=wanted):
-                    convert = self._convert.get(connection.id)
-                    data = convert(bytes(raw)) if convert else bytes(raw)
-                    yield self._sources[connection.id], stamp, stamp, data
+                    data = self._ros1.take(connection.id, connection.topic, bytes(raw))
+                    if data is not None:
+                        yield self._sources[connection.id], stamp, stamp, data
+                self.damage = self._ros1.damage()
             except Exception as error:  # noqa: BLE001  whatever a damaged file trips rosbags over
-                self.damage = f"{self._path.name} ends early: {type(error).__name__}: {error}"
+                self.damage = [
+                    *self._ros1.damage(),
+                    f"{self._path.name} ends early: {type(error).__name__}: {error}",
+                ]
 
 
 class Decoder:
@@ -174,11 +220,14 @@ class Decoder:
         self._stores: dict[Source, Any] = {}
 
     def decode(self, source: Source, data: bytes) -> Any:
-        """The message; None where it is no CDR, nobody says what it holds, or it is broken."""
+        """The message, a sweep that we packed as the sweep; None where it is no CDR, nobody says what it holds, or it is broken."""
         if source not in self._stores:
             self._stores[source] = _store_of(source)
         store = self._stores[source]
         try:
+            if source.type == msg.CompressedPointCloud2.__msgtype__:
+                with suppress(ForeignError):
+                    return STORE.deserialize_cdr(unpack(data), msg.PointCloud2.__msgtype__)
             return None if store is None else store.deserialize_cdr(data, source.type)
         except Exception:  # noqa: BLE001  whatever the broken bytes trip over
             return None
@@ -206,19 +255,6 @@ def _source(
     schema = Schema(0, text.encode(), "ros2msg", kind)
     channel = Channel(id=0, topic=topic, message_encoding=encoding, metadata=metadata, schema_id=0)
     return Source(topic, kind, count, encoding, schema, channel)
-
-
-def _from_ros1(kind: str, text: str) -> tuple[Callable[[bytes], bytes] | None, str]:
-    """What turns bytes of ROS 1 into CDR, None where the definition cannot be read; and the definition of ROS 2."""
-    try:
-        store = get_typestore(Stores.EMPTY)
-        types = get_types_from_msg(text, kind)
-        store.register(types | {name: STORE.fielddefs[name] for name in (HEADER, TIME)})
-        return (lambda raw: bytes(store.ros1_to_cdr(raw, kind))), store.generate_msgdef(kind, ros_version=2)[
-            0
-        ]
-    except Exception:  # noqa: BLE001  a definition may hold anything
-        return None, text
 
 
 def ros2_name(kind: str) -> str:
@@ -266,7 +302,10 @@ def _parts(path: Path) -> list[Path]:
         missing = [file.name for file in files if not file.exists()]
         if missing:
             raise LogError(f"{path} lacks {', '.join(missing)}, which its {METADATA_YAML} names")
-        return files if plain and all(_kind(file) == "mcap" for file in files) else [path]
+        if not (files and plain and all(_kind(file) == "mcap" for file in files)):
+            return [path]
+        # A recorder that was killed left a file that it has not described.
+        return files + [file for file in log_files(path) if file not in files]
     files = [f for suffix in ("mcap", "db3", "bag") for f in path.glob(f"*.{suffix}") if f.stat().st_size]
     if not files:
         raise LogError(f"no .mcap, .db3 or .bag file in {path}")

@@ -5,7 +5,7 @@ A role that two topics could fill is not guessed: the operator names it with `--
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,7 +14,7 @@ from hal.errors import OperatorError
 from hal.go2w import MOTORS
 from hal.types import GRAVITY, NS
 from hal.unitree.api import WireError
-from hal.unitree.cloud import RawCloud, decode_cloud
+from hal.unitree.cloud import TIME_NAMES, RawCloud, decode_cloud
 from hal.unitree.livox import decode_livox
 from rbtrg_robot import msg
 from rbtrg_robot.importer.bag import Bag, Source
@@ -33,7 +33,6 @@ IN_G = 0.5, 2.0
 """Mean of an accelerometer that counts in g lies between these; one in m/s^2 is at 9.8."""
 TURNED = 0.35
 """Angle [rad] between what gravity says is up and the z axis of base_link from which the axes are told to differ."""
-TIME_NAMES = ("time", "t", "timestamp", "time_stamp", "offset_time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +58,10 @@ ROLES = (
 BY_NAME = {role.name: role for role in ROLES}
 HANDED_ON = ("camera", "fix")
 """Roles that may have any number of topics: they are copied as they are."""
+NAMED = ("main", "head", "imu", "joints", "wheels")
+"""Roles whose topic `--map` says; of the others every topic is taken."""
+MOUNTED = ("main", "head", "imu")
+"""Roles whose place on the robot counts."""
 
 
 class RoleError(OperatorError):
@@ -168,6 +171,9 @@ def probe(bag: Bag, frames: Frames) -> dict[str, Probe]:
         if log_time - begin > PROBE_SPAN and all(p.seen == 0 for p in missing):
             break
     bag.damage.clear()
+    for one in found.values():
+        if one.stamps:  # a few that are broken are left out later, and counted
+            one.broken = ""
     return found
 
 
@@ -204,8 +210,8 @@ def assign(probes: Mapping[str, Probe], named: Mapping[str, str]) -> dict[str, P
     """The topic of each role. `named`: what the operator said, ROLE -> TOPIC. Raises RoleError where two topics could fill one."""
     chosen: dict[str, Probe] = {}
     for name, topic in named.items():
-        if name not in BY_NAME:
-            raise RoleError(f"--map {name}: there is no such role; choose from {', '.join(BY_NAME)}")
+        if name not in NAMED:
+            raise RoleError(f"--map {name}: {_no_choice(name, NAMED, 'every topic of it is taken')}")
         if topic == "":
             continue
         if topic not in probes or probes[topic].source.type not in BY_NAME[name].types:
@@ -231,6 +237,20 @@ def assign(probes: Mapping[str, Probe], named: Mapping[str, str]) -> dict[str, P
         if len(rolling) == 1 or ("main" not in chosen and "joints" not in chosen):
             _take(chosen, "wheels", rolling)
     return chosen
+
+
+def needless_mount(mounts: Collection[str], chosen: Collection[str]) -> None:
+    """Raises RoleError for a mount that would change nothing."""
+    for name in mounts:
+        if name not in MOUNTED:
+            raise RoleError(f"--mount {name}: {_no_choice(name, MOUNTED, 'it counts in base_link')}")
+        if name not in chosen:
+            raise RoleError(f"--mount {name}: this bag has no {name}")
+
+
+def _no_choice(name: str, of: Sequence[str], why: str) -> str:
+    lead = why if name in BY_NAME else "there is no such role"
+    return f"{lead}; choose from {', '.join(of)}"
 
 
 def _whole(probes: Mapping[str, Probe], role: str) -> list[Probe]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hal.go2w import MOTORS
 from hal.lidar.config import LidarConfig
-from hal.rotation import rotation_rpy
+from hal.rotation import rotation_rpy, rpy_of
 from hal.types import GRAVITY, NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from hal.unitree.api import WireError
 from hal.unitree.cloud import Mount, sweep
@@ -24,11 +24,13 @@ from rbtrg_robot.importer.mounts import Frames
 from rbtrg_robot.importer.roles import (
     HANDED_ON,
     LIVOX,
+    MOUNTED,
     ROLES,
     TURNED,
     Probe,
     RoleError,
     assign,
+    needless_mount,
     probe,
     read_cloud,
     turned,
@@ -101,12 +103,15 @@ def look(
         frames.take_urdf(urdf)
     probes = probe(bag, frames)
     roles = assign(probes, named)
+    needless_mount(mounts, roles)
+    if unit != "auto" and "imu" not in roles:
+        raise RoleError("--imu-unit: this bag has no imu")
     found = Found(roles, probes, {})
-    for name in ("main", "head", "imu", "wheels"):
+    for name in MOUNTED:
         if name not in roles:
             continue
-        mount = mounts.get(name) or (None if name == "wheels" else frames.mount(roles[name].frame))
-        if mount is None and name != "wheels":
+        mount = mounts.get(name) or frames.mount(roles[name].frame)
+        if mount is None:
             found.notes.append(
                 f"mount of {name}: frame {roles[name].frame!r} is not in the tf of the bag; base_link is put there: "
                 f"--mount {name}=X,Y,Z,ROLL,PITCH,YAW or --urdf FILE"
@@ -152,17 +157,21 @@ def _imu(found: Found, unit: str) -> None:
             found.notes.append(
                 "the accelerometer counts in g: taken times 9.81 (--imu-unit m/s2 for as it is)"
             )
-    turn = rotation_rpy(*found.mounts["imu"].rpy)
+    mount = found.mounts["imu"]
+    turn = rotation_rpy(*mount.rpy)
     angle = turned(one, turn)
     if angle > TURNED:
-        mean = turn @ np.mean(one.accel, axis=0)
-        up = "xyz"[int(np.argmax(np.abs(mean)))]
-        sign = "-" if mean["xyz".index(up)] < 0 else ""
-        roll = math.degrees(math.atan2(mean[1], mean[2]))
-        pitch = math.degrees(math.atan2(-mean[0], math.hypot(mean[1], mean[2])))
+        force = np.mean(one.accel, axis=0)
+        up = int(np.argmax(np.abs(force)))
+        x, y, z = turn @ force
+        # What brings up to where it is, after the turn of the mount that is there.
+        level = rotation_rpy(math.atan2(y, z), math.atan2(-x, math.hypot(y, z)), 0.0)
+        better = ",".join(
+            f"{value:.3g}" for value in (*mount.translation, *np.degrees(rpy_of(level @ turn)).round() + 0.0)
+        )
         found.notes.append(
-            f"the IMU's {sign}{up} axis points up, {math.degrees(angle):.0f} deg from base_link's z: its axes are others; "
-            f"--mount imu=0,0,0,{round(roll)},{round(pitch)},0 turns them (the yaw is yours to say)"
+            f"the IMU's {'-' if force[up] < 0 else ''}{'xyz'[up]} axis points up, {math.degrees(angle):.0f} deg from base_link's z: "
+            f"its axes are others; --mount imu={better} turns them (the yaw is yours to say)"
         )
 
 

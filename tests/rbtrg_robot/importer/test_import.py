@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from mcap.records import Channel, Schema
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
 
 from hal.types import GRAVITY, NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM
 from rbtrg_robot import msg
@@ -17,6 +23,7 @@ from rbtrg_robot.importer.bag import Bag
 from rbtrg_robot.importer.mounts import parse_mount
 from rbtrg_robot.importer.roles import RoleError
 from rbtrg_robot.importer.run import config_of, convert_bag, look, used
+from rbtrg_robot.log.bag import describe
 from rbtrg_robot.log.read import Entry, LogError, read_run
 from rbtrg_robot.log.trajectory import of_run
 from rbtrg_robot.log.write import LogWriter
@@ -155,6 +162,24 @@ def test_two_lidars_alike_are_not_guessed(tmp_path: Path) -> None:
         look(bag, {"mian": "/left"}, {})
 
 
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"named": {"tf": "/tf"}}, "--map tf: every topic of it is taken; choose from main"),
+        ({"named": {"lidra": "/points"}}, "--map lidra: there is no such role; choose from main"),
+        ({"mounts": {"lidra": None}}, "--mount lidra: there is no such role; choose from main, head, imu"),
+        ({"mounts": {"wheels": None}}, "--mount wheels: it counts in base_link; choose from"),
+        ({"mounts": {"head": None}}, "--mount head: this bag has no head"),
+        ({"unit": "g"}, "--imu-unit: this bag has no imu"),
+    ],
+)
+def test_what_would_change_nothing_is_refused(tmp_path: Path, how: dict[str, Any], words: str) -> None:
+    mounts = {name: parse_mount("0,0,0") for name in how.pop("mounts", {})}
+    bag = foreign.write(tmp_path / "bag", foreign.sweeps("hesai", 3))
+    with pytest.raises(RoleError, match=words):
+        look(Bag(bag), how.pop("named", {}), mounts, **how)
+
+
 def test_a_cloud_that_somebody_made_of_sweeps_is_no_lidar(tmp_path: Path) -> None:
     plain = np.zeros(90_000, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
     plain["x"] = 1.0
@@ -183,6 +208,20 @@ def test_an_imu_in_g_and_in_other_axes_is_told_and_corrected(tmp_path: Path) -> 
     run, _, _ = imported(bag, tmp_path / "kept", unit="m/s2")
     kept = decode(next(e.data for e in read_run(run) if e.topic == t.IMU.name), msg.Imu)
     assert kept.linear_acceleration.y == pytest.approx(-1.0, abs=0.1)
+
+
+def test_the_turn_that_is_proposed_goes_on_from_the_one_of_tf(tmp_path: Path) -> None:
+    """The bag's tf turns the IMU about x, and its axes differ about y as well: what is proposed stands alone, and levels it."""
+    tf = foreign.static(
+        "base_link", "imu", (0.1, 0.0, 0.2), turn=(math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
+    )
+    messages = [*foreign.sweeps("hesai", 3), *foreign.imu(0.5, accel=(9.81, 0.0, 0.0)), tf]
+    bag = Bag(foreign.write(tmp_path / "bag", messages))
+    (note,) = [note for note in look(bag, {}, {}).notes if "axis points up" in note]
+    assert note.startswith("the IMU's x axis points up, 90 deg")
+    proposed = parse_mount(note.split("--mount imu=")[1].split()[0])
+    assert proposed.translation == (0.1, 0.0, 0.2)
+    assert not [note for note in look(bag, {}, {"imu": proposed}).notes if "axis points up" in note]
 
 
 def test_mounts_come_from_tf_urdf_or_the_operator(tmp_path: Path) -> None:
@@ -275,6 +314,64 @@ def test_a_damaged_bag_is_read_as_far_as_it_goes(tmp_path: Path) -> None:
     path.write_bytes(whole[:60])
     with pytest.raises(LogError, match="damaged, before its first message"):
         Bag(path)
+
+
+@pytest.mark.parametrize("kind", ["db3", "bag"])
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.9])
+def test_a_damaged_bag_of_another_kind_is_told_in_a_line(tmp_path: Path, kind: str, share: float) -> None:
+    made = foreign.write(tmp_path / "bag", foreign.sweeps("velodyne", 4), kind)
+    path = made if kind == "bag" else next(made.glob("*.db3"))
+    whole = path.read_bytes()
+    path.write_bytes(whole[: 40 + int(share * len(whole))])
+    try:
+        bag = Bag(path)
+        assert len(list(bag.messages())) < 4
+    except LogError as error:
+        told = str(error)
+    else:
+        told = " ".join(bag.damage)
+    assert path.name in told
+
+
+def test_broken_messages_of_ros_1_are_left_out_and_counted(tmp_path: Path) -> None:
+    messages = foreign.sweeps("velodyne", 6)
+    for k in (1, 4):
+        messages[k] = (*messages[k][:3], messages[k][3][:200])
+    path = foreign.write(tmp_path / "bag", messages, "bag")
+    recording = Bag(path)
+    found = look(recording, {}, {})
+    counts = convert_bag(recording, found, tmp_path / "run")
+    assert counts[t.POINTS.name] == 4
+    assert found.notes[-1] == "the bag is damaged: 2 messages of /points are broken, and left out"
+    assert len([note for note in found.notes if "broken" in note]) == 1
+
+
+def test_a_description_hides_no_file_of_a_recorder_that_was_killed(tmp_path: Path) -> None:
+    for k in range(3):
+        with LogWriter(tmp_path / f"log_{k}.mcap", {}) as writer:
+            topic, kind, stamp, data = foreign.sweeps("velodyne", 3)[k]
+            schema = Schema(0, b"", "ros2msg", kind)
+            writer.copy(Entry(topic, kind, data, stamp, stamp, 1), schema, Channel(0, topic, "cdr", {}, 0))
+        if k == 1:
+            describe(tmp_path)
+    assert len(list(Bag(tmp_path).messages())) == 3
+
+
+def test_what_was_latched_in_a_db3_is_latched_in_the_run(tmp_path: Path) -> None:
+    never = QosTime(2147483647, 4294967295)
+    latched = Qos(
+        *(QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL, never, never),
+        *(QosLiveliness.AUTOMATIC, never, False),
+    )
+    topic, kind, stamp, data = foreign.static("base_link", "lidar", (0.0, 0.0, 0.5))
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with Writer2(tmp_path / "bag", version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        made = writer.add_connection(topic, kind, typestore=store, offered_qos_profiles=[latched])
+        writer.write(made, stamp, data)
+    (source,) = Bag(tmp_path / "bag").sources
+    assert source.latched
+    (told,) = yaml.safe_load(source.channel.metadata["offered_qos_profiles"])
+    assert (told["depth"], told["durability"], told["reliability"]) == (1, 1, 1)
 
 
 def test_a_rerun_says_at_once_what_a_log_lacks(tmp_path: Path) -> None:

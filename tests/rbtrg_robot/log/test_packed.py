@@ -14,6 +14,7 @@ from hal.lidar.spec import LIDARS
 from hal.types import POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM, LidarScan
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.importer.bag import Bag, Decoder
 from rbtrg_robot.log import packed
 from rbtrg_robot.log.packed import COLUMNS, VERBATIM, PackedError, pack, unpack
 from rbtrg_robot.log.read import LogContents, read_log
@@ -53,6 +54,16 @@ def sweep(seed: int, count: int = 4000) -> NDArray[np.void]:
     points["ring"] = pattern.ring[:count]
     points["time"] = np.rint(pattern.time[:count] * 1e-9 / TIME_QUANTUM) * TIME_QUANTUM
     return points
+
+
+def test_a_packed_sweep_of_a_bag_is_read_as_a_sweep(tmp_path: Path) -> None:
+    payload = wire(sweep(0))
+    with LogWriter(tmp_path / "log.mcap", {}, pack_sweeps=True) as writer:
+        writer.write(t.POINTS, payload, 1, 1)
+    ((source, _, _, data),) = Bag(tmp_path / "log.mcap").messages()
+    assert len(data) < len(payload) / 2
+    found = Decoder().decode(source, data)
+    assert found.data.tobytes() == decode(payload, msg.PointCloud2).data.tobytes()
 
 
 def wire(points: NDArray[np.void]) -> bytes:

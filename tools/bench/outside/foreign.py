@@ -121,12 +121,18 @@ def imu(
     return out
 
 
-def static(parent: str, child: str, place: tuple[float, float, float], topic: str = "/tf_static") -> Message:
-    """A transform that never changes."""
+def static(
+    parent: str,
+    child: str,
+    place: tuple[float, float, float],
+    topic: str = "/tf_static",
+    turn: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0),
+) -> Message:
+    """A transform that never changes; `turn`: quaternion x, y, z, w."""
     transform = msg.TransformStamped(
         header=header(START, parent),
         child_frame_id=child,
-        transform=msg.Transform(translation=msg.Vector3(*place), rotation=msg.Quaternion(0.0, 0.0, 0.0, 1.0)),
+        transform=msg.Transform(translation=msg.Vector3(*place), rotation=msg.Quaternion(*turn)),
     )
     return topic, msg.TFMessage.__msgtype__, START, encode(msg.TFMessage(transforms=[transform]))
 
@@ -148,7 +154,11 @@ def write(path: Path, messages: Iterable[Message], kind: str = "mcap") -> Path:
                 (t, k): bag.add_connection(t, k, typestore=one) for t, k in {m[:2] for m in ordered}
             }
             for topic, name, stamp, data in ordered:
-                bag.write(connections[topic, name], stamp, _ros1(one, store, data, name))
+                try:
+                    raw = _ros1(one, store, data, name)
+                except Exception:  # noqa: BLE001  it was made to be broken
+                    raw = data
+                bag.write(connections[topic, name], stamp, raw)
         return path
     plugin = StoragePlugin.SQLITE3 if kind in ("db3", "zstd") else StoragePlugin.MCAP
     writer = Writer2(path, version=9, storage_plugin=plugin)

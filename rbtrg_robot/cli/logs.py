@@ -305,7 +305,10 @@ def log_trajectory(
     own = poses(run, topic)
     if out is not None:
         way.write(own, out, format_)
-        say(f"{len(own.stamps)} poses, {own.length:.2f} m -> {out}")
+        if as_json and against is None:
+            say_json({"poses": len(own.stamps), "length": own.length, "out": str(out)})
+        else:
+            say(f"{len(own.stamps)} poses, {own.length:.2f} m -> {out}", error=as_json)
     if against is None:
         return
     found = way.compare(own, poses(against, against_topic), distance, seconds)

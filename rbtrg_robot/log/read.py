@@ -14,7 +14,6 @@ from typing import BinaryIO
 import zstandard
 from lz4.frame import LZ4FrameDecompressor
 from mcap.exceptions import McapError
-from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
@@ -184,12 +183,3 @@ def is_being_written(path: Path) -> bool:
         except BlockingIOError:
             return True
     return False
-
-
-def is_intact(path: Path) -> bool:
-    """True when a file has its index, without reading the messages."""
-    try:
-        with open_regular(path) as stream:
-            return make_reader(stream).get_summary() is not None
-    except Exception:  # noqa: BLE001 - any failure to read the summary means the same thing
-        return False

@@ -18,7 +18,8 @@ from rbtrg_robot.log.bag import NAME as METADATA_YAML
 from rbtrg_robot.log.bag import describe
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune
 from rbtrg_robot.log.moments import HEARS, Moments, Thinned
-from rbtrg_robot.log.read import CONFIG, LogError, is_intact
+from rbtrg_robot.log.read import CONFIG, LogError
+from rbtrg_robot.log.summary import is_intact
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.stage_config import RecorderConfig

@@ -57,13 +57,18 @@ class Overview:
 
 
 def summary_of(path: Path) -> Summary | None:
-    """The summary of a file; None where it has none that can be read. Raises LogError for what cannot be opened."""
+    """The summary of a file; None where it has none that can be read."""
     try:
         with open_regular(path) as stream:
             summary = make_reader(stream).get_summary()
     except (*BROKEN, OSError):
         return None
     return summary if summary is not None and summary.statistics is not None else None
+
+
+def is_intact(path: Path) -> bool:
+    """Whether a file has its index. No message is read."""
+    return summary_of(path) is not None
 
 
 def channels_of(path: Path) -> list[tuple[Schema | None, Channel, int]]:

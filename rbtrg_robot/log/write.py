@@ -103,7 +103,7 @@ class LogWriter:
         for name, data in (attachments or {}).items():
             self._writer.add_attachment(0, 0, name, "application/yaml", data)
         self._channels: dict[tuple[str, ...], int] = {}
-        """By name and type, and of copied ones by whatever else makes them another."""
+        """By name and type, and of copied ones by whatever else makes them another: encoding, definition, metadata."""
         self._schemas: dict[tuple[str, str, bytes], int] = {}
         self._since_flush = 0
         self.messages = 0
@@ -128,10 +128,9 @@ class LogWriter:
     def copy(self, entry: Entry, schema: Schema | None, channel: Channel) -> None:
         """Append a message of another file with its schema, bit for bit, whatever it is. Two channels of one topic stay two."""
         told = tuple(part for pair in sorted(channel.metadata.items()) for part in pair)
-        text = schema.data if schema else b""
-        key = (entry.topic, entry.type, channel.message_encoding, str(hash(text)), *told)
+        schema_id = self._schema(schema.name, schema.encoding, schema.data) if schema else 0
+        key = (entry.topic, entry.type, channel.message_encoding, str(schema_id), *told)
         if key not in self._channels:
-            schema_id = self._schema(schema.name, schema.encoding, text) if schema else 0
             self._register(key, channel.message_encoding, schema_id, channel.metadata)
         self._add(self._channels[key], entry.data, entry.log_time, entry.publish_time, entry.sequence)
 

@@ -23,9 +23,9 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.log import read as log_read
 from rbtrg_robot.log import write as log_write
-from rbtrg_robot.log.read import CONFIG, Entry, LogContents, LogError, first_of, is_intact, read_log, read_run
+from rbtrg_robot.log.read import CONFIG, Entry, LogContents, LogError, first_of, read_log, read_run
 from rbtrg_robot.log.stats import summarize
-from rbtrg_robot.log.summary import overview
+from rbtrg_robot.log.summary import is_intact, overview
 from rbtrg_robot.log.write import LogWriter, recover
 from rbtrg_robot.wire.messages import encode, header
 from tests.places import ROOT

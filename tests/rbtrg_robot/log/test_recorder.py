@@ -17,8 +17,9 @@ from rbtrg_robot.log import keep
 from rbtrg_robot.log import recorder as module
 from rbtrg_robot.log import write as log_write
 from rbtrg_robot.log.keep import GIGABYTE, mark, prune, runs
-from rbtrg_robot.log.read import is_intact, read_log
+from rbtrg_robot.log.read import read_log
 from rbtrg_robot.log.recorder import Recorder
+from rbtrg_robot.log.summary import is_intact
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.process.leftovers import last_words, rotate
 from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from hal.rotation import rotation_rpy
 from hal.types import NS
 from rbtrg_robot import topics as t
+from rbtrg_robot.cli.logs import log_app
 from rbtrg_robot.log.read import LogError
 from rbtrg_robot.log.trajectory import Trajectory, compare, of_run, read, write
 from rbtrg_robot.log.write import LogWriter
@@ -79,6 +82,13 @@ def test_the_way_of_a_run_is_that_of_its_odometry(tmp_path: Path) -> None:
     np.testing.assert_allclose(way.poses[:, 0, 3], 0.1 * np.arange(5))
     with pytest.raises(LogError, match=r"no poses on /pose; poses are on /odom: --topic"):
         of_run(tmp_path, "/pose")
+
+
+def test_the_command_tells_programs_what_it_wrote(tmp_path: Path) -> None:
+    write(wave(10.0, 0.02), tmp_path / "way.tum")
+    words = ["trajectory", str(tmp_path / "way.tum"), "--out", str(tmp_path / "again.kitti"), "--json"]
+    result = CliRunner().invoke(log_app, words, catch_exceptions=False)
+    assert json.loads(result.stdout)["poses"] == len(wave(10.0, 0.02).stamps)
 
 
 @pytest.mark.parametrize(

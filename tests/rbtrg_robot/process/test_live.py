@@ -19,7 +19,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.log.read import is_intact, read_run
+from rbtrg_robot.log.read import read_run
+from rbtrg_robot.log.summary import is_intact
 from rbtrg_robot.process.leftovers import shared_segments
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.navigation.goal import goal_request

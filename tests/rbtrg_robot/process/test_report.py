@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from rbtrg_robot import topics as t
-from rbtrg_robot.log.read import CONFIG, LogError, is_intact, read_log
+from rbtrg_robot.log.read import CONFIG, LogError, read_log
+from rbtrg_robot.log.summary import is_intact
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process import report
 from rbtrg_robot.process.doctor import Finding, Level

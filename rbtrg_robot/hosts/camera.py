@@ -82,8 +82,9 @@ def source_of(config: StackConfig, camera: MountedCamera) -> CameraSource:
         return StreamCamera(camera, config.camera.source)
     if config.simulated:
         from hal.mujoco.view.camera import RenderedCamera
+        from rbtrg_robot.hosts.robot import BEGIN
 
-        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles)
+        return RenderedCamera(camera, config.load_scene(), config.sim.obstacles, BEGIN)
     from hal.unitree.video import HeadCamera
 
     return HeadCamera(camera, config.interface, config.unitree_options().dds_domain(config.interface))
@@ -154,6 +155,7 @@ class Desk:
                 source = source_of(self._config, self._camera)
                 log.info("camera: %s", source.open())
                 self._source = source
+            began = time.process_time()
             frame: CameraFrame | None = self._source.frame(clock)
         except CameraError as error:
             if self.trouble != str(error):
@@ -162,7 +164,8 @@ class Desk:
             self.close()
             return None
         self.trouble = ""
-        self._demand.cost = getattr(self._source, "cost", 0.0)
+        if frame is not None:
+            self._demand.cost = time.process_time() - began
         return frame
 
     def close(self) -> None:

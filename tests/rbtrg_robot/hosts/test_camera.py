@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
+import time
 from typing import Any
 
 import pytest
 
 from hal.camera import CameraError, CameraFrame
+from hal.mujoco.view.camera import RenderedCamera
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts import camera as module
-from rbtrg_robot.hosts.camera import RETRY, Demand, Desk, image_msg, info_msg
+from rbtrg_robot.hosts import robot as robot_host
+from rbtrg_robot.hosts.camera import RETRY, Demand, Desk, image_msg, info_msg, source_of
 from rbtrg_robot.log.moments import AROUND, Moments, Thinned
 from rbtrg_robot.wire.messages import decode, encode, stamp_of
 
@@ -44,10 +47,9 @@ def test_frames_that_cost_little_come_all_the_time(cost: float, count: int) -> N
 class Source:
     """A camera that fails until it is told otherwise."""
 
-    cost = 0.5
-
-    def __init__(self) -> None:
-        self.broken = True
+    def __init__(self, seconds: float = 0.0) -> None:
+        """`seconds`: CPU that a frame takes."""
+        self.broken, self.seconds = True, seconds
         self.opened = self.closed = 0
 
     def open(self) -> str:
@@ -57,6 +59,9 @@ class Source:
     def frame(self, now: int) -> CameraFrame:
         if self.broken:
             raise CameraError("no light: switch it on")
+        began = time.process_time()
+        while time.process_time() - began < self.seconds:
+            pass
         return CameraFrame(now, b"\xff\xd8picture")
 
     def close(self) -> None:
@@ -90,6 +95,31 @@ def test_a_camera_that_fails_is_told_and_tried_again(monkeypatch: pytest.MonkeyP
     assert info.header.frame_id == image.header.frame_id == "camera_front"
 
 
+@pytest.mark.parametrize(("seconds", "always"), [(0.0, True), (0.06, False)])
+def test_what_a_frame_costs_is_measured_and_a_cheap_one_comes_all_the_time(
+    monkeypatch: pytest.MonkeyPatch, seconds: float, always: bool
+) -> None:
+    source = Source(seconds)
+    source.broken = False
+    monkeypatch.setattr(module, "source_of", lambda *_: source)
+    config = load(None, [], scene="flat", record=False)
+    camera = config.camera.mounted()
+    assert camera is not None
+    desk = Desk(config, camera)
+    desk.take(t.CAMERA_REQUEST, msg.String(data="test"), 0.0)
+    assert desk.frame(0.0, 1) is not None
+    assert (desk.frame(100.0, 2) is not None) is always
+
+
+def test_the_simulated_camera_counts_the_times_of_obstacles_from_where_the_simulator_does() -> None:
+    config = load(None, [], scene="flat")
+    camera = config.camera.mounted()
+    assert camera is not None
+    drawn, driven = source_of(config, camera), robot_host.build(config, begin=robot_host.BEGIN)
+    assert isinstance(drawn, RenderedCamera)
+    assert drawn.start_time == driven.start_time
+
+
 def state(**fields: Any) -> msg.RobotState:
     return msg.RobotState(phase="ready", **fields)
 
@@ -118,3 +148,8 @@ def test_what_is_thinned_is_whole_around_a_moment() -> None:
     after = [k for k in range(100, 150) if thinned.take(k, 0.2 * k)]
     assert after[:25] == list(range(100, 125)), f"all of them for {AROUND} s"
     assert len(after[25:]) <= 6
+    jitter = [0.02 * (-1) ** k for k in range(20)]
+    thinned = Thinned(1.0)
+    assert all(thinned.take(k, k + late) for k, late in enumerate(jitter)), (
+        "one a second comes not every second time"
+    )

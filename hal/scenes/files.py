@@ -31,7 +31,7 @@ def read_scene(
     up: str | None = None,
 ) -> Scene:
     """A scene from `path`. Raises SceneError. `units` (m, cm, mm, ft) and `up` (z, y) of a cloud or mesh, None: guessed from its extent; the guess
-    stands in `Scene.description`.
+    stands in `Scene.taken`.
 
     `resolution` [m] is needed for a picture and optional for clouds and meshes; `height_range` [m] (black, white) is
     needed for a picture. Unknown cells are filled for the physics and stay NaN in `Scene.survey`. Without `start` a
@@ -75,33 +75,33 @@ def read_scene(
         raise SceneError(
             f"{path.name}: cannot read {ending or 'a file without ending'}: use {', '.join(ENDINGS)}"
         )
-    about = f"from {path.name}" + (f"; taken so: {words}" if words else "")
-    return _scene(path.stem, height, resolution, origin, start, None, about, mesh)
+    return _scene(path, height, resolution, origin, start, None, words, mesh)
 
 
 def _scene(
-    name: str,
+    path: Path,
     height: NDArray[np.float32],
     resolution: float,
     origin: tuple[float, float],
     start: Pose | None,
     goals: Mapping[str, Goal] | None,
-    description: str,
+    taken: str = "",
     mesh: Geometry | None = None,
 ) -> Scene:
     known = np.isfinite(height)
     filled = fill(height)
     if start is None:
-        start, found = place_start(filled, known, resolution, origin, name)
+        start, found = place_start(filled, known, resolution, origin, path.stem)
         goals = {**found, **(goals or {})}
     return Scene(
-        name=name,
+        name=path.stem,
         height=filled,
         resolution=resolution,
         origin=origin,
         start=start,
         goals=goals or {"home": start},
-        description=description,
+        description=f"from {path.name}",
+        taken=taken,
         survey=None if known.all() else height,
         mesh=mesh,
     )
@@ -180,7 +180,7 @@ def _read_npz(path: Path, start: Pose | None) -> Scene:
         raise SceneError(f"{path.name}: resolution must be positive and origin finite [m]")
     if np.isinf(height.astype(np.float64)).any():
         raise SceneError(f"{path.name}: height holds infinities; use NaN where it is unknown")
-    return _scene(path.stem, height.astype(np.float32), resolution, (x, y), start, goals, f"from {path.name}")
+    return _scene(path, height.astype(np.float32), resolution, (x, y), start, goals)
 
 
 def save_scene(scene: Scene, path: Path) -> None:

@@ -59,6 +59,8 @@ class Scene:
     friction: float = 0.8
     """Sliding friction of the ground."""
     description: str = ""
+    taken: str = ""
+    """What had to be guessed to read the file, such as its units: the operator must hear it."""
     allowed_area: tuple[tuple[float, float], ...] | None = None
     """Polygon x, y [m] outside which goals are refused; None: everywhere."""
     survey: NDArray[np.float32] | None = None

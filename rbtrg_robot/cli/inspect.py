@@ -60,6 +60,7 @@ def scene_show(
     record = {
         "name": scene.name,
         "description": scene.description,
+        "taken": scene.taken,
         "extent": [round(v, 3) for v in scene.extent],
         "resolution": scene.resolution,
         "friction": scene.friction,
@@ -70,7 +71,7 @@ def scene_show(
         say_json(record)
         return
     x0, y0, x1, y1 = scene.extent
-    say(f"{scene.name}: {scene.description}")
+    say(f"{scene.name}: {scene.description}" + (f"; taken so: {scene.taken}" if scene.taken else ""))
     say(f"  x {x0:.2f} to {x1:.2f} m, y {y0:.2f} to {y1:.2f} m, cells {scene.resolution} m")
     say(f"  start  x {scene.start[0]:.2f} y {scene.start[1]:.2f} yaw {scene.start[2] * 57.29578:.0f} deg")
     for goal, (x, y, yaw) in scene.goals.items():

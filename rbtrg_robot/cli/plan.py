@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 REACHED, REJECTED, ABORTED = 0, 2, 3
 """As `goal`: there is a route; start or goal cannot be asked for; there is none to the goal."""
+LARGEST = 10_000_000
+"""Bytes of a file of questions."""
 Place = tuple[float, float]
 
 
@@ -51,10 +53,15 @@ def plan(
     from rbtrg_robot.config import ConfigError, load
     from rbtrg_robot.hosts.plan import MapPlanner
 
+    for drawn in (png, geojson):
+        if drawn is not None:
+            _writable(drawn)
     sets = [*(set_ or [])]
     sets += [f"planner.variant={variant}"] if variant else []
     sets += [f"planner.method={method}"] if method else []
     planner = MapPlanner(map_, load(config, sets))
+    if planner.taken:
+        say(f"{map_} is taken so: {planner.taken}", error=True)
     if pairs is not None:
         if goal or start != "start":
             raise ConfigError("--pairs brings its own starts and goals: leave START and GOAL out")
@@ -91,6 +98,17 @@ def _status(route: Route) -> int:
     if route.ok:
         return REACHED if route.reaches_goal else ABORTED
     return REJECTED if route.reason in ("invalid", "goal_in_obstacle", "start_not_on_graph") else ABORTED
+
+
+def _writable(path: Path) -> None:
+    """Before anything is planned. Raises ConfigError."""
+    from rbtrg_robot.config import ConfigError
+
+    try:
+        with path.open("ab"):
+            pass
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _question(
@@ -135,9 +153,12 @@ def _read(path: Path) -> list[tuple[Place, float, Place, float | None]]:
 
     try:
         with open_regular(path) as file:
-            lines = file.read(10_000_000).decode(errors="replace").splitlines()
+            data = file.read(LARGEST + 1)
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error
+    if len(data) > LARGEST:
+        raise ConfigError(f"{path} has more than {LARGEST / 1e6:.0f} MB: split it")
+    lines = data.decode(errors="replace").splitlines()
     out: list[tuple[Place, float, Place, float | None]] = []
     for number, line in enumerate(lines, 1):
         text = line.split("#")[0].strip()

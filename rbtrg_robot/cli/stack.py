@@ -173,8 +173,8 @@ def _check(config: StackConfig) -> None:
                 "for the real one: up --backend unitree --interface NIC"
             )
         scene = config.load_scene()
-        if "taken so" in scene.description:
-            say(scene.description)
+        if scene.taken:
+            say(f"{scene.description}; taken so: {scene.taken}")
         if scene.mesh is not None:
             scene.caster()
         if config.controller != "vmc":

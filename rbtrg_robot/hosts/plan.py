@@ -15,20 +15,18 @@ from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
 from planning.errors import NoRoute, PlanningError
-from planning.path import Path as Path_
 from planning.path import PathLimits
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
-from planning.search.worst import worst_poses
 from rbtrg_robot import msg
 from rbtrg_robot.config import ConfigError, StackConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.planner import limits_of
-from rbtrg_robot.stages.route_report import REASONS, duration
+from rbtrg_robot.stages.route_report import REASONS, RouteBase
 from rbtrg_robot.stages.way import Way, WaySearch
 
-FEATURES = {
+FEATURES = {  # in the order of the body's scales
     "d_fb": "pitch from front to back",
     "a_lr": "roll from left to right",
     "p_int": "ground that comes near the body",
@@ -79,7 +77,7 @@ class MapPlanner:
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
         elevation = ElevationMap(config.elevation)
-        self.start, self.goals = _load(file, config, elevation)
+        self.start, self.goals, self.taken = _load(file, config, elevation)
         self._patches = [elevation.read(box) for box in elevation.boxes()]
         if not self._patches:
             raise ConfigError(f"{file} holds no ground to plan on")
@@ -136,19 +134,21 @@ class MapPlanner:
         return self._route(way, terrain)
 
     def _route(self, way: Way, terrain: MapGraph) -> Route:
-        found, path = way.plan, way.path
-        rows = [*range(0, len(path.points), 5)]
-        if rows and rows[-1] != len(path.points) - 1:
-            rows.append(len(path.points) - 1)
+        grid, graph = terrain.ground(), terrain.graph
+        assert graph is not None
+        table = terrain.table
+        if table is None or table.grid is not grid:  # a baseline makes none
+            table = RiskTable(graph, grid, terrain.body, None)
+        told = RouteBase(msg.Header(), "plan").report(way.plan, way.path, table)
         return Route(
             ok=True,
-            reason="" if found.reaches_goal else "frontier",
-            reaches_goal=found.reaches_goal,
-            length=float(found.length),
-            duration=duration(path),
-            cost=float(found.cost),
-            worst=_worst(way, terrain),
-            path=[_pose(path, k) for k in rows],
+            reason="" if told.reaches_goal else "frontier",
+            reaches_goal=told.reaches_goal,
+            length=float(told.length),
+            duration=told.duration,
+            cost=float(told.cost),
+            worst=_worst(told, terrain.body),
+            path=list(zip(*(x.tolist() for x in (told.x, told.y, told.z, told.yaw)), strict=True)),
         )
 
     def picture(self, route: Route, goal: tuple[float, float], out: Path) -> None:
@@ -182,43 +182,27 @@ class MapPlanner:
         view.save(out)
 
 
-def _pose(path: Path_, k: int) -> tuple[float, float, float, float]:
-    x, y, z = map(float, path.points[k])
-    return x, y, z, float(path.yaw[k])
-
-
-def _worst(way: Way, terrain: MapGraph) -> dict[str, Any]:
+def _worst(told: msg.RouteReport, body: BodyModel) -> dict[str, Any]:
     """The transition with the largest body risk, and the feature that made it so."""
-    found = way.plan
-    if not found.transitions:
+    if not len(told.transition_body):
         return {}
-    k = int(np.argmax([x.body for x in found.transitions]))
-    one = found.transitions[k]
-    grid, graph = terrain.ground(), terrain.graph
-    assert graph is not None
-    table = (
-        terrain.table
-        if terrain.table is not None and terrain.table.grid is grid
-        else RiskTable(graph, grid, terrain.body, None)
-    )
-    poses, _ = worst_poses(found, table.sampler, table.body)
-    peak = {name: max((p.get(name, 0.0) for p in one.peak.values()), default=0.0) for name in FEATURES}
-    tail = {name: max((p.get(name, 0.0) for p in one.tail.values()), default=0.0) for name in FEATURES}
-    name = max(tail, key=lambda n: tail[n])
+    k = int(told.transition_body.argmax())
+    peak = {name: float(getattr(told, name)[k]) for name in FEATURES}
+    name = max(peak, key=lambda n: peak[n] / body.scales[list(FEATURES).index(n)])
+    unknown = float(told.transition_unknown[k])
     why = (
         f"{FEATURES[name]} {peak[name]:.2g} {UNITS[name]}"
         if peak[name] > 0
         else "unknown ground"
-        if one.unknown > 0
+        if unknown > 0
         else "nothing to speak of"
     )
-    x, y, yaw = map(float, poses[k])
     return {
-        "x": x,
-        "y": y,
-        "yaw": math.degrees(yaw),
-        "body": float(one.body),
-        "unknown": float(one.unknown),
+        "x": float(told.worst_x[k]),
+        "y": float(told.worst_y[k]),
+        "yaw": math.degrees(told.worst_yaw[k]),
+        "body": float(told.transition_body[k]),
+        "unknown": unknown,
         "why": why,
         **peak,
     }
@@ -226,12 +210,12 @@ def _worst(way: Way, terrain: MapGraph) -> dict[str, Any]:
 
 def _load(
     file: str, config: StackConfig, elevation: ElevationMap
-) -> tuple[tuple[float, float, float], dict[str, tuple[float, float, float | None]]]:
-    """Start and named goals of what is read into `elevation`."""
+) -> tuple[tuple[float, float, float], dict[str, tuple[float, float, float | None]], str]:
+    """Start and named goals of what is read into `elevation`, and what had to be guessed of it."""
     if Path(file).suffix.lower() == ".npz" and Path(file).is_file():
         try:
             elevation.load_prior(Path(file))
-            return (0.0, 0.0, 0.0), {}
+            return (0.0, 0.0, 0.0), {}, ""
         except MapError as wrong:
             raise ConfigError(str(wrong)) from wrong
     try:
@@ -247,4 +231,4 @@ def _load(
         height = scene.survey if scene.survey is not None else scene.height
         np.savez(grid, height=height, resolution=scene.resolution, origin=scene.origin)
         elevation.load_prior(grid)
-    return scene.start, dict(scene.goals)
+    return scene.start, dict(scene.goals), scene.taken

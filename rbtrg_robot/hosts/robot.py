@@ -13,7 +13,7 @@ from hal.safety.gate import SafetyGate
 from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import topics as t
-from rbtrg_robot.config import StackConfig
+from rbtrg_robot.config import GUARD, StackConfig
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.stages.stage import Outputs
@@ -46,7 +46,7 @@ def build(
     backend = _simulator(config, restored or {}, begin) if config.simulated else _hardware(config, clock)
     area = config.allowed_area()
     gate = SafetyGate(
-        backend.capabilities, config.gate, Geofence.of(area) if area else None, guarded="guard" in watched
+        backend.capabilities, config.gate, Geofence.of(area) if area else None, guarded=GUARD in watched
     )
     return RobotStage(backend, gate, simulated=config.simulated, watched=watched)
 

@@ -30,6 +30,7 @@ from hal.types import (
 )
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.config import GUARD
 from rbtrg_robot.stages.command_path import CommandPath
 from rbtrg_robot.stages.feeling import Feeling
 from rbtrg_robot.stages.stage import Outputs
@@ -47,7 +48,6 @@ DIAGNOSTICS_PERIOD = NS
 SETTLE = NS
 """A process that was lost and is back gets this long [ns] to end what it left: a restarted navigator has not yet told the
 tracker that its goal is over when it appears."""
-GUARD = "guard"
 POSE_LIMIT = 0.3
 """Odometry older than this [s], or as far in the future, says nothing about motion."""
 

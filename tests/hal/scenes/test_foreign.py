@@ -115,7 +115,7 @@ def test_units_and_up_are_guessed_said_and_set(
         points = points[:, [0, 2, 1]] * (1, 1, -1)
     pcd(tmp_path / "a.pcd", points, False)
     scene = load_scene(tmp_path / "a.pcd")
-    assert words in scene.description
+    assert words in scene.taken
     x0, y0, x1, y1 = scene.extent
     assert (x1 - x0, y1 - y0) == pytest.approx((8.0, 6.0), abs=0.2)
     if turned:
@@ -142,7 +142,7 @@ def test_las_and_geotiff_are_read_with_their_place_and_their_holes(tmp_path: Pat
         las.write(tmp_path / name)
         scene = load_scene(tmp_path / name)
         assert scene.extent[2] < 10.0
-        assert "x, y count from (500000, 5400000)" in scene.description
+        assert "x, y count from (500000, 5400000)" in scene.taken
     height = np.zeros((40, 60), np.float32)
     height[:5] = -9999.0
     tags = [

@@ -24,7 +24,7 @@ from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.archive import Archive
-from rbtrg_robot.console.desk import Desk, Page
+from rbtrg_robot.console.desk import FAILED, Desk, Page
 from rbtrg_robot.console.door import OUTSIDE, STOP, VALID, WHO, Door, Guard
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.maps import Maps
@@ -122,7 +122,6 @@ class Site:
             Route("/", self._index),
             Route("/about", self._about),
             Route(STOP, self._stop, methods=["POST"]),
-            Route("/picture", self._picture),
             WebSocketRoute("/live", self._live),
             *Archive(self._config).routes(),
             *Maps(self._config, self._desk).routes(),
@@ -168,16 +167,6 @@ class Site:
         self._desk.stop()
         return JSONResponse(self._desk.stop_state, 202)
 
-    async def _picture(self, _request: Request) -> Response:
-        """The newest picture, to be kept."""
-        picture = self._feed.picture
-        if picture is None:
-            return PlainTextResponse("There is no picture yet: show the camera first.\n", 404)
-        stamp = picture.header.stamp
-        name = f"{self._config.robot}-{stamp.sec}.{stamp.nanosec // 1_000_000:03d}.jpg"
-        kept = {"Content-Disposition": f'attachment; filename="{name}"'}
-        return Response(picture.data.tobytes(), media_type="image/jpeg", headers=kept)
-
     # --- a page -----------------------------------------------------------------------------------------------
 
     async def _live(self, socket: WebSocket) -> None:
@@ -218,6 +207,10 @@ class Site:
 
         try:
             wish = wish_in(text)
+        except (ValueError, RecursionError):
+            reply(False, "not a message of this console")
+            return
+        try:
             number = wish.get("n")
             what = wish.get("do")
             if what == "alive":
@@ -237,12 +230,6 @@ class Site:
                 self._desk.do(page, wish, reply)
         except OperatorError as error:
             reply(False, str(error))
-        except (
-            ValueError,
-            RecursionError,
-            KeyError,
-            TypeError,
-            AttributeError,
-            OverflowError,
-        ):  # no JSON, or other things than we ask for
-            reply(False, "not a message of this console")
+        except Exception:
+            log.exception("a wish failed: %.200s", text)
+            reply(False, FAILED)

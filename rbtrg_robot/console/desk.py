@@ -46,6 +46,7 @@ Reply = Callable[[bool, str, dict[str, Any] | None], None]
 """Takes an `Answer`."""
 TAKEN = "another page operates; take over first"
 UNCONFIRMED = f"STOP NOT CONFIRMED: {USE_HARDWARE}"
+FAILED = "the console failed at this: see its log"
 ONLY_SEE = "this page may look and stop; an operator's address lets it do more"
 
 
@@ -154,7 +155,7 @@ class Desk:
             reply(False, str(error), None)
         except Exception:
             log.exception("a wish failed: %.200s", wish)
-            reply(False, "the console failed at this: see its log", None)
+            reply(False, FAILED, None)
 
     async def carry_out(self, order: Order) -> Outcome:
         """Send an order and wait for how it ends."""
@@ -168,7 +169,7 @@ class Desk:
             raise Refused(f"{what} while the robot stands and has no goal")
 
     def alive(self, page: Page, now: float, wish: dict[str, Any] | None = None) -> None:
-        """The page says that it is there, in a `wish` of its own or by asking for something: it keeps the lease, or takes it where nobody has it.
+        """The page says that it is there, when it joins and twice a second after that: it keeps the lease, or takes it where nobody has it.
         It is told how old what it sees is, there and back again on its link.
 
         `watched`: it is in front of somebody and shows what is. Whoever operates is then in contact with the mission.

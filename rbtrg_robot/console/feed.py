@@ -132,7 +132,6 @@ class Feed:
         self._lens: dict[str, Any] = {}
         self._source = (0, 0.0)
         """Newest stamp of the robot's state [ns], which is sent when it is made, and when it came [s]."""
-        self.picture: msg.CompressedImage | None = None
         """The newest of the camera, while somebody looks."""
         self._odom: msg.Odometry | None = None
         self._phase: Any = None
@@ -295,7 +294,6 @@ class Feed:
 
     def _picture(self, message: msg.CompressedImage) -> None:
         """How old it is goes with it: from the exposure to now, on the clock of the sensors."""
-        self.picture = message
         stamp, at = self._source
         age = (stamp - stamp_of(message)) / 1e9 + time.monotonic() - at
         frame = frames.picture(message, {**self._lens, "age": age, "stamp": stamp_of(message) / 1e9})

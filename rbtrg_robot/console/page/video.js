@@ -24,6 +24,7 @@ export function makeVideo(link, about, see) {
     put("video-mode", NAMES[name]);
     $("video-mode").setAttribute("aria-pressed", name !== "off");
     put("video-said", "no picture yet");
+    $("photo").hidden = true;
     shown = null;
     see();
   }
@@ -40,9 +41,10 @@ export function makeVideo(link, about, see) {
     const came = performance.now();
     const length = new DataView(data).getUint32(4, true);
     const facts = JSON.parse(text.decode(new Uint8Array(data, 8, length)));
+    const jpeg = new Blob([new Uint8Array(data, 8 + length)], { type: "image/jpeg" });
     let image;
     try {
-      image = await createImageBitmap(new Blob([new Uint8Array(data, 8 + length)], { type: "image/jpeg" }));
+      image = await createImageBitmap(jpeg);
     } catch {
       put("video-said", "the camera sent what is no picture");
       return;
@@ -53,9 +55,19 @@ export function makeVideo(link, about, see) {
     pen.drawImage(image, 0, 0);
     image.close();
     if (facts.fx) draw(facts);
-    shown = { facts, came, painted: performance.now() };
+    shown = { facts, came, painted: performance.now(), jpeg };
+    $("photo").hidden = false;
     tell();
   });
+
+  // The picture as the camera sent it, of a robot or of a replay.
+  $("photo").onclick = () => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(shown.jpeg);
+    link.download = `${about.robot}-${shown.facts.stamp.toFixed(3)}.jpg`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  };
 
   // From `map` [m] to pixels, through the pose of the robot; null behind the lens.
   function lens(facts, pose) {

@@ -118,6 +118,22 @@ def test_another_page_or_another_name_gets_nothing(console: Console) -> None:
         assert "unknown wish" in json.loads(socket.recv()[4:])["words"]
 
 
+def test_a_fault_of_the_console_is_told_and_logged(
+    console: Console, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def fail(*_: object) -> None:
+        raise KeyError("of our own")
+
+    monkeypatch.setattr(console.serve.desk, "do", fail)
+    host = console.address().split("/")[2]
+    who = {"Cookie": cookie(console), "Origin": f"http://{host}"}
+    with connect(f"ws://{host}/live", additional_headers=who) as socket:
+        socket.recv()
+        socket.send('{"do": "goal"}')
+        assert json.loads(socket.recv()[4:])["words"] == "the console failed at this: see its log"
+    assert "KeyError: 'of our own'" in caplog.text
+
+
 def test_what_cannot_be_sent_ends_no_console(console: Console) -> None:
     """Each of these was tried again in the thread that serves STOP, and ended it."""
     who = {"Cookie": cookie(console), "Origin": f"http://{console.address().split('/')[2]}"}

@@ -32,6 +32,7 @@ ROOMS: dict[str, str] = {
     "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",
     "mapping.relocalise": "hal mapping",
     "mapping.elevation": "hal hal.lidar hal.scenes mapping",
+    "mapping.closing": "hal mapping mapping.elevation mapping.relocalise",
     "planning": "hal",
     "planning.graph": "hal mapping planning",
     "planning.risk": "hal mapping planning planning.graph",

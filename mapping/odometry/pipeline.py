@@ -314,7 +314,7 @@ class LidarInertialOdometry:
         )
         x, variance = state.x.copy(), np.diag(state.p)[[0, 1, 8]]
         inside = imu[imu_stamp <= end]
-        self._still = touching and still(inside, x[10:13], joints, wheel)
+        self._still = bool(touching and still(inside, x[10:13], joints, wheel))
         rate = float(inside[:, 2].mean()) if len(inside) else x[12]
         self._turned = (rate - x[12]) * (end - state.stamp) * 1e-9
         stamps, track = state.advance(end, imu_stamp, imu, joint_stamp, wheel, sigma)

@@ -70,19 +70,9 @@ def locate(
     """Search the whole map. hint: x, y [m], yaw [rad] where the robot is thought to stand: it decides between places that look the same;
     `told`: by an operator, nothing else is searched.
     """
-    cloud, eyes = submap.cloud()
-    structure = cloud[cloud[:, 2] > GROUND]
-    if len(structure) < STRUCTURE:
+    found = possible(prior, submap, hint if told else None)
+    if found is None:
         return Verdict("open_ground")
-    bare = bare_ground(cloud)
-    found: list[Candidate] = []
-    for place in find_places(prior.columns, structure, hint if told else None):
-        exact = prior.surfaces.register(cloud, place)
-        if any(same(exact, other.place) for other in found):
-            continue
-        agree, against = prior.surfaces.evidence(cloud, eyes, bare, exact)
-        found.append(Candidate(exact, agree - against, against))
-    found.sort(key=lambda c: -c.certainty)
     if not found or found[0].certainty < ENOUGH:
         return Verdict("not_found", tuple(found))
     margin = MARGIN / min(submap.stands, LOOKS)
@@ -93,6 +83,31 @@ def locate(
     if said:
         return Verdict("located", (said[0], *(c for c in found if c is not said[0])), hinted=True)
     return Verdict("ambiguous", tuple(alike))
+
+
+def possible(
+    prior: PriorMap,
+    submap: Submap,
+    near: tuple[float, float, float] | None = None,
+    radius: float = 1.5,
+    turn: float = math.radians(30.0),
+) -> list[Candidate] | None:
+    """Places of a submap, registered, the most certain first; None where too little stands around. near: x, y [m], yaw [rad], only within
+    `radius` [m] and `turn` [rad] of which is searched.
+    """
+    cloud, eyes = submap.cloud()
+    structure = cloud[cloud[:, 2] > GROUND]
+    if len(structure) < STRUCTURE:
+        return None
+    bare = bare_ground(cloud)
+    found: list[Candidate] = []
+    for place in find_places(prior.columns, structure, near, radius, turn):
+        exact = prior.surfaces.register(cloud, place)
+        if any(same(exact, other.place) for other in found):
+            continue
+        agree, against = prior.surfaces.evidence(cloud, eyes, bare, exact)
+        found.append(Candidate(exact, agree - against, against))
+    return sorted(found, key=lambda c: -c.certainty)
 
 
 def near(place: Place, hint: tuple[float, float, float]) -> bool:

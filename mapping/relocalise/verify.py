@@ -74,6 +74,17 @@ class Surfaces:
             x, y, z, yaw = x + step[0], y + step[1], z + step[2], wrap(yaw + step[3])
         return Place(float(x), float(y), float(z), float(yaw), place.share)
 
+    def grip(self, cloud: NDArray[np.float64], place: Place) -> float:
+        """How well the walls that a submap (n, 3) meets hold it in the plane [0..0.5]: the share of their normals along the direction that they hold
+        least. 0 in a corridor without ends, along which every place fits.
+        """
+        pose = pose_of(place)
+        there = cloud[cloud[:, 2] > GROUND] @ pose[:3, :3].T + pose[:3, 3]
+        near, square = self._nearest(there)
+        normal = self.normals[near[square < PATCH**2], :2]
+        held = np.linalg.eigvalsh(normal.T @ normal)
+        return float(held[0] / max(held.sum(), 1e-9))
+
     def _nearest(self, there: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Index (n,) of the map's point nearest to each of (n, 3), and the square of its distance (n,) [m^2]."""
         index, square = self.tree.batch_nearest_neighbor_search(there)

@@ -1,0 +1,300 @@
+"""Loops of one or more runs, found in the order in which they were driven: search, verify, agree, solve. What is not beyond doubt is refused."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hal.rotation import wrap
+from hal.types import Array
+from mapping.closing.fuse import corrected, fuse
+from mapping.closing.graph import PoseGraph, after, back, between
+from mapping.closing.keyframes import Keyframe, Surroundings, keyframes_of
+from mapping.closing.recording import Recording
+from mapping.closing.verify import LEAD, Match, Refusal, Verifier, pose_of, rivals
+from mapping.elevation.config import ElevationConfig
+from mapping.relocalise import ENOUGH, PriorMap, locate
+
+DRIFT = np.array([0.02, 0.02, 0.03, math.radians(0.05)])
+"""Of odometry by the root of a metre: x, y, z [m], yaw [rad]. In 70 m of new corridor it was 0.01, 0.13, 0.014 m and 0.16 deg off, which is a third of
+that; wheels that slip and impacts of simulated physics made 0.02 m in 6 m of it."""
+LOOP_SIGMA = np.array([0.04, 0.04, 0.04, math.radians(0.3)])
+"""Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by the drift within it."""
+NEW = 30.0
+"""Driven between two keyframes of a loop, at least [m]."""
+OVERLAP = 5.0
+"""Keyframes within this of each other see much the same [m]."""
+SIGMAS = 3.0
+"""Of the odometry: so far off is searched."""
+SLACK = (0.5, math.radians(3.0))
+"""What is searched beyond that [m], [rad]."""
+WIDEST = 15.0
+"""Searched around a keyframe at most [m]: its map ends there."""
+MOST = 8
+"""Maps in which one keyframe is searched, the nearest ones."""
+GATE = 18.5
+"""Square of the distance from what odometry says, by its covariance: one right loop of a thousand is further (chi square, 4)."""
+TOGETHER = 40.0
+"""Two loops speak for each other where odometry between them is no longer than this [m]."""
+LOST_SAY = 0.2
+"""A loop that keeps less of its weight than this contradicts the others: by six standard deviations."""
+TOUR = 0.5
+"""Scans so far apart [m] make the map in which a further run is searched."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loop:
+    """A loop that was closed."""
+
+    match: Match
+    off: Array
+    """(4,) the graph less the match: x, y, z [m], yaw [rad]."""
+    weight: float
+    """What it kept of its say [0..1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Closed:
+    """What became of the runs."""
+
+    keyframes: list[Keyframe]
+    nodes: Array
+    """(n, 4) of the ground under each keyframe in `map`: x, y, z [m], yaw [rad]."""
+    driven: Array
+    """(n, 4) the same by odometry alone; of further runs from where their first keyframe was put."""
+    loops: list[Loop]
+    refused: list[Refusal]
+    lost: list[int]
+    """Runs of which no keyframe was found in those before: they are not in the map."""
+
+
+class Closing:
+    """Finds the loops of a recording. Same recording, same loops."""
+
+    def __init__(
+        self, recording: Recording, params: ElevationConfig, origin: Array, drift: float = 1.0
+    ) -> None:
+        """origin (4,): x, y, z [m], yaw [rad] of the first run's `odom` in `map`. drift: how many times more than `DRIFT` the odometry drifts."""
+        self._recording, self._params = recording, params
+        self._drift = drift * DRIFT
+        self.keyframes = keyframes_of(recording.scans)
+        self._around = Surroundings(recording, params)
+        self._verifier = Verifier(self.keyframes, self._around)
+        self.graph = PoseGraph()
+        for k, frame in enumerate(self.keyframes):
+            before = self.keyframes[k - 1] if k else None
+            if before is None or before.run != frame.run:
+                self.graph.begin(after(origin, frame.place) if k == 0 else frame.place)
+            else:
+                way = math.sqrt(max(frame.along - before.along, 0.1))
+                self.graph.drive(between(before.place, frame.place), self._drift * way)
+        self.matches: list[Match] = []
+        """Of the loops of the graph, in its order."""
+        self.refused: list[Refusal] = []
+        self._waiting: list[Match] = []
+        self._tried: set[tuple[int, int]] = set()
+        self._asked: set[int] = set()
+        """Keyframes that were searched in the whole map."""
+        self._prior: tuple[int, PriorMap] | None = None
+        self._found = {0}
+        """Runs whose place is known."""
+
+    def close(self, progress: Callable[[float], None] = lambda _share: None) -> Closed:
+        """Twice over all keyframes: what the first time was too far off may be in reach once other loops are closed. progress hears the share done."""
+        count = len(self.keyframes)
+        for n in range(2 * count):
+            number = n % count
+            if not any(number == match.second for match in (*self.matches, *self._waiting)):
+                self._take(number)
+            progress((n + 1) / (2 * count))
+        for match in self._waiting:
+            self._refuse(match, "alone: no other loop near it says the same")
+        weights = self.graph.solve() if len(self.keyframes) else np.empty(0)
+        edges = self.graph.loops
+        off = edges.errors(self.graph.nodes) * edges.sigma
+        loops = [
+            Loop(match, one, float(weight))
+            for match, one, weight in zip(self.matches, off, weights, strict=True)
+        ]
+        runs = {frame.run for frame in self.keyframes}
+        return Closed(
+            self.keyframes,
+            self.graph.nodes,
+            self._by_odometry(),
+            loops,
+            self.refused,
+            sorted(runs - self._found),
+        )
+
+    def _by_odometry(self) -> Array:
+        out = np.empty((len(self.keyframes), 4))
+        first = 0
+        for k, frame in enumerate(self.keyframes):
+            if frame.run != self.keyframes[first].run:
+                first = k
+            out[k] = after(self.graph.nodes[first], between(self.keyframes[first].place, frame.place))
+        return out
+
+    def _take(self, second: int) -> None:
+        """Search one keyframe in the maps of those before it."""
+        found: list[Match] = []
+        searched: list[int] = []
+        for first, near, radius, turn in self._candidates(second):
+            if (first, second) in self._tried:
+                continue
+            self._tried.add((first, second))
+            candidates = self._verifier.search(first, second, near, radius, turn)
+            if candidates is None:
+                self.refused.append(Refusal(first, second, "open ground: too little stands around"))
+                continue
+            searched.append(first)
+            found += [Match(first, second, pose_of(c.place), c.certainty) for c in candidates]
+        if not searched:
+            return
+        if not found or max(match.certainty for match in found) < ENOUGH:
+            most = max((match.certainty for match in found), default=0.0)
+            self.refused.append(Refusal(searched[0], second, f"not there: {most:.0%} certain at best", most))
+            return
+        best, rival = rivals(self.graph.nodes, found)
+        if rival is not None and best.certainty - rival.certainty < LEAD:
+            apart = between(
+                after(self.graph.nodes[rival.first], rival.relative),
+                after(self.graph.nodes[best.first], best.relative),
+            )
+            self._refuse(
+                best,
+                f"looks alike: a place {np.linalg.norm(apart[:3]):.1f} m away is {rival.certainty:.0%} certain",
+            )
+        elif (off := self._from_odometry(best)) > GATE:
+            self._refuse(best, f"too far from the odometry: {math.sqrt(off):.1f} standard deviations")
+        elif why := self._verifier.check(best):
+            self._refuse(best, why)
+        else:
+            self._agree(best)
+
+    def _refuse(self, match: Match, why: str) -> None:
+        self.refused.append(Refusal(match.first, match.second, why, match.certainty))
+
+    def _candidates(self, second: int) -> list[tuple[int, Array, float, float]]:
+        """Keyframes in whose maps it may be found, the nearest first: number, where (4,), within which radius [m] and turn [rad]."""
+        frame = self.keyframes[second]
+        if frame.run not in self._found:
+            return self._anywhere(second)
+        out = []
+        far = np.linalg.norm(self.graph.nodes[:, :2] - self.graph.nodes[second, :2], axis=1)
+        for first in np.argsort(far[:second], kind="stable"):
+            other = self.keyframes[first]
+            if far[first] > OVERLAP + WIDEST:
+                break
+            if other.run not in self._found or (other.run == frame.run and frame.along - other.along < NEW):
+                continue
+            near, covariance = self.graph.apart(int(first), second)
+            radius = SIGMAS * math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+            height, turn = (SIGMAS * math.sqrt(max(covariance[k, k], 0.0)) for k in (2, 3))
+            if far[first] < OVERLAP + radius and abs(near[2]) < 1.0 + height:
+                out.append((int(first), near, min(radius + SLACK[0], WIDEST), min(turn + SLACK[1], math.pi)))
+            if len(out) == MOST:
+                break
+        return out
+
+    def _anywhere(self, second: int) -> list[tuple[int, Array, float, float]]:
+        """The same of a run whose place is not known: the relocaliser searches the whole map of the runs before."""
+        run = self.keyframes[second].run
+        if second in self._asked:
+            return []
+        self._asked.add(second)
+        if self._prior is None or self._prior[0] != run:
+            self._prior = run, self._map_before(run)
+        verdict = locate(self._prior[1], self._around.submap(self.keyframes[second]))
+        if verdict.answer != "located":
+            self.refused.append(
+                Refusal(second, second, f"searched in all runs before: {verdict.answer.replace('_', ' ')}")
+            )
+            return []
+        place = pose_of(verdict.candidates[0].place)
+        known = [k for k, frame in enumerate(self.keyframes) if frame.run in self._found]
+        first = min(known, key=lambda k: float(np.linalg.norm(self.graph.nodes[k, :3] - place[:3])))
+        if np.linalg.norm(self.graph.nodes[first, :3] - place[:3]) > OVERLAP:
+            self.refused.append(Refusal(first, second, "found where no keyframe is near"))
+            return []
+        return [(first, between(self.graph.nodes[first], place), *SLACK)]
+
+    def _map_before(self, run: int) -> PriorMap:
+        scans = self._recording.scans
+        poses = corrected(scans, self.keyframes, self.graph.nodes)
+        chosen: list[int] = []
+        for n, scan in enumerate(scans):
+            last = scans[chosen[-1]] if chosen else None
+            if (
+                scan.run in self._found
+                and scan.run < run
+                and (last is None or last.run != scan.run or scan.along - last.along >= TOUR)
+            ):
+                chosen.append(n)
+        made = fuse(self._recording, poses, self._params, chosen)
+        for n in chosen:
+            for _, points in self._recording.points(scans[n]):
+                made.cloud.add(points, poses[n, :3, :3], poses[n, :3, 3])
+        return PriorMap(made.cloud.points, [made.read(box).grid() for box in made.boxes()])
+
+    def _from_odometry(self, match: Match) -> float:
+        """Square of the distance between a match and what the graph says, by the covariance of both."""
+        said, covariance = self.graph.apart(match.first, match.second)
+        off = match.relative - said
+        off[3] = wrap(off[3])
+        return float(off @ np.linalg.solve(covariance + np.diag(LOOP_SIGMA**2), off))
+
+    def _agree(self, match: Match) -> None:
+        """Close it where another loop near it says the same; until then it waits."""
+        others = [other for other in (*self.matches, *self._waiting) if self._say_the_same(other, match)]
+        if not others:
+            self._waiting.append(match)
+            return
+        for new in (*(other for other in others if other in self._waiting), match):
+            self._enter(new)
+        self._waiting = [other for other in self._waiting if other not in others]
+        self._solve()
+
+    def _say_the_same(self, a: Match, b: Match) -> bool:
+        """Round both loops and the odometry between them: does the way end where it began?"""
+        frames = self.keyframes
+        ends = ((frames[a.first], frames[b.first]), (frames[a.second], frames[b.second]))
+        ways = [abs(p.along - q.along) for p, q in ends]
+        if any(p.run != q.run for p, q in ends) or max(ways) > TOGETHER or a.second == b.second:
+            return False
+        here, there = (between(p.place, q.place) for p, q in ends)
+        round_trip = between(after(here, b.relative), after(a.relative, there))
+        sigma = np.sqrt(2.0 * LOOP_SIGMA**2 + sum(ways) * self._drift**2)
+        sigma[:2] = np.hypot(sigma[:2], sigma[3] * max(ways))  # a turn at one end moves the other
+        return bool((np.abs(round_trip) < SIGMAS * sigma).all())
+
+    def _enter(self, match: Match) -> None:
+        run = self.keyframes[match.second].run
+        if run not in self._found:  # its nodes are brought there first: the solver takes small steps
+            self._found.add(run)
+            target = after(self.graph.nodes[match.first], match.relative)
+            home = after(target, back(self.graph.nodes[match.second]))
+            own = [k for k, frame in enumerate(self.keyframes) if frame.run == run]
+            self.graph.nodes[own] = after(np.tile(home, (len(own), 1)), self.graph.nodes[own])
+        self.graph.close(match.first, match.second, match.relative, LOOP_SIGMA)
+        self.matches.append(match)
+
+    def _solve(self) -> None:
+        """Solve; the loop that contradicts the others most goes, and again."""
+        weights = self.graph.solve()
+        while len(weights) and weights.min() < LOST_SAY:
+            worst = int(weights.argmin())
+            self._refuse(
+                self.matches[worst], f"contradicts the others: it kept {weights[worst]:.0%} of its say"
+            )
+            self.graph.drop({worst})
+            del self.matches[worst]
+            weights = self.graph.solve()
+        runs = [tuple(self.keyframes[k].run for k in (match.first, match.second)) for match in self.matches]
+        self._found = {0}
+        for first, second in sorted(runs):
+            if first in self._found:
+                self._found.add(second)

@@ -1,0 +1,97 @@
+"""What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about a gigabyte while a map is built."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hal.rotation import wrap
+from hal.types import NS, Array
+from mapping.closing.graph import levelled
+from mapping.elevation.sensor import Sensor
+from mapping.thin_cloud import REACH
+
+EVERY = (0.1, math.radians(5.0), 2 * NS)
+"""A scan is kept when the robot moved [m] or turned [rad] so far since the last one, or so long after it [ns]."""
+MILLIMETRE = 1000.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One instant of a run."""
+
+    run: int
+    stamp: int
+    """[ns]"""
+    pose: Array
+    """(4, 4) base_link in the `odom` of its run."""
+    below: float
+    """How far the ground is under base_link [m]."""
+    contacts: Array
+    """(k, 3) bottoms of the wheels in contact, base_link [m]."""
+    along: float
+    """Driven since the start of its run [m]."""
+    clouds: tuple[tuple[Sensor, int, int], ...]
+    """Of each LiDAR, where its points begin in the file [points], and how many they are."""
+
+
+class Recording:
+    """Scans of one or more runs, in order. Close it: the file goes then."""
+
+    def __init__(self) -> None:
+        self.scans: list[Scan] = []
+        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as this object
+        self._end = 0
+
+    def add(
+        self,
+        run: int,
+        stamp: int,
+        pose: Array,
+        clouds: Sequence[tuple[Sensor, NDArray[np.float32]]],
+        below: float,
+        contacts: Array,
+    ) -> bool:
+        """One scan of every LiDAR: points (n, 3) in base_link, deskewed to `stamp` [ns]; pose (4, 4) of base_link in `odom`, how far the ground is
+        under it [m], bottoms of the wheels (k, 3) in base_link. Returns whether it was kept. Raises OSError where the disk is full.
+        """
+        last = self.scans[-1] if self.scans and self.scans[-1].run == run else None
+        along = 0.0
+        if last is not None:
+            a, b = levelled(last.pose), levelled(pose)
+            moved, turned = math.dist(a[:2], b[:2]), abs(wrap(b[3] - a[3]))
+            if moved < EVERY[0] and turned < EVERY[1] and stamp - last.stamp < EVERY[2]:
+                return False
+            along = last.along + moved
+        kept = []
+        for sensor, points in clouds:
+            near = points[np.square(points).sum(axis=1) < REACH**2]  # without what is no number
+            self._file.write(np.rint(near * MILLIMETRE).astype("<i2").tobytes())
+            kept.append((sensor, self._end, len(near)))
+            self._end += len(near)
+        self.scans.append(Scan(run, stamp, np.array(pose), below, np.array(contacts), along, tuple(kept)))
+        return True
+
+    def points(self, scan: Scan) -> list[tuple[Sensor, NDArray[np.float32]]]:
+        """The clouds (n, 3) [m] of a scan in base_link, to the millimetre."""
+        out = []
+        for sensor, begin, count in scan.clouds:
+            self._file.seek(6 * begin)
+            raw = np.frombuffer(self._file.read(6 * count), "<i2").reshape(-1, 3)
+            out.append((sensor, (raw / np.float32(MILLIMETRE)).astype(np.float32)))
+        return out
+
+    @property
+    def nbytes(self) -> int:
+        """On disk."""
+        return 6 * self._end
+
+    def close(self) -> None:
+        """Delete the file."""
+        self._file.close()

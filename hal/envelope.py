@@ -1,8 +1,9 @@
 """The envelope: what a controller was measured to do, and the probability that a motion fails.
 
-A `Table` holds what was counted: trials and failures over a grid of sizes and angles. `Fit` is the model of one table, a logistic
-regression whose parts grow with height, angle and steepness and which knows no harm on flat ground. Its mean tells what a motion costs,
-its bound at 80 % what is no way. `tools.bench envelope --write` makes the files; no number in them is typed by hand.
+A `Table` holds what was counted: trials and failures over a grid of sizes and angles. `Fit` is the model of one table,
+a logistic regression whose parts grow with height, angle and steepness and which knows no harm on flat ground. Its mean
+tells what a motion costs, its bound at 80 % what is no way. `tools.bench envelope --write` makes the files; no number in
+them is typed by hand.
 
     envelope = stored("hybrid")
     envelope.hazard("up", height, angle, slope)      # -ln(1 - p); infinite where there is no way
@@ -123,8 +124,8 @@ class Table(BaseModel):
 
 
 # --- features ------------------------------------------------------------------------------------------------------
-# Each maps values of the axes (SI) to parts (..., m) that are zero where nothing can go wrong and never fall with size. One is about
-# what makes a face of 10 cm or a slope of 20 deg hard.
+# Each maps values of the axes (SI) to parts (..., m) that are zero where nothing can go wrong and never fall with size.
+# One is about what makes a face of 10 cm or a slope of 20 deg hard.
 _TEN_CM = 0.10
 _STEEP = math.tan(math.radians(20.0))
 
@@ -189,10 +190,11 @@ ROUNDS = 100
 
 
 class Fit:
-    """Hazard of a manoeuvre over its parts: h = softplus(base + w . parts) - softplus(base), so none where all parts are zero.
+    """Hazard of a manoeuvre over its parts: h = softplus(base + w . parts) - softplus(base).
 
-    p = 1 - exp(-h) is a logistic curve of the parts with its value on flat ground taken off (Abbott's formula). Base and logarithms of
-    the weights are the mode of their posterior; its normal approximation there (Laplace) gives the bound.
+    So it is none where all parts are zero. p = 1 - exp(-h) is a logistic curve of the parts with its value on flat ground
+    taken off (Abbott's formula). Base and logarithms of the weights are the mode of their posterior; its normal
+    approximation there (Laplace) gives the bound.
     """
 
     def __init__(self, parts: Array, trials: ArrayLike, failures: ArrayLike) -> None:
@@ -243,7 +245,7 @@ class Fit:
     def _derivatives(theta: Array, parts: Array, n: Array, k: Array) -> tuple[Array, Array]:
         """Gradient (m + 1,) of the negative log likelihood and Fisher's information (m + 1, m + 1)."""
         weights = np.exp(theta[1:])
-        h = np.maximum(_hazard(theta[0], np.exp(theta[1:]), parts), MIN_HAZARD)
+        h = np.maximum(_hazard(theta[0], weights, parts), MIN_HAZARD)
         z = np.minimum(theta[0] + parts @ weights, MAX_EXPONENT + theta[0])
         sigma = 1.0 / (1.0 + np.exp(-z))
         jacobian = np.column_stack(
@@ -299,7 +301,7 @@ class Envelope(BaseModel):
         return {name: fit(name, table) for name, table in self.manoeuvres.items()}
 
     def mean(self, name: str, *values: ArrayLike) -> Array:
-        """Probability of failure of one unit of a manoeuvre, by which it costs. Values of its axes in SI units, broadcast."""
+        """Probability of failure of one unit of a manoeuvre, by which it costs. Values of its axes in SI, broadcast."""
         return self._probability(name, values, bound=bool(self.manoeuvres[name].assumed))
 
     def bound(self, name: str, *values: ArrayLike) -> Array:
@@ -308,7 +310,10 @@ class Envelope(BaseModel):
         return np.where(self.tested(name, *values) | (p == 0.0), p, 1.0)
 
     def hazard(self, name: str, *values: ArrayLike) -> Array:
-        """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`. `FALL_COST` times it is the price [m]."""
+        """-ln(1 - p) of one unit; infinite where it is no way: `bound` above `MAX_RISK`.
+
+        `FALL_COST` times it is the price [m].
+        """
         h = -np.log1p(-np.minimum(self.mean(name, *values), 1.0 - 1e-9))
         return np.where(self.bound(name, *values) > MAX_RISK, np.inf, h)
 
@@ -330,10 +335,6 @@ class Envelope(BaseModel):
         parts = PARTS[name](*arrays)
         model = self._fits[name]
         return -np.expm1(-(model.bound(parts) if bound else model.mean(parts)))
-
-    def tabulated(self, name: str, *values: Array) -> Array:
-        """Hazards over the grid of these values of each axis (SI), for kernels: infinite where it is no way."""
-        return self.hazard(name, *np.meshgrid(*values, indexing="ij"))
 
     def write(self, path: Path) -> None:
         """As JSON, a line for each cell."""
@@ -370,11 +371,11 @@ CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
 
 
 def limits(envelope: Envelope) -> dict[str, float]:
-    """What `Capabilities` says of faces, slopes, gaps and posts: the largest of each with `ROUTINE_RISK` at most, and a way.
+    """Limits by the names of `Capabilities`: the largest of each size with `ROUTINE_RISK` at most, and a way.
 
-    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction; `max_posts`
-    is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no more than twice as often; zero where
-    each does.
+    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction;
+    `max_posts` is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no more than twice
+    as often; zero where each does.
     """
 
     def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:
@@ -411,7 +412,7 @@ def limits(envelope: Envelope) -> dict[str, float]:
 
 
 def file_of(controller: str) -> Path:
-    """Where the envelope of a controller stands: beside its parameters or weights; of the vendor's service, beside its backend."""
+    """Where the envelope of a controller stands: beside its weights; of the vendor's service, beside its backend."""
     folder = "unitree" if controller == SPORT else "locomotion"
     return Path(__file__).parent / folder / f"{controller}.envelope.json"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,24 @@ POLICY = SHARED / "data" / "policies" / "go2w_rl_sar"
 
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="reference data do not lie beside the checkout")
 """Only the absence of the whole folder skips: a file that is missing in it fails."""
+
+
+@cache
+def no_opengl() -> str:
+    """Why nothing can be drawn on this machine; empty where pictures can."""
+    from hal.mujoco.view.render import RenderError, gl_context
+
+    try:
+        gl_context(16, 16).free()
+    except RenderError as error:
+        return str(error)
+    return ""
+
+
+def needs_gl() -> None:
+    """Skip where the machine has no OpenGL."""
+    if no_opengl():
+        pytest.skip(no_opengl())
 
 
 def needs_open3d() -> None:

@@ -8,8 +8,8 @@ from hal.safety.monitors import MONITORS, Monitor
 
 HEAD = """# Monitors
 
-Every check of an input. This page is written by `python -m tools.monitors` from [hal/safety/monitors.py](../hal/safety/monitors.py).
-[safety.md](safety.md) tells the hazards. `python -m tools.bench faults --without MONITOR` shows what each one is good for.
+The checks of inputs that stand in one table. This page is written by `python -m tools.monitors` from
+[hal/safety/monitors.py](../hal/safety/monitors.py). [safety.md](safety.md) tells the hazards, and the checks that are not in it. `python -m tools.bench faults --without MONITOR` shows what each one is good for.
 
 Consequences, from the mildest on: *tell* (`status` says it), *degrade* (the input is not used), *hold* (zero velocity while it lasts),
 *latch* (zero velocity until `resume`), *lost* (the pose is not known, the goal ends), *refuse* (the message, the file or the start).

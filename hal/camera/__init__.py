@@ -1,6 +1,6 @@
 """Cameras: what one is, how its picture falls, and who gives frames."""
 
-from hal.camera.camera import CameraError, CameraFrame, CameraSource, MountedCamera
+from hal.camera.camera import CameraError, CameraFrame, CameraSource, MountedCamera, encode
 from hal.camera.config import CameraConfig
 
-__all__ = ["CameraConfig", "CameraError", "CameraFrame", "CameraSource", "MountedCamera"]
+__all__ = ["CameraConfig", "CameraError", "CameraFrame", "CameraSource", "MountedCamera", "encode"]

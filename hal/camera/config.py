@@ -22,8 +22,8 @@ class CameraConfig(BaseModel):
     source: str = Field(
         "robot",
         pattern=r"^(off|robot|(rtsps?|https?|file|v4l2):.+)$",
-        description="robot: the simulator's, or the one in the robot's head; off: none; rtsp://..., http://..., v4l2:/dev/videoN: "
-        "another one (extra `camera`)",
+        description="robot: the simulator's, or the one in the robot's head; off: none; rtsp://..., http://..., "
+        "v4l2:/dev/videoN: another one (extra `camera`)",
     )
     name: Literal["front"] = "front"
     mount: Extrinsics = Field(FRONT, description="in base_link [m, rad], x along the view")

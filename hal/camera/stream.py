@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import io
 import threading
 import time
 from typing import Any
 
-from hal.camera.camera import CameraError, CameraFrame, MountedCamera
+from hal.camera.camera import CameraError, CameraFrame, MountedCamera, encode
 
 OPENING = 10.0
 """[s] a camera has until its first frame, and between two."""
-QUALITY = 75
 
 
 class StreamCamera:
-    """`CameraSource` on a stream. A thread keeps the newest frame; a frame is stamped when it came, less nothing: what the camera and the
-    network took before is not known."""
+    """`CameraSource` on a stream. A thread keeps the newest frame.
+
+    A frame is stamped when it came: what the camera and the network took before is not known.
+    """
 
     def __init__(self, camera: MountedCamera, url: str) -> None:
         """`url`: as FFmpeg has it; `v4l2:/dev/video0` for a USB camera, `file:` for a film that is repeated."""
@@ -84,9 +84,7 @@ class StreamCamera:
                 raise CameraError(f"the camera at {self._name} is silent: check its address and the network")
             return None
         self._taken = newest[0]
-        out = io.BytesIO()
-        newest[1].to_image().save(out, "JPEG", quality=QUALITY)
-        return CameraFrame(now - round((wall - newest[0]) * 1e9), out.getvalue())
+        return CameraFrame(now - round((wall - newest[0]) * 1e9), encode(newest[1].to_image()))
 
     def close(self) -> None:
         """End the thread; one that waits for a dead network ends by its timeout."""

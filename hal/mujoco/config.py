@@ -8,7 +8,6 @@ from dataclasses import replace
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from hal.envelope import limits, stored
 from hal.lowlevel import Controller
 from hal.types import Capabilities
 
@@ -72,21 +71,15 @@ KEPT: dict[Controller, dict[str, float]] = {
         "step_vx": 0.5,
     },
 }
-
-"""Limits that are not read off the envelope yet, each as it was before there was one: the planner's rules were tuned to them, and lanes
-are graded by them. The measured ones stand beside them in docs/simulated_robot.md. One goes when the planner prices what it limits."""
-
-
-class _PerController(dict[Controller, Capabilities]):
-    """Each is read off its envelope when it is first asked for: the fit takes 0.1 s."""
-
-    def __missing__(self, name: Controller) -> Capabilities:
-        able = self[name] = replace(_RATES[name], **(limits(stored(name)) | KEPT[name]))  # type: ignore[arg-type]
-        return able
+"""Limits, each as it was before there was an envelope: the planner's rules were tuned to them, and lanes are graded by them. The measured
+ones (`hal.envelope.limits`) stand beside them in docs/simulated_robot.md. One is read off when the planner prices what it limits."""
 
 
-CAPABILITIES: dict[Controller, Capabilities] = _PerController()
-"""Capabilities of the simulated robot, per controller: rates, and limits from its envelope."""
+CAPABILITIES: dict[Controller, Capabilities] = {
+    name: replace(rates, **KEPT[name])  # type: ignore[arg-type]
+    for name, rates in _RATES.items()
+}
+"""Capabilities of the simulated robot, per controller: rates and limits."""
 
 _CHECKED = ConfigDict(extra="forbid")
 

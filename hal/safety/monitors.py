@@ -1,8 +1,9 @@
-"""Every check of an input, one row each: what is watched, what is allowed, what happens beyond, what the operator reads.
+"""Checks of inputs as a table, one row each: what is watched, what is allowed, what happens beyond, what the operator reads.
 
-The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own, as topics are spelt in one table.
-`status`, the console's health page, `docs/safety.md` and `tools.bench faults` read it. A limit that an operator may set stands in the
-configuration, and the row names its field.
+The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own. Checks that are no rows yet, such as
+the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/safety.md`. `docs/monitors.md` is this table as a page;
+the health of processes and `tools.bench faults` read it. A limit that an operator may set stands in the configuration, and the row names
+its field.
 """
 
 from __future__ import annotations
@@ -96,8 +97,8 @@ class Monitor:
         return self.name not in _OUT
 
     def tell(self, **values: object) -> str:
-        """The operator's words, with what was found."""
-        return self.words.format(**values)
+        """The operator's words, with what was found; `low` and `high` of the row come by themselves."""
+        return self.words.format(**{"low": self.low, "high": self.high, **values})
 
 
 @cache
@@ -232,7 +233,7 @@ ACCELERATION = Monitor(
     Check.RANGE,
     Consequence.REFUSE,
     "robot, odometry",
-    "{stream}: an acceleration of {value:.3g} m/s^2, possible are -400 to 400",
+    "{stream}: an acceleration of {value:.3g} m/s^2, possible are {low:g} to {high:g}",
     "the sensor or its driver is broken: replace it, or `unitree.imu` of the other one",
     low=-400.0,  # 40 g, the widest range of inertial sensors (ADXL357); a fall onto concrete reaches 30 g
     high=400.0,
@@ -245,7 +246,7 @@ TURN_RATE = Monitor(
     Check.RANGE,
     Consequence.REFUSE,
     "robot, odometry",
-    "{stream}: a turn rate of {value:.3g} rad/s, possible are -35 to 35",
+    "{stream}: a turn rate of {value:.3g} rad/s, possible are {low:g} to {high:g}",
     "the sensor or its driver is broken, or it tells degrees: replace it, or `unitree.imu` of the other one",
     low=-35.0,  # 2000 deg/s, the widest range of such sensors
     high=35.0,
@@ -297,7 +298,7 @@ JOINT_SPEED = Monitor(
     Check.RANGE,
     Consequence.REFUSE,
     "robot, odometry",
-    "joints: {motor} tells {value:.3g} rad/s, possible are -200 to 200",
+    "joints: {motor} tells {value:.3g} rad/s, possible are {low:g} to {high:g}",
     "look at this motor and its encoder",
     low=-200.0,  # five times what the motors reach; a value that is no number is beyond it
     high=200.0,
@@ -451,8 +452,6 @@ MOVES_UNTOLD = Monitor(
     judge="robot",
     words="it moves by {speed} m/s at a command of zero",
     remedy="somebody else drives or pushes the robot, it slides, or odometry errs: find out, then `resume`",
-    high=0.05,
-    unit="m/s over 0.5 s",
     setting="gate.moving_speed",
     against="/cmd_vel",
     test="hal/safety/test_gate.py",
@@ -473,7 +472,7 @@ OLD_HANDS = Monitor(
     check=Check.AGE,
     consequence=Consequence.HOLD,
     judge="robot",
-    words="their sender saw the robot {age} s ago, limit {limit} s",
+    words="their sender saw the robot {age} s ago, limit {high:.1f} s",
     remedy="let go until the link is quicker; move nearer",
     low=0.0,
     high=0.5,

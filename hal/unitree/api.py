@@ -203,7 +203,9 @@ def _bytes(body: bytes, at: int) -> bytes:
     at += -at % 4
     if len(body) <= at:
         return b""
-    (length,) = struct.unpack_from("<I", body, at) if len(body) >= at + 4 else (1,)
+    if len(body) < at + 4:
+        raise WireError("message ends inside the length of a sequence of bytes")
+    (length,) = struct.unpack_from("<I", body, at)
     if len(body) < at + 4 + length:
         raise WireError("message ends inside a sequence of bytes")
     return body[at + 4 : at + 4 + length]

@@ -8,7 +8,6 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.envelope import SPORT, limits, stored
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics, MountedLidar
@@ -25,8 +24,8 @@ KEPT = {
     "max_posts": 0.05,
     "step_vx": 0.0,
 }
-"""Limits that are not read off the assumed envelope yet: guesses, with a wide margin to what the vendor's gaits are said to do. What is
-assumed from the model-based controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
+"""Limits: guesses, with a wide margin to what the vendor's gaits are said to do. The envelope that is assumed from the model-based
+controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
 
 
 class UnitreeConfig(BaseModel):
@@ -117,7 +116,7 @@ class UnitreeConfig(BaseModel):
         return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
     def capabilities(self) -> Capabilities:
-        """The robot's limits with these settings. Nobody measured the vendor's gaits: limits are those of an assumed envelope."""
+        """The robot's limits with these settings. Nobody measured the vendor's gaits: see `KEPT`."""
         return Capabilities(
             "unitree-go2w",
             max_vx=self.max_vx,
@@ -126,5 +125,5 @@ class UnitreeConfig(BaseModel):
             max_alpha=2.5,
             max_trunk_tilt=math.radians(15.0),
             lidars=self.mounted(),
-            **(limits(stored(SPORT)) | KEPT),  # type: ignore[arg-type]
+            **KEPT,  # type: ignore[arg-type]
         )

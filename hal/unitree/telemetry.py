@@ -151,19 +151,22 @@ class Telemetry:
         if self._options.check_crc and low["crc"] not in (0, low_state_checksum(data)):
             raise WireError("its checksum is wrong")
         self.low_unread = ""
-        if not self._turns.counts((who, "-".join(str(part) for part in low["sn"])), now):
+        if not self._turns.counts((who, low["sn"].tobytes()), now):
             return None
-        step = (int(low["tick"]) - self._tick + 2**31) % 2**32 - 2**31
-        if step == 0 and self.low is not None:
+        tick = self._unwrapped(low)
+        if tick == self._tick and self.low is not None:
             return None  # frozen publisher: nothing new
-        tick = self._tick + step
         self._heard_at = now
         if not self.low_clock.hear(tick * 1_000_000, now):
             return None
-        self._link_quality.heard(step if self.low is not None else 0, now)
+        self._link_quality.heard(tick - self._tick if self.low is not None else 0, now)
         self._tick, self.low = tick, low
         self.motion.hear_low(low, now / NS)
         return low
+
+    def _unwrapped(self, low: np.void) -> int:
+        """[ms] Its tick as the nearest one to `_tick`, which does not run over."""
+        return self._tick + (int(low["tick"]) - self._tick + 2**31) % 2**32 - 2**31
 
     def believe_clock(self, now: int) -> None:
         """The way to the robot is short, so its clock was set, as by a restart."""
@@ -175,12 +178,13 @@ class Telemetry:
         tick = int(low["tick"])
         self._elapsed += (tick - self._sampled) % 2**32  # of a restarted robot: far ahead, everything is due
         self._sampled = tick
-        unwrapped = self._tick + (tick - self._tick + 2**31) % 2**32 - 2**31
-        stamp = self.low_clock.date(unwrapped * 1_000_000, now)
+        stamp = self.low_clock.date(self._unwrapped(low) * 1_000_000, now)
         out: list[ImuSample | JointSample | LidarScan] = []
         if self._is_due(IMU_PERIOD):
             imu, turn = low["imu_state"], self._imu_rotation
-            out += self._imu("lowstate", stamp, now, turn @ imu["gyroscope"], turn @ imu["accelerometer"])
+            gyro, accel = turn @ imu["gyroscope"], turn @ imu["accelerometer"]
+            if not self._refuse("lowstate", self._checks["lowstate"].impossible(gyro, accel), now):
+                out += self._imu("lowstate", stamp, now, gyro, accel)
         if self._is_due(JOINT_PERIOD):
             motors = low["motor_state"]
             q, dq, tau = (motors[name][:16].astype(np.float64) for name in ("q", "dq", "tau_est"))
@@ -200,8 +204,8 @@ class Telemetry:
     def _imu(
         self, stream: str, stamp: int, now: int, gyro: Array, accel: Array
     ) -> list[ImuSample | JointSample | LidarScan]:
-        check = self._checks[stream]
-        if self._refuse(stream, check.impossible(gyro, accel) or check.contradicted(stamp, gyro, accel), now):
+        """A possible sample, unless gravity contradicts it."""
+        if self._refuse(stream, self._checks[stream].contradicted(stamp, gyro, accel), now):
             return []
         return [ImuSample(self._after(ImuSample, stamp), gyro, accel)] if self._options.imu == stream else []
 
@@ -281,7 +285,8 @@ class Telemetry:
 
     def several(self, now: int) -> str:
         """The robots whose LowState comes by turns, in words; empty where one speaks."""
-        serials = [serial for _, serial in self._turns.several(now)]
+        found = [np.frombuffer(serial, "<u4") for _, serial in self._turns.several(now)]
+        serials = ["-".join(str(part) for part in serial) for serial in found]
         return f"LowState of serial numbers {' and '.join(sorted(serials))}" if serials else ""
 
     def figures(self) -> dict[str, float]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from hal.types import NS
 
-Speaker = tuple[int, str]
-"""Publisher on the network, and the serial number that it tells."""
+Speaker = tuple[int, bytes]
+"""Publisher on the network, and the serial number that it tells, as it comes."""
 FLOOR = NS // 2
 """[ns] of silence after which a publisher has given up the floor: one that was restarted is another one then."""
 LASTS = NS

@@ -80,7 +80,7 @@ class CommandPath:
         # A stamp that is a little ahead was told at the same time, by another process.
         self._hands = now, max(age, 0.0)
         if OLD_HANDS.outside(max(age, 0.0)):
-            said = OLD_HANDS.tell(age=f"{age:.1f}", limit=f"{OLD_HANDS.high:.1f}")
+            said = OLD_HANDS.tell(age=f"{age:.1f}")
             return Refusal(RefusalReason.OLD_HANDS, said)
         return None
 

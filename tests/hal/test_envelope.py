@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hal.envelope import (
-    FAILURES,
     MAX_RISK,
     PARTS,
     ROUTINE_RISK,
@@ -172,8 +171,11 @@ def test_a_motion_above_the_largest_risk_is_no_way() -> None:
     e = envelope(up=table(np.random.default_rng(3), most=40, hard=2.0))
     h = np.linspace(0.0, 0.2, 41)
     closed = ~np.isfinite(e.hazard("up", h, 0.5, 0.0))
-    assert closed.any()
-    assert np.array_equal(closed, e.bound("up", h, 0.5, 0.0) > MAX_RISK)
+    least = int(np.argmax(closed))
+    assert 0 < least < len(h) - 1, "it begins within what was tried"
+    assert closed[least:].all(), "and has no end"
+    risk = e._probability("up", (h, 0.5, 0.0), bound=True)
+    assert risk[least - 1] <= MAX_RISK < risk[least]
 
 
 def test_the_file_gives_back_the_same_envelope(tmp_path: Path) -> None:
@@ -182,7 +184,6 @@ def test_the_file_gives_back_the_same_envelope(tmp_path: Path) -> None:
     again = read(tmp_path / "e.json")
     assert again == e
     assert again.mean("up", 0.15, 0.2, 0.0) == e.mean("up", 0.15, 0.2, 0.0)
-    assert (again.manoeuvres["up"].failures <= again.manoeuvres["up"].trials).all()
 
 
 @pytest.mark.parametrize(
@@ -224,7 +225,6 @@ def test_every_manoeuvres_parts_are_none_where_nothing_is() -> None:
     for name, parts in PARTS.items():
         at = flat.get(name, (0.0, 0.5, 0.3))
         assert np.all(parts(*(np.array(v) for v in at)) == 0.0), name
-    assert len(FAILURES) == 4
 
 
 def whole(shrink: float = 1.0) -> Envelope:
@@ -267,7 +267,16 @@ def test_limits_are_the_largest_sizes_that_hardly_ever_fail() -> None:
     assert 0.09 <= able["max_gap"] <= 0.15
     assert able["max_posts"] >= 0.07
     assert able["step_vx"] == 0.5, "slower, posts stop it"
-    assert all(p <= ROUTINE_RISK for p in (whole().mean("up", able["max_step"], 0.0, 0.0),))
+    e = whole()
+    for name, limit, step, rest in (
+        ("up", "max_step", 0.01, (0.0, 0.0)),
+        ("back_up", "max_step_back", 0.01, (0.0, 0.0)),
+        ("gap", "max_gap", 0.01, ()),
+        ("slope", "max_slope", np.radians(1.0), (np.radians([0, 45, 90, 135, 180]),)),
+    ):
+        at, more = (able[limit], *rest), (able[limit] + step, *rest)
+        assert np.max(e.mean(name, *at)) <= ROUTINE_RISK, name
+        assert np.max(e.mean(name, *more)) > ROUTINE_RISK or np.max(e.bound(name, *more)) > MAX_RISK, name
 
 
 def test_a_weaker_controller_has_smaller_limits() -> None:
@@ -297,12 +306,10 @@ def test_each_controllers_file_holds_every_manoeuvre(controller: str) -> None:
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
-def test_capabilities_come_from_the_envelope_but_for_numbers_that_are_kept(controller) -> None:
-    able, measured = CAPABILITIES[controller], limits(stored(controller))
-    for name, value in measured.items():
+def test_numbers_of_the_capabilities_are_kept_only_where_other_ones_were_measured(controller) -> None:
+    able = CAPABILITIES[controller]
+    for name, value in limits(stored(controller)).items():
         if name in KEPT[controller]:
-            assert KEPT[controller][name] != pytest.approx(value), (
-                f"{name} need not be kept: it was measured so"
-            )
+            assert getattr(able, name) == KEPT[controller][name] != pytest.approx(value), name
         else:
-            assert getattr(able, name) == value
+            assert getattr(able, name) == value, name

@@ -5,22 +5,18 @@ Software rendering (no GPU) of 320 x 240 takes 30 to 65 ms of a core, so whoever
 
 from __future__ import annotations
 
-import io
-
 import mujoco
 import numpy as np
 from PIL import Image
 
 from hal import go2w
-from hal.camera import CameraError, CameraFrame, MountedCamera
+from hal.camera import CameraError, CameraFrame, MountedCamera, encode
 from hal.mujoco.config import Obstacle
 from hal.mujoco.model import build
 from hal.mujoco.view.render import Canvas, RenderError
 from hal.scenes import Scene
 from hal.types import NS, Array
 
-QUALITY = 75
-"""Of the JPEG [0..95]: 9 kB at 320 x 240."""
 NEAR_CLIP = 0.02
 """[m] What is nearer than this to the lens, such as the head that it sits in, is not drawn."""
 
@@ -73,10 +69,9 @@ class RenderedCamera:
         x, y, z, w = orientation
         pose = np.concatenate([position, [w, x, y, z], self._joints]).astype(np.float32)
         self._canvas.place(pose, self._obstacles, (stamp - self.start_time) / NS)
-        picture = io.BytesIO()
-        Image.fromarray(self._canvas.draw()).save(picture, "JPEG", quality=QUALITY)
+        picture = encode(Image.fromarray(self._canvas.draw()))
         self._drawn = stamp
-        return CameraFrame(stamp, picture.getvalue())
+        return CameraFrame(stamp, picture)
 
     def close(self) -> None:
         """Give the OpenGL context back."""

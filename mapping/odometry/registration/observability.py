@@ -48,12 +48,6 @@ class Observed:
         spread[seen] = variance / (self.weight * self.facing[seen])
         return (self.directions * spread) @ self.directions.T
 
-    @property
-    def heading(self) -> bool:
-        """Whether turns about z are observed, on their own or together with a displacement."""
-        free = self.directions[:, self.facing == 0.0]
-        return not free.size or float(np.abs(free[5]).max() * self.lever) < 0.7
-
     def blurred(self, prior: Array) -> float:
         """Variance [m^2] that noise of the normals adds to a point of a body that may be off by `prior` (6, 6), axes as those of the information: a surface
         seen askew takes a displacement along it for one across. Where the robot was not watched, that is most of the error."""

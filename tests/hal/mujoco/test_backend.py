@@ -527,8 +527,7 @@ def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
     from hal.mujoco.people import ROOM, People
 
     first, again, other = People(5, 3), People(5, 3), People(5, 4)
-    nearest, ways = np.inf, 0.0
-    places = []
+    nearest, places = np.inf, []
     for k in range(3000):
         robot = (0.002 * k, 0.0)
         boxes = first.at(0.01 * k, robot)
@@ -542,19 +541,22 @@ def test_people_walk_past_and_step_aside_the_same_ones_for_a_seed() -> None:
     assert (np.median(ways, axis=0) > 0.004).all()
 
 
-def test_the_lidar_sees_people_and_they_are_no_obstacle_that_goes() -> None:
-    """Beside an obstacle that is clear to the LiDAR and one that is not."""
-    near = {}
+def test_the_lidar_sees_people_and_solid_obstacles_but_no_clear_ones() -> None:
+    obstacles = (
+        Obstacle((1.0, 0.0, 0.5), (0.1, 0.6, 1.0), clear=True),
+        Obstacle((-1.0, 2.0, 0.5), (0.6, 0.1, 1.0)),
+    )
+    found = []
     for people in (0, 8):
-        robot = MujocoBackend(
-            floor(),
-            lidar_step=8,
-            people=people,
-            obstacles=(Obstacle((2.5, 0.0, 0.5), (0.1, 0.4, 1.0), clear=True),),
-        )
-        robot.connect()
-        scans = [s for k in range(1, 81) for s in robot.read(k * NS // 200) if isinstance(s, LidarScan)]
-        robot.close()
-        tall = [s.points[s.points["z"] > 0.2] for s in scans if s.name == "main"]
-        near[people] = sum(int((np.hypot(p["x"], p["y"]) < 5.0).sum()) for p in tall)
-    assert near[8] > near[0] + 20
+        r = Robot(lidars=only("xt16"), lidar_step=8, people=people, obstacles=obstacles)
+        scans = of(r.run(0.4), LidarScan)
+
+        def seen(low: tuple[float, ...], high: tuple[float, ...], r=r, scans=scans) -> int:
+            return sum(points_in(scan, r.backend, low, high) for scan in scans)
+
+        assert seen((-1.4, 1.9, 0.1), (-0.6, 2.1, 0.9)) > 20, "the solid one"
+        found.append((seen((0.9, -0.4, 0.1), (1.1, 0.4, 0.9)), seen((-5.0, -5.0, 1.05), (5.0, 5.0, 1.8))))
+    assert found[0] == (0, 0), (
+        "nothing comes back from the clear one, and nothing else is as tall as a person"
+    )
+    assert found[1][1] > 20

@@ -20,7 +20,7 @@ from hal.lowlevel import Locomotion
 from hal.mujoco.driver import Driver
 from hal.mujoco.sim import Simulation
 from hal.rotation import wrap
-from tools.bench.envelope.terrain import RESOLUTION
+from tools.bench.envelope.terrain import RESOLUTION, posts
 from tools.bench.envelope.trial import DT, steering
 
 Field = NDArray[np.float64]
@@ -303,14 +303,13 @@ def _slope(values: Values, rng: np.random.Generator) -> Trial:
 
 
 def _posts(values: Values, rng: np.random.Generator) -> Trial:
-    """Two metres of posts of 0.12 m in four heights, more low than high ones, as in `terrain`."""
+    """Two metres of a stepfield."""
     height, speed = values
     d = _draw(rng) | {"speed": speed}
     begin, length = -HALF_LENGTH - d["run_up"], 2.0
     x, y = _ground(begin - MARGIN, length + HALF_LENGTH + MARGIN, 1.0)
-    column, row = np.floor(x / 0.12).astype(int), np.floor((y + 1.0) / 0.12).astype(int)
-    tops = rng.choice(4, (row.max() + 1, column.max() + 1), p=[0.4, 0.3, 0.2, 0.1]) * height / 3.0
-    z = np.where((x >= 0.0) & (x < length), tops[row, np.clip(column, 0, None)], 0.0)
+    thirds = posts(x, y, math.floor(x.max() / 0.12) + 1, rng)
+    z = np.where(x < length, thirds * height / 3.0, 0.0)
     return _straight(
         x,
         y,

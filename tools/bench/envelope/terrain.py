@@ -138,12 +138,17 @@ def _rough(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
 
 
 def _posts(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
-    """A stepfield 1.2 m long: posts of 0.12 m of four heights, more low than high ones."""
-    column = np.floor((x - AT) / 0.12).astype(int)
-    row = np.floor((y - y[0, 0]) / 0.12).astype(int)
-    heights = np.random.default_rng(seed).choice(4, (row.max() + 1, 10), p=[0.4, 0.3, 0.2, 0.1])
-    inside = (column >= 0) & (column < 10)
-    return np.where(inside, heights[row, np.clip(column, 0, 9)] * value / 300.0, 0.0), AT + 2.2
+    """A stepfield 1.2 m long."""
+    thirds = posts(x - AT, y, 10, np.random.default_rng(seed))
+    return thirds * value / 300.0, AT + 2.2
+
+
+def posts(x: Field, y: Field, columns: int, rng: np.random.Generator) -> Field:
+    """A stepfield of so many columns from x = 0 on: posts of 0.12 m of four heights, more low than high ones [thirds of the highest]."""
+    column, row = (np.floor(v / 0.12).astype(int) for v in (x, y - y[0, 0]))
+    thirds = rng.choice(4, (row.max() + 1, columns), p=[0.4, 0.3, 0.2, 0.1])
+    inside = (column >= 0) & (column < columns)
+    return np.where(inside, thirds[row, np.clip(column, 0, columns - 1)], 0)
 
 
 _KINDS: dict[str, Callable[[Field, Field, float, int], tuple[Field, float]]] = {

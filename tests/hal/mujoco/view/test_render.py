@@ -17,18 +17,10 @@ from hal.mujoco.view.render import Film, RenderError, View, egl_works, gl_contex
 from hal.mujoco.view.video import write_mp4
 from hal.scenes import Scene
 from hal.types import NS, GroundTruth, JointSample, Sample
+from tests.places import needs_gl
 
 SMALL = View(width=160, height=120, fps=10, distance=1.6)
 LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def gl() -> None:
-    """Skip where nothing can be drawn: the machine has no OpenGL."""
-    try:
-        gl_context(16, 16).free()
-    except RenderError as error:
-        pytest.skip(str(error))
 
 
 def field() -> Scene:
@@ -62,7 +54,8 @@ def test_a_film_keeps_poses_at_its_frame_rate() -> None:
     assert len(film) == 21
 
 
-def test_the_robot_is_in_the_middle_and_the_obstacle_beside_it(gl: None) -> None:
+def test_the_robot_is_in_the_middle_and_the_obstacle_beside_it() -> None:
+    needs_gl()
     orange = Obstacle((0.6, 0.6, 0.2), (0.3, 0.3, 0.4), appear=0.05)
     film = Film(field(), (orange,), SMALL)
     film.take(drive(0.1))
@@ -82,7 +75,8 @@ def test_the_robot_is_in_the_middle_and_the_obstacle_beside_it(gl: None) -> None
     assert orange_pixels(after) > 200
 
 
-def test_a_folder_gets_numbered_frames_and_progress(gl: None, tmp_path: Path) -> None:
+def test_a_folder_gets_numbered_frames_and_progress(tmp_path: Path) -> None:
+    needs_gl()
     film = Film(field(), view=SMALL)
     film.take(drive(0.3))
     told: list[tuple[int, int]] = []

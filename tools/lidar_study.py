@@ -22,11 +22,12 @@ from hal.lidar.spec import LIDARS, LidarSpec
 from hal.rotation import rotation
 from hal.scenes import Scene
 from hal.scenes.survey import relief
-from hal.types import Array, Extrinsics, GroundTruth, ImuSample, JointSample, LidarScan
+from hal.types import Array, Extrinsics, GroundTruth, JointSample, Sample
 from mapping.elevation.map import ElevationMap
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import OdometryConfig, ScanOdometry
 from rbtrg_robot.stage_config import ElevationStageConfig
+from tools.bench.perception.odometry import take
 from tools.synthetic import SyntheticRun
 from tools.synthetic_motion import Motion
 from tools.synthetic_scenes import FEATURES, corridor, feature_scene
@@ -74,19 +75,12 @@ class Stack:
         self._joints: JointSample | None = None
         self.cpu: list[float] = []
 
-    def feed(self, sample: object) -> list[ScanOdometry]:
+    def feed(self, sample: Sample) -> list[ScanOdometry]:
         """Take one sample; the scans finished by it, already in the map."""
         begin = time.thread_time()
-        if isinstance(sample, ImuSample):
-            self.odometry.add_imu(sample)
-        elif isinstance(sample, JointSample):
-            self.odometry.add_joints(sample)
+        if isinstance(sample, JointSample):
             self._joints = sample
-        elif isinstance(sample, LidarScan):
-            self.odometry.add_scan(sample)
-        if not isinstance(sample, LidarScan):
-            begin = time.thread_time()  # the 200 Hz pose is not part of a scan's cost
-        results = [r for r in self.odometry.poll() if len(r.cloud)]
+        results = [r for r in take(self.odometry, sample) if len(r.cloud)]
         for r in results:
             self.map.fuse(r.cloud, r.position, r.orientation, r.stamp, self._sensor)
             if self._joints is not None:

@@ -6,9 +6,10 @@ import math
 
 import pytest
 
+from hal.safety.monitors import TWO_ROBOTS
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
-from tools.bench.faults.bench import all_faults
+from tools.bench.faults.bench import all_faults, run
 from tools.bench.faults.fault import Fault, Outcome
 from tools.bench.faults.watch import Watch, by_hand
 
@@ -52,6 +53,16 @@ def test_limits_of_a_fault(outcome: Outcome, missed: str) -> None:
         assert missed in fault.missed(outcome)
     else:
         assert not fault.missed(outcome)
+
+
+def test_the_bench_runs_a_fault_and_misses_it_without_its_monitor() -> None:
+    asked = ["--only", "two_robots_at_start", "--sizes", "1", "--seeds", "0"]
+    assert run(asked).ok
+    without = run([*asked, "--without", TWO_ROBOTS.name])
+    assert [row.key for row in without.rows if not row.ok] == [
+        "two_robots_at_start.held",
+        "two_robots_at_start.rest_s",
+    ]
 
 
 def test_every_fault_has_another_name_and_a_monitor() -> None:

@@ -24,13 +24,22 @@ PEER_REST = 0.05
 """[m/s]"""
 
 
-def _peer(world: World, seconds: float) -> Outcome:
-    """What the simulated Unitree robot does from now on; the host asks for zero."""
+def _driving(faults: Faults, speed: float, seed: int) -> World:
+    """The simulated Unitree robot after two seconds at `speed` [m/s]."""
+    world = World(faults)
+    world.backend.connect()
+    world.run(1.0 + random.Random(seed).random())
+    world.run(2.0, vx=speed)
+    return world
+
+
+def _watched(world: World, seconds: float, speed: float = 0.0) -> Outcome:
+    """What the robots of a world do from now on; the host asks for `speed` [m/s]."""
     began, x, moved_at, words = world.elapsed, world.body.x, world.elapsed, set()
     for _ in range(round(seconds / 0.02)):
-        world.run(0.02)
+        world.run(0.02, vx=speed)
         words.add(world.cause)
-        if abs(world.body.v) > PEER_REST:
+        if max(abs(robot.body.v) for robot in (world.robot, world.other) if robot) > PEER_REST:
             moved_at = world.elapsed
     rest = (moved_at - began) / NS
     return Outcome(
@@ -40,34 +49,25 @@ def _peer(world: World, seconds: float) -> Outcome:
 
 def _rolls_on(speed: float, seed: int) -> Outcome:
     """It answers StopMove and rolls on; 20 s."""
-    world = World(Faults(rolls=True))
-    world.backend.connect()
-    world.run(1.0 + random.Random(seed).random())
-    world.run(2.0, vx=speed)
-    return _peer(world, 20.0)
+    return _watched(_driving(Faults(rolls=True), speed, seed), 20.0)
+
+
+def _other(serial: float, seed: int) -> RobotSide:
+    """Another Go2-W on the DDS domain."""
+    return RobotSide(KinematicBody(), Faults(serial=int(serial), epoch=100.0 * seed))
 
 
 def _another_robot(serial: float, seed: int) -> Outcome:
-    """Another Go2-W comes onto the DDS domain while this one drives."""
-    world = World(Faults(serial=11))
-    world.backend.connect()
-    world.run(1.0 + random.Random(seed).random())
-    world.run(2.0, vx=0.5)
-    world.other = RobotSide(KinematicBody(), Faults(serial=int(serial), epoch=100.0 * seed))
+    """It comes while this one drives."""
+    world = _driving(Faults(serial=11), 0.5, seed)
+    world.other = _other(serial, seed)
     world.run(0.02, vx=0.5)
-    began, x, moved_at, words = world.elapsed, world.body.x, world.elapsed, set()
-    for _ in range(100):
-        world.run(0.02, vx=0.5)
-        words.add(world.cause)
-        if max(abs(world.body.v), abs(world.other.body.v)) > PEER_REST:
-            moved_at = world.elapsed
-    rest = (moved_at - began) / NS
-    return Outcome(world.body.x - x, rest if rest < 1.9 else math.inf, "\n".join(sorted(words)))
+    return _watched(world, 2.0, 0.5)
 
 
 def _two_at_the_start(serial: float, seed: int) -> Outcome:
     world = World(Faults(serial=11))
-    world.other = RobotSide(KinematicBody(), Faults(serial=int(serial), epoch=100.0 * seed))
+    world.other = _other(serial, seed)
     try:
         world.backend.connect()
     except BackendError as error:

@@ -133,8 +133,7 @@ def _real(report: Report, data: Path, folder: Path) -> None:
         ]
         report.add(f"real.{clip}.inliers", min(h.inliers for h in healths), "share", 0.9, at_least=True)
         report.add(f"real.{clip}.residual_m", float(np.median([h.residual for h in healths[1:]])), "m", 0.06)
-    clouds = sorted((data / "files").glob("pcl_*.pcd"))
-    read = 0
-    for cloud in clouds:
-        read += len(read_geometry(cloud).vertices) > 0
-    report.rate("files.pcl_clouds", read, len(clouds), limit=1.0)
+    for folder_, patterns in (("files", ("pcl_*.pcd",)), ("terrain", ("*.ply", "*.pcd"))):
+        clouds = sorted(path for pattern in patterns for path in (data / folder_).glob(pattern))
+        read = sum(len(read_geometry(cloud).vertices) > 0 for cloud in clouds)
+        report.rate(f"{folder_}.clouds", read, len(clouds), limit=1.0)

@@ -9,10 +9,11 @@ import numpy as np
 
 from hal.rotation import rotation, wrap
 from hal.scenes import Scene
-from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
+from hal.types import NS, GroundTruth, ImuSample, JointSample, Sample
 from mapping.odometry.health import Health
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import ScanOdometry
+from tools.bench.perception.odometry import take
 from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run
 from tools.synthetic_motion import Motion
@@ -57,7 +58,7 @@ def trial(
     odometry = LidarInertialOdometry(params, {"main": run.extrinsics})
     scans: list[ScanOdometry] = []
     for sample in samples:
-        scans += _take(odometry, sample)
+        scans += take(odometry, sample)
     end = samples[-1].stamp - samples[-1].stamp % (NS // 10)
     position, orientation = run.truth(end)
     heading = rotation(orientation[0])
@@ -77,12 +78,12 @@ def trial(
         ):
             if isinstance(sample, ImuSample):
                 sample = replace(sample, gyro=sample.gyro + np.array([0.0, 0.0, place[2] / gap]))
-            _take(odometry, sample)
+            take(odometry, sample)
     first = scans[0]
     to_world = _matrix(run, first.stamp) @ np.linalg.inv(_pose(first))
     behind: list[ScanOdometry] = []
     for sample in there.samples():
-        behind += _take(odometry, sample)
+        behind += take(odometry, sample)
     behind = [s for s in behind if s.stamp > there.start_stamp]
     off = [float(np.linalg.norm((to_world @ _pose(s))[:2, 3] - start[:2])) for s in behind]
     wrong = [o > WRONG for o in off]
@@ -128,16 +129,6 @@ def rows(report: Report, count: int) -> None:
     report.add("basin.good_scans_while_wrong", sum(m.good_while_wrong for m in out), "scans", 0.0)
     report.add("basin.scans_mapped_while_wrong", sum(m.mapped_while_wrong for m in out), "scans", 0.0)
     report.rate("basin.found", sum(m.health is Health.GOOD and m.off <= WRONG for m in out), len(out))
-
-
-def _take(odometry: LidarInertialOdometry, sample: Sample) -> list[ScanOdometry]:
-    if isinstance(sample, ImuSample):
-        odometry.add_imu(sample)
-    elif isinstance(sample, JointSample):
-        odometry.add_joints(sample)
-    elif isinstance(sample, LidarScan):
-        odometry.add_scan(sample)
-    return odometry.poll()
 
 
 def _matrix(run: SyntheticRun, stamp: int) -> np.ndarray:

@@ -99,6 +99,17 @@ class StockKissIcp:
         )
 
 
+def take(odometry: LidarInertialOdometry, sample: Sample) -> list[ScanOdometry]:
+    """One sample; the scans that it ended. What odometry takes no notice of, such as the truth, is passed over."""
+    if isinstance(sample, ImuSample):
+        odometry.add_imu(sample)
+    elif isinstance(sample, JointSample):
+        odometry.add_joints(sample)
+    elif isinstance(sample, LidarScan):
+        odometry.add_scan(sample)
+    return odometry.poll()
+
+
 def drive(
     run: Run,
     engines: Iterable[str],
@@ -133,16 +144,9 @@ def drive(
             continue
         for name, odometry in ours.items():
             start = time.thread_time()
-            if isinstance(sample, ImuSample):
-                odometry.add_imu(sample)
-                start = time.thread_time()  # the 200 Hz pose is not part of the scan's cost
-            elif isinstance(sample, JointSample):
-                odometry.add_joints(sample)
-                start = time.thread_time()
-            elif isinstance(sample, LidarScan):
-                odometry.add_scan(sample)
-            results = odometry.poll()
-            spent[name] += time.thread_time() - start
+            results = take(odometry, sample)
+            if results or isinstance(sample, LidarScan):  # the 200 Hz pose is no part of a scan's cost
+                spent[name] += time.thread_time() - start
             if results:
                 finish(name, results, spent[name])
                 spent[name] = 0.0

@@ -10,7 +10,7 @@ from hal.lidar.spec import LIDARS
 from hal.types import NS, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
 from mapping.odometry.types import ScanOdometry
-from tools.bench.perception.odometry import Track, errors, matrix
+from tools.bench.perception.odometry import Track, errors, matrix, take
 from tools.bench.report import Report
 from tools.synthetic import SyntheticRun, arena_run
 
@@ -49,13 +49,7 @@ def driven(
     """The odometry on samples whose stamps of each LiDAR lie `late` [s] before the truth."""
     odometry = LidarInertialOdometry(params, mounts)
     for sample in samples:
-        if isinstance(sample, ImuSample):
-            odometry.add_imu(sample)
-        elif isinstance(sample, JointSample):
-            odometry.add_joints(sample)
-        elif isinstance(sample, LidarScan):
-            odometry.add_scan(delayed(sample, late))
-        yield from odometry.poll()
+        yield from take(odometry, delayed(sample, late))
 
 
 def rows(report: Report, seconds: float, seed: int) -> None:

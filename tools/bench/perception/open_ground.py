@@ -13,13 +13,14 @@ import numpy as np
 from hal.mujoco.backend import MujocoBackend
 from hal.rotation import rotation, rotation_vector
 from hal.scenes import load_scene
-from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, VelocityCommand
+from hal.types import NS, GroundTruth, VelocityCommand
 from mapping.odometry.pipeline import LidarInertialOdometry
 from mapping.odometry.types import ScanOdometry
-from tools.bench.perception.odometry import matrix
+from tools.bench.perception.odometry import matrix, take
 from tools.bench.report import Report
 
 SIGHTS = "field", "field_wall", "field_posts"
+CROWDS = "field", "field_posts"
 WAY, SPEED = 5.0, 0.5
 """Driven straight on open ground [m, m/s]."""
 REST = 1.5
@@ -60,13 +61,7 @@ def drive(scene: str, seed: int, seconds: float, *, way: float, people: int = 0)
         for sample in robot.read(k * TICK):
             if isinstance(sample, GroundTruth):
                 truths.append(sample)
-            elif isinstance(sample, ImuSample):
-                odometry.add_imu(sample)
-            elif isinstance(sample, JointSample):
-                odometry.add_joints(sample)
-            elif isinstance(sample, LidarScan):
-                odometry.add_scan(sample)
-        scans += odometry.poll()
+            scans += take(odometry, sample)
     robot.close()
     return _off(scans, truths)
 
@@ -104,7 +99,7 @@ def rows(report: Report, seeds: int) -> None:
         runs = [drive(scene, seed, seconds, way=WAY) for seed in range(seeds)]
         report.add(f"open.{scene}.yaw_deg", max(r.degrees for r in runs), "deg", YAW_LIMIT)
         report.add(f"open.{scene}.way_pct", 100.0 * max(r.metres for r in runs) / WAY, "%", WAY_LIMIT)
-    for scene in ("field", "field_posts"):
+    for scene in CROWDS:
         stood = [drive(scene, seed, SECONDS, way=0.0, people=people_of(seed)) for seed in range(seeds)]
         report.add(f"crowd.{scene}.standing_m", max(r.worst_m for r in stood), "m", STANDING_LIMIT)
         report.add(f"crowd.{scene}.standing_deg", max(r.worst_deg for r in stood), "deg", STANDING_DEG_LIMIT)

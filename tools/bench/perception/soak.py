@@ -7,11 +7,12 @@ import time
 import numpy as np
 import psutil
 
-from hal.types import GroundTruth, ImuSample, JointSample, LidarScan
+from hal.types import GroundTruth, JointSample
 from mapping.elevation.map import ElevationMap
 from mapping.grid import ElevationGrid
 from mapping.odometry.contacts import wheel_contacts
 from mapping.odometry.pipeline import LidarInertialOdometry, OdometryConfig
+from tools.bench.perception.odometry import take
 from tools.bench.report import Report
 from tools.synthetic import soak_run
 
@@ -36,14 +37,8 @@ def rows(report: Report, minutes: float, lidar: str = "xt16", azimuth_step: int 
         if isinstance(sample, GroundTruth):
             continue
         start = time.thread_time()
-        if isinstance(sample, ImuSample):
-            odometry.add_imu(sample)
-        elif isinstance(sample, JointSample):
-            odometry.add_joints(sample)
-            joints = sample
-        elif isinstance(sample, LidarScan):
-            odometry.add_scan(sample)
-        results = odometry.poll()
+        joints = sample if isinstance(sample, JointSample) else joints
+        results = take(odometry, sample)
         for r in results:
             elevation.fuse(r.cloud, r.position, r.orientation, r.stamp, run.sensor)
             if joints is not None:

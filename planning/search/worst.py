@@ -22,8 +22,8 @@ def worst_poses(
     The pose sets are those of eq. 3: the edge, the turn before it, the turn at the goal with the last edge.
     """
     points, request = found.points, found.request
-    count = len(points) - 1
-    if count < 1:
+    count = len(found.transitions)
+    if not count:  # also a route of another planner
         return np.zeros((0, 3)), np.zeros(0)
     heading = np.arctan2(*np.diff(points[:, :2], axis=0).T[::-1])
     heading = heading + np.pi * np.array([x.backward for x in found.transitions])

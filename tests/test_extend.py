@@ -77,6 +77,7 @@ def test_what_a_planner_does_wrong_is_told_and_ends_nothing(monkeypatch: pytest.
         door.planner_of("nowhere_at_all:plan")
     answers = {
         "failed: ZeroDivisionError": lambda *_: 1 / 0,
+        "failed: ValueError": lambda *_: [[x, y], [x + 1.0]],
         "neither a Plan nor a line": lambda *_: np.full((3, 2), np.nan),
         "does not lead to the goal": lambda *_: np.array([[x, y], [x + 9.0, y]]),
     }

@@ -126,10 +126,11 @@ class TouchWatch:
         return touch
 
 
-def uneven(around: Surroundings, pose: tuple[float, float, float], way: float) -> float:
-    """How far [m] the ground under the body and AHEAD of it, `way` 1.0, or behind it, -1.0, lies off the plane under the body at `pose` x, y [m], yaw [rad].
+def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[float, float]:
+    """How far [m] the ground under the body and AHEAD of it, and that under it and as far behind it, lies off the plane under the body.
 
-    By what was measured: what was touched explains no touch. The plane is fitted, because the trunk is level on a slope, too.
+    `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because the trunk is
+    level on a slope, too.
     """
     x, y, yaw = (float(v) for v in pose)
     front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution
@@ -144,14 +145,16 @@ def uneven(around: Surroundings, pose: tuple[float, float, float], way: float) -
         around.origin[1] + (r + rows.start) * resolution - y,
     )
     c, s = math.cos(yaw), math.sin(yaw)
-    along, across = way * (c * dx + s * dy), c * dy - s * dx
-    near = (along >= -front) & (along <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
+    along, across = c * dx + s * dy, c * dy - s * dx
+    near = (np.abs(along) <= front + AHEAD) & (np.abs(across) <= side + BESIDE)
     terms = np.column_stack([np.ones_like(along), along, across])[near]
     ground = height[r, k][near].astype(float)
     beside = np.abs(terms[:, 2]) > side
-    under = (terms[:, 1] <= front) & ~beside
-    if np.count_nonzero(under) < CELLS or len(ground) <= CELLS:
-        return 0.0
+    under = (np.abs(terms[:, 1]) <= front) & ~beside
+    if np.count_nonzero(under) < CELLS:
+        return 0.0, 0.0
     plane = np.linalg.lstsq(terms[under], ground[under], rcond=1e-3)[0]
     off = np.abs(ground - terms @ plane)
-    return float(np.sort(np.where(beside, np.minimum(off, 0.5 * TALL), off))[-CELLS])
+    off = np.where(beside, np.minimum(off, 0.5 * TALL), off)
+    ahead, behind = (np.sort(off[way * terms[:, 1] >= -front]) for way in (1.0, -1.0))
+    return float(ahead[-CELLS]), float(behind[-CELLS])

@@ -55,15 +55,15 @@ def _ask(method: str, function: Any, grid: ElevationGrid, request: PlanRequest) 
     """What a planner of others answers, checked. Whatever it raises is a PlanningError: its fault ends no process."""
     try:
         answer = function(grid, request)
+        if answer is None:
+            raise NoRoute(NoRouteReason.NO_ROUTE, f"planner {method} found no way: choose another goal")
+        if isinstance(answer, Plan):
+            return answer
+        line = np.asarray(answer, np.float64)
     except PlanningError:
         raise
     except Exception as error:
         raise PlanningError(f"planner {method} failed: {type(error).__name__}: {error}") from error
-    if answer is None:
-        raise NoRoute(NoRouteReason.NO_ROUTE, f"planner {method} found no way: choose another goal")
-    if isinstance(answer, Plan):
-        return answer
-    line = np.asarray(answer, np.float64)
     if line.ndim != 2 or line.shape[1] not in (2, 3) or len(line) < 1 or not np.isfinite(line).all():
         raise PlanningError(f"planner {method} answered neither a Plan nor a line (n, 2) of finite metres")
     for what, place, end in (("start", request.start, line[0]), ("goal", request.goal, line[-1])):

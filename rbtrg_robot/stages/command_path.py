@@ -44,31 +44,34 @@ class CommandPath:
     def drive(self, source: Source, message: msg.TwistStamped, sender: str, now: int) -> None:
         """A velocity command of `sender`. That of hands counts from now on, for their clock is another one: its stamp is the newest one of
         the robot that they saw."""
-        if not self._has_say(source, sender, now):
-            return
-        stamp = stamp_of(message)
-        if source is TELEOP:
-            if refusal := self._blind(stamp, now):
-                self._gate.refuse(refusal, now)
-                return
-            stamp = now
-        twist = message.twist
-        command = VelocityCommand(
-            stamp, twist.linear.x, twist.linear.y, twist.angular.z, message.header.frame_id
-        )
-        self._gate.command(command, now)
+        stamp = self._counts(source, message, sender, now)
+        if stamp is not None:
+            v, turn = message.twist.linear, message.twist.angular
+            self._gate.command(VelocityCommand(stamp, v.x, v.y, turn.z, message.header.frame_id), now)
 
     def tilt(self, source: Source, message: msg.TrunkCommand, sender: str, now: int) -> None:
         """A tilt of the trunk by `sender`; stamped as velocities are."""
-        if not self._has_say(source, sender, now, "trunk"):
-            return
-        stamp = stamp_of(message)
-        if source is TELEOP:
-            if refusal := self._blind(stamp, now):
-                self._gate.refuse(refusal, now)
-                return
-            stamp = now
-        self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
+        stamp = self._counts(source, message, sender, now, "trunk")
+        if stamp is not None:
+            self._gate.posture(PostureCommand(stamp, roll=message.roll, pitch=message.pitch), now)
+
+    def _counts(
+        self,
+        source: Source,
+        message: msg.TwistStamped | msg.TrunkCommand,
+        sender: str,
+        now: int,
+        channel: str = "",
+    ) -> int | None:
+        """When what `message` commands begins to count [ns]; None where it does not."""
+        if not self._has_say(source, sender, now, channel):
+            return None
+        if source is not TELEOP:
+            return stamp_of(message)
+        if refusal := self._blind(stamp_of(message), now):
+            self._gate.refuse(refusal, now)
+            return None
+        return now
 
     def _blind(self, seen: int, now: int) -> Refusal | None:
         """Why hands do not see what they do; `seen`: the newest stamp of the robot that they echo [ns]."""

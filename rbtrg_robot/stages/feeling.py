@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -46,16 +47,17 @@ class Feeling:
         self,
         sample: JointSample,
         driven: VelocityCommand,
-        place: tuple[NDArray[np.float64], float] | None,
+        place_of: Callable[[], tuple[NDArray[np.float64], float] | None],
         speed: float | None = None,
     ) -> Outputs:
-        """`place`: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured, forward [m/s]; None where nobody knows it."""
+        """`place_of` is asked at a touch: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured, forward [m/s]; None where
+        nobody knows it."""
         touch = self._watch.joints(sample, driven.vx, driven.wz, self._uneven(driven.vx), speed)
         if touch is None:
             return []
         outputs: Outputs = []
         where = "a place that nobody knows"
-        if place is not None:
+        if (place := place_of()) is not None:
             (x, y, z), yaw = place[0].tolist(), place[1]
             ahead = touch.way * BODY_LENGTH / 2
             x += ahead * math.cos(yaw) - touch.left * math.sin(yaw)

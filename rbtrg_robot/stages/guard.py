@@ -101,6 +101,10 @@ class GuardStage:
         self._pose: msg.Odometry | None = None
         self._clouds: OrderedDict[int, dict[Topic, NDArray[np.float32]]] = OrderedDict()
         """By stamp, those of all LiDARs."""
+        self._seen: dict[Topic, int] = {}
+        """Stamp of the newest sweep with a point, as far as it is not ahead of the clock [ns]."""
+        self._began: int | None = None
+        """The first tick [ns]."""
         self._odoms: OrderedDict[int, msg.Odometry] = OrderedDict()
         self._correction = 0.0
         self._around: Surroundings | None = None
@@ -209,8 +213,8 @@ class GuardStage:
         self._stamp = patch.stamp
         self._laid = False
 
-    def _sweep(self) -> None:
-        """Lay the newest sweep whose pose is known over the window, once for all that came since the last time."""
+    def _sweep(self, *, main: bool) -> None:
+        """Lay the newest sweep whose pose is known over the window, once for all that came since the last time. `main`: the main LiDAR speaks."""
         if self._laid:
             return
         self._laid = True
@@ -223,11 +227,7 @@ class GuardStage:
             return
         # The head's sweeps stand in for the main ones alone: 2 cm beside a wall the noise of an L1 holds the robot, and the map has what it sees.
         clouds = self._clouds[newest]
-        points = (
-            np.concatenate([NO_POINTS, *clouds.values()])
-            if self._main_silent()
-            else clouds.get(t.CLOUD, NO_POINTS)
-        )
+        points = clouds.get(t.CLOUD, NO_POINTS) if main else np.concatenate([NO_POINTS, *clouds.values()])
         x, y = points[:, 0], points[:, 1]
         near = points[np.flatnonzero(np.maximum(np.abs(x), np.abs(y)) < AROUND)].astype(np.float64)
         pose = self._odoms[newest].pose.pose
@@ -248,12 +248,15 @@ class GuardStage:
     def tick(self, now: int) -> Outputs:
         """The limits of now."""
         self._now = now
+        self._began = now if self._began is None else self._began
+        self._look()
         missing = self._missing()
         if missing:
             return [(t.MOTION_LIMITS, msg.MotionLimits(header=header(now, BASE), reason=missing))]
         assert self._around is not None
         here, orientation = self._place()
-        self._sweep()
+        slow_by_sight = self._main_silent()
+        self._sweep(main=not slow_by_sight)
         stand = stand_of(self._around, here, rotation(orientation)[:, 2])
         reaches = [
             reach_of(whole, step, self._around, here, stand, self._robot, seen=k == 1)
@@ -264,7 +267,6 @@ class GuardStage:
         )
         upright = rotation(orientation)[2, 2] >= math.cos(LEANS)
         contact = contact_at(self._around, here, stand, self._robot) if held and upright else None
-        slow_by_sight = self._main_silent()
         speeds, words = [], [slow_by_sight] if slow_by_sight else []
         for k, (where, tracks, whole, step) in enumerate(self._ways):
             turning, behind, reach = k > 1, k == 1, reaches[k]
@@ -295,6 +297,7 @@ class GuardStage:
                 speed, why = slow, f"grass {where}"
             speeds.append(min(speed, creeping) if slow_by_sight else speed)
             words += [why] if why else []
+        ahead, back = uneven(self._around, here)
         limits = msg.MotionLimits(
             header=header(now, BASE),
             forward=speeds[0],
@@ -302,8 +305,8 @@ class GuardStage:
             left=speeds[2],
             right=speeds[3],
             reason="; ".join(words),
-            uneven_ahead=uneven(self._around, here, 1.0),
-            uneven_behind=uneven(self._around, here, -1.0),
+            uneven_ahead=ahead,
+            uneven_behind=back,
         )
         return [(t.MOTION_LIMITS, limits)]
 
@@ -335,7 +338,7 @@ class GuardStage:
                 return f"{topic.name} is {age:.1f} s old"
         seen = self._unseen(*self._sweeps)
         if GUARD_BLIND.outside(seen):
-            return GUARD_BLIND.tell(age=f"{seen:.1f}")
+            return GUARD_BLIND.tell(age=self._told(seen))
         assert self._around is not None
         if self._dark:
             return "the map knows no ground around the robot"
@@ -345,20 +348,28 @@ class GuardStage:
             return f"{t.POSE.name} lies outside of {t.MAP_WINDOW.name}"
         return ""
 
+    def _look(self) -> None:
+        """An empty sweep says that nothing came, one that is stamped ahead of the clock nothing at all."""
+        latest = self._now + self._ahead
+        self._seen = {topic: stamp for topic, stamp in self._seen.items() if stamp <= latest}
+        for stamp, clouds in self._clouds.items():
+            for topic, points in clouds.items():
+                if stamp <= latest and len(points):
+                    self._seen[topic] = max(stamp, self._seen.get(topic, stamp))
+
     def _unseen(self, *topics: Topic) -> float:
-        """Seconds since the newest sweep with a point on any of these; an empty one says that nothing came, one that is stamped ahead of
-        the clock nothing at all."""
-        stamps = (
-            stamp
-            for stamp, clouds in self._clouds.items()
-            if stamp <= self._now + self._ahead and any(len(clouds.get(topic, ())) for topic in topics)
-        )
-        return (self._now - max(stamps, default=0)) / NS
+        """Seconds since the newest sweep with a point on any of these; infinite where none ever came."""
+        return min(((self._now - self._seen[x]) / NS for x in topics if x in self._seen), default=math.inf)
+
+    def _told(self, age: float) -> str:
+        """Of a sweep, in words [s]."""
+        assert self._began is not None
+        return f"{age:.1f}" if math.isfinite(age) else f"more than {(self._now - self._began) / NS:.1f}"
 
     def _main_silent(self) -> str:
         """Why it is slow: the head's LiDAR looks ahead, and nobody sees who comes from the side; empty where the main one speaks."""
         age = self._unseen(t.CLOUD)
-        return MAIN_SILENT.tell(age=f"{age:.1f}") if MAIN_SILENT.outside(age) else ""
+        return MAIN_SILENT.tell(age=self._told(age)) if MAIN_SILENT.outside(age) else ""
 
     def _place(self) -> tuple[Planar, NDArray[np.float64]]:
         """x, y [m], yaw [rad] of the robot in `map`, and its orientation x, y, z, w."""

@@ -232,10 +232,10 @@ class RobotStage:
 
     def _inputs(self, now: int, state: RobotState) -> GateInputs:
         velocity = pose = None
-        if self._pose is not None and abs(now - stamp_of(self._pose)) / NS < POSE_LIMIT:
-            twist = self._pose.twist.twist
+        if (fresh_pose := self._fresh) is not None:
+            twist = fresh_pose.twist.twist
             velocity = (twist.linear.x, twist.linear.y, twist.angular.z)
-            place = self._pose.pose.pose
+            place = fresh_pose.pose.pose
             # Where `odom` lies in `map` must be known: the fence would stand in the wrong place.
             if self._frame.known:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
@@ -252,15 +252,19 @@ class RobotStage:
             self._stamps,
         )
 
-    def _motion(self) -> tuple[tuple[NDArray[np.float64], float] | None, float | None]:
-        """Position (3,) and yaw of base_link in `map`, and its forward speed [m/s], by the newest pose; None what is not known."""
-        if self._pose is None or abs(self._now - stamp_of(self._pose)) / NS >= POSE_LIMIT:
-            return None, None
-        place, speed = self._pose.pose.pose, self._pose.twist.twist.linear.x
-        if not self._frame.known:
-            return None, speed
+    @property
+    def _fresh(self) -> msg.Odometry | None:
+        """The newest pose; None where it is too old to tell of motion."""
+        pose = self._pose
+        return pose if pose is not None and abs(self._now - stamp_of(pose)) / NS < POSE_LIMIT else None
+
+    def _place(self) -> tuple[NDArray[np.float64], float] | None:
+        """Position (3,) [m] and yaw [rad] of base_link in `map`; None where it is not known."""
+        if self._fresh is None or not self._frame.known:
+            return None
+        place = self._fresh.pose.pose
         position, _ = self._frame.pose3(xyz(place.position), xyzw(place.orientation))
-        return (position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]), speed
+        return position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):
@@ -275,7 +279,11 @@ class RobotStage:
             # Where the wheels feel an edge their reflex moves the robot, not the command.
             reflex = self.backend.state().cause.startswith(FELT_EDGE)
             driven = VelocityCommand(self._now) if reflex else self._driven
-            return [(t.JOINTS, joint_msg(sample)), *self._feeling.joints(sample, driven, *self._motion())]
+            speed = None if self._fresh is None else self._fresh.twist.twist.linear.x
+            return [
+                (t.JOINTS, joint_msg(sample)),
+                *self._feeling.joints(sample, driven, self._place, speed),
+            ]
         if isinstance(sample, LidarScan):
             # Of any LiDAR: where one is silent, odometry and map go on with the other and say so.
             self._stamps["lidar"] = max(sample.stamp, self._stamps.get("lidar", 0))

@@ -35,7 +35,7 @@ class Pressed:
             accel = np.array([-math.copysign(100.0, self.vx) / SPRUNG, 0.0, 9.81])
             self.feeling.imu(ImuSample(self.now, np.zeros(3), accel))
             joints = JointSample(self.now, go2w.STAND.copy(), np.zeros(16), np.zeros(16))
-            out += self.feeling.joints(joints, VelocityCommand(self.now, self.vx), place)
+            out += self.feeling.joints(joints, VelocityCommand(self.now, self.vx), lambda: place)
         return out
 
 

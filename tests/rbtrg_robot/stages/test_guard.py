@@ -361,7 +361,15 @@ def test_with_the_heads_lidar_alone_it_creeps_and_sees_what_that_sees() -> None:
     limits = around.tick(flat, box)
     assert limits.forward < 0.2
     assert "something the last sweep saw" in limits.reason
-    assert "the main LiDAR is silent for " in limits.reason
+    assert "the main LiDAR is silent for more than 0.1 s" in limits.reason, "it never spoke"
+    around.by = t.CLOUD
+    assert "silent" not in around.tick(flat).reason
+    around.by = t.HEAD_CLOUD
+    for _ in range(30):
+        limits = around.tick(flat)
+    assert "the main LiDAR is silent for 3.0 s" in limits.reason, (
+        "however many sweeps of the other came since"
+    )
     with taken_out(MAIN_SILENT.name):
         assert four(around.tick(flat))[1:] == (1.0, 1.0, 1.0)
 

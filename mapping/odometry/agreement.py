@@ -17,6 +17,11 @@ MOVED, TURNED = 0.4, math.radians(6.0)
 """Most that wheels on firm ground [m] and a gyro [rad] are off within it; a wheel that spins on an edge loses 0.1 m."""
 
 
+def way_ahead(before: Array, after: Array) -> float:
+    """[m] by which a robot came ahead, signed, from `before` (4, 4) to `after`: along the mean of its two headings."""
+    return float((after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0)
+
+
 class Agreement:
     """Sums what the scans say beside dead reckoning."""
 
@@ -28,9 +33,8 @@ class Agreement:
         """The scan that ended at `stamp` [ns] led from `before` (4, 4) to `after`; the wheels rolled `rolled` [m], NaN where they do not tell, and the gyro
         turned by `turned` [rad]. Why the two disagree, in words; empty while they do not.
         """
-        moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
         turn = rotation_vector(before[:3, :3].T @ after[:3, :3])[2]
-        ahead = float(moved) - rolled if math.isfinite(rolled) else 0.0
+        ahead = way_ahead(before, after) - rolled if math.isfinite(rolled) else 0.0
         self._off.append((stamp, ahead, wrap(float(turn) - turned)))
         while self._off[0][0] <= stamp - WINDOW:
             self._off.popleft()

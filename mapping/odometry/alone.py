@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.rotation import quaternion, rotation_rpy, rotation_vector
+from hal.rotation import quaternion, rotation_vector
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
 from mapping.odometry.calibration import Calibration
+from mapping.odometry.deskew import mount_matrix
 from mapping.odometry.health import Health
 from mapping.odometry.inbox import Inbox
 from mapping.odometry.inertial import InertialFilter
 from mapping.odometry.intake import Sweep, TopicClock, clean_scan
+from mapping.odometry.registration.engines import MAP_VOXEL, quality
 from mapping.odometry.registration.planes import VoxelPlanes
 from mapping.odometry.registration.voxels import voxel_down_sample
 from mapping.odometry.startup import WINDOW, Startup, start
@@ -30,12 +32,8 @@ from mapping.odometry.wheels import velocities
 ALONE_RANGE, ALONE_VOXEL = 100.0, 0.5
 """Points and voxels of KISS-ICP [m]: where nothing tells the motion, walls far away hold what rings on level ground do not. Ten scans of
 a car at 7 m/s (OS0-8): 0.74 m a scan with these, 0.3 m with points up to 20 m."""
-MAP_VOXEL, GATE, NEAR = 0.4, 0.15, 0.05
-"""Planes that a scan is compared with, and how near to one a point is on it [m]."""
 FITS = 0.7
 """Share of the points on known planes that lie on them, below which a scan fits nowhere."""
-FEW = 50
-"""Points on known planes below which that share says nothing."""
 POSITION_SIGMA, ROTATION_SIGMA = 0.05, math.radians(1.0)
 """Of a pose of KISS-ICP relative to its map: a tenth of its voxels."""
 REPORT = NS // 10
@@ -61,7 +59,7 @@ class LidarAlone:
         self._params = params
         self.counters: Counter[str] = Counter()
         self.calibration = Calibration(mounts, params.max_time_offset)
-        self._mounts = mounts
+        self._mount = mount_matrix(mounts["main"])
         self._planes = VoxelPlanes(MAP_VOXEL, params.max_range)
         self._clock = TopicClock("scan", 2, self.counters)
         self._sweeps: deque[Sweep] = deque()
@@ -102,22 +100,20 @@ class LidarAlone:
 
     def warm_up(self) -> None:
         """Compile the kernels."""
-        self._planes.fit(np.zeros((1, 3)), np.eye(4), gate=GATE, scale=NEAR)
+        quality(self._planes, np.zeros((1, 3)), np.eye(4))
 
     def _register(self, sweep: Sweep) -> ScanOdometry:
-        mount = self._mounts["main"]
-        points = sweep.xyz.astype(np.float64) @ rotation_rpy(*mount.rpy).T + np.array(mount.translation)
+        points = sweep.xyz.astype(np.float64) @ self._mount[:3, :3].T + self._mount[:3, 3]
         before, self._last, since = self._kiss.last_pose, sweep.end, self._last
         cloud, _ = self._kiss.register_frame(points, np.empty(0) if sweep.untimed else sweep.time)
         pose, delta = self._kiss.last_pose, np.linalg.inv(before) @ self._kiss.last_pose
         near = np.linalg.norm(cloud, axis=1) <= self._params.max_range
         cloud = np.ascontiguousarray(cloud[near], np.float32)
         frame = voxel_down_sample(cloud, 0.5 * MAP_VOXEL)
-        _, _, seen, planar, inliers, total, _ = self._planes.fit(
-            frame, np.ascontiguousarray(pose), gate=GATE, scale=NEAR
-        )
-        self._planes.insert(frame, np.ascontiguousarray(pose))
-        fits = planar < FEW or inliers >= FITS * planar
+        match = quality(self._planes, frame, np.ascontiguousarray(pose))
+        place = POSITION_SIGMA**2 + match.born
+        self._planes.insert(frame, match.pose, place)
+        fits = match.inliers >= FITS
         dt = (sweep.end - since) / NS if since else math.inf
         return ScanOdometry(
             stamp=sweep.end,
@@ -129,14 +125,15 @@ class LidarAlone:
             health=Health.DEGRADED if fits else Health.LOST,
             reason=self.words
             if fits
-            else f"{self.words}; the scan fits {inliers} of {planar} points to the map",
-            overlap=seen / max(len(frame), 1),
-            inliers=inliers / planar if planar else 1.0,
-            residual=math.sqrt(total / max(inliers, 1)),
+            else f"{self.words}; {match.inliers:.0%} of the scan lies on the map's surfaces",
+            overlap=match.overlap,
+            inliers=match.inliers,
+            residual=match.residual,
             degenerate=np.array([0.0, 0.0, 1.0]),
             degeneracy=0.0,
             correction=0.0,
             clouds={"main": cloud} if fits else {},
+            place_sigma=math.sqrt(place),
         )
 
 
@@ -224,6 +221,7 @@ class WheelsAlone:
             degeneracy=0.0,
             correction=0.0,
             clouds={},
+            place_sigma=math.sqrt(float(np.linalg.eigvalsh(base.covariance[:2, :2])[-1])),
         )
 
     def _wheels(

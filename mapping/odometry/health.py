@@ -230,7 +230,7 @@ class HealthMonitor:
         off = math.sqrt(float(difference @ np.linalg.solve(spread, difference)))
         moved = float(np.linalg.norm(difference[:3]))
         turned = math.degrees(float(np.linalg.norm(difference[3:])))
-        bad, weak, again, strange, held = "", "", False, False, False
+        bad, weak, again, strange, held, watched = "", "", False, False, False, False
         if match.points < s.min_points:
             bad = f"only {match.points} points in the scan"
         elif scans:
@@ -238,12 +238,13 @@ class HealthMonitor:
             few = match.on_planes < max(ON_PLANES * match.points, s.min_on_planes)
             again = self.doubts(stamp)
             strange = off > s.disagreement and (moved > s.strange or turned > s.strange_deg)
-            held = still and not again and stamp > self._carried_until
+            watched = still and not again
+            held = watched and stamp > self._carried_until
+            suspect = off > s.disagreement and (
+                moved > SUSPECT * s.strange or turned > SUSPECT * s.strange_deg
+            )
+            self._against = self._against + 1 if held and suspect else 0
             if held:
-                suspect = off > s.disagreement and (
-                    moved > SUSPECT * s.strange or turned > SUSPECT * s.strange_deg
-                )
-                self._against = self._against + 1 if suspect else 0
                 strange = MOVED_WHILE_STILL.outside(self._against)
                 held = not strange
                 if strange:
@@ -272,7 +273,8 @@ class HealthMonitor:
                 weak = f"scan and dead reckoning disagree by {100 * moved:.0f} cm"
         if strange:
             words = MOVED_WHILE_STILL.tell(moved=moved, turned=turned)
-            self.doubt(words if still else "scan and dead reckoning disagree")
+            # In doubt it was found elsewhere: that is no motion.
+            self.doubt(words if watched else "scan and dead reckoning disagree")
         elif again and not self._doubt:
             self.doubt("no scan fitted for a while")
         if bad:

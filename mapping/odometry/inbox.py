@@ -1,7 +1,7 @@
 """Samples on their way into the odometry: checked, in stamp order, handed over when every topic has reached the scan's end.
 
 Of several LiDARs the main one sets the pace. A sweep of another one goes along with the first sweep of the main one that
-ends after it; where the main one is silent, the other sets the pace.
+ends after it; where the main one is silent or repeats itself, the other sets the pace.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SWEEP_PERIOD = NS // 10
 SLACK = 10_000_000
 """Sweeps of two LiDARs that end within this time [ns] belong together."""
 SILENT = NS // 2
-"""A LiDAR that has not begun a sweep for this long [ns] is silent."""
+"""A LiDAR that has not begun a sweep for this long [ns] is silent; so is one that repeats itself."""
 NEAR = 0.1
 """A LiDAR that is there for the ground in front of it may see it this near [m]."""
 JOINT_PERIOD = 18_000_000
@@ -165,7 +165,7 @@ class Inbox:
     def _silent(self, name: LidarName) -> bool:
         newest = self._clocks[name].newest
         since = newest if newest is not None else self._first
-        return since is None or self.now - since > SILENT
+        return since is None or self.now - since > SILENT or bool(self.streams[name].words)
 
     @property
     def waiting(self) -> bool:

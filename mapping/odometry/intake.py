@@ -216,9 +216,10 @@ def clean_scan(
     xyz, kept_times = np.empty((len(points), 3), np.float32), np.empty(len(points))
     limits = np.array([min_range**2, max_range**2], np.float32)
     kept, longest = _usable(x, y, z, time, limits, xyz, kept_times)
-    if strange := len(points) - int(np.count_nonzero(hit & np.isfinite(points["time"]))):
+    finite = np.isfinite(square) & np.isfinite(points["time"])
+    if strange := len(points) - int(np.count_nonzero(finite)):
         counters["scan_points_not_finite"] += strange
-    if late := int(np.count_nonzero(hit & np.isfinite(points["time"]) & ~np.isfinite(time))):
+    if late := int(np.count_nonzero(hit & finite & ~np.isfinite(time))):
         counters["scan_points_out_of_time"] += late
     end = start + round(longest * NS)
     if not len(points):

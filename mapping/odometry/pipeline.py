@@ -29,7 +29,7 @@ from hal.go2w import XT16_MOUNT
 from hal.rotation import rotation_vector
 from hal.safety.monitors import IMPOSSIBLE_SPEED
 from hal.types import NS, Array, Extrinsics, ImuSample, JointSample, LidarName, LidarScan
-from mapping.odometry.agreement import Agreement
+from mapping.odometry.agreement import Agreement, way_ahead
 from mapping.odometry.calibration import TURNING, Calibration
 from mapping.odometry.contacts import contacts_of
 from mapping.odometry.deskew import Deskewer
@@ -162,9 +162,10 @@ class LidarInertialOdometry:
             return None
         before, since = self._filter.pose(), self._filter.stamp
         stamps, track = self._predict(sweep.end)
-        if sweep.name != "main":
-            self._notes.append(f"the main LiDAR is silent, the {sweep.name} LiDAR takes its place")
         streams = self._inbox.streams
+        if sweep.name != "main":
+            silent = "" if streams["main"].words else "the main LiDAR is silent, "
+            self._notes.append(f"{silent}the {sweep.name} LiDAR takes its place")
         self._notes += [
             streams[name].words
             for name in self.calibration.shift
@@ -335,10 +336,9 @@ class LidarInertialOdometry:
         if not (verdict.health is Health.GOOD and math.isfinite(self._rolled)):
             self._scale.forget()
             return
-        moved = (after[:3, 3] - before[:3, 3]) @ (before[:3, 0] + after[:3, 0]) / 2.0
         ahead = after[:3, 0]
         sigma = math.sqrt(max(float(ahead @ verdict.covariance[:3, :3] @ ahead), 0.0))
-        self._scale.learn(self._rolled, float(moved), interval * 1e-9, sigma)
+        self._scale.learn(self._rolled, way_ahead(before, after), interval * 1e-9, sigma)
         self._stream.scale = self._scale.value
 
     def _slip_unseen(self, verdict: Verdict) -> None:
@@ -354,14 +354,17 @@ class LidarInertialOdometry:
     def _coast(self, until: int) -> ScanOdometry:
         """No scan came: move the filter on so that a later one finds it near."""
         self._advance(until)
-        return self._dead_reckoned("; ".join(["no scan", *self._inbox.refused()]))
+        return self._dead_reckoned("no scan", *self._inbox.refused())
 
-    def _dead_reckoned(self, reason: str) -> ScanOdometry:
+    def _dead_reckoned(self, *reasons: str) -> ScanOdometry:
         covariance = self._filter.output(ZERO).covariance
         sigma = math.sqrt(float(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
         stamp, streams = self._filter.stamp, self._inbox.streams
-        if untrue := self._untrue or streams[self._inbox.pace].words:
-            self._health, self._reason = self._monitor.lose(stamp, untrue)
+        untrue = self._untrue or streams[self._inbox.pace].words
+        reason = "; ".join(dict.fromkeys(filter(None, [untrue, *reasons, *self._notes])))
+        self._notes.clear()
+        if untrue:
+            self._health, self._reason = self._monitor.lose(stamp, reason)
         else:
             self._health, self._reason = self._monitor.without_match(stamp, sigma, reason)
         self._rejoin()

@@ -19,9 +19,9 @@ class Repeats:
         """What the operator reads while the stream is dead; else empty."""
 
     def dead(self, payload: NDArray) -> bool:
-        """Whether the stream is, now that it says `payload`."""
+        """Whether the stream is, now that it says `payload`. An empty one says nothing: all of them are alike."""
         now = payload.tobytes()
-        self._count = self._count + 1 if now == self._last else 0
+        self._count = self._count + 1 if now and now == self._last else 0
         self._last = now
         self.words = self._row.tell(name=self._name) if self._row.outside(self._count) else ""
         return bool(self.words)

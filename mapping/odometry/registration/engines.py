@@ -27,6 +27,8 @@ CONVERGED = 1e-4
 """Smallest step [m, rad] that is followed by another."""
 WIDE = 0.6
 """Reach of correspondences of small_gicp [m]."""
+MAP_VOXEL, GATE, NEAR = 0.4, 0.15, 0.05
+"""Voxels of the planes that a scan is compared with, and how near to one a point is on it and counts fully [m]."""
 FEW_PLANES = 50
 """Points on planes below which their statistics say nothing."""
 
@@ -122,7 +124,7 @@ class PlaneEngine:
     def __init__(self, params: PlanesConfig, max_range: float) -> None:
         self._params = params
         self.sigma = params.surface_sigma
-        self.planes = VoxelPlanes(0.4, max_range)
+        self.planes = VoxelPlanes(MAP_VOXEL, max_range)
         self.frame = self._source = np.empty((0, 3))
         self.scans = 0
 
@@ -140,7 +142,7 @@ class PlaneEngine:
     def align(self, guess: Array) -> Match:
         """See Engine."""
         pose = _refine(self.planes, self._source, guess) if self.scans else guess
-        return _quality(self.planes, self._source, np.ascontiguousarray(pose))
+        return quality(self.planes, self._source, np.ascontiguousarray(pose))
 
     def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
@@ -159,7 +161,7 @@ class GicpEngine:
         self._params = params
         self.sigma = params.surface_sigma
         self._max_range = max_range
-        self.planes = VoxelPlanes(0.4, max_range)
+        self.planes = VoxelPlanes(MAP_VOXEL, max_range)
         self._map = small_gicp.GaussianVoxelMap(params.voxel_size)
         self._map.set_lru(horizon=params.horizon, clear_cycle=10)
         self.frame = self._points = np.empty((0, 3))
@@ -196,7 +198,7 @@ class GicpEngine:
                 max_iterations=self._params.max_iterations,
             )
             pose = np.ascontiguousarray(result.T_target_source)
-        return _quality(self.planes, self._points, pose)
+        return quality(self.planes, self._points, pose)
 
     def insert(self, pose: Array, born: float = 0.0, settled: bool = False) -> None:
         """See Engine."""
@@ -209,7 +211,7 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
     """Point to plane steps from `pose` (4, 4). Directions that are not observed stay as they are."""
     pose = np.ascontiguousarray(pose)
     for _ in range(STEPS):
-        h, b, _, _, inliers, *_ = planes.fit(points, pose, gate=0.15, scale=0.05)
+        h, b, _, _, inliers, *_ = planes.fit(points, pose, gate=GATE, scale=NEAR)
         if inliers < FEW_PLANES:
             break
         step = observed(h / inliers).step(b / inliers)
@@ -227,9 +229,9 @@ def _refine(planes: VoxelPlanes, points: Array, pose: Array) -> Array:
     return pose
 
 
-def _quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
+def quality(planes: VoxelPlanes, points: Array, pose: Array) -> Match:
     """Fit of `points` (n, 3), body frame, at `pose` to the planes of the map."""
-    h, _, seen, planar, inliers, total, born = planes.fit(points, pose, gate=0.15, scale=0.05)
+    h, _, seen, planar, inliers, total, born = planes.fit(points, pose, gate=GATE, scale=NEAR)
     return Match(
         pose=pose,
         points=len(points),

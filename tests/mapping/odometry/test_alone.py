@@ -49,6 +49,8 @@ def test_lidar_alone_tracks_and_says_so(recorded: tuple[SyntheticRun, list[Sampl
     assert all("no IMU" in s.reason for s in scans)
     assert all(len(s.cloud) > 100 for s in scans)
     assert np.mean([s.linear[0] for s in scans[20:]]) > 0.2
+    assert 0.05 <= scans[0].place_sigma <= scans[-1].place_sigma < 0.3
+    assert error(run, scans, 0, -1)[0] < 3.0 * scans[-1].place_sigma
 
 
 def test_a_scan_that_fits_nowhere_is_lost_and_not_mapped(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
@@ -75,6 +77,9 @@ def test_wheels_alone_go_on_without_a_lidar(recorded: tuple[SyntheticRun, list[S
     assert error(run, scans, 0, -1)[0] < 0.1 * way
     assert {s.health for s in scans} == {Health.DEGRADED}
     assert all("no LiDAR" in s.reason for s in scans)
+    sigma = [s.place_sigma for s in scans]
+    assert sigma == sorted(sigma), "nothing tells where it is"
+    assert 0.0 < sigma[0] < sigma[-1]
 
 
 def test_speed_of_other_wheels_takes_the_place_of_joints() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
 from hal.rotation import rotation_rpy
+from hal.safety.monitors import MOVED_WHILE_STILL
 from mapping.odometry.health import Health, HealthConfig, HealthMonitor, Verdict
 from mapping.odometry.registration.engines import Match
 from mapping.odometry.registration.witness import KissConfig, Witness
@@ -113,6 +116,34 @@ def test_a_robot_that_fell_is_found_again_where_the_ground_is_rougher_than_level
     assert all(judged(k, 0.007, 0.0).insert for k in range(1, 41))
     assert not judged(41, 0.03, 0.3).use
     assert [judged(k, 0.018, 0.0).insert for k in range(42, 45)] == [False, False, True]
+
+
+def test_only_scans_in_a_row_say_that_a_robot_moved_while_it_stood() -> None:
+    monitor = HealthMonitor(HealthConfig())
+    prior = 1e-6 * np.eye(6)
+    monitor.start(0)
+    off = at(0.0, math.radians(2.5))
+
+    def judged(k: int, pose: np.ndarray, still: bool) -> Verdict:
+        found = match(0.98, 0.99, 0.012, pose)
+        return monitor.judge((k + 1) * 100_000_000, found, at(0.0), prior, 30, 0.008, still)
+
+    most = round(MOVED_WHILE_STILL.high)
+    stood = [judged(k, off, True) for k in range(most)]
+    assert all(v.held and not v.strange for v in stood)
+    assert not judged(most, off, False).strange, "it drives"
+    assert not any(judged(most + 1 + k, off, True).strange for k in range(most))
+    assert judged(2 * most + 1, off, True).strange
+
+
+def test_a_robot_that_is_found_elsewhere_was_not_moved_while_it_stood() -> None:
+    monitor = HealthMonitor(HealthConfig())
+    prior = 1e-6 * np.eye(6)
+    monitor.start(0)
+    monitor.doubt("KISS-ICP disagrees")
+    verdict = monitor.judge(100_000_000, match(0.98, 0.99, 0.012, at(0.5)), at(0.0), prior, 30, 0.008, True)
+    assert verdict.strange
+    assert verdict.reason.startswith("scan and dead reckoning disagree")
 
 
 @pytest.mark.parametrize("tracked", [True, False])

@@ -14,6 +14,7 @@ from hal.safety import monitors
 from hal.safety.monitors import Monitor, taken_out
 from hal.types import NS, GroundTruth, ImuSample, JointSample, LidarScan, Sample
 from mapping.odometry.health import Health
+from mapping.odometry.repeats import Repeats
 from tests.mapping.odometry.test_pipeline import Driven, error
 from tools.synthetic import SyntheticRun, arena_run
 from tools.synthetic_motion import Motion
@@ -49,6 +50,13 @@ def test_a_sound_stream_never_repeats(recorded: tuple[SyntheticRun, list[Sample]
     _, samples = recorded
     counters = Driven(samples).odometry.counters
     assert not [name for name in counters if name.endswith("repeated")]
+
+
+def test_empty_sweeps_are_alike_and_no_repetition() -> None:
+    stream = Repeats(monitors.LIDAR_REPEATS, "main")
+    full, empty = np.ones(3), np.empty(0)
+    assert not any(stream.dead(payload) for payload in (empty, empty, empty, full, full, empty, full))
+    assert [stream.dead(full) for _ in range(2)] == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -102,6 +102,22 @@ def test_spoiled_scans_are_counted_and_survived(samples: list[Sample], kind: str
     assert results[-1].health is Health.GOOD
 
 
+def test_what_was_amiss_beside_a_spoiled_scan_is_told_with_it_and_not_with_the_next(
+    samples: list[Sample],
+) -> None:
+    scans = [s for s in samples if isinstance(s, LidarScan)]
+    bad = scans[14]
+    kept = [
+        with_points(s, s.points[:0]) if s is bad else s
+        for s in samples
+        if not (isinstance(s, JointSample) and bad.stamp - NS // 2 < s.stamp <= bad.stamp + NS // 100)
+    ]
+    results = feed(LidarInertialOdometry(), kept)
+    (told,) = [k for k, r in enumerate(results) if "scan is empty" in r.reason]
+    assert results[told].reason.startswith("scan is empty; no joint data; dead reckoning")
+    assert (results[told + 1].health, results[told + 1].reason) == (Health.GOOD, "")
+
+
 @pytest.mark.parametrize("time", [0.0, 0.05])
 def test_equal_point_times_never_abort(samples: list[Sample], time: float) -> None:
     spoiled = [all_at_once(s, time) if isinstance(s, LidarScan) else s for s in samples]
@@ -297,10 +313,12 @@ def test_points_that_hit_nothing_have_no_time(miss: float) -> None:
     points = np.zeros(1000, POINT_DTYPE)
     points["x"], points["time"] = 5.0, np.linspace(0.0, 0.1, 1000)
     points["x"][::2], points["time"][::2] = miss, -7.0
-    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, Counter())
+    counters: Counter[str] = Counter()
+    sweep = clean_scan(LidarScan(NS, points), 0.4, 20.0, 10_000, counters)
     assert sweep is not None
     assert (len(sweep.xyz), sweep.problem) == (500, "")
     assert sweep.end == pytest.approx(1.1 * NS, abs=100)
+    assert counters["scan_points_not_finite"] == (0 if miss == 0.0 else 500), "0, 0, 0 is a sound miss"
 
 
 def test_times_of_no_sweep_are_refused_with_what_the_field_held() -> None:

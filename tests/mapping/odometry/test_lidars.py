@@ -92,25 +92,32 @@ def test_a_late_head_cloud_changes_nothing(recorded: tuple[SyntheticRun, list[Sa
         assert all(a.clouds[name].tobytes() == b.clouds[name].tobytes() for name in ("main", "head"))
 
 
-def test_the_head_lidar_takes_over_where_the_main_one_is_silent(
-    recorded: tuple[SyntheticRun, list[Sample]],
+@pytest.mark.parametrize(
+    ("repeats", "words"), [(False, "the main LiDAR is silent"), (True, "the main LiDAR repeats its sweep")]
+)
+def test_the_head_lidar_takes_over_where_the_main_one_is_silent_or_repeats_itself(
+    recorded: tuple[SyntheticRun, list[Sample]], repeats: bool, words: str
 ) -> None:
     run, samples = recorded
     begin = samples[0].stamp
     gap = begin + 2 * NS, begin + 4 * NS
-    scans = driven(
-        [
-            s
-            for s in samples
-            if not (isinstance(s, LidarScan) and s.name == "main" and gap[0] <= s.stamp < gap[1])
-        ]
-    )
+    spoiled: list[Sample] = []
+    for s in samples:
+        if not (isinstance(s, LidarScan) and s.name == "main"):
+            spoiled.append(s)
+        elif not gap[0] <= s.stamp < gap[1]:
+            last = s
+            spoiled.append(s)
+        elif repeats:
+            spoiled.append(replace(last, stamp=s.stamp))
+    scans = driven(spoiled)
     taken = [s for s in scans if gap[0] + 0.7 * NS < s.stamp < gap[1]]
     assert len(taken) >= 11
     for scan in taken:
         assert set(scan.clouds) == {"head"}
         assert scan.health is Health.DEGRADED
-        assert "the main LiDAR is silent" in scan.reason
+        assert words in scan.reason
+        assert "the head LiDAR takes its place" in scan.reason
     assert max(off(run, s) for s in scans) < 0.06
     assert [s.health for s in scans[-5:]] == [Health.GOOD] * 5
     assert set(scans[-1].clouds) == {"main", "head"}

@@ -96,6 +96,7 @@ class StockKissIcp:
             degeneracy=np.nan,
             correction=np.nan,
             clouds={"main": np.asarray(cloud, np.float32)},
+            place_sigma=np.nan,
         )
 
 

@@ -28,6 +28,12 @@ class NavigatorConfig(BaseModel):
     max_recoveries: int = Field(
         3, ge=0, description="recoveries at one place before the goal is given up as stuck"
     )
+    max_touches: int = Field(
+        8,
+        ge=1,
+        le=50,
+        description="touches before a goal is given up: a pane 4 m wide is gone round after as many",
+    )
     back_out: float = Field(0.6, gt=0, description="how far to move out of a place when stuck [m]")
     avoid_ahead: float = Field(
         0.5, gt=0, description="where the obstacle is thought to be: ahead of base_link [m]"

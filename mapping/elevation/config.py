@@ -74,6 +74,13 @@ class ElevationConfig(BaseModel):
     contact_sigma: float = Field(
         default=0.03, description="height noise of the support plane at the wheels [m]"
     )
+    # --- what was touched
+    touched_fade: float = Field(
+        default=120.0,
+        ge=10.0,
+        le=3600.0,
+        description="what was touched and no ray tells of is forgotten after this time: a door that stood open is tried again [s]",
+    )
     # --- clean-up
     clean_range: float = Field(default=6.0, description="rays are traced this far [m]")
     clean_margin: float = Field(

@@ -259,7 +259,7 @@ def _enter_points(
     )
     cells["count"], cells["source"], cells["seen"] = enough, LIDAR, PRIOR
     store.cells[index] = cells
-    store.touched[index >> (2 * store.shift)] = 1
+    store.changed(index)
     return len(index)
 
 

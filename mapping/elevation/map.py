@@ -30,7 +30,6 @@ from mapping.elevation.prior import PriorCheck
 from mapping.elevation.read import Box, MapReader
 from mapping.elevation.sensor import XT16, Sensor
 from mapping.elevation.tiles import AT_ONCE, CONTACT, FRESH, LIDAR, PLANTS, PRIOR, Layers, TileStore
-from mapping.elevation.touched import TouchedWalls
 from mapping.elevation.visibility import judge, trace
 from mapping.elevation.wheels_ground import SupportPatch, carried, enter, entered, take_back
 from mapping.grid import ElevationGrid
@@ -121,6 +120,7 @@ class ElevationMap:
 
     def reset(self) -> None:
         """Forget everything (the pose jumped, the operator asked). Readers see a new epoch."""
+        self._reader.walls.clear(self.store)
         self.store.clear()
         self.epoch += 1
         self.alignment = Alignment()
@@ -130,7 +130,6 @@ class ElevationMap:
         self._prior = None
         self._fresh = True
         self._granted = []
-        self._reader.walls = TouchedWalls()
         if self._plants is not None:
             self._plants.rays = None
 
@@ -354,7 +353,7 @@ class ElevationMap:
         ):
             new[name] = np.where(leaves, value, new[name])
         s.cells[cell] = new
-        s.touched[cell >> (2 * s.shift)] = 1
+        s.changed(cell)
         return len(cell)
 
     def _clock(self, stamp: int) -> int:

@@ -268,6 +268,10 @@ class TileStore:
             done = locate(i, j, self.directory, self.first, s, out, done)
         return out
 
+    def changed(self, cell: NDArray[np.int64]) -> None:
+        """These cells (n,) of the pool were written: the next delta reads the tiles that they lie in."""
+        self.touched[cell >> (2 * self.shift)] = 1
+
     def touch(self, source: int) -> None:
         """The tiles of the pool with a cell of this source count as changed."""
         cells = self.cells["source"][: self._span(self.used).start].reshape(-1, self.size**2)

@@ -16,8 +16,6 @@ from hal.go2w import BODY_WIDTH
 from mapping.elevation.exchange import TOUCHED, MapPatch
 from mapping.elevation.tiles import TileStore
 
-FADE = 120_000
-"""[ms] after which it is forgotten: a door that stood open is tried again."""
 DEPTH = 0.10
 """[m] along the motion that met it: two cells and a half, so that it has no hole in any direction."""
 RISE = 0.2
@@ -36,7 +34,9 @@ class _Wall:
 class TouchedWalls:
     """The walls of one map. Times in ms lived through."""
 
-    def __init__(self) -> None:
+    def __init__(self, fade: int) -> None:
+        """`fade`: after so long [ms] a wall is forgotten."""
+        self._fade = fade
         self._walls: list[_Wall] = []
 
     def __len__(self) -> int:
@@ -55,7 +55,9 @@ class TouchedWalls:
         along, across = c * dx + s * dy, c * dy - s * dx
         inside = (along >= 0.0) & (along <= DEPTH) & (np.abs(across) <= BODY_WIDTH / 2)
         height = np.full(np.count_nonzero(inside), z + RISE, np.float32)
-        self._enter(store, _Wall(i[inside].astype(np.int64), j[inside].astype(np.int64), height, now + FADE))
+        self._enter(
+            store, _Wall(i[inside].astype(np.int64), j[inside].astype(np.int64), height, now + self._fade)
+        )
 
     def restore(self, store: TileStore, patch: MapPatch, now: int) -> None:
         """What a reader still has of them."""
@@ -63,7 +65,7 @@ class TouchedWalls:
         if len(row):
             i, j = row + patch.cell[0], col + patch.cell[1]
             height = patch.layers["elevation"][row, col].astype(np.float32)
-            self._enter(store, _Wall(i.astype(np.int64), j.astype(np.int64), height, now + FADE))
+            self._enter(store, _Wall(i.astype(np.int64), j.astype(np.int64), height, now + self._fade))
 
     def _enter(self, store: TileStore, wall: _Wall) -> None:
         self._walls.append(wall)
@@ -94,5 +96,4 @@ class TouchedWalls:
 
     @staticmethod
     def _changed(store: TileStore, wall: _Wall) -> None:
-        cell = store.locate(wall.i, wall.j)
-        store.touched[cell >> (2 * store.shift)] = 1
+        store.changed(store.locate(wall.i, wall.j))

@@ -202,4 +202,4 @@ def _write(
     new = store.cells[cell]
     new["height"], new["variance"], new["source"] = height, variance, source
     store.cells[cell] = new
-    store.touched[cell >> (2 * store.shift)] = 1
+    store.changed(cell)

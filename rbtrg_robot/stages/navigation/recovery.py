@@ -11,8 +11,6 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 
 SAME_PLACE = 1.0
 """[m]"""
-TOUCHES = 8
-"""Touches for one goal: a pane 4 m wide is gone round after as many."""
 LOOK_DOWN_AT = 2
 """Which try in a row without a route: noise closes many a passage for a moment, and another graph often has a way."""
 
@@ -83,9 +81,9 @@ class Recovery:
         return "; ".join(said)
 
     def touched(self, x: float, y: float) -> Measure:
-        """Something that the map does not explain was touched there, as often as a wide pane takes to be gone round."""
+        """Something that the map does not explain was touched there."""
         self._touched.append((x, y))
-        return Measure.GIVE_UP if len(self._touched) > TOUCHES else Measure.MOVE_OUT
+        return Measure.GIVE_UP if len(self._touched) > self._config.max_touches else Measure.MOVE_OUT
 
     def edge(self, pose: Pose2) -> Measure:
         """The wheels felt an edge ahead of `pose`."""

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from hal.types import NS
+from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import TOUCHED, MapError
 from mapping.elevation.map import ElevationMap
 from mapping.elevation.mirror import MapMirror
-from mapping.elevation.touched import DEPTH, FADE, RISE
+from mapping.elevation.touched import DEPTH, RISE
 from tests.mapping.elevation.test_map import HEIGHT, LEVEL, flat_scan
 
 FIRST = NS
+FADE = round(ElevationConfig().touched_fade * NS)
+"""[ns]"""
 
 
 def touched_at(elevation: ElevationMap) -> np.ndarray:
@@ -56,7 +59,7 @@ def test_rays_through_it_erase_nothing_and_it_fades() -> None:
             reader.apply(patch)
     assert len(touched_at(elevation)) > 15
     assert elevation.touched == 1
-    scanned(elevation, FIRST + NS + FADE * 10**6 + NS)
+    scanned(elevation, FIRST + NS + FADE + NS)
     assert not len(touched_at(elevation))
     assert elevation.touched == 0
     after = elevation.window(1.0, 0.0, 0.5).layers["elevation"]
@@ -83,7 +86,7 @@ def test_it_comes_back_from_a_reader_and_fades_later() -> None:
     for patch in first.take_patches():
         again.restore(patch)
     assert {tuple(c) for c in touched_at(again).round(3)} == {tuple(c) for c in touched_at(first).round(3)}
-    scanned(again, FIRST + FADE * 10**6 + NS)
+    scanned(again, FIRST + FADE + NS)
     assert not len(touched_at(again))
 
 

@@ -20,7 +20,6 @@ from rbtrg_robot.stage_config import NavigatorConfig
 from rbtrg_robot.stages.navigation.goal import GoalArea, GoalState
 from rbtrg_robot.stages.navigation.navigator import NavigatorStage
 from rbtrg_robot.stages.navigation.progress import Pose2, Trail
-from rbtrg_robot.stages.navigation.recovery import TOUCHES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import odometry_msg, quaternion, rpy_quaternion
 from rbtrg_robot.wire.messages import encode, header
@@ -1306,7 +1305,7 @@ def test_what_was_touched_while_it_backs_out_stops_that(world: World) -> None:
 def test_after_many_touches_the_goal_ends_and_says_where(world: World) -> None:
     world.come_along()
     world.goal()
-    for k in range(TOUCHES):
+    for k in range(NavigatorConfig().max_touches):
         world.answer()
         touch(world, y=0.5 * k)
         assert world.status.state != "aborted"

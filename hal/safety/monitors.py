@@ -505,6 +505,17 @@ PLACE_UNSURE = Monitor(
     against="the goal's tolerance",
     test="rbtrg_robot/stages/navigation/test_navigator.py",
 )
+GOAL_SPENT = Monitor(
+    name="goal without progress",
+    stream="goal",
+    check=Check.RANGE,
+    consequence=Consequence.TELL,
+    judge="navigator",
+    words="nowhere new in {seconds:.0f} s",
+    remedy="choose another goal, or clear the way; the last hindrance stands beside it",
+    against="places where the robot was for this goal",
+    test="rbtrg_robot/stages/navigation/test_navigator.py",
+)
 
 
 MONITORS: tuple[Monitor, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Monitor))

@@ -17,7 +17,16 @@ from rbtrg_robot.stages.navigation.inputs import Inputs
 from rbtrg_robot.stages.navigation.look import Looks
 from rbtrg_robot.stages.navigation.path_order import PathOrder, heading_off
 from rbtrg_robot.stages.navigation.plan_query import PlanQuery
-from rbtrg_robot.stages.navigation.progress import STRAY, Pose2, ProgressMonitor, RouteWatch, Slide, Trail
+from rbtrg_robot.stages.navigation.progress import (
+    REST,
+    STRAY,
+    Budget,
+    Pose2,
+    ProgressMonitor,
+    RouteWatch,
+    Slide,
+    Trail,
+)
 from rbtrg_robot.stages.navigation.reasons import PATIENCE, Reason, hindrance, unlocated
 from rbtrg_robot.stages.navigation.recovery import Measure, Recovery
 from rbtrg_robot.stages.stage import Outputs
@@ -36,6 +45,8 @@ MOVE_ON = 0.15
 """[m]: the front wheels stay in the circle that the body turns in, which the planner has looked at."""
 HELD = 2.5
 """Seconds from a plan to the next one while the guard holds the robot: the tracker makes a bend of a short turn after 2 s."""
+NEARER = 0.05
+"""[m] by which a plan must end nearer to the goal than a robot that is there, or it is there for good."""
 LOOK_AGAIN = 1.0
 """Seconds from a failed plan to the next try."""
 
@@ -89,9 +100,11 @@ class NavigatorStage:
         self._looks = Looks(max_trunk_tilt)
         self._turns = HeldTurns()
         self._order = PathOrder(step_vx)
-        self._progress = ProgressMonitor()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
         self._trail = Trail()
         self._slide = Slide()
+        self._trouble = ""
+        """Why the robot stood last."""
         self._missing_since = 0
         self._status_due = 0
         self._out: Outputs = []
@@ -156,10 +169,10 @@ class NavigatorStage:
         self._recovery = Recovery(self._params, feels_edges=self._creep > 0.0)
         self._looks = Looks(self._tilt)
         self._turns = HeldTurns()
-        self._progress = ProgressMonitor()
+        self._progress, self._rest, self._budget = ProgressMonitor(), ProgressMonitor(*REST), Budget()
         self._plan = None
         self._query.drop()
-        self._missing_since = 0
+        self._missing_since, self._trouble = 0, ""
         heard = self._inputs
         trouble = stray or unlocated(heard.map) or goal.misplaced(self._area) or hindrance(heard.robot)
         if trouble is not None:
@@ -183,8 +196,11 @@ class NavigatorStage:
         if self._missing_since:
             return  # asked before the inputs went: a new route is asked for when they are back
         self._route = RouteWatch()
+        if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
+            return self._reach()
         if message.ok:
             self._recovery.found()
+            self._budget.plan(message.length)
             self._plan = message
             goal.begun = True
             goal.frontier = not message.reaches_goal
@@ -237,6 +253,7 @@ class NavigatorStage:
             goal.detail = detail
             if reason is Reason.TAKEN:
                 goal.state, self._missing_since = GoalState.PAUSED, now
+            self._budget.rest()
             if now - self._missing_since > PATIENCE.get(reason, p.patience) * NS:
                 self._end(GoalState.ABORTED, reason, detail)
             return None
@@ -245,6 +262,12 @@ class NavigatorStage:
             goal.detail = ""
             self._plan = None
             return self._ask()
+        if self._pose is not None:
+            if self._rest.stuck(now, self._pose) and self._arrived(goal):
+                return self._reach()
+            if spent := self._budget.spent(now, self._pose):
+                last = f", last: {self._trouble}" if self._trouble else ""
+                return self._end(GoalState.ABORTED, Reason.STUCK, spent + last + goal.place(self._pose))
         if self._recovery.crept and self._plan is not None and self._inputs.edge and self._pose is not None:
             return self._keep_off(goal, self._recovery.edge(self._pose), 1.0)
         if self._query.open:
@@ -276,6 +299,8 @@ class NavigatorStage:
             broken = f"{beside:.2f} m beside its way"
         if broken:
             self._stand(goal, broken)
+            if self._arrived(goal):
+                return self._reach()
             return self._replan(goal)
         if on_path and self._inputs.phase == "final_turn":
             self._progress.reset()  # the tracker ends that in time by itself
@@ -299,15 +324,11 @@ class NavigatorStage:
         if goal.state is GoalState.RECOVERING or goal.frontier:
             goal.state = GoalState.MOVING
             return self._replan(goal)
-        short = math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else 0.0
-        askew = heading_off(goal.yaw, self._inputs.tracker)
-        if short <= self._params.goal_tolerance and (
-            unsure := self._inputs.unsure(self._params.goal_tolerance)
-        ):
-            self._end(GoalState.ABORTED, Reason.UNSURE, unsure)
-        elif short <= self._params.goal_tolerance:
-            ended = (GoalState.ABORTED, Reason.STUCK) if askew else (GoalState.REACHED, Reason.NONE)
-            self._end(*ended, askew)
+        if self._arrived(goal):
+            return self._reach()
+        short = self._distance(goal)
+        if short <= self._params.goal_tolerance and self._pose is not None:
+            self._end(GoalState.ABORTED, Reason.STUCK, heading_off(goal.yaw, self._pose[2]))
         elif self._short < self._params.short_retries:
             self._short += 1  # seen from here the last stretch may be drivable
             self._replan(goal)
@@ -315,8 +336,31 @@ class NavigatorStage:
             self._end(GoalState.ABORTED, Reason.NO_ROUTE, f"the last {short:.2f} m are not drivable")
         return None
 
+    def _distance(self, goal: Goal) -> float:
+        """[m] from base_link; infinite while nobody knows where the robot is."""
+        return math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else math.inf
+
+    def _arrived(self, goal: Goal) -> bool:
+        """Whether the robot is at the goal. That is a matter of its pose: what a path or a plan says of the rest changes nothing. The one place that decides it."""
+        if self._pose is None or self._distance(goal) > self._params.goal_tolerance:
+            return False
+        return not heading_off(goal.yaw, self._pose[2])
+
+    def _reach(self) -> None:
+        """The robot is at the goal, as far as its place is known: one that is known worse than the tolerance is not called reached."""
+        if unsure := self._inputs.unsure(self._params.goal_tolerance):
+            self._end(GoalState.ABORTED, Reason.UNSURE, unsure)
+        else:
+            self._end(GoalState.REACHED, Reason.NONE)
+
+    def _ends_nearer(self, goal: Goal, plan: msg.Plan) -> bool:
+        end = math.dist((plan.x[-1], plan.y[-1]), (goal.x, goal.y)) if len(plan.x) else math.inf
+        return end < self._distance(goal) - NEARER
+
     def _recover(self, goal: Goal) -> None:
-        """Move out of the place, then replan around it; give up where that was done often enough."""
+        """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at the goal needs neither."""
+        if self._arrived(goal):
+            return self._reach()
         self._progress.reset()
         assert self._pose is not None
         way = self._inputs.way
@@ -330,6 +374,7 @@ class NavigatorStage:
         elif not self._move_out(goal, barred=way):
             goal.recoveries += 1
             self._replan(goal)
+        return None
 
     def _touched(self, message: msg.PoseStamped) -> None:
         goal, place = self._goal, message.pose.position
@@ -396,6 +441,7 @@ class NavigatorStage:
 
     def _stand(self, goal: Goal, why: str) -> None:
         goal.detail = why
+        self._trouble = why or self._trouble
         self._halt()
 
     def _end(self, state: GoalState, reason: Reason, detail: str = "") -> None:

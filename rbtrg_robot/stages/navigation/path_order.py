@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.rotation import wrap
 from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.look import LONGEST
@@ -21,9 +22,9 @@ HEADING = math.radians(10.0)
 """A goal whose heading is farther off is not reached."""
 
 
-def heading_off(wanted: float | None, tracker: msg.TrackerState | None) -> str:
-    """In words how far a robot at its goal is off the heading `wanted` [rad]; empty within `HEADING`, or without one."""
-    off = abs(tracker.heading_error) if tracker is not None and wanted is not None else 0.0
+def heading_off(wanted: float | None, yaw: float) -> str:
+    """In words how far a robot at its goal that looks along `yaw` [rad] is off the heading `wanted` [rad]; empty within `HEADING`, or without one."""
+    off = 0.0 if wanted is None else abs(wrap(wanted - yaw))
     if off <= HEADING:
         return ""
     return f"at the goal, but {math.degrees(off):.0f} deg off its heading: the robot could not turn there"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hal.go2w import BODY_LENGTH, BODY_WIDTH
 from hal.rotation import wrap
+from hal.safety.monitors import GOAL_SPENT
 from hal.types import NS
 from rbtrg_robot.msg import Plan, RouteStatus
 
@@ -24,6 +25,11 @@ STUCK_DISTANCE = 0.15
 """[m]: less than this in STUCK_SECONDS is no progress, unless it turned."""
 STUCK_ANGLE = 0.5
 """[rad]."""
+REST = 1.0, 0.02, 0.03
+"""In so many seconds less than so many [m] and [rad]: the robot is at rest."""
+SECONDS, SLOW, PLACE = 25.0, 0.3, 1.0
+"""[s] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] from all places before it a place is new: a robot that shuttles before what it
+cannot cross, from one frontier to the other, stays within a body length or two of where it was."""
 BESIDE = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
 STRAY = 0.10
@@ -96,9 +102,13 @@ class Slide:
 
 
 class ProgressMonitor:
-    """No progress for 5 s while it should drive = stuck."""
+    """No progress for 5 s while it should drive = stuck; with other numbers: the robot is at rest."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self, seconds: float = STUCK_SECONDS, distance: float = STUCK_DISTANCE, angle: float = STUCK_ANGLE
+    ) -> None:
+        """In `seconds` [s] less than `distance` [m] and `angle` [rad]."""
+        self._most = seconds, distance, angle
         self._anchor: tuple[int, Pose2] | None = None
 
     def reset(self) -> None:
@@ -111,11 +121,44 @@ class ProgressMonitor:
             self._anchor = (now, pose)
             return False
         since, (x, y, yaw) = self._anchor
-        moved = math.hypot(pose[0] - x, pose[1] - y) > STUCK_DISTANCE
-        if moved or abs(wrap(pose[2] - yaw)) > STUCK_ANGLE:
+        seconds, distance, angle = self._most
+        moved = math.hypot(pose[0] - x, pose[1] - y) > distance
+        if moved or abs(wrap(pose[2] - yaw)) > angle:
             self._anchor = (now, pose)
             return False
-        return now - since > STUCK_SECONDS * NS
+        return now - since > seconds * NS
+
+
+class Budget:
+    """How many seconds a goal may take without coming to a place where the robot has not been for it.
+
+    A robot that shuttles, circles what it cannot enter or waits before it spends them; one that comes nearer, or looks at what it has not
+    looked at, is somewhere new all the time. A plan adds the way back over old ground that it asks for, once.
+    """
+
+    def __init__(self) -> None:
+        self._been: list[Pose2] = []
+        self._last: int | None = None
+        self._seconds = self._way = 0.0
+
+    def plan(self, length: float) -> None:
+        """The robot is to drive so far [m]."""
+        self._way = max(self._way, length)
+
+    def rest(self) -> None:
+        """What passes from the last call to the next is not the goal's."""
+        self._last = None
+
+    def spent(self, now: int, pose: Pose2) -> str:
+        """In words what was spent, where that is all there is; else empty. Call it while the goal is worked on; `now` in ns."""
+        if self._last is not None:
+            self._seconds += (now - self._last) / NS
+        self._last = now
+        if all(math.dist(pose[:2], place[:2]) > PLACE for place in self._been):
+            self._been.append(pose)
+            self._seconds = self._way = 0.0
+        late = GOAL_SPENT.outside(self._seconds, high=SECONDS + self._way / SLOW)
+        return GOAL_SPENT.tell(seconds=self._seconds) if late else ""
 
 
 class Trail:

@@ -142,6 +142,7 @@ class World:
         kerb: float = math.inf,
         unseen: float = 0.0,
         creep: bool = False,
+        length: float = 1.0,
     ) -> None:
         """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the second half of the way."""
         request = self.last(t.PLAN_REQUEST)
@@ -154,6 +155,7 @@ class World:
             reason=reason,
             reaches_goal=reaches,
             creep=creep,
+            length=length,
             x=line,
             y=0 * line,
             z=0.1 * (line > kerb),
@@ -231,8 +233,9 @@ def test_a_goal_whose_heading_could_not_be_had_is_not_called_reached(world: Worl
     world.answer()
     world.pose = (1.0, 0.0, 1.0)
     world.tracker_phase, world.heading_error = "final_turn", 0.5
-    world.run(14.0)
-    assert world.status.state == "moving", "the tracker turns, which is no standstill"
+    if asked:
+        world.run(14.0)
+        assert world.status.state == "moving", "the tracker turns, which is no standstill"
     world.tracker_phase = "done"
     world.run(0.2)
     if asked:
@@ -240,6 +243,78 @@ def test_a_goal_whose_heading_could_not_be_had_is_not_called_reached(world: Worl
         assert "29 deg off its heading" in world.status.detail
     else:
         assert world.status.state == "reached"
+
+
+def test_a_robot_that_rests_at_its_goal_is_there_wherever_its_path_ends(world: World) -> None:
+    world.goal(1.0, 0.0)
+    world.answer()
+    world.pose = (0.7, 0.0, 0.0)
+    world.run(2.0)
+    assert world.status.state == "moving", "too far away"
+    world.pose = (0.8, 0.0, 0.0)
+    world.run(0.8)
+    assert world.status.state == "moving", "it may be under way"
+    world.run(0.5)
+    assert world.status.state == "reached"
+
+
+@pytest.mark.parametrize("x", [1.06, 0.8])
+def test_a_plan_that_brings_a_robot_at_its_goal_no_nearer_ends_it(world: World, x: float) -> None:
+    """The plan of this planner ends at x = 1."""
+    world.goal(x, 0.0)
+    world.pose = (0.98 if x > 1.0 else 0.82, 0.0, 0.0)
+    world.run(0.1)
+    world.answer(reaches=False)
+    assert world.status.state == "reached"
+
+
+def test_a_plan_that_brings_it_nearer_is_driven(world: World) -> None:
+    world.goal(1.0, 0.0)
+    world.pose = (0.8, 0.0, 0.0)
+    world.run(0.1)
+    world.answer()
+    assert world.status.state == "moving"
+
+
+@pytest.mark.parametrize("at", ["no route", "a route that went bad", "stuck"])
+def test_a_robot_at_its_goal_looks_for_no_other_way(world: World, at: str) -> None:
+    world.goal(1.0, 0.0)
+    world.pose = (0.9, 0.0, 0.0)
+    world.run(0.1)
+    world.answer(ok=at != "no route", reason="no_route" if at == "no route" else "")
+    for k in range(60):
+        world.pose = (0.9 + 0.04 * (k % 2), 0.0, 0.0)  # it sways by more than a robot at rest
+        world.route_valid = at != "a route that went bad" or k < 3
+        world.run(0.1)
+    assert world.status.state == "reached"
+    assert world.status.recoveries == world.status.replans == 0
+
+
+def test_a_robot_that_shuttles_where_it_has_been_ends_the_goal_and_says_what_held_it(world: World) -> None:
+    world.goal(3.0, 0.0)
+    world.answer()
+    seconds = 0
+    while world.status.state == "moving" and seconds < 60:
+        for x in (0.0, 0.3, 0.6, 0.3):
+            world.pose = (x, 0.0, 0.0)
+            world.run(0.25)
+        seconds += 1
+    assert (world.status.state, world.status.reason) == ("aborted", "stuck")
+    assert 10 <= seconds <= 40
+    assert "nowhere new" in world.status.detail
+    assert "m from the goal" in world.status.detail
+
+
+def test_a_robot_that_comes_along_new_ground_or_back_from_a_dead_end_keeps_its_goal(world: World) -> None:
+    world.goal(30.0, 0.0)
+    world.answer()
+    for x in [*np.arange(0.0, 20.0, 0.05), *np.arange(20.0, 0.0, -0.05)]:
+        world.pose = (float(x), 0.0, 0.0)
+        world.route_valid = x < 19.9
+        world.run(0.1)
+        if not world.route_valid:
+            world.answer(length=20.0)
+    assert world.status.state == "moving"
 
 
 def test_a_path_that_ends_short_of_the_goal_is_no_success(world: World) -> None:

@@ -45,7 +45,7 @@ ROOMS: dict[str, str] = {
     "planning.tracking": "hal planning",
     "rbtrg_robot": "hal hal.lidar hal.mujoco hal.safety hal.scenes hal.unitree mapping mapping.elevation mapping.odometry "
     "planning.graph planning.risk planning.tracking",
-    "rbtrg_robot.wire": "hal mapping mapping.elevation rbtrg_robot",
+    "rbtrg_robot.wire": "hal hal.safety.monitors mapping mapping.elevation rbtrg_robot",
     "rbtrg_robot.access": "hal rbtrg_robot rbtrg_robot.wire",
     "rbtrg_robot.stages.stage": "rbtrg_robot",
     "rbtrg_robot.stages.navigation": "hal hal.safety hal.safety.monitors rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.stage",

@@ -133,6 +133,19 @@ class MotionLimits:
     uneven_behind: float = 0.0
     """[m] how far the map's ground lies off the plane that the robot stands on; see `hal.safety.touch`."""
 
+    def least(self, other: MotionLimits) -> MotionLimits:
+        """What both allow, as old as the older one."""
+        return MotionLimits(
+            min(self.stamp, other.stamp),
+            min(self.forward, other.forward),
+            min(self.backward, other.backward),
+            min(self.left, other.left),
+            min(self.right, other.right),
+            self.reason or other.reason,
+            min(self.uneven_ahead, other.uneven_ahead),
+            min(self.uneven_behind, other.uneven_behind),
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class GateInputs:

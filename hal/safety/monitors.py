@@ -492,6 +492,18 @@ BLIND_HANDS = Monitor(
     test="rbtrg_robot/stages/test_robot.py",
 )
 
+STRANGER = Monitor(
+    "stranger",
+    "every topic with an owner",
+    Check.OWNER,
+    Consequence.REFUSE,
+    "every process",
+    "{topic} also comes from {who}, which is refused: it belongs to {owner}",
+    "end that program; where it is to replace the process, bring the stack up with `--without` it",
+    against="the process that owns the topic",
+    test="rbtrg_robot/wire/test_owner.py",
+)
+
 # -- goals ----------------------------------------------------------------------------------------------------------------
 PLACE_UNSURE = Monitor(
     "place_unsure",

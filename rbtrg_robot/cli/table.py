@@ -53,7 +53,7 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
     refused["supervisor"] = status["refused"]
     if any(refused.values()):
         counts = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
-        parts.append(Text(f"messages refused as broken: {counts}", style="yellow"))
+        parts.append(Text(f"messages refused: {counts}", style="yellow"))
     shown = [row for row in status["topics"] if row["nominal"] and (topics or not row["ok"])]
     if shown:
         table = Table(box=None, pad_edge=False)

@@ -55,7 +55,11 @@ def run(spec: dict[str, Any]) -> int:
     from rbtrg_robot.wire.clock import SourceClock
 
     row = BY_NAME[name]
-    ours: dict[str, Any] = {"clock": SourceClock(spec["clock"]), "stack": spec["stack"]}
+    ours: dict[str, Any] = {
+        "clock": SourceClock(spec["clock"]),
+        "stack": spec["stack"],
+        "absent": spec["config"]["without"],
+    }
     restored = {TOPIC_BY_NAME[k]: base64.b64decode(v) for k, v in spec["restored"].items()}
     try:
         config = load(base=spec["config"])

@@ -228,7 +228,7 @@ class Health:
         tracker = self.newest.get(t.TRACKER_STATE)
         if tracker is not None:
             row |= {"tracker": tracker.phase, "tracker_hold": tracker.hold, "tracker_slow": tracker.slow}
-        row["advice"] = _advice(row)
+        row["advice"] = _advice(row, [beat.detail for _, beat in self.beats.values()])
         return row
 
 
@@ -243,9 +243,9 @@ _CAUSES = (
 )
 
 
-def _advice(row: dict[str, Any]) -> dict[str, str]:
-    """What to do about each raised monitor, by its name, from the words in a record of `robot_row`."""
-    told = [str(row.get(key, "")) for key in _CAUSES]
+def _advice(row: dict[str, Any], details: list[str]) -> dict[str, str]:
+    """What to do about each raised monitor, by its name, from the words in a record of `robot_row` and of the processes."""
+    told = [*details, *(str(row.get(key, "")) for key in _CAUSES)]
     told.append(row.get("goal", {}).get("detail", ""))
     return {monitor.name: monitor.remedy for monitor in raised("\n".join(told))}
 

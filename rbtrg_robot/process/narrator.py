@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from hal.safety.monitors import STRANGER, raised
 from hal.types import Phase
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.topics import Topic
+
+MOST_SAID = 100
+"""Different words about strangers: they choose their names."""
 
 
 class Narrator:
@@ -19,6 +23,7 @@ class Narrator:
         self._said: dict[Topic, str] = {}
         self._estop = self._away = False
         self._location = ""
+        self._strangers: set[str] = set()
 
     def take(self, topic: Topic, message: Any) -> None:
         """One message of any topic."""
@@ -40,8 +45,21 @@ class Narrator:
             if message.warning or topic in self._said:
                 self._once(topic, f"map: {message.warning or 'well again'}")
 
+        elif t.HEARTBEAT.carried(message, topic):
+            self.strangers(message.detail)
         elif t.ODOM_HEALTH.carried(message, topic) and (message.calibration or topic in self._said):
             self._once(topic, f"odometry: {message.calibration or 'clocks and mounts are well again'}")
+
+    def strangers(self, detail: str) -> None:
+        """Who publishes what belongs to this stack, once; every process that hears it tells so."""
+        for words in detail.split("; "):
+            if (
+                STRANGER in raised(words)
+                and words not in self._strangers
+                and len(self._strangers) < MOST_SAID
+            ):
+                self._strangers.add(words)
+                self._say(words)
 
     def _robot(self, state: msg.RobotState) -> None:
         if bool(state.estop) != self._estop:

@@ -82,7 +82,6 @@ class Supervisor:
         self._were_well: set[Topic] = set()
         """Topics that have been so since the start."""
         self._usage_due = 0.0
-        self._refused = 0
         self._looked = math.inf
         self._deaf_until = 0.0
         self._narrator = Narrator(say)
@@ -118,7 +117,11 @@ class Supervisor:
             self._kept |= left
             self._say("a mission of before is paused: see `rbtrg-robot mission status`")
         try:
-            ours: dict[str, Any] = {"clock": self._clock, "stack": self._stack}
+            ours: dict[str, Any] = {
+                "clock": self._clock,
+                "stack": self._stack,
+                "absent": self._config.without,
+            }
             served = security(self._config)
             with open_bus(self._config, security=served, **ours) as bus:
                 if self._config.network.listen:
@@ -144,7 +147,6 @@ class Supervisor:
         for received in self._bus.take(0.1):
             message = self._bus.open(received)
             if message is None:  # nothing that comes over the bus may end the stack
-                self._refused += 1
                 continue
             if any(received.topic in c.row.restores for c in self._children.values()):
                 self._kept[received.topic] = received.payload
@@ -316,6 +318,7 @@ class Supervisor:
         self._usage_due = now + 1.0
         if self._zygote.mend():
             self._say("the process that starts the others ended; there is a new one, and the robot drives on")
+        self._narrator.strangers(self._bus.intrusion())
         self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
         for child in self._children.values():
             child.measure()
@@ -340,7 +343,7 @@ class Supervisor:
             "version": __version__,
             "pid": os.getpid(),
             "ready": self._ready,
-            "refused": self._refused,
+            "refused": self._bus.refused,
             "uptime": round(time.monotonic() - self.began, 1),
             "log_dir": self._config.log_dir if self._config.record else "",
             "processes": [child.status(self._health) for child in self._children.values()],

@@ -39,8 +39,8 @@ class Feeling:
         """Between joint samples."""
         self._watch.imu(sample)
 
-    def guard(self, limits: MotionLimits) -> None:
-        """The newest."""
+    def guard(self, limits: MotionLimits | None) -> None:
+        """The newest; None without any."""
         self._limits = limits
 
     def joints(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -89,6 +90,8 @@ class RobotStage:
         self._stamps: dict[str, int] = {}
         self._pose: msg.Odometry | None = None
         self._feeling = Feeling()
+        self._limits: dict[str, MotionLimits] = {}
+        """The newest of each sender: a guard that was started anew is another one than before."""
         self._now = 0
         self._ticks = 0
         self._state_due = 0
@@ -154,7 +157,7 @@ class RobotStage:
         elif t.MOTION_LIMITS.carried(message, topic):
             limits = (message.forward, message.backward, message.left, message.right)
             uneven = (message.uneven_ahead, message.uneven_behind)
-            self._feeling.guard(MotionLimits(stamp_of(message), *limits, message.reason, *uneven))
+            self._limits[sender] = MotionLimits(stamp_of(message), *limits, message.reason, *uneven)
         elif t.ROBOT_COMMAND.carried(message, topic):
             self._request(message)
         elif t.ROBOT_STOP.carried(message, topic):
@@ -241,6 +244,7 @@ class RobotStage:
                 pose = self._frame.pose2(place.position.x, place.position.y, yaw_of(place.orientation))
         wheels = (self._rolls, self._turns)
         fresh = all(0 <= now - self._stamps.get(x, -NS) < POSE_LIMIT * NS for x in ("imu", "joints"))
+        self._feeling.guard(self._least(now))
         return GateInputs(
             state,
             self._tilt.tilt,
@@ -265,6 +269,18 @@ class RobotStage:
         place = self._fresh.pose.pose
         position, _ = self._frame.pose3(xyz(place.position), xyzw(place.orientation))
         return position, self._frame.pose2(0.0, 0.0, yaw_of(place.orientation))[2]
+
+    def _least(self, now: int) -> MotionLimits | None:
+        """The guard's limits. While several senders are fresh, the least of all: nobody lifts what another one sets."""
+        fresh = {
+            sender: limits
+            for sender, limits in self._limits.items()
+            if abs(now - limits.stamp) <= self._gate.params.guard_timeout * NS
+        }
+        if not fresh:
+            return max(self._limits.values(), key=lambda limits: limits.stamp, default=None)
+        self._limits = fresh
+        return reduce(MotionLimits.least, fresh.values())
 
     def _publish(self, sample: Sample) -> Outputs:
         if isinstance(sample, ImuSample):

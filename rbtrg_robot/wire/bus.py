@@ -7,6 +7,9 @@ Choices that a measured failure stands behind:
 - congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
 - a message that comes under the key of another topic is refused: Zenoh mixes the keys up for up to 1.5 s after sessions
   have come back to a router that hung (`keys.astray`);
+- a topic with an owner is taken from that process of this stack alone: another program on this computer published the
+  guard's limits, and the robot drove by them. It is told apart by the stack's id, which is no secret: this is for
+  accidents; malice is kept out by the session (`session.py`);
 - loopback, no multicast, one known endpoint.
 """
 
@@ -14,8 +17,9 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Generic, Self
@@ -25,6 +29,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from hal.errors import OperatorError
+from hal.safety.monitors import STRANGER
 from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
@@ -57,6 +62,12 @@ class Received(Generic[M]):
         return messages.decode(self.payload, self.topic.kind)
 
 
+INTRUSION = 5.0
+"""[s] for which a stranger is told after the last message that was refused."""
+NAMED, NAME = 3, 40
+"""Most strangers that are named, and most letters of a name: anybody chooses these."""
+
+
 class Refusals:
     """What is dropped because it cannot be used: counted, and now and then logged."""
 
@@ -71,6 +82,10 @@ class Refusals:
         except messages.MessageError as error:
             self.refuse(received.topic, error)
             return None
+
+    def intrusion(self) -> str:
+        """Who publishes what belongs to a process of this stack, in the operator's words; empty where nobody does."""
+        return ""
 
     def refuse(self, topic: Topic, why: object) -> None:
         """Count a message that is dropped, and log it now and then."""
@@ -93,11 +108,13 @@ class Bus(Refusals):
         router: bool = False,
         clock: SourceClock | None = None,
         stack: str = "",
+        absent: Collection[str] = (),
         security: Security | None = None,
     ) -> None:
         """Open a session. Raises BusError when the endpoint is taken (router) or nobody answers (client).
 
         `clock`: that of the stack; None where stamps serve logs only. `stack`: id of the stack whose process this is.
+        `absent`: processes that this stack does without, so that others may publish their topics.
         `security`: for sessions between computers; None on loopback.
         """
         super().__init__()
@@ -106,6 +123,11 @@ class Bus(Refusals):
         self.scope = scope
         zenoh.init_log_from_env_or("off")
         self._stack = stack
+        self._absent = frozenset(absent)
+        self._intruded: dict[Topic, float] = {}
+        """When a stranger's message on a topic was refused last [s, monotonic]."""
+        self._strangers: dict[str, tuple[str, str]] | None = None
+        """Node and topic of every publisher of others, by its token; None before there was a reason to ask."""
         self._front: Front | None = None
         outside = security.listen if security is not None else ()
         try:
@@ -172,7 +194,9 @@ class Bus(Refusals):
             self._entities += 1
             token = wire.endpoint_token(self.scope, self._zid, self.node, topic, self._entities, "MP")
             self._held.append(self.session.liveliness().declare_token(token))
-            self.publishers[topic] = Publisher(self.session, topic, self.scope, token)
+            self.publishers[topic] = Publisher(
+                self.session, topic, self.scope, token, wire.proof(self._stack, self.node)
+            )
         return self.publishers[topic]
 
     def subscribe(self, wanted: Iterable[Topic]) -> None:
@@ -196,11 +220,17 @@ class Bus(Refusals):
 
     def _receiver(self, topic: Topic, mark: bytes) -> Callable[[zenoh.Sample], None]:
         queue = self._queues[topic]
+        owned = bool(self._stack and topic.owner) and topic.owner not in self._absent
+        proof = wire.proof(self._stack, topic.owner)
 
         def receive(sample: zenoh.Sample) -> None:
             data = sample.attachment.to_bytes() if sample.attachment is not None else b""
             if wire.astray(data, mark):
                 self.refuse(topic, "a message of another topic")
+                return
+            if owned and STRANGER.active and wire.proof_of(data) != proof:
+                self._intruded[topic] = time.monotonic()
+                self.refuse(topic, "a stranger's message")
                 return
             sequence, stamp = wire.parse_attachment(data)
             received = Received(topic, sample.payload.to_bytes(), stamp, sequence, wire.sender_of(data))
@@ -214,6 +244,52 @@ class Bus(Refusals):
             self._signal.set()
 
         return receive
+
+    def intrusion(self) -> str:
+        """Who publishes what belongs to a process of this stack, in the operator's words; empty where nobody does.
+
+        Asked again and again: who it is comes from liveliness tokens, which nobody looks at before there is a reason to.
+        """
+        since = time.monotonic() - INTRUSION
+        topics = [topic for topic, newest in self._intruded.copy().items() if newest > since]
+        if not topics:
+            return ""
+        if self._strangers is None:
+            self._strangers = {}
+            self._held.append(
+                self.session.liveliness().declare_subscriber(
+                    wire.publishers(self.scope), Callback(self._hear_publisher, indirect=False), history=True
+                )
+            )
+            return ""
+        told = []
+        known = list(self._strangers.copy().items())
+        for topic in topics:
+            name = self.scope.topic(topic.name)
+            who = sorted(
+                {
+                    f"{node[:NAME]} (session {wire.session_of(k)[:NAME]})"
+                    for k, (node, on) in known
+                    if on == name
+                }
+            )
+            told.append(
+                STRANGER.tell(
+                    topic=name,
+                    who=", ".join(who[:NAMED]) or "a program that has left or tells no name",
+                    owner=topic.owner,
+                )
+            )
+        return "; ".join(told)
+
+    def _hear_publisher(self, sample: zenoh.Sample) -> None:
+        token = str(sample.key_expr)
+        if self._strangers is None or wire.session_of(token).startswith(self._stack):
+            return
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._strangers[token] = wire.publisher_of(token)
+        else:
+            self._strangers.pop(token, None)
 
     def take(self, timeout: float) -> list[Received[Any]]:
         """Everything in the inbox in order of arrival; waits up to `timeout` [s] for the first."""
@@ -307,9 +383,9 @@ class Bus(Refusals):
 class Publisher:
     """One topic's outgoing side."""
 
-    def __init__(self, session: zenoh.Session, topic: Topic, scope: Scope, token: str) -> None:
+    def __init__(self, session: zenoh.Session, topic: Topic, scope: Scope, token: str, proof: bytes) -> None:
         name = wire.key(topic, scope)
-        self._gid = wire.gid(token, name)
+        self._gid = wire.gid(token, name, proof)
         self.count = 0
         self.newest = 0
         qos: dict[str, Any] = {"congestion_control": zenoh.CongestionControl.DROP}

@@ -41,7 +41,7 @@ class Heart:
                 process=self._process,
                 pid=os.getpid(),
                 state=state,
-                detail=detail,
+                detail="; ".join(filter(None, (detail, self._bus.intrusion()))),
                 topic=list(published),
                 published=messages.array([p.count for p in published.values()], "uint64"),
                 newest=messages.array([p.newest for p in published.values()], "int64"),

@@ -68,9 +68,30 @@ def endpoint_token(scope: Scope, zid: str, node: str, topic: Topic, entity: int,
     )
 
 
-def gid(token: str, key: str) -> bytes:
-    """16 bytes that name an endpoint, 8 from its token, then 8 from the data key it publishes under."""
-    return hashlib.blake2b(token.encode(), digest_size=8).digest() + mark(key)
+def publishers(scope: Scope) -> str:
+    """Matches the liveliness tokens of all publishers of a domain."""
+    return f"@ros2_lv/{scope.domain}/*/*/*/MP/**"
+
+
+def publisher_of(token: str) -> tuple[str, str]:
+    """(node, full ROS name of its topic) of a publisher's token."""
+    parts = token.split("/")
+    return parts[8], parts[9].replace("%", "/")
+
+
+def gid(token: str, key: str, proof: bytes) -> bytes:
+    """16 bytes that name an endpoint: 4 from its token, the `proof` of its process, 8 from the data key it publishes under."""
+    return hashlib.blake2b(token.encode(), digest_size=4).digest() + proof + mark(key)
+
+
+def proof(stack: str, process: str) -> bytes:
+    """4 bytes in the gid of every publisher of one process, also of one that was started anew. They are no secret."""
+    return hashlib.blake2b(f"{stack}/{process}".encode(), digest_size=4).digest()
+
+
+def proof_of(data: bytes) -> bytes:
+    """The proof in an attachment; empty where it is not one of ours."""
+    return data[21:25] if len(data) == 33 and data[25:29] == OURS else b""
 
 
 def mark(key: str) -> bytes:

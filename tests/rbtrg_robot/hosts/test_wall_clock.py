@@ -23,7 +23,7 @@ from rbtrg_robot.processes import BY_NAME
 from rbtrg_robot.stages.robot import RobotStage
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import clock as clock_module
-from rbtrg_robot.wire.bus import Received
+from rbtrg_robot.wire.bus import Received, Refusals
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import odometry_msg
 from rbtrg_robot.wire.messages import encode, header, stamp_of
@@ -56,13 +56,14 @@ def clocks(monkeypatch: pytest.MonkeyPatch) -> Time:
     return made
 
 
-class FakeBus:
+class FakeBus(Refusals):
     """Moves the time on whenever something waits for messages; `hear` gives what comes in."""
 
     def __init__(self, clocks: Time, advance: Callable[[float], None]) -> None:
+        super().__init__()
         self.clock = SourceClock()
         self.publishers: dict[Topic, Any] = {}
-        self.dropped = self.refused = 0
+        self.dropped = 0
         self.waiting = False
         self.sent: list[tuple[int, Topic, Any]] = []
         self.hear: Callable[[], list[tuple[Topic, Any]]] = list
@@ -72,9 +73,6 @@ class FakeBus:
         self._advance(timeout)
         self._clocks.elapsed += round(timeout * NS)
         return [Received(topic, encode(message), stamp_of(message), 0) for topic, message in self.hear()]
-
-    def open(self, received: Received) -> Any:
-        return received.decode()
 
     def publish(self, topic: Topic, message: Any, _stamp: int) -> None:
         self.sent.append((self._clocks.elapsed, topic, message))

@@ -19,6 +19,7 @@ from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.wire.bus import Refusals
 from rbtrg_robot.wire.messages import array, header
 
 
@@ -52,7 +53,9 @@ def supervised(
     zygote, said = Scripted(script), list[str]()
     others = tuple(p.name for p in PROCESSES if p.name != process)
     config = load(without=others, record=process == "recorder", log_dir=str(folder))
-    return Supervisor(config, zygote, said.append), zygote, said  # type: ignore[arg-type]
+    made: Any = Supervisor(config, zygote, said.append)  # type: ignore[arg-type]
+    made._bus = Refusals()  # a bus on which nothing comes
+    return made, zygote, said
 
 
 def mend(supervisor: Supervisor) -> dict[str, Any]:

@@ -347,3 +347,19 @@ def test_a_hand_tilts_the_trunk_and_has_the_motion_then(rig: Rig) -> None:
     rig.stage.alive("guard", False)
     rig.tilt(0.6, "hand", t.TELEOP_TRUNK)
     assert rig.state.trunk_pitch == 0.0
+
+
+def test_competing_limits_count_by_their_minimum_and_go_when_they_are_old(rig: Rig) -> None:
+    """Another program's limits of 9 m/s came between the guard's: the newest one counted."""
+
+    def limits(forward: float, sender: str) -> None:
+        told = msg.MotionLimits(header=header(rig.world.now, "base_link"), forward=forward)
+        rig.stage.on(t.MOTION_LIMITS, told, sender)
+
+    for _ in range(30):
+        limits(0.1, "guard")
+        limits(9.0, "stranger")
+        rig.run(0.05)
+    assert rig.speed == pytest.approx(0.1)
+    rig.run(1.0)  # both are silent; those of the rig go on
+    assert rig.speed == pytest.approx(0.3)

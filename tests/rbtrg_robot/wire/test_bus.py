@@ -81,7 +81,7 @@ def test_a_message_that_comes_under_the_key_of_another_topic_is_refused(
     with Bus(endpoint, "a") as a, Bus(endpoint, "b") as b:
         b.subscribe([t.ODOM, t.GOAL_STATUS])
         under_odom = a.session.declare_publisher(keys.key(t.ODOM, a.scope))
-        gids = {topic: keys.gid("token", keys.key(topic, a.scope)) for topic in (t.TRUTH, t.ODOM)}
+        gids = {topic: keys.gid("token", keys.key(topic, a.scope), bytes(4)) for topic in (t.TRUTH, t.ODOM)}
         senders = [gids[t.TRUTH], gids[t.ODOM], bytes(16), gids[t.ODOM][:15] + b"?"]
         matched = threading.Event()
         listener = under_odom.declare_matching_listener(lambda _status: matched.set())
@@ -254,7 +254,11 @@ def test_robots_of_other_domains_or_names_share_a_router_and_hear_nothing_of_eac
 ) -> None:
     stack = stack_id()
     one, other = scopes
-    with Bus(endpoint, "tracker", one, stack=stack) as a, Bus(endpoint, "tracker", other, stack=stack) as b:
+    everybody = {"absent": {topic.owner for topic in t.TOPICS}}
+    with (
+        Bus(endpoint, "tracker", one, stack=stack, **everybody) as a,
+        Bus(endpoint, "tracker", other, stack=stack, **everybody) as b,
+    ):
         heard: list[tuple[str, bool]] = []
         b.watch_processes(lambda process, alive: heard.append((process, alive)))
         topics = [topic for topic in t.TOPICS if topic is not t.CLOCK]

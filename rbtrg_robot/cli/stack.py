@@ -202,7 +202,8 @@ def _run_folder(base: Path, label: str) -> Path:
     name = f"{time.strftime('%Y%m%d-%H%M%S')}_{Path(label).stem}_{os.getpid()}"
     folder = (base / name).resolve()
     try:
-        folder.mkdir(parents=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700)  # places, pictures and words of people are in there
     except OSError as error:
         raise LogError(f"cannot write {folder}: {error.strerror}; choose another --log-dir") from error
     return folder

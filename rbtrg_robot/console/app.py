@@ -25,7 +25,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.archive import Archive
 from rbtrg_robot.console.desk import FAILED, Desk, Page
-from rbtrg_robot.console.door import OUTSIDE, STOP, VALID, WHO, Door, Guard
+from rbtrg_robot.console.door import ENDED, OUTSIDE, STOP, VALID, WHO, Door, Guard, Visitor
 from rbtrg_robot.console.feed import Feed, Slots
 from rbtrg_robot.console.maps import Maps
 from rbtrg_robot.console.missions import MissionFiles
@@ -136,6 +136,7 @@ class Site:
         while True:
             now = time.monotonic()
             self._desk.watch_stop(now)
+            self._door.renew()
             holder = self._desk.lease.holder(now)
             content = {"ages": self._feed.ages(), "operator": holder, "pages": self._feed.pages}
             self._feed.tell("beat", content, keep=False)
@@ -171,13 +172,16 @@ class Site:
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()
+        who: Visitor = socket.scope[WHO]
         slots = Slots(self._feed)
-        page = Page(next(self._numbers), socket.scope[WHO].role, slots)
+        page = Page(next(self._numbers), who.role, slots)
         self._desk.alive(page, time.monotonic())
         slots.put("welcome", frames.pack("welcome", {"page": page.number, "role": page.role.value}))
-        sender = asyncio.create_task(self._send(socket, slots))
+        sender = asyncio.create_task(self._send(socket, slots, who))
         try:
             async for text in texts(socket):
+                if who.ended:
+                    break
                 self._hear(page, slots, text)
         finally:
             self.replays.left(page)
@@ -185,10 +189,13 @@ class Site:
             sender.cancel()
             with contextlib.suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
                 await sender
+        if who.ended:
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # closed already
+                await socket.close(ENDED, OUTSIDE.strip())
 
-    async def _send(self, socket: WebSocket, slots: Slots) -> None:
-        """One frame after the other; while the page is slow, newer frames take the places of older ones."""
-        while True:
+    async def _send(self, socket: WebSocket, slots: Slots, who: Visitor) -> None:
+        """One frame after the other; while the page is slow, newer frames take the places of older ones. It ends with the cookie."""
+        while not who.ended:  # a heartbeat comes four times a second
             slots.feed.terrain_for(slots)
             entry = slots.take()
             if entry is None:
@@ -197,6 +204,7 @@ class Site:
             await socket.send_bytes(entry[1])
             self.frames += 1
             self.bytes += len(entry[1])
+        await socket.close(ENDED, OUTSIDE.strip())
 
     def _hear(self, page: Page, slots: Slots, text: str) -> None:
         number: Any = None

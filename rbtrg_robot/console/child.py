@@ -93,7 +93,7 @@ def play_run(endpoint: str, domain: str, run: str, rate: str, start: str) -> Non
 def run_again(run: str, out: str, stages: str, *sets: str) -> None:
     """The new log in a folder that is listed as a run. Raises ConfigError, LogError."""
     folder = Path(out)
-    folder.mkdir()
+    folder.mkdir(mode=0o700)
     log = folder / "log_0.mcap"
     began = time.monotonic()
     try:

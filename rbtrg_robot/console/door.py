@@ -1,7 +1,8 @@
 """Who comes in: one-time tokens, signed cookies, and one guard over everything that is served.
 
 The tokens lie in the run folder, which only the user who runs `up` can read. Whoever opens an address with a token gets a cookie,
-and the token is replaced. Cookies are signed and outlive a restart of the process: a page that is open can still stop the robot.
+and the token is replaced; one that nobody uses ends after ten minutes. Cookies are signed and outlive a restart of the process: a page that is open
+can still stop the robot. They end with the stack, whose supervisor removes the secret.
 """
 
 from __future__ import annotations
@@ -37,8 +38,12 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
+TOKEN_LIFE = 600.0
+"""[s] after which a token that nobody used lets nobody in."""
 STOP = "/stop"
 """Where a page stops the robot, however many pages there are."""
+ENDED = 4401
+"""Code with which the socket of a page closes whose cookie has ended."""
 OUTSIDE = (
     "Open the address that `rbtrg-robot console` prints on the robot's computer: it lets this browser in.\n"
 )
@@ -49,6 +54,13 @@ class Visitor:
     """Who a cookie was given to."""
 
     role: Role
+    until: int
+    """[s] Unix time when the cookie ends."""
+
+    @property
+    def ended(self) -> bool:
+        """The cookie has ended: who shows it may stop the robot, and nothing else."""
+        return self.until <= time.time()
 
 
 class Door:
@@ -62,7 +74,10 @@ class Door:
         self.cookie = f"rbtrg_{self.host.rpartition(':')[2]}"
         self._file = console_file(robot)
         self._secret = self._kept() or secrets.token_hex(32)
-        self._tokens = {role: secrets.token_urlsafe(24) for role in Role}
+        self._tokens: dict[str, tuple[Role, float]] = {}
+        """Role and birth [s, monotonic] of each, the newest of a role last."""
+        for role in Role:
+            self._renew(role)
         self._write()
 
     def _kept(self) -> str:
@@ -72,7 +87,7 @@ class Door:
             return ""
 
     def _write(self) -> None:
-        tokens = {role.value: token for role, token in self._tokens.items()}
+        tokens = {role.value: token for token, (role, _) in self._tokens.items()}
         content = json.dumps({"address": self.address, "secret": self._secret, **tokens})
         fresh = self._file.with_name(f"{self._file.name}.new")
         fresh.unlink(missing_ok=True)
@@ -80,11 +95,31 @@ class Door:
             file.write(content)
         fresh.replace(self._file)
 
+    def renew(self) -> None:
+        """Call now and then: old tokens end, and whoever asks for one gets one that lives for half of its life at least."""
+        now = time.monotonic()
+        kept = {
+            token: (role, born) for token, (role, born) in self._tokens.items() if now - born < TOKEN_LIFE
+        }
+        young = {role for role, born in kept.values() if now - born < TOKEN_LIFE / 2}
+        changed = len(kept) < len(self._tokens) or len(young) < len(Role)
+        self._tokens = kept
+        for role in Role:
+            if role not in young:
+                self._renew(role)
+        if changed:
+            self._write()
+
+    def _renew(self, role: Role) -> None:
+        self._tokens[secrets.token_urlsafe(24)] = role, time.monotonic()
+
     def enter(self, token: str) -> str | None:
         """The cookie for a token, which counts no second time; None for a wrong one."""
-        for role, good in self._tokens.items():
+        self.renew()
+        for good, (role, _) in self._tokens.items():
             if hmac.compare_digest(token.encode(), good.encode()):
-                self._tokens[role] = secrets.token_urlsafe(24)
+                del self._tokens[good]
+                self._renew(role)
                 self._write()
                 return self._signed(f"{role.value}.{int(time.time()) + VALID}")
         return None
@@ -93,14 +128,14 @@ class Door:
         return f"{text}.{hmac.new(self._secret.encode(), text.encode(), hashlib.sha256).hexdigest()}"
 
     def visitor(self, cookie: str) -> Visitor | None:
-        """Whose cookie it is; None where it is not ours or has ended."""
+        """Whose cookie it is, also one that has ended; None where it is not ours."""
         role, _, rest = cookie.partition(".")
         until = rest.partition(".")[0]
         if role not in list(Role) or not until.isdecimal():
             return None
         if not hmac.compare_digest(self._signed(f"{role}.{until}").encode(), cookie.encode()):
             return None
-        return Visitor(Role(role)) if int(until) > time.time() else None
+        return Visitor(Role(role), int(until))
 
     @property
     def hosts(self) -> tuple[str, ...]:
@@ -151,7 +186,7 @@ class Guard:
             return 0, ""
         cookies = cookie_parser(headers.get("cookie", ""))
         who = self._door.visitor(cookies.get(self._door.cookie, ""))
-        if who is None:
+        if who is None or (who.ended and scope["path"] != STOP):
             return 401, OUTSIDE
         scope[WHO] = who
         if not self._crowd.admit(scope["client"]) and scope["path"] != STOP:

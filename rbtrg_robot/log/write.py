@@ -66,6 +66,11 @@ def _cannot_write(path: Path, error: OSError) -> LogError:
     )
 
 
+def private(path: str, flags: int) -> int:
+    """An opener for `open`: for the user alone, as what tells where a robot was and what its camera saw."""
+    return os.open(path, flags, 0o600)
+
+
 class _LogFile(io.FileIO):
     """Unbuffered: what a flush wrote must survive the death of this process. A write that fails raises LogError."""
 
@@ -92,7 +97,7 @@ class LogWriter:
         self._pack_sweeps = pack_sweeps
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = _LogFile(path, "wb")
+            self._file = _LogFile(path, "wb", opener=private)
             fcntl.flock(self._file, fcntl.LOCK_EX)  # tells `is_being_written`; gone with this process
         except OSError as error:
             raise _cannot_write(path, error) from error

@@ -21,7 +21,7 @@ from hal.regular import is_own
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
 from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogContents, LogError, log_files, read_log
-from rbtrg_robot.log.write import LogWriter
+from rbtrg_robot.log.write import LogWriter, private
 from rbtrg_robot.process.doctor import examine
 
 SECONDS = 60.0
@@ -37,7 +37,7 @@ def pack(out: Path, run: Path | None, status: bytes | None, port: int) -> list[s
     """
     missing: list[str] = []
     try:
-        with tarfile.open(out, "w:gz") as archive:
+        with open(out, "wb", opener=private) as file, tarfile.open(fileobj=file, mode="w:gz") as archive:
 
             def add(name: str, make: Callable[[], bytes]) -> None:
                 try:

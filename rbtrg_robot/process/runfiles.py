@@ -69,6 +69,7 @@ class RunLock:
     def __init__(self, robot: str) -> None:
         """Raises AlreadyRunning, NoRoom."""
         self._state = run_dir() / f"{robot}.json"
+        self._console = console_file(robot)
         self._file = (run_dir() / f"{robot}.lock").open("a+")  # kept open: closing it gives the lock away
         patience = time.monotonic() + LOOKING
         while not self._taken():
@@ -79,6 +80,7 @@ class RunLock:
                 self._file.close()
                 raise AlreadyRunning(robot, pid)
             time.sleep(0.01)
+        self._console.unlink(missing_ok=True)  # of a stack that was killed: its cookies end with it
         self._file.truncate(0)
         try:
             os.write(self._file.fileno(), str(os.getpid()).encode())
@@ -105,8 +107,9 @@ class RunLock:
             log.warning("%s cannot be written (%s)", self._state, error.strerror)
 
     def release(self) -> None:
-        """Remove the state file and give the lock away."""
+        """Remove the state file, and with the console's secret its cookies; give the lock away."""
         self._state.unlink(missing_ok=True)
+        self._console.unlink(missing_ok=True)
         self._file.truncate(0)
         self._file.close()
 

@@ -264,8 +264,9 @@ def _settle(request: dict[str, Any], supervisor: int) -> None:
     prctl(PR_SET_NAME, f"rbtrg-{name}".encode())
     log_path = Path(request["log_path"])
     try:
-        log_path.parent.mkdir(parents=True, exist_ok=True)  # somebody removed it while the stack ran
-        output = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        # Somebody removed it while the stack ran.
+        log_path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        output = os.open(log_path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
         os.dup2(output, 1)
         os.dup2(output, 2)
         os.close(output)

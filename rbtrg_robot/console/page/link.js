@@ -6,6 +6,7 @@ const OLD = 0.5,
 const STOP_AGAIN = 250,
   STOP_WORRY = 1000,
   STOP_PATIENCE = 30000; // milliseconds
+const ENDED = 4401; // code with which the console closes a page that it lets in no more
 const STEADY = ["/odom", "/robot/state"];
 const text = new TextDecoder();
 
@@ -19,6 +20,7 @@ export function open() {
     replay: "",
     fresh: "stale",
     age: Infinity,
+    ended: "", // what to do where the console lets this page in no more
     seen: "", // newest stamp of the robot that this page saw: every velocity echoes it, and the robot refuses what is older than 0.5 s
     delay: 0, // seconds that this page's picture is behind the robot, there and back again on its link
     lag: () => (link.delay ? `, link ${Math.round(1000 * link.delay)} ms` : ""),
@@ -50,10 +52,12 @@ export function open() {
     socket.onopen = () => {
       mine = 0; // the server that took a stop may be gone
       delete link.newest.stop;
+      link.ended = "";
       tell("open");
     };
-    socket.onclose = () => {
-      for (const { no } of waiting.values()) no(new Error("the console is gone"));
+    socket.onclose = ({ code, reason }) => {
+      if (code === ENDED) link.ended = reason;
+      for (const { no } of waiting.values()) no(new Error(link.ended || "the console is gone"));
       waiting.clear();
       tell("close");
       setTimeout(dial, 500);

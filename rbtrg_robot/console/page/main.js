@@ -147,7 +147,9 @@ link.on("age", (changed) => {
   if (!changed) return;
   if (link.fresh === "stale")
     speak(
-      `What you see is old: ${{ console: "the console is silent", robot: "the robot is silent", odometry: "the odometry is silent" }[link.silent] ?? "no data"}. Goals and driving are locked, STOP is not.`,
+      link.ended
+        ? `${link.ended} STOP works from here all the same.`
+        : `What you see is old: ${{ console: "the console is silent", robot: "the robot is silent", odometry: "the odometry is silent" }[link.silent] ?? "no data"}. Goals and driving are locked, STOP is not.`,
     );
   if (link.fresh === "live") speak("");
   drive.lock();

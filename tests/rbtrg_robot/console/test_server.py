@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from hal.types import Capabilities
@@ -66,6 +66,35 @@ def test_an_address_lets_in_once_and_nobody_else_reads_it(console: Console) -> N
     assert status == 401
     assert b"was used before" in words
     assert get(console, "/enter?token=")[0] == 401
+
+
+def test_a_token_that_nobody_used_ends_and_a_fresh_one_lies_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    now = [1000.0]
+    monkeypatch.setattr("rbtrg_robot.console.door.time.monotonic", lambda: now[0])
+    own = door.Door("a", "http://127.0.0.1:1")
+
+    def token(role: str) -> str:
+        return str(json.loads(console_file("a").read_text())[role])
+
+    first = token("operator")
+    now[0] += 0.6 * door.TOKEN_LIFE
+    own.renew()
+    second = token("operator")
+    assert second != first
+    assert own.enter(token("observer"))
+    assert own.enter(first), "its life is not over"
+    assert not own.enter(first)
+    now[0] += 0.5 * door.TOKEN_LIFE
+    own.renew()
+    third = token("operator")
+    assert third != second, "whoever asks now has half a life"
+    assert not own.enter(first)
+    now[0] += 0.6 * door.TOKEN_LIFE
+    assert not own.enter(second)
+    assert own.enter(third)
 
 
 def test_nothing_is_served_to_who_has_no_cookie(console: Console) -> None:
@@ -194,8 +223,28 @@ def test_a_cookie_ends(console: Console, monkeypatch: pytest.MonkeyPatch) -> Non
     who = {"Cookie": cookie(console)}
     assert get(console, "/about", **who)[0] == 200
     later = time.time() + door.VALID + 1.0
-    monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later))
+    monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later, monotonic=time.monotonic))
     assert get(console, "/about", **who)[0] == 401
+    who["Origin"] = f"http://{console.address().split('/')[2]}"
+    assert get(console, "/maps/yard", "POST", **who)[0] == 401
+    assert get(console, "/stop", "POST", **who)[0] == 202, "a page that is open stops the robot"
+
+
+@pytest.mark.parametrize("says", ['{"do": "alive"}', ""], ids=["speaks", "listens"])
+def test_an_open_page_ends_with_its_cookie(
+    console: Console, monkeypatch: pytest.MonkeyPatch, says: str
+) -> None:
+    host, who = console.address().split("/")[2], cookie(console)
+    with connect(f"ws://{host}/live", origin=f"http://{host}", additional_headers={"Cookie": who}) as socket:  # type: ignore[arg-type]
+        socket.recv()
+        socket.send('{"do": "see"}')
+        later = time.time() + door.VALID + 1.0
+        monkeypatch.setattr(door, "time", SimpleNamespace(time=lambda: later, monotonic=time.monotonic))
+        if says:
+            socket.send(says)
+        with pytest.raises(ConnectionClosed):
+            list(socket)
+        assert (socket.close_code, socket.close_reason) == (door.ENDED, door.OUTSIDE.strip())
 
 
 @pytest.mark.parametrize("name", ["..", "%2e%2e%2fsecret", ".hidden", "a/b"])

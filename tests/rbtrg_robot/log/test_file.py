@@ -21,6 +21,7 @@ from rosbags.highlevel import AnyReader
 
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.cli.stack import _run_folder
 from rbtrg_robot.log import read as log_read
 from rbtrg_robot.log import write as log_write
 from rbtrg_robot.log.read import CONFIG, Entry, LogContents, LogError, first_of, read_log, read_run
@@ -66,6 +67,13 @@ def test_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap")
     write(tmp_path / "b.mcap")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_a_log_and_the_folder_of_a_run_are_the_users_alone(tmp_path: Path) -> None:
+    folder = _run_folder(tmp_path / "logs", "yard")
+    with LogWriter(folder / "log_0.mcap", {}):
+        assert (folder / "log_0.mcap").stat().st_mode & 0o077 == 0
+    assert folder.stat().st_mode & 0o077 == 0
 
 
 def test_what_was_flushed_survives_sigkill(tmp_path: Path) -> None:

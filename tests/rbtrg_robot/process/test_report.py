@@ -62,6 +62,7 @@ def contents(archive: Path) -> dict[str, bytes]:
 def test_everything_is_in_it(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.tar.gz"
     assert report.pack(out, run, b'{"ready": true}', 7449) == []
+    assert out.stat().st_mode & 0o077 == 0, "the user's alone"
     found = contents(out)
     assert set(found) == {
         "versions.txt",

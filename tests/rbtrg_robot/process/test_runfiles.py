@@ -14,7 +14,7 @@ import pytest
 from hal.unitree.config import UnitreeConfig
 from rbtrg_robot.config import load
 from rbtrg_robot.process import runfiles
-from rbtrg_robot.process.runfiles import NoRoom, RobotTaken, RunLock, read_state, take_interface
+from rbtrg_robot.process.runfiles import NoRoom, RobotTaken, RunLock, console_file, read_state, take_interface
 from rbtrg_robot.process.supervisor import Supervisor
 
 
@@ -65,3 +65,15 @@ def test_a_run_folder_on_a_full_disk_ends_no_stack(
     monkeypatch.setattr(runfiles.os, "write", full)
     with pytest.raises(NoRoom, match="No space left on device; make room"):
         RunLock("b")
+
+
+def test_the_consoles_secret_ends_with_its_stack_however_that_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    console_file("a").write_text("of a stack that was killed")
+    lock = RunLock("a")
+    assert not console_file("a").exists()
+    console_file("a").write_text("of this one")
+    lock.release()
+    assert not console_file("a").exists()

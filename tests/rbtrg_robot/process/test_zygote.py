@@ -55,6 +55,7 @@ def test_exit_status_and_last_words_arrive(zygote: Zygote, tmp_path: Path) -> No
     assert forked.wait(60.0) == FATAL
     assert forked.poll() == FATAL
     assert log.read_text().startswith("error: ")
+    assert log.stat().st_mode & 0o077 == 0, "the user's alone"
 
 
 def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, tmp_path: Path) -> None:

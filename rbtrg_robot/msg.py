@@ -504,6 +504,11 @@ class MissionState(Message):
     request: str = ""
     refused: str = ""
     map: str = ""
+    has_home: bool = False
+    home_told: bool = False
+    home_x: float = 0.0
+    home_y: float = 0.0
+    home_yaw: float = 0.0
     order_id: str = ""
     order_update_id: int = 0
     name: str = ""

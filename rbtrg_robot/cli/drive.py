@@ -49,15 +49,12 @@ def goal(
 
     from rbtrg_robot.cli.link import connect, scene
     from rbtrg_robot.config import ConfigError
-    from rbtrg_robot.orders.goal import CancelGoal
-    from rbtrg_robot.orders.order import follow
     from rbtrg_robot.orders.who import me
     from rbtrg_robot.stages.navigation.goal import goal_request
 
     if again and target:
         raise ConfigError("--again takes no target: it is that of the last goal")
     x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], *scene(robot))
-    goal_id = uuid.uuid4().hex[:12]
     with connect(robot) as bus:
         if again:
             x, y, goal_yaw = _last(bus)
@@ -67,15 +64,23 @@ def goal(
             say("rbtrg-robot: goal rejected: coordinates must be finite numbers", error=True)
             raise typer.Exit(REJECTED)
         request = goal_request(
-            time.time_ns(), goal_id, x, y, goal_yaw, name=name, timeout=timeout, owner=me()
+            time.time_ns(), uuid.uuid4().hex[:12], x, y, goal_yaw, name=name, timeout=timeout, owner=me()
         )
-        try:
-            code = _follow(bus, request, wait=wait)
-        except KeyboardInterrupt:
-            say("cancelling the goal", error=True)
-            say(follow(bus, CancelGoal(goal_id)).words)
-            code = CANCELLED
-        raise typer.Exit(code)
+        code = send(bus, request, wait=wait)
+    raise typer.Exit(code)
+
+
+def send(bus: Any, request: Any, *, wait: bool) -> int:
+    """Send a goal and watch it, to its end with `wait`; Ctrl-C cancels it. Returns the exit status."""
+    from rbtrg_robot.orders.goal import CancelGoal
+    from rbtrg_robot.orders.order import follow
+
+    try:
+        return _follow(bus, request, wait=wait)
+    except KeyboardInterrupt:
+        say("cancelling the goal", error=True)
+        say(follow(bus, CancelGoal(request.id)).words)
+        return CANCELLED
 
 
 def _target(words: list[str], scene: str, options: dict[str, Any]) -> tuple[float, float, float | None, str]:

@@ -12,6 +12,7 @@ from rbtrg_robot.cli import (
     calibrate,
     drive,
     foxglove,
+    home,
     importing,
     inspect,
     keys,
@@ -54,6 +55,7 @@ def _options(
 
 stack.register(app)
 drive.register(app)
+home.register(app)
 mission.register(app)
 teleop.register(app)
 logs.register(app)

@@ -66,7 +66,7 @@ def run(
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE])
         if update:
-            running = _newest(bus)
+            running = newest(bus)
             order = mission.order(running.order_id, update=running.order_update_id + 1, start=at, owner=me())
         try:
             state = _ask(bus, "update" if update else "run", order=order)
@@ -95,7 +95,7 @@ def status(
 
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE])
-        state = _newest(bus)
+        state = newest(bus)
         if as_json:
             say_json(words.as_record(state))
             return
@@ -186,7 +186,7 @@ def record(
     frame = MapFrame()
     with connect(robot) as bus:
         bus.subscribe([t.MISSION_STATE, t.TF_STATIC, t.ODOM])
-        recording = Recording(name, _newest(bus, keep=(t.TF_STATIC, frame)).map, spacing)
+        recording = Recording(name, newest(bus, keep=(t.TF_STATIC, frame)).map, spacing)
         say(HELP)
         try:
             for line in _typed(bus):
@@ -235,8 +235,8 @@ def _tell(robot: str, action: str, **fields: Any) -> None:
             say(line)
 
 
-def _newest(bus: Bus, keep: Any = None) -> Any:
-    """The state of the mission process; `keep`: (topic, frame) that is fed meanwhile."""
+def newest(bus: Bus, keep: Any = None) -> Any:
+    """The newest state of the mission process; `keep`: (topic, frame) that is fed meanwhile."""
     from rbtrg_robot import topics as t
 
     deadline = time.monotonic() + ANSWER_LIMIT

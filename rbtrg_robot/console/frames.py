@@ -166,8 +166,10 @@ def route(message: msg.RouteReport) -> dict[str, Any]:
 def mission(message: msg.MissionState) -> dict[str, Any]:
     """How far the mission is."""
     names = ("order_id", "name", "phase", "reason", "step", "question", "choices", "action_status")
+    home = {"x": message.home_x, "y": message.home_y, "yaw": message.home_yaw}
     return {
         "words": line(message),
+        "home": home if message.has_home else None,
         "results": message.result_description,
         **{name: getattr(message, name) for name in names},
     }

@@ -44,7 +44,7 @@ class Place(_Model):
 
 
 class Home(_Model):
-    """Where `return` goes, in frame `map`."""
+    """Where `home` and `return` go, in frame `map`."""
 
     x: float = Field(description="[m]")
     y: float = Field(description="[m]")
@@ -87,6 +87,18 @@ class Goto(_Step):
     """Go to a place."""
 
     goto: Place
+
+
+class Limit(_Model):
+    """How long a step may take."""
+
+    timeout: Seconds = Field(0.0, description="the step fails after this long [s]; 0 = never")
+
+
+class GoHome(_Step):
+    """Go home, with an id, an `on_failure` or a timeout of its own; otherwise `home` is enough."""
+
+    home: Limit
 
 
 class Wait(_Step):
@@ -142,10 +154,11 @@ def _kind(value: Any) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-TAGS = ("word", "goto", "wait", "ask", "look", "record", "posture", "loop")
+TAGS = ("word", "goto", "home", "wait", "ask", "look", "record", "posture", "loop")
 Step = Annotated[
-    Annotated[Literal["stand", "sit"], Tag("word")]
+    Annotated[Literal["stand", "sit", "home"], Tag("word")]
     | Annotated[Goto, Tag("goto")]
+    | Annotated[GoHome, Tag("home")]
     | Annotated[Wait, Tag("wait")]
     | Annotated[Ask, Tag("ask")]
     | Annotated[Look, Tag("look")]
@@ -155,7 +168,7 @@ Step = Annotated[
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, goto, wait, ask, look, record, posture, loop",
+        custom_error_message="a step is one of stand, sit, home, goto, wait, ask, look, record, posture, loop",
     ),
 ]
 Rounds.model_rebuild()
@@ -181,7 +194,7 @@ class MissionFile(_Model):
     comms_timeout: float = Field(
         10.0, gt=0, le=86400, description="no operator is in contact after this long [s]"
     )
-    home: Home | None = Field(None, description="where `return` goes; None = where the robot is at the start")
+    home: Home | None = Field(None, description="where `home` and `return` go; None = the home of the run")
     steps: tuple[Step, ...] = Field(min_length=1)
 
     def order(self, order_id: str, *, update: int = 0, start: int = 1, owner: str = "") -> msg.MissionOrder:
@@ -223,7 +236,7 @@ class MissionFile(_Model):
 
     def _step(self, node: Any, number: int) -> msg.MissionStep:
         if isinstance(node, str):
-            node = Posture(posture=node)  # type: ignore[arg-type]
+            node = GoHome(home=Limit()) if node == "home" else Posture(posture=node)  # type: ignore[arg-type]
         kind = node.posture if isinstance(node, Posture) else _kind(node)
         policy, _, retries = (node.on_failure or self.on_failure).partition(" ")
         return msg.MissionStep(
@@ -247,6 +260,8 @@ def _content(node: Any) -> dict[str, Any]:
         p = node.goto
         yaw = math.radians(p.yaw_deg) if p.yaw_deg is not None else 0.0
         return {"x": p.x, "y": p.y, "yaw": yaw, "has_yaw": p.yaw_deg is not None, "timeout": p.timeout}
+    if isinstance(node, GoHome):
+        return {"timeout": node.home.timeout}
     if isinstance(node, Wait):
         return {"duration": node.wait}
     if isinstance(node, Ask):

@@ -83,7 +83,9 @@ def _flatten(
             _flatten(node["loop"]["steps"], features, loops, origin)
             loop["last"] = len(features)
             continue
-        properties: dict[str, Any] = {"posture": node} if isinstance(node, str) else dict(node)
+        properties: dict[str, Any] = (
+            dict(node) if isinstance(node, dict) else {"home": {}} if node == "home" else {"posture": node}
+        )
         geometry = None
         if "goto" in properties:
             place = dict(properties["goto"])

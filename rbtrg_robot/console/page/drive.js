@@ -80,6 +80,9 @@ export function makeDrive(link, view, about, free) {
   // --- the goal -------------------------------------------------------------------------------------------
   for (const [name, [x, y, yaw]] of Object.entries(about.goals))
     $("names").append(button(name, () => choose(x, y, yaw)));
+  const home = button("Home", () => choose(world.home.x, world.home.y, world.home.yaw));
+  home.hidden = true;
+  $("names").append(home);
 
   function wanted() {
     const [x, y, yaw] = [number("gx"), number("gy"), number("gyaw")];
@@ -187,6 +190,12 @@ export function makeDrive(link, view, about, free) {
       world.route = null;
       free.plan(null);
     }
+    view.show();
+  });
+  link.on("mission", (mission) => {
+    home.hidden = !mission.home;
+    if (JSON.stringify(world.home) === JSON.stringify(mission.home)) return;
+    world.home = mission.home;
     view.show();
   });
   link.on("route", (found) => {

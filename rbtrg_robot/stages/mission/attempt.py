@@ -66,7 +66,7 @@ class Attempt:
     """Begins when it is made."""
 
     def __init__(self, step: msg.MissionStep, now: int, goal_id: str = "") -> None:
-        """`now` in ns; `goal_id` of the goal of a `goto`."""
+        """`now` in ns; `goal_id` of the goal of a `goto` or `home`."""
         self._step = step
         self._kind = Kind(step.kind)
         self._began = now
@@ -87,7 +87,7 @@ class Attempt:
     def verdict(self, now: int, goal: msg.GoalStatus | None, robot: msg.RobotState | None) -> Verdict:
         """From the newest words of navigator and robot; `now` in ns."""
         age = (now - self._began) / NS
-        if self._kind is Kind.GOTO:
+        if self._kind in (Kind.GOTO, Kind.HOME):
             return self._of_goal(now, goal)
         if self._kind is Kind.ASK:
             return self._of_answer(age)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 from typing import Any
@@ -23,6 +24,7 @@ from rbtrg_robot.stages.mission.order import (
 from rbtrg_robot.stages.mission.runner import Runner, World
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
+from rbtrg_robot.stages.navigation.reasons import unlocated
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, yaw_of
@@ -51,6 +53,9 @@ class MissionStage:
         self._world = World()
         self._runner = Runner(self._world)
         self._frame = MapFrame()
+        self._told_home: Pose2 | None = None
+        """In `map`, where an operator put it."""
+        self._map: msg.MapStatus | None = None
         self._left: msg.MissionOrder | None = None
         """Order of a process that is gone; its state follows."""
         self._known: deque[str] = deque(maxlen=KNOWN)
@@ -75,7 +80,7 @@ class MissionStage:
         if t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
         elif t.MAP_STATUS.carried(message, topic):
-            self._prior_map = message.prior
+            self._map, self._prior_map = message, message.prior
             return []
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now
@@ -116,6 +121,8 @@ class MissionStage:
         mission, runner = self._runner.mission, self._runner
         if request.action == "run":
             return self._start(request, out)
+        if request.action == "home":
+            return self._put_home(request.order)
         if mission is None or not mission.phase.active:
             return "no mission is under way"
         if request.order_id not in ("", mission.order.order_id):
@@ -143,7 +150,7 @@ class MissionStage:
         elif request.action == "answer":
             return runner.answer(request.answer)
         else:
-            return f"{request.action!r} is none of run, update, pause, resume, skip, stop, answer"
+            return f"{request.action!r} is none of run, update, pause, resume, skip, stop, answer, home"
         return ""
 
     def _start(self, request: msg.MissionRequest, out: Outputs) -> str:
@@ -155,12 +162,10 @@ class MissionStage:
         if why := refusal(order, self._possible, self._prior_map) or self._world.hindrance():
             return why
         if not order.has_home:
-            if self._world.pose is not None:
-                order.home_x, order.home_y, order.home_yaw = self._world.pose
+            if (home := self.home) is not None:
+                order.home_x, order.home_y, order.home_yaw = home
             elif _returns(order):
-                return (
-                    "where the robot stands is not known yet, so it could not return: give the mission a home"
-                )
+                return "where home is is not known yet, so it could not return: give the mission a home"
         order.header = header(self._world.now, MAP)
         order.owner = order.owner or request.owner
         self._world.contact = self._world.now
@@ -188,8 +193,28 @@ class MissionStage:
         stamp = header(self._world.now, MAP)
         return replace(order, header=stamp, owner=order.owner or owner, home_x=x, home_y=y, home_yaw=yaw)
 
+    @property
+    def home(self) -> Pose2 | None:
+        """In `map`: where an operator put it, else where the run began; None before the robot knows where that is."""
+        if self._told_home is not None:
+            return self._told_home
+        return (
+            self._frame.pose2(0.0, 0.0, 0.0) if self._frame.known and unlocated(self._map) is None else None
+        )
+
+    def _put_home(self, order: msg.MissionOrder) -> str:
+        place = (order.home_x, order.home_y, order.home_yaw) if order.has_home else self._world.pose
+        if place is None or unlocated(self._map) is not None:
+            return "where the robot stands is not known yet"
+        if not all(map(math.isfinite, place)):
+            return "home has numbers that are not finite"
+        self._told_home = place
+        return ""
+
     def _restore(self, state: msg.MissionState) -> Outputs:
         """The last words of the process before this one."""
+        if self._told_home is None and state.home_told:
+            self._told_home = state.home_x, state.home_y, state.home_yaw
         if self._runner.mission is not None or self._left is None:
             return []
         if refusal(self._left, self._possible, self._prior_map):
@@ -212,13 +237,16 @@ class MissionStage:
         state = mission.state(now) if mission else idle
         state.request, state.refused = self._answer
         state.map = self._prior_map
+        if (home := self.home) is not None:
+            state.has_home, state.home_told = True, self._told_home is not None
+            state.home_x, state.home_y, state.home_yaw = home
         return [(t.MISSION_STATE, state)]
 
 
 def _returns(order: msg.MissionOrder) -> bool:
     """It may have to go home."""
     return order.on_comms_loss == OnCommsLoss.RETURN or any(
-        s.on_failure == OnFailure.RETURN for s in order.steps
+        s.on_failure == OnFailure.RETURN or s.kind == Kind.HOME for s in order.steps
     )
 
 

@@ -15,6 +15,7 @@ class Kind(StrEnum):
     """What a step does."""
 
     GOTO = "goto"
+    HOME = "home"
     WAIT = "wait"
     ASK = "ask"
     STAND = "stand"
@@ -51,7 +52,7 @@ MOST_STEPS = 1000
 MOST_RETRIES = 100
 LONGEST_TEXT = 500
 """Characters of a name or a question."""
-EVERYWHERE = frozenset({Kind.GOTO, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT})
+EVERYWHERE = frozenset({Kind.GOTO, Kind.HOME, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT})
 """What every backend does. `look` is not among them: the robot process takes no attitude yet."""
 WHY_NOT = {
     Kind.LOOK: "the robot process does not turn the body yet",

@@ -116,11 +116,12 @@ class Runner:
         """Try the present step. A goal of before a restart goes on: the navigator knows it by its id."""
         step, now = mission.step, self._world.now
         mission.mark(Status.RUNNING)
-        if step.kind == Kind.GOTO:
-            yaw = step.yaw if step.has_yaw else None
+        if step.kind in (Kind.GOTO, Kind.HOME):
+            place = mission.home if step.kind == Kind.HOME else step
+            yaw = place.yaw if place.has_yaw else None
             owner = f"mission {mission.order.name}".strip()
             fields = {"timeout": step.timeout, "owner": owner}
-            self._goals.want(goal_request(now, mission.name_goal(), step.x, step.y, yaw, **fields))
+            self._goals.want(goal_request(now, mission.name_goal(), place.x, place.y, yaw, **fields))
         mission.asking = step.kind == Kind.ASK
         self._attempt = Attempt(step, now, mission.goal_id)
         self.changed = True

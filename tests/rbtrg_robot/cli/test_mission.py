@@ -182,3 +182,16 @@ def test_a_drive_is_recorded_and_converted(bus: Bus, tmp_path: Path) -> None:
     call("convert", str(drawn), str(again), "--origin", "31.0", "121.0", "0")
     assert load(again).order("o").steps[0].x == pytest.approx(3.0, abs=1e-6)
     assert json.loads(call("schema"))["title"] == "MissionFile"
+
+
+def test_home_is_shown_and_put_elsewhere(bus: Bus) -> None:
+    frame = map_offset()
+    bus.publish(t.TF_STATIC, frame, time.time_ns())
+
+    def home(*words: str) -> str:
+        return CliRunner().invoke(app, ["home", *words], catch_exceptions=False).output
+
+    wait_for(bus, lambda state: state.has_home)
+    assert home("show") == "home is at 0.00 0.00, heading 0 deg\n"
+    assert home("set", "--yaw", "90", "2", "-3.5") == "home is at 2.00 -3.50, heading 90 deg\n"
+    assert "home is X Y in metres" in str(CliRunner().invoke(app, ["home", "set", "1"]).exception)

@@ -133,8 +133,7 @@ def test_without_an_operator_in_contact_the_robot_stands_or_drives_home() -> Non
         stack.run(0.2)
         assert run.state.phase == "running"  # by itself
         run.ask("stop")
-        left = run.truth
         begin("return")
         run.until("failed")
         assert "no operator in contact for 1 s; the robot is back" in run.state.reason
-        assert math.dist(run.truth[:2], left[:2]) < 0.3
+        assert math.dist(run.truth[:2], start[:2]) < 0.3

@@ -185,6 +185,7 @@ export function makeFlat(canvas, world, ground, camera) {
             COLOUR.goal,
           );
       }
+    if (world.home) body(world.home.x, world.home.y, world.home.yaw, COLOUR.home);
     for (const { x, y, yaw } of world.candidates ?? []) body(x, y, yaw, COLOUR.preview);
     if (world.place) body(world.place.x, world.place.y, world.place.yaw, COLOUR.goal);
     if (world.pose)

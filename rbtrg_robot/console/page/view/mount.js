@@ -15,6 +15,7 @@ export function mount(element, options) {
     route: null,
     preview: null,
     goal: null,
+    home: null,
     aim: null,
     mission: null,
     place: null,

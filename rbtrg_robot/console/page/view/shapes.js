@@ -9,6 +9,7 @@ export const COLOUR = {
   preview: [180, 70, 220, 255],
   native: [60, 66, 74, 255],
   goal: [255, 140, 0, 255],
+  home: [20, 150, 60, 255],
   worst: [225, 40, 40, 255],
   chosen: [255, 208, 40, 255],
 };
@@ -239,6 +240,12 @@ export function build(world, ground, camera) {
     shapes.disc(goal.x, goal.y, z + 0.06, 0.3, paint, 0.22);
     shapes.line3([goal.x, goal.y, z], [goal.x, goal.y, z + 0.9], 0.04, paint);
     if (goal.yaw !== null && goal.yaw !== undefined) arrow(shapes, goal.x, goal.y, z + 0.08, goal.yaw, 0.75, paint);
+  }
+  if (world.home) {
+    const { x, y, yaw } = world.home,
+      z = onGround(x, y, base);
+    outline(shapes, x, y, z, yaw, length, width, COLOUR.home, 0.06);
+    shapes.line3([x, y, z], [x, y, z + 0.6], 0.05, COLOUR.home);
   }
   for (const { x, y, yaw } of world.candidates ?? [])
     outline(shapes, x, y, onGround(x, y, base), yaw, length, width, COLOUR.preview, 0.08);

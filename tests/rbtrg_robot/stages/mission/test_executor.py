@@ -126,6 +126,7 @@ class World:
     def restart(self) -> None:
         """The process dies and comes back with what the supervisor kept; the latched topics tell it the rest."""
         self.stage = MissionStage(self.possible, self.prior_map)
+        self.stage.on(t.TF_STATIC, map_offset())
         for topic in (t.MISSION_ORDER, t.MISSION_STATE):
             if topic in self.kept:
                 self.take(self.stage.on(topic, decode(self.kept[topic], topic.kind)))
@@ -170,7 +171,7 @@ def test_loops_begin_again_and_a_mission_may_begin_in_its_middle(world: World) -
         ({"on_failure": "stop"}, [1.0], "failed", 1),
         ({"on_failure": "retry", "retries": 2}, [1.0] * 3, "failed", 1),
         ({"on_failure": "skip"}, [1.0, 2.0], "finished", 2),
-        ({"on_failure": "return"}, [1.0, 7.0], "failed", 1),
+        ({"on_failure": "return"}, [1.0, 0.0], "failed", 1),
     ],
 )
 def test_a_failed_step_is_treated_as_the_mission_says(
@@ -336,7 +337,7 @@ def test_without_an_operator_in_contact(world: World, policy: str) -> None:
         assert (world.state.phase, world.goals) == ("running", [1.0, 1.0])
     else:
         assert world.state.returning
-        assert world.goals == [1.0, 7.0]
+        assert world.goals == [1.0, 0.0]
         world.drives = 0.0
         world.until("failed")
         assert world.state.reason == "no operator in contact for 2 s; the robot is back"
@@ -515,9 +516,38 @@ def test_whatever_happens_the_robot_drives_only_for_a_running_mission(ops: list[
         assert 1 <= state.step <= 3
         assert state.action_status.count("RUNNING") <= (state.phase == "running")
         again = MissionStage(ALL)
+        again.on(t.TF_STATIC, map_offset())
         again.on(t.MISSION_ORDER, decode(world.kept[t.MISSION_ORDER], msg.MissionOrder))
         again.on(t.MISSION_STATE, decode(world.kept[t.MISSION_STATE], msg.MissionState))
         told = again._tell(due=True)[0][1]  # what is told holds everything
         told.header, told.loop_rounds = state.header, array(told.loop_rounds, "uint32")
         told.question, told.choices = state.question, state.choices
         assert encode(told) == encode(state)
+
+
+def test_home_is_where_the_run_began_until_an_operator_puts_it_elsewhere(world: World) -> None:
+    world.run(0.2)
+    assert (world.state.has_home, world.state.home_told, world.state.home_x) == (True, False, 0.0)
+    world.start(goto(4.0), step("home"))
+    world.until("finished")
+    assert world.goals == [4.0, 0.0]
+    put = order(has_home=True, home_x=2.0, home_y=-1.0, home_yaw=0.5)
+    assert world.ask("home", order=put) == ""
+    world.restart()
+    world.run(0.2)
+    state = world.state
+    assert (state.home_told, state.home_x, state.home_y, state.home_yaw) == (True, 2.0, -1.0, 0.5)
+
+
+def test_home_is_not_known_before_the_robot_knows_where_it_is() -> None:
+    stage = MissionStage(ALL)
+    stage.on(t.TF_STATIC, map_offset())
+    stage.on(t.MAP_STATUS, msg.MapStatus(location="searching"))
+    (_, state), *_ = stage.tick(10**12)
+    assert not state.has_home
+    request = msg.MissionRequest(id="r", action="home", order=order())
+    (_, state), *_ = stage.on(t.MISSION_REQUEST, request)
+    assert "not known" in state.refused
+    stage.on(t.MAP_STATUS, msg.MapStatus(location="located"))
+    (_, state), *_ = stage.tick(2 * 10**12)
+    assert state.has_home

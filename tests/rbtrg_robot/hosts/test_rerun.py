@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig, load
 from rbtrg_robot.hosts.live import Node
 from rbtrg_robot.hosts.lockstep import Lockstep, build_stages
-from rbtrg_robot.hosts.offline import rerun
+from rbtrg_robot.hosts.offline import Window, rerun
 from rbtrg_robot.log.film import film
 from rbtrg_robot.log.picture import picture
 from rbtrg_robot.log.read import CONFIG, Entry, first_of, read_run
@@ -134,6 +136,32 @@ def test_a_slow_planner_is_run_again_to_the_same_bytes(live: tuple[Path, int], t
         assert of(tmp_path / "again.mcap", topic) == of(log, topic), topic.name
     rerun(tmp_path / "again.mcap", ["planner"], tmp_path / "twice.mcap")
     assert of(tmp_path / "twice.mcap", t.PLAN) == of(log, t.PLAN)
+
+
+def test_a_part_of_a_live_log_is_run_again_and_that_once_more(live: tuple[Path, int], tmp_path: Path) -> None:
+    """A stage that begins in the middle numbers its messages anew: what its process took tells no order any more."""
+    log, _ = live
+    said: list[str] = []
+    first = rerun(log, ["planner"], tmp_path / "part.mcap", start_offset=START / NS + 1.5, say=said.append)
+    again = rerun(tmp_path / "part.mcap", ["planner"], tmp_path / "twice.mcap", say=said.append)
+    assert not said
+    assert 10 < first[t.MAP_UPDATE.name] < len(of(log, t.MAP_UPDATE))
+    assert first[t.ROUTE_STATUS.name] > 5
+    assert first == again
+    assert of(tmp_path / "twice.mcap", t.ROUTE_STATUS) == of(tmp_path / "part.mcap", t.ROUTE_STATUS)
+
+
+def test_of_a_part_nothing_behind_its_end_is_read() -> None:
+    read = []
+
+    def entries() -> Iterator[Entry]:
+        for second in range(100):
+            read.append(second)
+            yield Entry(t.ODOM.name, t.ODOM.type, b"", second * NS, 0, 0)
+
+    within = Window(0, 10.0, 5.0)
+    assert [entry.log_time // NS for entry in within.entries(entries())] == [10, 11, 12, 13, 14, 15]
+    assert read[-1] == 16
 
 
 def test_what_the_log_lacks_is_told_and_the_rest_goes_on(live: tuple[Path, int], tmp_path: Path) -> None:

@@ -203,7 +203,7 @@ def place_start(
             break
     else:
         raise SceneError(
-            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (--start X Y YAW), coarser cells (--resolution), "
+            f"{name}: no level place of {2 * CLEARANCE:.1f} m to start on: give one (`up --start X Y YAW`, `plan FILE X,Y`), coarser cells (--resolution), "
             "or say what its numbers are (--units, --up)"
         )
     way = free | ((narrow < level) & (_share(known, 2) > 0.3))

@@ -78,10 +78,10 @@ def calibrate_lidar(
         Path | None,
         typer.Option(help="Configuration of the stack, YAML; else that of the running one, or of the log."),
     ] = None,
-    sets: Annotated[list[str] | None, typer.Option("--set", help="One value of it: a.b=c.")] = None,
+    sets: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="One value of it.")] = None,
     robot: Robot = ROBOT,
 ) -> None:
-    """Print mounts and time offsets of the LiDARs with their certainty, for the configuration.
+    """Print mounts and time offsets of the LiDARs. With their certainty, for the configuration.
 
     Let the robot stand for a second on level ground with walls in sight, then turn and drive it. Moves nothing without --drive.
     """

@@ -34,7 +34,7 @@ def register(app: typer.Typer) -> None:
 def goal(
     target: Annotated[
         list[str] | None,
-        typer.Argument(help="X Y in metres, frame map; or the NAME of one of the scene's goals."),
+        typer.Argument(metavar="X Y | NAME", help="Metres in frame map, or one of the scene's goals."),
     ] = None,
     again: Annotated[
         bool, typer.Option("--again", help="The goal that was not reached once more, such as after a fall.")
@@ -167,14 +167,14 @@ def cancel(robot: Robot = ROBOT) -> None:
 
 
 def stop(robot: Robot = ROBOT) -> None:
-    """Emergency stop: zero velocity at once, latched until `resume`. Sent until the robot confirms it."""
+    """Emergency stop: zero velocity, latched until `resume`. Sent until the robot confirms it."""
     from rbtrg_robot.cli.stop import stop as send
 
     raise typer.Exit(send(robot))
 
 
 def resume(robot: Robot = ROBOT) -> None:
-    """Release the emergency stop, and give the motion back to the stack after driving by hand."""
+    """Release the emergency stop. After driving by hand: give the motion back to the stack."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.orders.order import follow
     from rbtrg_robot.orders.robot import Resume
@@ -188,7 +188,7 @@ def posture(
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds.")] = 30.0,
     robot: Robot = ROBOT,
 ) -> None:
-    """Stand up, sit down, go soft (damp), or recover from a fall or a fault."""
+    """Stand up, sit down, go soft, or recover from a fall or a fault."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.orders.order import follow
     from rbtrg_robot.orders.robot import Posture

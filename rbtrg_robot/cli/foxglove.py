@@ -24,7 +24,8 @@ def foxglove(
         bool, typer.Option("--view-only", help="Take no goals; the stop is always taken.")
     ] = False,
     origin: Annotated[
-        list[str] | None, typer.Option(help="Web page that may connect beside the app: http://HOST:PORT.")
+        list[str] | None,
+        typer.Option(metavar="URL", help="Web page that may connect beside the app: http://HOST:PORT."),
     ] = None,
     robot: Robot = ROBOT,
 ) -> None:

@@ -24,16 +24,17 @@ def import_bag(
     bag: Annotated[Path, typer.Argument(help="MCAP, rosbag2 (.db3, split, zstd; its folder) or ROS 1 .bag.")],
     out: Annotated[Path, typer.Option(help="Folder of the run that is made.")],
     map_: Annotated[
-        list[str] | None, typer.Option("--map", help="ROLE=TOPIC, or ROLE= for none; may be repeated.")
+        list[str] | None,
+        typer.Option("--map", metavar="ROLE=TOPIC", help="Or ROLE= for none; may be repeated."),
     ] = None,
     mount: Annotated[
         list[str] | None,
-        typer.Option(help="ROLE=X,Y,Z,ROLL,PITCH,YAW in base_link [m, deg]; may be repeated."),
+        typer.Option(metavar="ROLE=X,Y,Z,ROLL,PITCH,YAW", help="In base_link [m, deg]; may be repeated."),
     ] = None,
     urdf: Annotated[Path | None, typer.Option(help="URDF that tells where the sensors sit.")] = None,
     imu_unit: Annotated[str, typer.Option(help="Of the accelerometer: auto, m/s2 or g.")] = "auto",
 ) -> None:
-    """Make a run of ours from a recording of another robot; `replay --rerun odometry,elevation` works on it."""
+    """Make a run of ours from a recording of another robot. `replay --rerun odometry,elevation` works on it."""
     from rich.table import Table
 
     from rbtrg_robot.cli.table import plain_console

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from rbtrg_robot.cli.scene_options import HeightRange, Resolution, Units, Up, chosen
 from rbtrg_robot.scope import NAMED, ROBOT
 from rbtrg_robot.terminal import say, say_json, say_text
 
@@ -43,16 +44,15 @@ def scene_show(
     name: Annotated[str, typer.Argument(help="Built-in scene or terrain file.")],
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the terrain.")] = None,
-    resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
-    height_range: Annotated[
-        tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
-    ] = None,
+    resolution: Resolution = None,
+    height_range: HeightRange = None,
+    units: Units = None,
+    up: Up = None,
 ) -> None:
     """Start pose, named goals, extent."""
     from hal.scenes import load_scene
 
-    options: dict[str, Any] = {"resolution": resolution, "height_range": height_range}
-    scene = load_scene(name, **{k: v for k, v in options.items() if v is not None})
+    scene = load_scene(name, **chosen(resolution, height_range, units, up))
     if png is not None:
         from hal.scenes.picture import render_scene_png
 
@@ -83,7 +83,7 @@ def scene_show(
 @config_app.command("show")
 def config_show(
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
 ) -> None:
     """The whole configuration, defaults included."""
     from rbtrg_robot.config import load
@@ -100,7 +100,7 @@ def config_schema() -> None:
 
 
 @map_app.command("save")
-def map_save(file: Path, robot: Robot = ROBOT) -> None:
+def map_save(file: Annotated[Path, typer.Argument(help="FILE.npz.")], robot: Robot = ROBOT) -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
     from mapping.elevation import MapError
     from rbtrg_robot.cli.link import connect
@@ -125,7 +125,7 @@ def map_save(file: Path, robot: Robot = ROBOT) -> None:
 
 @map_app.command("clear")
 def map_clear(robot: Robot = ROBOT) -> None:
-    """Forget what the robot touched and the LiDAR does not see; what was measured stays."""
+    """Forget what the robot touched. What was measured stays."""
     from mapping.elevation import MapError
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.orders.map import ForgetTouched
@@ -139,7 +139,7 @@ def map_clear(robot: Robot = ROBOT) -> None:
 
 
 def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
-    """Check this machine: libraries, port, shared memory, clock, rendering. Exit status 1 on a fault."""
+    """Check what this machine lacks, in plain words. Exit status 1 on a fault."""
     from rbtrg_robot.process.doctor import Level, examine
 
     worst = 0
@@ -158,7 +158,7 @@ def report(
     log_dir: Annotated[Path, typer.Option(help="Where the newest run is looked for.")] = Path("logs"),
     robot: Robot = ROBOT,
 ) -> None:
-    """Pack configuration, versions, doctor, status, last log lines and the last 60 s of a run into one archive."""
+    """Pack what a fault is reported with into one archive. Configuration, versions, doctor, status, last log lines, the last 60 s of a run."""
     from hal.errors import OperatorError
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.log.keep import runs

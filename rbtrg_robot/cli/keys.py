@@ -15,7 +15,9 @@ Folder = Annotated[
 Force = Annotated[bool, typer.Option("--force", help="Replace what exists.")]
 Days = Annotated[int, typer.Option(min=1, max=36500, help="How long it is valid [days].")]
 Name = Annotated[str, typer.Argument(help="Of the person: letters, digits, - and _.")]
-Names = Annotated[list[str] | None, typer.Option(help="A person to add at once; may be repeated.")]
+Names = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="A person to add at once; may be repeated.")
+]
 
 keys_app = typer.Typer(help="Certificates for people on other computers.", no_args_is_help=True)
 
@@ -39,7 +41,7 @@ def keys_init(
     folder: Folder = None,
     force: Force = False,
 ) -> None:
-    """Make an authority and the robot's certificate, and one for each --operator and --observer (365 days)."""
+    """Make an authority and the robot's certificate. And one for each --operator and --observer (365 days)."""
     from rbtrg_robot.access import certificates
     from rbtrg_robot.access.identity import ROBOT
     from rbtrg_robot.topics import Role
@@ -74,7 +76,7 @@ def keys_add(
 
 @keys_app.command("remove")
 def keys_remove(name: Name, folder: Folder = None) -> None:
-    """Take a person off the robot's list: the certificate does not count any more."""
+    """Take a person off the robot's list. The certificate does not count any more."""
     from rbtrg_robot.access import certificates
 
     certificates.remove(_folder(folder), name)
@@ -84,7 +86,7 @@ def keys_remove(name: Name, folder: Folder = None) -> None:
 
 @keys_app.command("list")
 def keys_list(folder: Folder = None) -> None:
-    """Every certificate, until when it is valid, and whether it is on the robot's list."""
+    """Every certificate: until when it is valid, whether it is listed."""
     from rbtrg_robot.access import certificates
     from rbtrg_robot.access.identity import ROBOT
 

@@ -16,6 +16,7 @@ from rbtrg_robot.scope import NAMED, ROBOT
 from rbtrg_robot.terminal import overwrite, say, say_json
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
+LogFile = Annotated[Path, typer.Argument(help="A log, or the folder of a run.")]
 Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
 
 log_app = typer.Typer(help="Look at, check and repair logs.", no_args_is_help=True)
@@ -28,25 +29,29 @@ def register(app: typer.Typer) -> None:
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(help="A log, or the folder of a run.")],
+    file: LogFile,
     rate: Annotated[float, typer.Option(help="Speed.")] = 1.0,
     start_offset: Annotated[float, typer.Option(help="Skip this much of the log [s].")] = 0.0,
     duration: Annotated[float, typer.Option(help="Play this much [s]; default all.")] = math.inf,
     loop: Annotated[bool, typer.Option("--loop", help="Again and again.")] = False,
     topics: Annotated[
-        list[str] | None, typer.Option(help="Only topics that fit this glob; may be repeated.")
+        list[str] | None, typer.Option(metavar="GLOB", help="Only topics that fit it; may be repeated.")
     ] = None,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for the space bar.")] = False,
-    rerun: Annotated[str | None, typer.Option(help="Instead: run these stages offline, a,b,c.")] = None,
+    rerun: Annotated[
+        str | None, typer.Option(metavar="A,B,C", help="Instead: run these stages offline.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Where --rerun writes.")] = None,
     config: Annotated[
         Path | None, typer.Option(help="For --rerun: YAML over the log's configuration.")
     ] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="For --rerun: a.b=c over it.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="A.B=C", help="For --rerun: one key over it.")
+    ] = None,
     robot: Robot = ROBOT,
     port: Annotated[int, typer.Option(help="TCP port of the router when no stack is up.")] = 7447,
 ) -> None:
-    """Play a log on the bus (space: pause, right: next, up/down: rate, q: quit), or run stages on it again."""
+    """Play a log on the bus, or run stages on it again. Keys: space: pause, right: next, up/down: rate, q: quit."""
     from rbtrg_robot.config import ConfigError
 
     if rerun is not None:
@@ -173,8 +178,8 @@ def _rerun(
 
 
 @log_app.command("info")
-def log_info(file: Path, as_json: Json = False) -> None:
-    """Counts, rates, metadata, from the summaries of the files; gaps and losses: `log check`."""
+def log_info(file: LogFile, as_json: Json = False) -> None:
+    """Counts, rates, metadata. From the summaries of the files; gaps and losses: `log check`."""
     from rbtrg_robot.log.summary import overview
 
     summary = overview(file)
@@ -200,7 +205,7 @@ def log_info(file: Path, as_json: Json = False) -> None:
 
 
 @log_app.command("check")
-def log_check(file: Path, as_json: Json = False) -> None:
+def log_check(file: LogFile, as_json: Json = False) -> None:
     """Say what is wrong with a log; exit 1 if anything is."""
     from rbtrg_robot.log.stats import summarize
 
@@ -217,7 +222,7 @@ def log_check(file: Path, as_json: Json = False) -> None:
 
 @log_app.command("recover")
 def log_recover(
-    file: Path,
+    file: LogFile,
     out: Annotated[Path | None, typer.Option(help="Default: FILE.recovered.mcap.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -234,7 +239,7 @@ def log_recover(
 
 @log_app.command("film")
 def log_film(
-    file: Path,
+    file: LogFile,
     out: Annotated[Path, typer.Argument(help="FILE.mp4, FILE.png (the end), or a folder for frames.")],
 ) -> None:
     """Draw a simulated run from outside."""
@@ -243,7 +248,7 @@ def log_film(
 
 @log_app.command("list")
 def log_list(base: Annotated[Path, typer.Argument(help="Folder of the runs.")] = Path("logs")) -> None:
-    """The runs on the disk: size, and which are kept whatever the quota says."""
+    """The runs on the disk: size, and which are kept."""
     from rbtrg_robot.log.keep import GIGABYTE, runs
 
     found = runs(base)
@@ -258,7 +263,7 @@ def log_keep(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     off: Annotated[bool, typer.Option("--off", help="No longer.")] = False,
 ) -> None:
-    """Keep a run: the quota (`recorder.keep_gb`) never removes it."""
+    """Keep a run. The quota (`recorder.keep_gb`) never removes it."""
     from rbtrg_robot.log.keep import mark
 
     mark(run, keep=not off)
@@ -266,8 +271,8 @@ def log_keep(
 
 
 @log_app.command("picture")
-def log_picture(file: Path, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
-    """Draw a run from above: the map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the way that was driven."""
+def log_picture(file: LogFile, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
+    """Draw a run from above. The map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the way that was driven."""
     from rbtrg_robot.log.picture import picture
 
     say(f"{picture(file, out):.1f} m driven -> {out}")
@@ -287,7 +292,7 @@ def log_trajectory(
     seconds: Annotated[float, typer.Option(help="Of RPE by time [s].")] = 1.0,
     as_json: Json = False,
 ) -> None:
-    """The way of a run as a TUM or KITTI file; or how far it is from another (the figures of evo)."""
+    """The way of a run as a file, or how far it is from another. TUM or KITTI; ATE and RPE as evo counts them."""
     import dataclasses
 
     from rbtrg_robot.config import ConfigError

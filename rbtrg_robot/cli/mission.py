@@ -107,13 +107,13 @@ def status(
 
 @app.command()
 def pause(robot: Robot = ROBOT) -> None:
-    """The robot stands; `mission resume` begins the present step again."""
+    """The robot stands. `mission resume` begins the present step again."""
     _tell(robot, "pause")
 
 
 @app.command()
 def resume(robot: Robot = ROBOT) -> None:
-    """Go on after a pause, an emergency stop, driving by hand or a restart of the stack."""
+    """Go on with it. After a pause, an emergency stop, driving by hand or a restart of the stack."""
     _tell(robot, "resume")
 
 
@@ -150,7 +150,8 @@ def convert(
     origin: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
-            help="LATITUDE LONGITUDE of the origin of `map`, and YAW from east to its x axis [deg]. Without: metres."
+            metavar="LATITUDE LONGITUDE YAW",
+            help="Of the origin of `map`, and the yaw from east to its x axis [deg]. Without: metres.",
         ),
     ] = None,
 ) -> None:

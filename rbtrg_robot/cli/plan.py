@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rbtrg_robot.cli.scene_options import HeightRange, Resolution, Units, Up, chosen
 from rbtrg_robot.terminal import say, say_json
 
 if TYPE_CHECKING:
@@ -46,8 +47,14 @@ def plan(
     png: Annotated[Path | None, typer.Option(help="Picture: the route over the risk.")] = None,
     geojson: Annotated[Path | None, typer.Option(help="The routes as lines in metres.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable, with the path.")] = False,
+    resolution: Resolution = None,
+    height_range: HeightRange = None,
+    units: Units = None,
+    up: Up = None,
     config: Annotated[Path | None, typer.Option(help="YAML over the defaults.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="a.b=c.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key over them.")
+    ] = None,
 ) -> None:
     """Plan on a map, without a robot. Exit status 0: there is a route; 2: rejected; 3: there is none."""
     from rbtrg_robot.config import ConfigError, load
@@ -59,22 +66,22 @@ def plan(
     sets = [*(set_ or [])]
     sets += [f"planner.variant={variant}"] if variant else []
     sets += [f"planner.method={method}"] if method else []
-    planner = MapPlanner(map_, load(config, sets))
+    if pairs is not None and (goal or start != "start"):
+        raise ConfigError("--pairs brings its own starts and goals: leave START and GOAL out")
+    questions = [] if pairs is None else _read(pairs)
+    at = questions[0][0] if questions else None if start == "start" else _start(start)[0]
+    options = chosen(resolution, height_range, units, up)
+    planner = MapPlanner(map_, load(config, sets, scene_options=options or None), at)
     if planner.taken:
         say(f"{map_} is taken so: {planner.taken}", error=True)
-    if pairs is not None:
-        if goal or start != "start":
-            raise ConfigError("--pairs brings its own starts and goals: leave START and GOAL out")
-        questions = _read(pairs)
-    elif not goal:
+    if pairs is None and not goal:
         raise ConfigError(f"say a goal: X,Y{' or ' + ', '.join(planner.goals) if planner.goals else ''}")
-    else:
-        questions = [_question(planner, start, goal, yaw)]
+    questions = questions or [_question(planner, start, goal, yaw)]
     if png is not None and len(questions) > 1:
         raise ConfigError("--png draws one route: ask one question")
     routes: list[Route] = []
-    for place, at, end, end_yaw in questions:
-        route = planner.plan(place, end, at, end_yaw)
+    for place, heading, end, end_yaw in questions:
+        route = planner.plan(place, end, heading, end_yaw)
         routes.append(route)
         if not as_json:
             lead = f"({place[0]:g}, {place[1]:g}) -> ({end[0]:g}, {end[1]:g}): " if pairs else ""
@@ -120,8 +127,7 @@ def _question(
     if start == "start":
         x, y, heading = planner.start
     else:
-        x, y, *more = _numbers(start, (2, 3), "START")
-        heading = math.radians(more[0]) if more else 0.0
+        (x, y), heading = _start(start)
     if goal in planner.goals:
         gx, gy, at = planner.goals[goal]
     elif "," in goal:
@@ -131,6 +137,11 @@ def _question(
         known = f"goals here are {', '.join(planner.goals)}" if planner.goals else "this map names none"
         raise ConfigError(f"GOAL is X,Y or a name; {known}, got {goal!r}")
     return (x, y), heading, (gx, gy), at if yaw is None else math.radians(yaw)
+
+
+def _start(text: str) -> tuple[Place, float]:
+    x, y, *more = _numbers(text, (2, 3), "START")
+    return (x, y), math.radians(more[0]) if more else 0.0
 
 
 def _numbers(text: str, counts: tuple[int, ...], what: str) -> list[float]:

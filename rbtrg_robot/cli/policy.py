@@ -24,7 +24,7 @@ def policy_get(
         typer.Option(help="Another URL that holds the repository's files; they are checked all the same."),
     ] = "",
 ) -> None:
-    """Fetch a public policy, check it, keep it in the data folder; `--controller hybrid` (or policy) then needs no --policy."""
+    """Fetch a public policy, check it, keep it in the data folder. `--policy NAME` then finds it."""
     from hal.locomotion import public
 
     policy = public.published(name)

@@ -22,11 +22,11 @@ def register(main: typer.Typer) -> None:
 @app.command()
 def install(
     config: Annotated[Path | None, typer.Option(help="YAML configuration of the stack.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
     user: User = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the unit file, write nothing.")] = False,
 ) -> None:
-    """Write the unit file: `up` of this installation with this configuration."""
+    """Write the unit file. It is `up` of this installation with this configuration."""
     from rbtrg_robot.config import load
     from rbtrg_robot.process import service
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import math
 import os
 import signal
 import subprocess
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rbtrg_robot.cli.scene_options import HeightRange, Resolution, Units, Up, chosen
 from rbtrg_robot.scope import NAMED, ROBOT
 from rbtrg_robot.terminal import say, say_json, say_text
 
@@ -52,7 +52,9 @@ def up(
         bool, typer.Option("--dry-run", help="Log requests to the robot, send nothing.")
     ] = False,
     map_file: Annotated[Path | None, typer.Option("--map", help="Prior map: .npz, .pcd or .ply.")] = None,
-    without: Annotated[list[str] | None, typer.Option(help="Process not to start; may be repeated.")] = None,
+    without: Annotated[
+        list[str] | None, typer.Option(metavar="PROCESS", help="Not to start; may be repeated.")
+    ] = None,
     no_console: Annotated[bool, typer.Option("--no-console", help="Serve no page.")] = False,
     console_port: Annotated[int | None, typer.Option(help="TCP port of the page; 0 = any.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random.")] = None,
@@ -64,20 +66,16 @@ def up(
     ] = None,
     viewer: Annotated[bool, typer.Option("--viewer", help="Show the simulated robot in a window.")] = False,
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="Set one key: a.b=c.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
     robot: Annotated[str | None, typer.Option(envvar=NAMED, help="Name of the robot.")] = None,
     port: Annotated[int | None, typer.Option(help="TCP port of the router, loopback.")] = None,
-    resolution: Annotated[float | None, typer.Option(help="Cell size of an imported scene [m].")] = None,
-    height_range: Annotated[
-        tuple[float, float] | None, typer.Option(help="Heights of black and white in a .png scene [m].")
-    ] = None,
-    units: Annotated[
-        str | None, typer.Option(help="Of a cloud or mesh: m, cm, mm, ft; else guessed.")
-    ] = None,
-    up: Annotated[str | None, typer.Option(help="Its axis that points up: z or y; else guessed.")] = None,
+    resolution: Resolution = None,
+    height_range: HeightRange = None,
+    units: Units = None,
+    up: Up = None,
     start: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="X Y YAW of the robot in a scene file [m, m, deg]."),
+        typer.Option(metavar="X Y YAW", help="Of the robot in a scene file [m, m, deg]."),
     ] = None,
 ) -> None:
     """Bring the whole stack up on this machine. Exit status 78 when a process was given up on the way."""
@@ -95,14 +93,6 @@ def up(
         for name in without:
             if name not in BY_NAME:
                 raise ConfigError(f"there is no process {name!r}; there are {', '.join(BY_NAME)}")
-        options: dict[str, Any] = {}
-        if resolution is not None:
-            options["resolution"] = resolution
-        if height_range is not None:
-            options["height_range"] = height_range
-        options |= {name: value for name, value in (("units", units), ("up", up)) if value is not None}
-        if start is not None:
-            options["start"] = (*start[:2], math.radians(start[2]))
         if scene is not None and Path(scene).is_file():
             scene = str(Path(scene).resolve())  # `goal NAME` may be said in another folder
         loaded = load(
@@ -121,7 +111,7 @@ def up(
             record=False if no_record else None,
             robot=robot,
             port=port,
-            scene_options=options or None,
+            scene_options=chosen(resolution, height_range, units, up, start) or None,
         )
         if render is not None and not (loaded.simulated and loaded.record):
             raise ConfigError("--render draws the log of a simulated robot: not with --no-record or hardware")
@@ -356,7 +346,7 @@ def console(
     ] = False,
     robot: Robot = ROBOT,
 ) -> None:
-    """Print the address that lets one browser into the console of the running stack."""
+    """Print an address that lets one browser into the console."""
     from rbtrg_robot.process.runfiles import console_address, read_state
 
     read_state(robot)

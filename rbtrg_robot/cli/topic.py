@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,7 @@ from rbtrg_robot.terminal import say, say_text
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
 LogFile = Annotated[Path | None, typer.Option("--log", help="A log instead of the running stack.")]
+Name = Annotated[str, typer.Argument(help="Of a topic.")]
 Seconds = Annotated[float, typer.Option(help="How long to listen; else until Ctrl-C.")]
 
 topic_app = typer.Typer(help="Look at topics, live or in a log.", no_args_is_help=True)
@@ -42,7 +44,7 @@ def _in_log(name: str, log: Path) -> str:
     from rbtrg_robot.importer.bag import Bag
 
     held = {source.topic for source in Bag(log).sources}
-    full = name if name in held else f"/{name}"
+    full = name if name in held or name.startswith("/") else f"/{name}"
     if full not in held:
         raise ConfigError(f"{full} is not in {log}; `rbtrg-robot topic list --log {log}` shows what is")
     return full
@@ -50,14 +52,17 @@ def _in_log(name: str, log: Path) -> str:
 
 @topic_app.command("list")
 def topic_list(log: LogFile = None) -> None:
-    """All topics: type, nominal rate, who publishes; or what a log holds."""
+    """All topics: type, rate, who publishes; or what a log holds."""
     from rbtrg_robot import topics as t
 
     if log is not None:
-        from rbtrg_robot.log.summary import overview
+        from rbtrg_robot.importer.bag import Bag
 
-        for name, s in sorted(overview(log).topics.items()):
-            say(f"{name:28s} {s.type or s.encoding or '-':38s} {s.count:8d} messages {s.rate:8.1f} Hz")
+        counts: Counter[tuple[str, str]] = Counter()
+        for source in Bag(log).sources:  # of each file of a run
+            counts[source.topic, source.type or source.encoding or "-"] += source.count
+        for (name, kind), count in sorted(counts.items()):
+            say(f"{name:28s} {kind:38s} {count:8d} messages")
         return
     for x in t.TOPICS:
         rate = f"{x.rate:g} Hz" if x.rate else "event"
@@ -65,14 +70,14 @@ def topic_list(log: LogFile = None) -> None:
 
 
 @topic_app.command("hz")
-def topic_hz(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
+def topic_hz(name: Name, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Rate of a topic, a line every second."""
     for count, _, span in _counts(name, log, seconds, robot):
         say(f"{count / span:.2f} Hz")
 
 
 @topic_app.command("bw")
-def topic_bw(name: str, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
+def topic_bw(name: Name, log: LogFile = None, seconds: Seconds = math.inf, robot: Robot = ROBOT) -> None:
     """Bandwidth of a topic, a line every second."""
     for _, size, span in _counts(name, log, seconds, robot):
         say(f"{size / span / 1000:.1f} kB/s")
@@ -109,7 +114,7 @@ def _counts(name: str, log: Path | None, seconds: float, robot: str) -> Iterator
 
 @topic_app.command("echo")
 def topic_echo(
-    name: str,
+    name: Name,
     log: LogFile = None,
     count: Annotated[int, typer.Option("--count", "-n", help="Stop after this many; 0 = never.")] = 0,
     robot: Robot = ROBOT,

@@ -71,13 +71,14 @@ class Route:
 class MapPlanner:
     """One map, many questions."""
 
-    def __init__(self, file: str, config: StackConfig) -> None:
-        """Read `file`: a built-in scene, a scene file or a saved map. Raises ConfigError, SceneError, MapError."""
+    def __init__(self, file: str, config: StackConfig, start: tuple[float, float] | None = None) -> None:
+        """Read `file`: a built-in scene, a scene file or a saved map. `start` x, y [m]: where the questions begin; a file without a level place to start on
+        needs it. Raises ConfigError, SceneError, MapError."""
         self.config = config
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
         elevation = ElevationMap(config.elevation)
-        self.start, self.goals, self.taken = _load(file, config, elevation)
+        self.start, self.goals, self.taken = _load(file, config, elevation, start)
         self._patches = [elevation.read(box) for box in elevation.boxes()]
         if not self._patches:
             raise ConfigError(f"{file} holds no ground to plan on")
@@ -209,7 +210,7 @@ def _worst(told: msg.RouteReport, body: BodyModel) -> dict[str, Any]:
 
 
 def _load(
-    file: str, config: StackConfig, elevation: ElevationMap
+    file: str, config: StackConfig, elevation: ElevationMap, start: tuple[float, float] | None
 ) -> tuple[tuple[float, float, float], dict[str, tuple[float, float, float | None]], str]:
     """Start and named goals of what is read into `elevation`, and what had to be guessed of it."""
     if Path(file).suffix.lower() == ".npz" and Path(file).is_file():
@@ -219,7 +220,12 @@ def _load(
         except MapError as wrong:
             raise ConfigError(str(wrong)) from wrong
     try:
-        scene = load_scene(file, **config.scene_options)
+        try:
+            scene = load_scene(file, **config.scene_options)
+        except SceneError:
+            if start is None or not Path(file).is_file():
+                raise
+            scene = load_scene(file, **config.scene_options, start=(*start, 0.0))
     except SceneError as error:
         if not Path(file).suffix and not Path(file).exists():
             raise ConfigError(

@@ -218,7 +218,7 @@ def test_rasterised_triangles_match_their_plane(tmp_path: Path) -> None:
         (("maze", {"sead": 1}), "no scene option sead"),
         (("p.png", {"resolution": 0.1, "height_range": [1.0]}), "height_range must be 2 finite numbers"),
         (("p.png", {"resolution": float("nan"), "height_range": (0.0, 1.0)}), "resolution must be"),
-        (("p.png", {"resolution": 0.1}), "height range"),
+        (("p.png", {"resolution": 0.1}), "--height-range LOW HIGH"),
         (("p.png", {"resolution": 0.1, "height_range": (1.0, 0.0)}), "growing"),
         (("text.npz", {}), "not a readable"),
         (("text.png", {"resolution": 0.1, "height_range": (0.0, 1.0)}), "not a readable"),

@@ -12,6 +12,7 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
+from hal.scenes import SceneError
 from rbtrg_robot.cli import plan as plan_command
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.plan import MapPlanner
@@ -82,6 +83,17 @@ def test_the_command_answers_for_people_and_for_programs(wall: Path, tmp_path: P
     (tmp_path / "many.txt").write_text("2 2 6 2\n" * 1_300_000)
     with pytest.raises(ConfigError, match=r"many.txt has more than 10 MB: split it"):
         run(str(wall), "--pairs", str(tmp_path / "many.txt"))
+
+
+def test_a_picture_and_a_file_without_a_level_place_are_planned_on(tmp_path: Path) -> None:
+    rough = (np.indices((80, 80)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    Image.fromarray(rough).save(tmp_path / "rough.png")
+    how = ("--resolution", "0.05", "--height-range", "0", "0.5")
+    with pytest.raises(SceneError, match=r"no level place .* `plan FILE X,Y`"):
+        run(str(tmp_path / "rough.png"), "start", "2,2", *how)
+    assert run(str(tmp_path / "rough.png"), "1,1", "2,2", *how)[0] == 3
+    with pytest.raises(SceneError, match="--height-range LOW HIGH"):
+        run(str(tmp_path / "rough.png"), "1,1", "2,2")
 
 
 @pytest.mark.parametrize(

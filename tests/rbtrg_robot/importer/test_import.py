@@ -14,10 +14,13 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
+from typer.testing import CliRunner
 
 from hal.types import GRAVITY, NS, POINT_DTYPE, POINT_QUANTUM, TIME_QUANTUM
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.cli.topic import topic_app
+from rbtrg_robot.config import ConfigError
 from rbtrg_robot.hosts.offline import rerun
 from rbtrg_robot.importer.bag import Bag
 from rbtrg_robot.importer.mounts import parse_mount
@@ -87,6 +90,22 @@ def test_every_container_gives_the_same_run(tmp_path: Path, kind: str) -> None:
     assert ours(got) == ours(wanted)
     assert len(ours(got)) == 63
     assert not [note for note in notes if "mount of main" in note]
+
+
+def test_the_topics_of_any_bag_are_listed_and_echoed(tmp_path: Path) -> None:
+    bag = foreign.write(tmp_path / "bag", [*foreign.sweeps("ouster", 2), *foreign.imu(0.1)], "bag")
+
+    def told(*words: str) -> str:
+        return CliRunner().invoke(topic_app, [*words, "--log", str(bag)], catch_exceptions=False).stdout
+
+    lines = told("list").splitlines()
+    assert [line.split() for line in lines] == [
+        ["/imu", "sensor_msgs/msg/Imu", "20", "messages"],
+        ["/points", "sensor_msgs/msg/PointCloud2", "2", "messages"],
+    ]
+    assert told("echo", "imu", "-n", "1").startswith("header:")
+    with pytest.raises(ConfigError, match=r"^/x is not in .*bag.bag; `rbtrg-robot topic list --log"):
+        told("echo", "/x")
 
 
 def test_a_split_bag_without_its_description_is_read_in_order(tmp_path: Path) -> None:

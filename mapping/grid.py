@@ -37,6 +37,9 @@ class ElevationGrid:
     plants: NDArray[np.bool_] | None = None
     """(rows, cols) bool; the cell is ground under leaves: nobody saw what stands in them. None: no such cell."""
 
+    variance: NDArray[np.float32] | None = None
+    """(rows, cols) float32 [m^2] of `height`; NaN where it was not measured. None: not known."""
+
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, dtype=np.float32)
         trusted = np.ascontiguousarray(self.trusted)
@@ -49,6 +52,8 @@ class ElevationGrid:
         for name, mask in (("virtual", self.virtual), ("plants", self.plants)):
             if mask is not None and (mask.dtype, mask.shape) != (np.bool_, height.shape):
                 raise GridError(f"{name} must be bool of shape {height.shape}")
+        if self.variance is not None and self.variance.shape != height.shape:
+            raise GridError(f"variance must have shape {height.shape}, got {self.variance.shape}")
         origin = (float(self.origin[0]), float(self.origin[1]))
         if not np.isfinite(origin).all():
             raise GridError(f"origin must be finite, got {origin}")
@@ -88,4 +93,6 @@ class ElevationGrid:
         part = (slice(r0, r1 + 1), slice(c0, c1 + 1))
         corner = (self.origin[0] + c0 * self.resolution, self.origin[1] + r0 * self.resolution)
         virtual, plants = (None if mask is None else mask[part] for mask in (self.virtual, self.plants))
-        return ElevationGrid(self.height[part], self.trusted[part], corner, self.resolution, virtual, plants)
+        variance = None if self.variance is None else self.variance[part]
+        height, trusted = self.height[part], self.trusted[part]
+        return ElevationGrid(height, trusted, corner, self.resolution, virtual, plants, variance)

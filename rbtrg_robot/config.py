@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hal.camera import CameraConfig
+from hal.envelope import SPORT, Envelope, stored
 from hal.errors import OperatorError
 from hal.go2w import BODY_LENGTH, BODY_WIDTH, IMU_POSITION
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
@@ -238,6 +239,10 @@ class StackConfig(BaseModel):
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""
         return CAPABILITIES[self.controller] if self.simulated else self.unitree_options().capabilities()
+
+    def envelope(self) -> Envelope:
+        """What its controller was measured to do. Raises EnvelopeError."""
+        return stored(self.controller if self.simulated else SPORT)
 
     def graph_params(self) -> GraphParams:
         """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground at the feet,

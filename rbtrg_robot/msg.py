@@ -299,6 +299,7 @@ class GoalRequest(Message):
     has_yaw: bool = False
     name: str = ""
     timeout: float = 0.0
+    accept_risk: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -321,6 +322,8 @@ class GoalStatus(Message):
     recoveries: int = 0
     risk: float = 0.0
     frontier: bool = False
+    p_fail: float = 0.0
+    worst: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -455,6 +458,7 @@ class MissionStep(Message):
     choices: list[str] = field(default_factory=list)
     on_failure: str = ""
     retries: int = 0
+    accept_risk: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -617,6 +621,8 @@ class Plan(Message):
     transition_risk: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     transition_body: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     transition_unknown: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    p_fail: float = 0.0
+    worst: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -638,6 +644,7 @@ class PlanRequest(Message):
     held_right: bool = False
     avoid: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     creep: bool = False
+    accept_risk: bool = False
 
 
 @dataclass(slots=True, eq=False)
@@ -732,6 +739,9 @@ class RouteReport(Message):
     transition_risk: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     transition_body: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     transition_unknown: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    transition_p_fail: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    p_fail: float = 0.0
+    worst: str = ""
     d_fb: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     a_lr: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
     p_int: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))

@@ -169,6 +169,12 @@ class PlannerConfig(BaseModel):
         ge=0.0,
         description="cost of a turn [m/rad]; half of the way at 0.5 m/s in the time of a turn at 0.8 rad/s; 0 = as in the paper",
     )
+    accept_risk: float = Field(
+        0.2,
+        ge=0.0,
+        le=1.0,
+        description="largest probability that a route fails with which its goal is driven to; above it the goal is refused unless it was sent with --accept",
+    )
     update_period: float = Field(
         2.0,
         gt=0,

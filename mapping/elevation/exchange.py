@@ -103,4 +103,5 @@ class MapPatch:
             virtual = virtual_ground(height, trusted, upper, self.resolution)
         leaves = self.layers["source"] == PLANTS
         plants = leaves if leaves.any() else None
-        return ElevationGrid(height, trusted, self.origin, self.resolution, virtual, plants)
+        variance = self.layers.get("variance")
+        return ElevationGrid(height, trusted, self.origin, self.resolution, virtual, plants, variance)

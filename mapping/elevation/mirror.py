@@ -211,7 +211,7 @@ class MapMirror:
         """A window for planning, with `over` laid on it: unknown heights filled from the nearest known cell, untrusted; some are virtual
         ground. None: the whole map. Raises MapError as `read`."""
         window = self.bounds() if window is None else window
-        patch = self.read(window, ("elevation", "trusted", "upper_bound", "source"))
+        patch = self.read(window, ("elevation", "variance", "trusted", "upper_bound", "source"))
         if over is not None:
             for name, layer in patch.layers.items():
                 copy(over.layers[name], window_of(over), layer, window)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hal.envelope import FALL_COST, MAX_RISK, Envelope
 
@@ -56,6 +56,21 @@ class HazardTable:
     def price(self, height: float, sigma: float, second: float, third: float) -> float:
         """Price [m] of one crossing or radian; infinite where it is no way. `height`, `sigma` [m]; the other axes in SI units."""
         return float(price(self.mean, self.bound, self.steps, height, sigma, second, third))
+
+
+def hazards(
+    envelope: Envelope, name: str, sigma: ArrayLike, height: ArrayLike, *rest: ArrayLike, share: float = 1.0
+) -> Grid:
+    """-ln(1 - p) of units of a manoeuvre whose first axis is known with `sigma`, in numpy, as far as the fit reaches. SI units, broadcast.
+
+    It tells the chance of what is driven; what is no way is the business of `price`.
+    """
+    height, aside = np.asarray(height, np.float64), SPREAD * np.asarray(sigma, np.float64)
+    p = MIDDLE * envelope.mean(name, height, *rest) + OUTER * (
+        envelope.mean(name, np.maximum(height - aside, 0.0), *rest)
+        + envelope.mean(name, height + aside, *rest)
+    )
+    return -np.log1p(-share * np.minimum(p, 1.0 - 1e-9))
 
 
 @njit(cache=True)

@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planning.risk.chance import Chance
+
 Place = tuple[float, float] | int
 """x, y in metres, or the index of a node."""
 
@@ -128,6 +130,13 @@ class Plan:
     """This is what was left of the route driven so far."""
     expanded: int = 0
     """States the search expanded."""
+    chance: Chance | None = None
+    """How likely it fails, see `planning.risk.chance`; None: not told."""
+
+    @property
+    def p_fail(self) -> float:
+        """Probability that the route fails, as far as it is planned; NaN: not known."""
+        return math.nan if self.chance is None else self.chance.p_fail
 
     @property
     def worth(self) -> float:

@@ -41,6 +41,9 @@ def goal(
     ] = False,
     yaw: Annotated[float | None, typer.Option(help="Heading at the goal [deg].")] = None,
     wait: Annotated[bool, typer.Option("--wait", help="Wait for the end.")] = False,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Drive it although it is likely to fail (planner.accept_risk).")
+    ] = False,
     timeout: Annotated[float, typer.Option(help="Give up after this many seconds; 0 = never.")] = 0.0,
     robot: Robot = ROBOT,
 ) -> None:
@@ -64,7 +67,15 @@ def goal(
             say("rbtrg-robot: goal rejected: coordinates must be finite numbers", error=True)
             raise typer.Exit(REJECTED)
         request = goal_request(
-            time.time_ns(), uuid.uuid4().hex[:12], x, y, goal_yaw, name=name, timeout=timeout, owner=me()
+            time.time_ns(),
+            uuid.uuid4().hex[:12],
+            x,
+            y,
+            goal_yaw,
+            name=name,
+            timeout=timeout,
+            owner=me(),
+            accept_risk=accept,
         )
         code = send(bus, request, wait=wait)
     raise typer.Exit(code)

@@ -75,6 +75,7 @@ def facts_of(config: StackConfig) -> dict[str, Any]:
         "robot": config.robot,
         "backend": config.backend,
         "scene": config.scene if scene else "",
+        "accept_risk": config.planner.accept_risk,
         "goals": {name: list(goal) for name, goal in scene.goals.items()} if scene else {},
         "area": config.allowed_area(),
         "body": [config.body.length, config.body.width],

@@ -240,7 +240,8 @@ class Desk:
         x, y, yaw = self.place_of(wish)
         goal_id = uuid.uuid4().hex[:12]
         name = str(wish.get("name", ""))[:64]
-        request = goal_request(time.time_ns(), goal_id, x, y, yaw, name=name, owner=self.owner(page))
+        fields = {"name": name, "owner": self.owner(page), "accept_risk": wish.get("accept") is True}
+        request = goal_request(time.time_ns(), goal_id, x, y, yaw, **fields)
         return answer(await self.carry_out(SendGoal(request, wait=False)))
 
     async def _cancel(self, page: Page, _wish: dict[str, Any]) -> Answer:

@@ -18,6 +18,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.missions.file import describe
 from rbtrg_robot.missions.words import line
 from rbtrg_robot.orders.words import held, slowed
+from rbtrg_robot.stages.navigation.goal import arrival
 from rbtrg_robot.stages.navigation.reasons import hindrance, words
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
@@ -122,6 +123,7 @@ def goal(message: msg.GoalStatus) -> dict[str, Any]:
         "recoveries": int(message.recoveries),
         "risk": message.risk,
         "frontier": bool(message.frontier),
+        "chance": arrival(message.p_fail, message.worst),
     }
 
 
@@ -143,7 +145,7 @@ def route(message: msg.RouteReport) -> dict[str, Any]:
             "node_y",
             "node_z",
         ),
-        *(f"transition_{name}" for name in ("length", "cost", "turn", "risk", "body", "unknown")),
+        *(f"transition_{name}" for name in ("length", "cost", "turn", "risk", "body", "unknown", "p_fail")),
         *(
             "d_fb",
             "a_lr",
@@ -159,6 +161,7 @@ def route(message: msg.RouteReport) -> dict[str, Any]:
     )
     return {
         "words": words(message.reason, message.detail),
+        "chance": arrival(message.p_fail, message.worst),
         **{name: getattr(message, name) for name in names},
     }
 

@@ -21,6 +21,7 @@ from planning.risk.table import RiskTable
 from rbtrg_robot import msg
 from rbtrg_robot.config import ConfigError, StackConfig
 from rbtrg_robot.stages.map_graph import MapGraph
+from rbtrg_robot.stages.navigation.goal import arrival
 from rbtrg_robot.stages.navigation.reasons import Reason
 from rbtrg_robot.stages.planner import limits_of
 from rbtrg_robot.stages.route_report import REASONS, RouteBase
@@ -48,6 +49,12 @@ class Route:
     duration: float = 0.0
     """[s] at the path's own speeds."""
     cost: float = 0.0
+    p_fail: float | None = None
+    """Probability that it fails, of this controller; None: not known."""
+    chance: str = ""
+    """The same in words, with the place where that is most likely."""
+    p_fail_each: list[float] = field(default_factory=list)
+    """Of each transition."""
     worst: dict[str, Any] = field(default_factory=dict)
     """Where the body is worst off: x, y, yaw, body (risk), and why."""
     path: list[tuple[float, float, float, float]] = field(default_factory=list, repr=False)
@@ -61,11 +68,12 @@ class Route:
         end = "" if self.reaches_goal else ", to a frontier: the goal is not on known ground"
         worst = self.worst
         why = (
-            f"; worst at ({worst['x']:.2f}, {worst['y']:.2f}): {worst['why']}, risk {worst['body']:.2f}"
+            f"; most body risk at ({worst['x']:.2f}, {worst['y']:.2f}): {worst['why']}, {worst['body']:.2f}"
             if worst
             else ""
         )
-        return f"{self.length:.2f} m, {self.duration:.0f} s{end}{why}"
+        chance = f"; {self.chance}" if self.chance else ""
+        return f"{self.length:.2f} m, {self.duration:.0f} s{end}{chance}{why}"
 
 
 class MapPlanner:
@@ -126,7 +134,7 @@ class MapPlanner:
             has_goal_yaw=goal_yaw is not None,
             goal_yaw=0.0 if goal_yaw is None else float(goal_yaw),
         )
-        ways = WaySearch(self.config.planner, self._body, self._limits)
+        ways = WaySearch(self.config.planner, self._body, self._limits, envelope=self.config.envelope())
         try:
             way = ways.find(terrain, asked, None, 0)
         except PlanningError as error:
@@ -148,9 +156,17 @@ class MapPlanner:
             length=float(told.length),
             duration=told.duration,
             cost=float(told.cost),
+            p_fail=None if math.isnan(told.p_fail) else told.p_fail,
+            chance=self._chance(told),
+            p_fail_each=told.transition_p_fail.tolist(),
             worst=_worst(told, terrain.body),
             path=list(zip(*(x.tolist() for x in (told.x, told.y, told.z, told.yaw)), strict=True)),
         )
+
+    def _chance(self, told: msg.RouteReport) -> str:
+        accepted = self.config.planner.accept_risk
+        refused = f" (above planner.accept_risk, {100 * accepted:.0f} %: a goal is refused without --accept)"
+        return arrival(told.p_fail, told.worst) + (refused if told.p_fail > accepted else "")
 
     def picture(self, route: Route, goal: tuple[float, float], out: Path) -> None:
         """The route over the risk of the ground: edges of the graph from green to red, the path, the worst place. Raises OSError."""

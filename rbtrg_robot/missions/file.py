@@ -41,6 +41,9 @@ class Place(_Model):
     y: float = Field(description="[m]")
     yaw_deg: float | None = Field(None, description="heading at the place [deg]; None = any")
     timeout: Seconds = Field(0.0, description="the step fails after this long [s]; 0 = never")
+    accept_risk: bool = Field(
+        False, description="drive it although it is likely to fail (planner.accept_risk)"
+    )
 
 
 class Home(_Model):
@@ -259,7 +262,14 @@ def _content(node: Any) -> dict[str, Any]:
     if isinstance(node, Goto):
         p = node.goto
         yaw = math.radians(p.yaw_deg) if p.yaw_deg is not None else 0.0
-        return {"x": p.x, "y": p.y, "yaw": yaw, "has_yaw": p.yaw_deg is not None, "timeout": p.timeout}
+        return {
+            "x": p.x,
+            "y": p.y,
+            "yaw": yaw,
+            "has_yaw": p.yaw_deg is not None,
+            "timeout": p.timeout,
+            "accept_risk": p.accept_risk,
+        }
     if isinstance(node, GoHome):
         return {"timeout": node.home.timeout}
     if isinstance(node, Wait):

@@ -65,6 +65,8 @@ def goal_line(robot: dict[str, Any]) -> str:
     text = f"goal: {goal['state']} ({goal['x']:.2f}, {goal['y']:.2f})"
     if goal["state"] == "moving" and not goal["detail"]:
         text += f", {goal['distance_left']:.1f} m left, {goal['replans']} replans"
+    if goal["state"] == "moving" and goal.get("chance"):
+        text += f", {goal['chance']}"
     why = words(goal["reason"], goal["detail"])
     return f"{text}: {why}" if why else text
 

@@ -13,6 +13,7 @@ from hal.types import LidarName
 from rbtrg_robot import topics as t
 from rbtrg_robot.msg import Heartbeat
 from rbtrg_robot.processes import BY_NAME, Process
+from rbtrg_robot.stages.navigation.goal import arrival
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.convert import yaw_of
@@ -211,6 +212,8 @@ class Health:
                 "distance_left": goal.distance_left,
                 "replans": goal.replans,
                 "recoveries": goal.recoveries,
+                "p_fail": None if math.isnan(goal.p_fail) else goal.p_fail,
+                "chance": arrival(goal.p_fail, goal.worst),
             }
         mission = self.newest.get(t.MISSION_STATE)
         if mission is not None and mission.order_id:

@@ -9,6 +9,7 @@ from hal.safety.monitors import STRANGER, raised
 from hal.types import Phase
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.stages.navigation.goal import arrival
 from rbtrg_robot.topics import Topic
 
 MOST_SAID = 100
@@ -31,7 +32,8 @@ class Narrator:
             if message.state not in ("accepted", "idle"):
                 detail = f" ({message.detail})" if message.detail else ""
                 why = f": {message.reason}{detail}" if message.reason else ""
-                self._once(topic, f"goal {message.id[:8]} {message.state}{why}" if message.id else "")
+                chance = arrival(message.p_fail, message.worst) if message.state == "moving" else ""
+                self._once(topic, f"goal {message.id[:8]} {message.state}{why}" if message.id else "", chance)
         elif t.MISSION_STATE.carried(message, topic):
             if message.order_id:
                 why = message.question or message.reason
@@ -70,7 +72,8 @@ class Narrator:
             self._away = away
             self._say(f"robot {state.phase}: {state.cause}" if away else "robot is back")
 
-    def _once(self, topic: Topic, text: str) -> None:
+    def _once(self, topic: Topic, text: str, more: str = "") -> None:
+        """Say `text` when it is new, with what is known `more` then."""
         if text and text != self._said.get(topic):
-            self._say(text)
+            self._say(f"{text}, {more}" if more else text)
         self._said[topic] = text

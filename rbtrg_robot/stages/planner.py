@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hal.envelope import Envelope
 from hal.safety.planned import free_turn, known_behind, mapped
 from hal.types import NS, Capabilities
 from mapping.elevation.exchange import PATCH_LAYERS, MapError, MapPatch
@@ -32,7 +33,7 @@ from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
-from rbtrg_robot.stages.route_report import REASONS, RouteBase, path_msg, plan_fields
+from rbtrg_robot.stages.route_report import REASONS, RouteBase, path_msg, plan_fields, too_risky, worst_of
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.stages.way import WaySearch
 from rbtrg_robot.topics import Topic
@@ -68,13 +69,15 @@ class PlannerStage:
         limits: PathLimits,
         seed: int = 0,
         creep: float = 0.0,
+        envelope: Envelope | None = None,
     ) -> None:
-        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`."""
+        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `envelope`: of the controller that drives."""
+        self._envelope = envelope
         self._params = params
         self._body = body
         self._limits = limits
         self._map = MapGraph(graph_params, body, seed)
-        self._ways = WaySearch(params, body, limits, creep)
+        self._ways = WaySearch(params, body, limits, creep, envelope)
         self._epoch = 0
         self._updated = 0
         self._patched = 0
@@ -108,7 +111,9 @@ class PlannerStage:
 
     def warm_up(self) -> None:
         """Plan on made-up ground."""
-        stage = PlannerStage(self._params, self._map.params, self._body, self._limits, self._map.seed)
+        stage = PlannerStage(
+            self._params, self._map.params, self._body, self._limits, self._map.seed, envelope=self._envelope
+        )
         x = np.linspace(-0.05, 0.05, 100, dtype=np.float32)
         height = x[:, None] * x[None, :]
         layers = dict.fromkeys(PATCH_LAYERS, np.ones_like(height))
@@ -311,7 +316,12 @@ class PlannerStage:
         except PlanningError as error:
             reason = Reason.INVALID
             return [(t.PLAN, msg.Plan(**base, ok=False, reason=reason.value, detail=str(error)))]
-        found, self._whole, self._path = way.plan, way.whole, way.path
+        found = way.plan
+        if found.p_fail > self._params.accept_risk and not message.accept_risk:
+            told: dict[str, Any] = {"p_fail": found.p_fail, "worst": worst_of(found)}
+            reason, why = Reason.TOO_RISKY, too_risky(found, self._params.accept_risk)
+            return [(t.PLAN, msg.Plan(**base, **told, ok=False, reason=reason.value, detail=why))]
+        self._whole, self._path = way.whole, way.path
         if self._map.graph is not None:
             self._fields = in_fields(way.path, self._map.graph)
         self._checked_version = -1
@@ -340,7 +350,7 @@ class PlannerStage:
         variant = self._params.variant
         wanted = PlanRequest(start, goal, message.start_yaw, yaw, variant, rules=rules, allow_frontier=True)
         try:
-            found = self._map.search(wanted)
+            found = self._ways.told(self._map, self._map.search(wanted))
             path = self._ways.path_of(self._map, found)
         except NoRoute as none:
             return [(t.ROUTE_REPORT, base.refused(REASONS[none.reason], str(none), graph))]
@@ -357,7 +367,9 @@ class PlannerStage:
 def build(config: StackConfig) -> PlannerStage:
     """From the stack's configuration."""
     graph, robot = config.graph_params(), config.capabilities()
-    return PlannerStage(config.planner, graph, config.body, limits_of(config), config.seed, robot.creep)
+    return PlannerStage(
+        config.planner, graph, config.body, limits_of(config), config.seed, robot.creep, config.envelope()
+    )
 
 
 def limits_of(config: StackConfig) -> PathLimits:

@@ -89,6 +89,7 @@ class RouteBase:
             "risk": [x.risk for x in each],
             "body": [x.body for x in each],
             "unknown": [x.unknown for x in each],
+            "p_fail": [np.nan] * len(each) if found.chance is None else found.chance.each,
         }
         values: dict[str, Any] = {
             **self._fields(graph),
@@ -104,6 +105,8 @@ class RouteBase:
             reaches_goal=found.reaches_goal,
             cost=found.cost,
             length=found.length,
+            p_fail=found.p_fail,
+            worst=worst_of(found),
             duration=duration(path),
             yaw=array(path.yaw[few], F64),
             native_x=array(alternative[:, 0], F64),
@@ -111,6 +114,19 @@ class RouteBase:
             native_length=0.0 if native is None else native.length,
             native_body=0.0 if native is None else max((x.body for x in native.transitions), default=0.0),
         )
+
+
+def worst_of(found: Plan) -> str:
+    """Where a plan is most likely to fail, in words."""
+    return "" if found.chance is None else found.chance.worst
+
+
+def too_risky(found: Plan, accepted: float) -> str:
+    """Why a goal is refused whose way fails more often than is accepted, and what may be done."""
+    return (
+        f"it fails {100 * found.p_fail:.0f} times of 100, {100 * accepted:.0f} are accepted (planner.accept_risk); "
+        f"worst: {worst_of(found)}; send the goal with --accept to drive it anyway, or choose another"
+    )
 
 
 def duration(path: Path) -> float:
@@ -127,6 +143,8 @@ def plan_fields(found: Plan, path: Path, message: msg.PlanRequest) -> dict[str, 
         "reaches_goal": found.reaches_goal,
         "cost": found.cost,
         "length": found.length,
+        "p_fail": found.p_fail,
+        "worst": worst_of(found),
         "x": array(path.points[:, 0], F64),
         "y": array(path.points[:, 1], F64),
         "z": array(path.points[:, 2], F64),

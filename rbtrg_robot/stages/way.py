@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hal.envelope import Envelope
 from hal.types import NS
 from planning.baselines.door import OURS, Planner, planner_of
 from planning.errors import NoRoute, NoRouteReason
@@ -22,6 +23,7 @@ from planning.path import (
     rest_of,
 )
 from planning.risk.body import BodyModel
+from planning.search.explain import with_chance
 from planning.search.frontier import FrontierMemory, is_beside_virtual
 from planning.search.plan import Driven, DriveRules, Plan, PlanRequest
 from rbtrg_robot import msg
@@ -59,9 +61,15 @@ class WaySearch:
     """Finds ways on a `MapGraph` for one goal after the other, and remembers for each goal what was tried."""
 
     def __init__(
-        self, params: PlannerConfig, body: BodyModel, limits: PathLimits, creep: float = 0.0
+        self,
+        params: PlannerConfig,
+        body: BodyModel,
+        limits: PathLimits,
+        creep: float = 0.0,
+        envelope: Envelope | None = None,
     ) -> None:
-        """`creep` [m/s]: see `Capabilities`."""
+        """`creep` [m/s]: see `Capabilities`; `envelope` of the controller that drives: without it no way tells its chance."""
+        self._envelope = envelope
         self._creep = creep
         self._crept: tuple[float, float] | None = None
         """x, y [m] from where a way last led onto ground that nobody saw: near there the robot may stand at an edge, whatever the goal is now."""
@@ -110,7 +118,13 @@ class WaySearch:
         self._memory.found(way.plan.frontier)
         graph = terrain.graph
         self._looks_over = bool(graph and way.plan.frontier and is_beside_virtual(graph, way.plan.frontier))
-        return way
+        return replace(way, plan=self.told(terrain, way.plan))
+
+    def told(self, terrain: MapGraph, found: Plan) -> Plan:
+        """The plan with its chance."""
+        if self._envelope is None or terrain.graph is None or terrain.grid is None:
+            return found
+        return with_chance(found, terrain.graph, terrain.grid, self._envelope)
 
     def path_of(self, terrain: MapGraph, found: Plan) -> Path:
         """The smooth path of a plan."""

@@ -54,7 +54,10 @@ PARALLEL: dict[type[Message], tuple[tuple[str, ...], ...]] = {
         ("x", "y", "z", "yaw"),
         ("node_x", "node_y", "node_z"),
         (
-            *(f"transition_{name}" for name in ("length", "cost", "turn", "risk", "body", "unknown")),
+            *(
+                f"transition_{name}"
+                for name in ("length", "cost", "turn", "risk", "body", "unknown", "p_fail")
+            ),
             *("d_fb", "a_lr", "p_int", "worst_x", "worst_y", "worst_yaw"),
         ),
         ("native_x", "native_y"),

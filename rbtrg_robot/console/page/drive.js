@@ -30,7 +30,7 @@ export function makeDrive(link, view, about, free) {
         goal?.state === "paused"
           ? "The goal waits. Resume lets it go on."
           : goal && ACTIVE.includes(goal.state)
-            ? goal.words
+            ? [goal.chance, goal.words].filter(Boolean).join("; ")
             : goal && goal.state !== "idle"
               ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}`
               : "",
@@ -117,16 +117,16 @@ export function makeDrive(link, view, about, free) {
     world.preview = plan;
     world.shown = plan;
     world.chosen = null;
-    const box = verdict(
-      plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.",
-      true,
-    );
+    const risky = plan.p_fail > about.accept_risk;
+    const end = plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.";
+    const box = verdict(risky ? "It may well fail, and would not go by itself." : end, !risky);
     const facts = document.createElement("dl");
     list(facts, facts_of(plan));
     box.append(facts);
-    $("go").hidden = false;
-    $("go").setAttribute("aria-label", `Go to x ${figure(goal.x)}, y ${figure(goal.y)}`);
-    $("go").scrollIntoView({ block: "nearest" });
+    const go = $(risky ? "accept" : "go");
+    go.hidden = false;
+    go.setAttribute("aria-label", `${risky ? "Accept the risk and go" : "Go"} to x ${figure(goal.x)}, y ${figure(goal.y)}`);
+    go.scrollIntoView({ block: "nearest" });
     view.show();
     free.plan(plan, "preview");
   }
@@ -149,7 +149,7 @@ export function makeDrive(link, view, about, free) {
     if (world.shown === world.preview) world.shown = world.route;
     world.preview = null;
     world.chosen = null;
-    $("go").hidden = true;
+    noGo();
     $("answer").replaceChildren();
     view.show();
   }
@@ -159,25 +159,28 @@ export function makeDrive(link, view, about, free) {
   };
   $("clear").onclick = () => forget();
   for (const id of ["gx", "gy", "gyaw"])
-    $(id).oninput = () => {
-      $("go").hidden = true;
-    }; // what was asked for is not what stands there now
-  $("go").onclick = async () => {
+    $(id).oninput = noGo; // what was asked for is not what stands there now
+  function noGo() {
+    for (const id of ["go", "accept"]) $(id).hidden = true;
+  }
+  async function go(button, accept) {
     const goal = wanted();
     if (!goal) return;
-    $("go").disabled = true;
-    const answer = await tell({ do: "goal", ...goal });
-    $("go").disabled = locked();
+    button.disabled = true;
+    const answer = await tell({ do: "goal", accept, ...goal });
+    button.disabled = locked();
     if (answer.ok) {
       forget(false);
       view.chase();
       $("scene").scrollIntoView({ block: "nearest" }); // on a phone it lies above: now the robot is what matters
     }
-  };
+  }
+  $("go").onclick = () => go($("go"), false);
+  twice($("accept"), () => "It may fall. Really?", () => go($("accept"), true));
 
   const locked = () => link.fresh === "stale" || !free.operating();
   function lock() {
-    for (const id of ["ask", "go", "resume", "cancel"]) $(id).disabled = locked();
+    for (const id of ["ask", "go", "accept", "resume", "cancel"]) $(id).disabled = locked();
     for (const made of document.querySelectorAll("[data-posture], #names button")) made.disabled = locked();
   }
 
@@ -225,6 +228,7 @@ export function facts_of(plan) {
     ["Length", `${figure(plan.length, 1)} m`],
     ["Time", `about ${figure(plan.duration, 0)} s`],
     ["Cost", `${figure(plan.cost, 1)} m`],
+    ...(plan.chance ? [["Chance", plan.chance]] : []),
     ["Nobody saw", `up to ${figure(unseen(plan), 1)} m of it`],
   ];
   if (worst >= 0)

@@ -2,6 +2,9 @@
 import { $, button, degrees, figure, list, put, table } from "./tell.js";
 import { grade, unseen } from "./drive.js";
 
+// Where no envelope is known, neither is this.
+const fails = (plan, k) => (plan.transition_p_fail[k] === null ? "?" : figure(100 * plan.transition_p_fail[k], 1));
+
 export function makeWhy(link, view) {
   const { world } = view;
   let plan = null,
@@ -21,9 +24,9 @@ export function makeWhy(link, view) {
       : "";
     put(
       "why-sum",
-      `${kind === "preview" ? "The plan that was asked for" : "The plan that is driven"}: ${figure(plan.length, 1)} m at a cost of ${figure(plan.cost, 1)} m, body risk up to ${figure(Math.max(0, ...plan.transition_body))}, up to ${figure(unseen(plan), 1)} m over ground that nobody saw.${native}`,
+      `${kind === "preview" ? "The plan that was asked for" : "The plan that is driven"}: ${figure(plan.length, 1)} m at a cost of ${figure(plan.cost, 1)} m, body risk up to ${figure(Math.max(0, ...plan.transition_body))}, up to ${figure(unseen(plan), 1)} m over ground that nobody saw.${plan.chance ? ` ${plan.chance}.` : ""}${native}`,
     );
-    const titles = ["#", "length m", "native", "body", "unseen %", "turn °", "cost m"];
+    const titles = ["#", "length m", "native", "body", "unseen %", "turn °", "cost m", "fails %"];
     rows = table(
       $("steps"),
       titles,
@@ -35,6 +38,7 @@ export function makeWhy(link, view) {
         figure(100 * plan.transition_unknown[k], 0),
         figure(degrees(plan.transition_turn[k]), 0),
         figure(plan.transition_cost[k]),
+        fails(plan, k),
       ]),
     );
     rows.forEach((row, k) => {
@@ -58,6 +62,7 @@ export function makeWhy(link, view) {
         "Transition",
         `${k + 1} of ${plan.transition_length.length}, ${figure(plan.transition_length[k])} m, cost ${figure(plan.transition_cost[k])} m`,
       ],
+      ["Fails", `${fails(plan, k)} %`],
       ["Native risk", figure(plan.transition_risk[k])],
       ["Body risk B", `${figure(plan.transition_body[k])} (${grade(plan.transition_body[k])})`],
       ["Front to back", `${figure(100 * plan.d_fb[k], 0)} cm (d_fb, scale 30 cm)`],

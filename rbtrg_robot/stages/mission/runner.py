@@ -120,7 +120,7 @@ class Runner:
             place = mission.home if step.kind == Kind.HOME else step
             yaw = place.yaw if place.has_yaw else None
             owner = f"mission {mission.order.name}".strip()
-            fields = {"timeout": step.timeout, "owner": owner}
+            fields = {"timeout": step.timeout, "owner": owner, "accept_risk": step.accept_risk}
             self._goals.want(goal_request(now, mission.name_goal(), place.x, place.y, yaw, **fields))
         mission.asking = step.kind == Kind.ASK
         self._attempt = Attempt(step, now, mission.goal_id)

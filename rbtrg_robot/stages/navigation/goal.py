@@ -83,6 +83,14 @@ def over_unseen(plan: msg.Plan) -> str:
     return f"up to {metres:.1f} m of the way lead over ground that nobody saw" if metres >= UNSEEN else ""
 
 
+def arrival(p_fail: float, worst: str) -> str:
+    """The chance of a route in words; empty where it is not known."""
+    if math.isnan(p_fail):
+        return ""
+    share = "more than 99" if p_fail < 0.01 else f"{100 * (1.0 - p_fail):.0f}"
+    return f"{share} % to arrive" + (f"; worst: {worst}" if worst else "")
+
+
 @dataclass(slots=True)
 class Goal:
     """One goal in frame `map`, once `move_to_map` was called."""
@@ -106,13 +114,21 @@ class Goal:
     """There was a route."""
     frontier: bool = False
     risk: float = 0.0
+    accept_risk: bool = False
+    """It is driven however likely it fails."""
+    p_fail: float = math.nan
+    """Probability that the route fails, NaN: not known."""
+    worst: str = ""
+    """Where that is most likely."""
 
     @classmethod
     def from_request(cls, message: msg.GoalRequest, now: int) -> Goal:
         """From rbtrg_msgs/GoalRequest. One without an id is known by its stamp: otherwise the next would be taken for a repeat of it."""
         yaw = message.yaw if message.has_yaw else None
         known = message.id or f"request-{stamp_of(message) or now}"
-        return cls(known, message.x, message.y, yaw, now, message.timeout, message.owner)
+        goal = cls(known, message.x, message.y, yaw, now, message.timeout, message.owner)
+        goal.accept_risk = message.accept_risk
+        return goal
 
     @classmethod
     def from_pose(cls, message: msg.PoseStamped, now: int) -> Goal:
@@ -192,13 +208,15 @@ class Goal:
             recoveries=self.recoveries,
             risk=self.risk,
             frontier=self.frontier,
+            p_fail=self.p_fail,
+            worst=self.worst,
         )
 
 
 def status_of(goal: Goal | None, now: int, distance_left: float) -> msg.GoalStatus:
     """What is told of the newest goal, or that there was none."""
     if goal is None:
-        return msg.GoalStatus(header=header(now, "map"), state=GoalState.IDLE.value)
+        return msg.GoalStatus(header=header(now, "map"), state=GoalState.IDLE.value, p_fail=math.nan)
     return goal.status(now, distance_left)
 
 

@@ -34,7 +34,7 @@ from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import yaw_of
 from rbtrg_robot.wire.frames import MapFrame
 
-REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE)
+REJECTING = (Reason.INVALID, Reason.OUTSIDE, Reason.IN_OBSTACLE, Reason.TOO_RISKY)
 """Reasons that refuse a goal that never had a route; later they abort it."""
 PLANNER_SILENT = "the planner is silent"
 KNOWN = 1000
@@ -198,6 +198,7 @@ class NavigatorStage:
         self._route = RouteWatch()
         if self._arrived(goal) and not (message.ok and self._ends_nearer(goal, message)):
             return self._reach()
+        goal.p_fail, goal.worst = message.p_fail, message.worst
         if message.ok:
             self._recovery.found()
             self._budget.plan(message.length)
@@ -210,7 +211,8 @@ class NavigatorStage:
             self._out.append((t.PATH_COMMAND, self._order.route(self._now, message, self._creep)))
             return self._status()
         reason = Reason.of(message.reason) or Reason.NO_ROUTE
-        measure = Measure.GIVE_UP if reason is Reason.INVALID else self._recovery.no_route(self._pose)
+        hopeless = reason is Reason.INVALID or (reason is Reason.TOO_RISKY and not goal.begun)
+        measure = Measure.GIVE_UP if hopeless else self._recovery.no_route(self._pose)
         if measure is Measure.LOOK_DOWN and self._looks.wanted(self._pose):
             self._look(goal)
         elif measure is Measure.CREEP:

@@ -59,6 +59,7 @@ class PlanQuery:
             held_left=held[0],
             held_right=held[1],
             creep=creep,
+            accept_risk=goal.accept_risk,
             avoid=np.array(avoid, np.float64),
         )
 

@@ -18,6 +18,7 @@ class Reason(StrEnum):
     IN_OBSTACLE = "goal_in_obstacle"
     START_OFF_GRAPH = "start_not_on_graph"
     NO_ROUTE = "no_route"
+    TOO_RISKY = "too_risky"
     LOST = "localization_lost"
     UNLOCATED = "not_located"
     UNSURE = "place_unsure"
@@ -45,6 +46,7 @@ WORDS: dict[Reason, str] = {
     Reason.IN_OBSTACLE: "the goal is in a known obstacle (no free place within 0.5 m)",
     Reason.START_OFF_GRAPH: "the robot stands where no route can begin",
     Reason.NO_ROUTE: "no route to the goal",
+    Reason.TOO_RISKY: "the way is too likely to fail",
     Reason.LOST: "localization is lost",
     Reason.UNLOCATED: "the robot has not found itself in the map",
     Reason.UNSURE: "where the robot is is not known as well as the goal asks",

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hal.envelope import FALL_COST, MAX_RISK, Axis, Envelope, Table
-from planning.risk.hazard import HEIGHT_STEP, HazardTable, risk
+from planning.risk.hazard import HEIGHT_STEP, HazardTable, hazards, risk
 
 # Faces up that the hybrid controller was driven over: height [m], angle [deg], trials, failures.
 TRIALS = [
@@ -117,3 +117,17 @@ def test_the_price_is_the_hazard_of_the_envelope_where_the_height_is_sure(faces,
         wanted = FALL_COST * float(envelope.hazard("up", h, np.radians(a), 0.0))
         assert faces.price(h, 0.0, np.radians(a), 0.0) == pytest.approx(wanted, rel=1e-6)
     assert float(envelope.bound("up", 0.2, np.radians(55), 0.0)) > MAX_RISK
+
+
+def test_the_hazards_of_a_drive_are_those_of_the_kernel(faces, envelope) -> None:
+    """The chance of what is driven, in numpy, and the price in the search tell the same where the table has its values."""
+    height, angle = np.meshgrid([0.04, 0.10, 0.16], np.radians([0, 30, 50]))
+    for sigma in (0.0, HEIGHT_STEP / np.sqrt(3.0)):
+        told = hazards(envelope, "up", sigma, height, angle, 0.0)
+        for h, a, each in zip(height.ravel(), angle.ravel(), told.ravel(), strict=True):
+            p = risk(faces.mean, faces.steps, h, sigma, a, 0.0)
+            assert each == pytest.approx(-np.log1p(-p), rel=1e-6)
+    half = hazards(envelope, "up", 0.0, 0.2, np.radians(50), 0.0, share=0.5)
+    assert np.expm1(-half) == pytest.approx(
+        0.5 * np.expm1(-hazards(envelope, "up", 0.0, 0.2, np.radians(50), 0.0))
+    )

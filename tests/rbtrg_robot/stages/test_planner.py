@@ -484,3 +484,23 @@ def test_where_no_frontier_is_left_the_robot_looks_at_what_is_hidden() -> None:
     assert 2.0 < answer.x[-1] + 0.21 < 2.6
     stage.on(t.MAP_UPDATE, hidden(lane, lane))
     assert not ask(stage, (1.2, 1.2), (8.0, 1.2), sequence=2, now=4 * NS).ok
+
+
+def test_a_way_that_is_too_likely_to_fail_is_refused_unless_it_is_accepted() -> None:
+    """A kerb that the controller climbs askew: its place and chance stand in the refusal."""
+    y, x = np.mgrid[0:100, 0:150] * RES
+    height = 0.1 * (x - 3.0 + (y - 2.0) > 0.0)
+    stage = planner("planner.accept_risk=0.0")
+    stage.on(t.MAP_UPDATE, patch(height))
+    refused = ask(stage, (1.0, 2.0), (5.0, 2.0), start_yaw=0.0)
+    assert (refused.ok, refused.reason) == (False, "too_risky")
+    assert 0.0 < refused.p_fail < 0.2
+    assert refused.worst
+    assert refused.worst in refused.detail
+    assert "--accept" in refused.detail
+    accepted = ask(stage, (1.0, 2.0), (5.0, 2.0), start_yaw=0.0, accept_risk=True)
+    assert accepted.ok
+    assert accepted.p_fail == pytest.approx(refused.p_fail)
+    usual = planner()
+    usual.on(t.MAP_UPDATE, patch(height))
+    assert ask(usual, (1.0, 2.0), (5.0, 2.0), start_yaw=0.0).ok

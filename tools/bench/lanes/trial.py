@@ -180,6 +180,8 @@ class Watch:
         self._touches = {"body": 0, "wheels": 0}
         self._track: list[tuple[float, ...]] = []
         self._states: list[dict[str, Any]] = []
+        self._told: list[tuple[float, str]] = []
+        """Chances that the plans of this drive told: probability to fail, and the worst place."""
 
     def look(self, now: float, status: Any, robot: Any) -> None:
         """At time `now` [s] after the goal was sent."""
@@ -200,6 +202,8 @@ class Watch:
             seen = (now, x, y, z, sim.yaw, math.degrees(tilt))
             self._track.append(tuple(round(float(v), 3) for v in seen))
         if status is not None:
+            if not math.isnan(status.p_fail) and (status.p_fail, status.worst) not in self._told[-1:]:
+                self._told.append((status.p_fail, status.worst))
             told = {
                 k: getattr(status, k)
                 for k in ("state", "reason", "detail", "replans", "recoveries", "frontier")
@@ -245,6 +249,8 @@ class Watch:
             "tried": self.tried,
             "wall_body": self._touches["body"],
             "wall_wheels": self._touches["wheels"],
+            "p_fail": self._told[0][0] if self._told else None,
+            "told": self._told,
             "states": self._states,
             "track": self._track,
         }

@@ -143,6 +143,8 @@ class World:
         unseen: float = 0.0,
         creep: bool = False,
         length: float = 1.0,
+        p_fail: float = math.nan,
+        worst: str = "",
     ) -> None:
         """The planner answers the newest request; a kerb of 0.1 m begins at x = `kerb` [m]; `unseen`: share of the second half of the way."""
         request = self.last(t.PLAN_REQUEST)
@@ -156,6 +158,8 @@ class World:
             reaches_goal=reaches,
             creep=creep,
             length=length,
+            p_fail=p_fail,
+            worst=worst,
             x=line,
             y=0 * line,
             z=0.1 * (line > kerb),
@@ -1397,3 +1401,38 @@ def test_after_many_touches_the_goal_ends_and_says_where(world: World) -> None:
 def test_a_touch_without_a_goal_is_nothing_to_it(world: World) -> None:
     touch(world)
     assert world.last(t.PATH_COMMAND) is None
+
+
+def test_the_chance_of_the_way_is_told_and_one_that_is_too_risky_is_refused(world: World) -> None:
+    world.goal(accept_risk=True)
+    assert world.last(t.PLAN_REQUEST).accept_risk, "the planner hears that it was accepted"
+    assert math.isnan(world.status.p_fail), "nothing is known before the first plan"
+    world.answer(p_fail=0.3, worst="up a 0.16 m face at x 2.0 y 0.0")
+    assert (world.status.state, world.status.p_fail) == ("moving", 0.3)
+    assert world.status.worst == "up a 0.16 m face at x 2.0 y 0.0"
+    world.goal(goal_id="h")
+    assert not world.last(t.PLAN_REQUEST).accept_risk
+    world.answer(ok=False, reason="too_risky", p_fail=0.3)
+    assert (world.status.id, world.status.state, world.status.reason) == ("h", "rejected", "too_risky")
+
+
+def test_a_way_that_becomes_too_risky_is_looked_at_again_before_the_goal_ends(world: World) -> None:
+    world.goal()
+    world.answer()
+    world.send(
+        t.ROUTE_STATUS,
+        goal_id="g",
+        sequence=world.last(t.PLAN_REQUEST).sequence,
+        valid=False,
+        detail="a step",
+    )
+    world.route_valid = False
+    world.run(1.0)
+    world.answer(ok=False, reason="too_risky", p_fail=0.3)
+    assert world.status.state == "planning", "the noise of one scan ends no goal"
+    for _ in range(20):
+        if world.status.state == "aborted":
+            break
+        world.run(2.0)
+        world.answer(ok=False, reason="too_risky", p_fail=0.3)
+    assert (world.status.state, world.status.reason) == ("aborted", "too_risky")

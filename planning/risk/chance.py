@@ -45,6 +45,8 @@ EDGE = 10
 """So many of the samples under and beside the wheels, 3 cm apart, may be higher than the edge there: the highest one is noise."""
 BEND = math.radians(30.0)
 """Larger turns [rad] are made on the spot."""
+LEAST_TOLD = 0.001
+"""What fails more seldom is no place to tell of."""
 NEAR = 0.6
 """Parts of one kind within so much [m] are told as one place."""
 WHEELS = np.array([(a, b) for a in (AXLE, -AXLE) for b in (TREAD, -TREAD)])
@@ -108,7 +110,7 @@ def chance(envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way) -> C
 
 def _worst(parts: list[Part]) -> str:
     """In words: the part that those of its kind next to it make the most likely one to fail."""
-    best, told = 0.005, ""
+    best, told = LEAST_TOLD, ""
     for part in sorted(parts, key=lambda p: -p.hazard)[:20]:
         kind = part.words.split()[:2]
         total = sum(

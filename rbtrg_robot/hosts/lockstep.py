@@ -186,10 +186,15 @@ class Lockstep:
 
         self.run_until(ready, timeout, "readiness")
 
-    def send_goal(self, x: float, y: float, yaw: float | None = None, timeout: float = 0.0) -> str:
-        """Returns the goal's id."""
+    def send_goal(
+        self, x: float, y: float, yaw: float | None = None, timeout: float = 0.0, *, accept_risk: bool = False
+    ) -> str:
+        """Returns the goal's id. `accept_risk`: however likely its way fails."""
         goal_id = f"goal-{uuid.uuid5(uuid.NAMESPACE_OID, f'{self.now}/{x}/{y}').hex[:12]}"
-        self.host.inject(t.GOAL_REQUEST, goal_request(self.now, goal_id, x, y, yaw, timeout=timeout))
+        self.host.inject(
+            t.GOAL_REQUEST,
+            goal_request(self.now, goal_id, x, y, yaw, timeout=timeout, accept_risk=accept_risk),
+        )
         return goal_id
 
     def command(self, mode: str, cause: str = "") -> None:

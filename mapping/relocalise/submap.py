@@ -20,7 +20,9 @@ GROUND = 0.2
 class Submap:
     """Scans in, one cloud out."""
 
-    def __init__(self) -> None:
+    def __init__(self, voxel: float = FINE) -> None:
+        """`voxel`: edge of what becomes one point [m]."""
+        self._voxel = voxel
         self._stands: list[tuple[ThinCloud, NDArray[np.float64]]] = []
         self.scans = 0
         """Of the newest stand."""
@@ -51,7 +53,7 @@ class Submap:
         turned = matrix_of(np.asarray(orientation, np.float64))
         place = np.asarray(position, np.float64)
         if self.scans == 0:
-            self._stands.append((ThinCloud(FINE), turned @ np.asarray(eye, np.float64) + place))
+            self._stands.append((ThinCloud(self._voxel), turned @ np.asarray(eye, np.float64) + place))
         self.scans += 1
         self._stands[-1][0].add(points, turned, place)
         self.ground = place - [0.0, 0.0, below]

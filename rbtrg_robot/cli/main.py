@@ -9,6 +9,7 @@ import typer
 
 from rbtrg_robot import __version__
 from rbtrg_robot.cli import (
+    build,
     calibrate,
     drive,
     foxglove,
@@ -64,6 +65,7 @@ plan.register(app)
 foxglove.register(app)
 topic.register(app)
 inspect.register(app)
+build.register(app)
 service.register(app)
 keys.register(app)
 calibrate.register(app)

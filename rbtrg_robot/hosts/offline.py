@@ -42,34 +42,66 @@ def rerun(
     progress: Progress = lambda _seconds: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> dict[str, int]:
-    """Feed `log` through the named stages; write inputs and new outputs to `out`.
+    """Feed `log` through the named stages; write inputs and new outputs to `out`, what they publish instead of what the log holds on those topics.
+    Only `duration` [s] of the log from `start_offset` [s] on is fed, after what was latched before. See `config_of`, `stages_for` and `feed`. Returns
+    messages per topic.
+    """
+    counts: Counter[str] = Counter()
+    config = config_of(log, file, sets, say)
+    metadata = first_of(log).metadata.get(METADATA, {}) | {"rerun": ",".join(names)}
+    stages = stages_for(log, names, config)
+    within = Window(overview(log).begin, start_offset, duration)
+    with LogWriter(out, metadata, {CONFIG: config.to_yaml().encode()}) as writer:
 
-    The stages get the configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). What they
-    publish replaces what the log holds on those topics. Only `duration` [s] of the log from `start_offset` [s] on is fed, after what was
-    latched before. `progress(seconds)` hears how much of the source clock is done,
-    `say` what the operator should know. Returns messages per topic.
-    Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError, also where a stage lacks what it needs.
+        def write(topic: Topic, payload: bytes, now: int, stamp: int, sequence: int) -> None:
+            if topic.recorded:
+                counts[topic.name] += 1
+                writer.write(topic, payload, now, stamp, sequence)
+
+        feed(log, stages, config, write, within, progress, say)
+    return dict(counts)
+
+
+def config_of(
+    log: Path, file: Path | None, sets: Sequence[str], say: Callable[[str], None] = lambda _text: None
+) -> StackConfig:
+    """The configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). Raises ConfigError, LogError."""
+    base, unknown = of_log(first_of(log).attachments.get(CONFIG, b""))
+    if unknown:
+        say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
+    return load(file, sets, base=base)
+
+
+def stages_for(log: Path, names: list[str], config: StackConfig) -> Stages:
+    """The named stages, warm. Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError where the log lacks
+    what one needs.
     """
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
         if name not in possible:
             raise ConfigError(f"--rerun {name}: choose from {', '.join(possible)}")
-    contents = first_of(log)
-    base, unknown = of_log(contents.attachments.get(CONFIG, b""))
-    if unknown:
-        say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
-    config = load(file, sets, base=base)
-    found = overview(log)
-    held = found.topics
-    _check(log, names, held, config)
-    metadata = contents.metadata.get(METADATA, {}) | {"rerun": ",".join(names)}
+    _check(log, names, overview(log).topics, config)
     stages = build_stages(config, names)
     for stage, _period in stages.values():
         stage.warm_up()
-    counts: Counter[str] = Counter()
-    within = Window(found.begin, start_offset, duration)
+    return stages
+
+
+def feed(
+    log: Path,
+    stages: Stages,
+    config: StackConfig,
+    write: Write,
+    within: Window,
+    progress: Progress = lambda _seconds: None,
+    say: Callable[[str], None] = lambda _text: None,
+) -> None:
+    """Feed a part of `log` through stages; `write` hears inputs and outputs, `progress(seconds)` how much of the source clock is done, `say` what the
+    operator should know. Raises LogError.
+    """
+    held = overview(log).topics
     # From a later start on, stages begin anew: their messages have other numbers than the journals say.
-    journals = t.JOURNAL.name in held and not start_offset
+    journals = t.JOURNAL.name in held and not within.later
     steps, restarted = read_journals(within.entries(read_run(log)) if journals else ())
     live = stages.keys() <= steps.keys()
     replaced = {
@@ -78,46 +110,40 @@ def rerun(
         for topic in stage.outputs
         if topic.owner in stages or not live  # where others publish too, a live log has all that was said
     }
-    for name in sorted(restarted & set(names)):
+    for name in sorted(restarted & stages.keys()):
         say(f"{name} was restarted in this log: its re-run ends there")
-    with LogWriter(out, metadata, {CONFIG: config.to_yaml().encode()}) as writer:
 
-        def write(topic: Topic, payload: bytes, now: int, stamp: int, sequence: int) -> None:
-            if topic.recorded:
-                counts[topic.name] += 1
-                writer.write(topic, payload, now, stamp, sequence)
+    def inputs() -> Iterator[tuple[Topic, Entry]]:
+        for entry in within.entries(read_run(log)):
+            topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
+            if (
+                topic is not None
+                and topic not in replaced
+                and topic is not t.HEARTBEAT
+                and (live or topic is not t.JOURNAL)  # in the order of the log, messages get new numbers
+                and entry.type == topic.type
+            ):
+                yield topic, entry
 
-        def inputs() -> Iterator[tuple[Topic, Entry]]:
-            for entry in within.entries(read_run(log)):
-                topic = t.BY_NAME.get(entry.topic) or t.RENAMED.get(entry.topic)
-                if (
-                    topic is not None
-                    and topic not in replaced
-                    and topic is not t.HEARTBEAT
-                    and (live or topic is not t.JOURNAL)  # in the order of the log, messages get new numbers
-                    and entry.type == topic.type
-                ):
-                    yield topic, entry
-
-        if live:
-            _follow(stages, steps, inputs(), write, progress, say)
-        else:
-            clocked = (
-                config.simulated and t.CLOCK.name in held
-            )  # without a clock in it, its own times are all there is
-            _feed(stages, inputs(), write, progress, simulated=clocked)
-    return dict(counts)
+    if live:
+        _follow(stages, steps, inputs(), write, progress, say)
+    else:
+        # without a clock in it, its own times are all there is
+        clocked = config.simulated and t.CLOCK.name in held
+        _feed(stages, inputs(), write, progress, simulated=clocked)
 
 
 class Window:
     """Part of a log."""
 
-    def __init__(self, begin: int, offset: float, duration: float) -> None:
+    def __init__(self, begin: int, offset: float = 0.0, duration: float = math.inf) -> None:
         """`begin`: first message [ns of the log]; the part begins `offset` [s] later and lasts `duration` [s]. Raises ConfigError."""
         if not (offset >= 0.0 and duration > 0.0 and math.isfinite(offset)):
             raise ConfigError(
                 f"--start-offset must be 0 or more and --duration positive, got {offset} and {duration}"
             )
+        self.later = offset > 0.0
+        """What lies before it is left out."""
         self._first = begin + round(offset * NS)
         self._end = self._first + round(min(duration, 1e9) * NS)
 

@@ -1,0 +1,285 @@
+"""`map build`: runs in, a map whose loops are closed out, with a picture and a JSON file beside it that tell why."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import resource
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hal.go2w import STAND, stand_height
+from hal.rotation import rotation
+from hal.scenes.picture import GREEN, ORANGE, RED, WHITE, TopView
+from hal.types import Array
+from mapping.closing import Closed, Closing, Recording, corrected, fuse
+from mapping.closing.graph import PoseGraph, between
+from mapping.elevation.exchange import MapError
+from mapping.elevation.map import ElevationMap
+from mapping.elevation.poses import Course
+from mapping.elevation.sensor import Sensor
+from mapping.odometry.contacts import wheel_contacts
+from rbtrg_robot import topics as t
+from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.hosts.offline import Window, config_of, feed, stages_for
+from rbtrg_robot.log.read import LogError, read_run
+from rbtrg_robot.log.summary import overview
+from rbtrg_robot.stages.scans import Scan, Scans
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import LayoutError, cloud_points, joint_sample, xyz, xyzw
+from rbtrg_robot.wire.frames import MapFrame
+from rbtrg_robot.wire.messages import MessageError, decode, stamp_of
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the share of it that is."""
+PIXELS = (900, 1500)
+"""Of the picture's longer side, at least and at most."""
+LOOP_COLOUR, WAY_COLOUR = GREEN, WHITE
+
+
+@dataclass(slots=True)
+class Built:
+    """What came of it."""
+
+    runs: list[dict[str, Any]] = field(default_factory=list)
+    closed: Closed | None = None
+    record: dict[str, Any] = field(default_factory=dict)
+    """As in the JSON file."""
+
+
+class _Reader:
+    """One run into a recording: poses, clouds and joints that belong together."""
+
+    def __init__(self, recording: Recording, run: int, config: StackConfig) -> None:
+        self.frame = MapFrame()
+        self.refused = 0
+        self.scans = 0
+        self._recording, self._run = recording, run
+        self._sensors = {lidar.name: Sensor.of(lidar) for lidar in config.mounted_lidars()}
+        self._names = {t.CLOUDS[name]: name for name in self._sensors}
+        self._waiting = Scans(self._sensors)
+        self._course = Course()
+        self.wanted: frozenset[Topic] = frozenset((t.ODOM, t.JOINTS, t.TF_STATIC, *self._names))
+
+    def take(self, topic: Topic, payload: bytes, _now: int, _stamp: int, _sequence: int) -> None:
+        """One message, as `feed` tells it; one that cannot be read is left out, as every stage does."""
+        if topic not in self.wanted:
+            return
+        try:
+            message: Any = decode(payload, topic.kind)
+            if topic is t.ODOM:
+                self._waiting.pose(message)
+            elif topic is t.JOINTS:
+                self._waiting.joints(joint_sample(message))
+            elif topic is t.TF_STATIC:
+                if not self.frame.known:
+                    self.frame.take(message)
+            else:
+                self._waiting.cloud(stamp_of(message), self._names[topic], cloud_points(message))
+        except (MessageError, LayoutError):
+            self.refused += 1
+            return
+        for scan in self._waiting.take():
+            self._record(scan)
+
+    def _record(self, scan: Scan) -> None:
+        pose = np.eye(4)
+        try:
+            q = xyzw(scan.odom.pose.pose.orientation)
+            pose[:3, 3] = xyz(scan.odom.pose.pose.position)
+            self._course.follow(pose[:3, 3], scan.stamp)
+            pose[:3, :3] = rotation(q / np.linalg.norm(q))
+        except MapError:
+            self.refused += 1
+            return
+        joints = scan.joints
+        below = stand_height(STAND if joints is None else joints.position)
+        contacts = np.empty((0, 3)) if joints is None else wheel_contacts(joints)
+        clouds = [(self._sensors[name], points) for name, points in scan.clouds.items()]
+        self.scans += 1
+        self._recording.add(self._run, scan.stamp, pose, clouds, below, contacts)
+
+    @property
+    def origin(self) -> Array:
+        """(4,) of `odom` in `map`: x, y, z [m], yaw [rad]."""
+        return np.array([self.frame.x, self.frame.y, self.frame.z, self.frame.yaw])
+
+
+def build(
+    runs: Sequence[Path],
+    out: Path,
+    *,
+    file: Path | None = None,
+    sets: Sequence[str] = (),
+    drift: float = 1.0,
+    progress: Progress = lambda _what, _share: None,
+    say: Callable[[str], None] = lambda _text: None,
+) -> Built:
+    """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first run's `map` is the map's frame.
+
+    Where a log holds the deskewed clouds they are used, else odometry runs again on its sweeps. The configuration is that of each log, of the
+    elevation map that of the first, changed by `file` and `sets`; drift: see `Closing`. Raises ConfigError, LogError, MapError, which say what to do.
+    """
+    if out.suffix != ".npz":
+        raise ConfigError(f"{out} must end in .npz: `up --map` reads it by that")
+    if not 0.1 <= drift <= 100.0:
+        raise ConfigError(f"--drift is 0.1 to 100 times that of the robot's own odometry, got {drift:g}")
+    if not out.resolve().parent.is_dir():
+        raise ConfigError(f"there is no folder {out.resolve().parent}")
+    built, recording = Built(), Recording()
+    try:
+        readers = [
+            _read(recording, number, log, file, sets, built, progress, say) for number, log in enumerate(runs)
+        ]
+        params = config_of(runs[0], file, sets).elevation
+        closing = Closing(recording, params, readers[0].origin, drift)
+        closed = built.closed = closing.close(lambda share: progress("loops", share))
+        poses = corrected(recording.scans, closed.keyframes, closed.nodes)
+        which = [n for n, scan in enumerate(recording.scans) if scan.run not in closed.lost]
+        made = fuse(recording, poses, params, which, lambda share: progress("map", share))
+        made.save(out)
+        built.record = _record(built, closed, closing.graph, recording, poses, made)
+        _beside(out, ".json", json.dumps(built.record, indent=1).encode())
+        _picture(made, closed, out.with_suffix(".png"))
+    except OSError as error:
+        raise ConfigError(f"cannot write {out}: {error.strerror}; make room or name another file") from error
+    finally:
+        recording.close()
+    return built
+
+
+def _read(
+    recording: Recording,
+    number: int,
+    log: Path,
+    file: Path | None,
+    sets: Sequence[str],
+    built: Built,
+    progress: Progress,
+    say: Callable[[str], None],
+) -> _Reader:
+    config = config_of(log, file, sets, say)
+    reader = _Reader(recording, number, config)
+    held = overview(log)
+    name = f"run {number + 1}"
+    before = len(recording.scans)
+
+    def done(seconds: float) -> None:
+        progress(name, min(seconds / max(held.seconds, 1e-9), 1.0))
+
+    clouds = held.topics.get(t.CLOUD.name)
+    if clouds is not None and clouds.count:
+        for entry in read_run(log):
+            topic = t.BY_NAME.get(entry.topic)
+            if topic in reader.wanted and entry.type == topic.type:
+                reader.take(topic, entry.data, entry.log_time, entry.publish_time, entry.sequence)
+                done((entry.log_time - held.begin) / 1e9)
+    else:
+        stages = stages_for(log, ["odometry"], config)
+        feed(log, stages, config, reader.take, Window(held.begin), done, say)
+    kept = recording.scans[before:]
+    if not kept:
+        raise LogError(
+            f"{log} holds no scan with a pose: its odometry never began or was lost; see `rbtrg-robot log info {log}`"
+        )
+    if reader.refused:
+        say(f"{name}: {reader.refused} messages could not be used")
+    built.runs.append(
+        {"log": str(log), "driven_m": round(kept[-1].along, 2), "scans": reader.scans, "kept": len(kept)}
+    )
+    return reader
+
+
+def _record(
+    built: Built, closed: Closed, graph: PoseGraph, recording: Recording, poses: Array, made: ElevationMap
+) -> dict[str, Any]:
+    """Everything that was found, in metres and degrees."""
+    moved = between(closed.driven, closed.nodes)
+    away = np.linalg.norm(moved[:, :3], axis=1)
+    odometry = graph.odometry.errors(graph.nodes)
+    stretch = np.abs(odometry).max() if len(odometry) else 0.0
+    return {
+        "runs": built.runs,
+        "not_in_the_map": [built.runs[run]["log"] for run in closed.lost],
+        "keyframes": [
+            {
+                "run": frame.run + 1,
+                "stamp_ns": recording.scans[frame.scan].stamp,
+                "along_m": round(frame.along, 2),
+                "x": round(float(node[0]), 3),
+                "y": round(float(node[1]), 3),
+                "z": round(float(node[2]), 3),
+                "yaw_deg": round(math.degrees(node[3]), 2),
+            }
+            for frame, node in zip(closed.keyframes, closed.nodes, strict=True)
+        ],
+        "closed": [
+            {
+                "first": loop.match.first,
+                "second": loop.match.second,
+                "certainty": round(loop.match.certainty, 3),
+                "residual_m": round(float(np.linalg.norm(loop.off[:3])), 3),
+                "residual_deg": round(abs(math.degrees(loop.off[3])), 3),
+                "weight": round(loop.weight, 3),
+            }
+            for loop in closed.loops
+        ],
+        "refused": [
+            {
+                "first": refusal.first,
+                "second": refusal.second,
+                "certainty": round(refusal.certainty, 3),
+                "why": refusal.why,
+            }
+            for refusal in closed.refused
+        ],
+        "moved_m": round(float(away.max()), 3),
+        "moved_deg": round(float(np.degrees(np.abs(moved[:, 3])).max()), 3),
+        "odometry_sigmas": round(float(stretch), 2),
+        "known_cells": int(made.store.counts()[1]),
+        "recording_mb": round(recording.nbytes / 1e6, 1),
+        "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
+    }
+
+
+def _beside(out: Path, suffix: str, data: bytes) -> None:
+    part = out.with_name(f".{out.name}{suffix}.part")
+    part.write_bytes(data)
+    os.replace(part, out.with_suffix(suffix))
+
+
+def _picture(made: ElevationMap, closed: Closed, path: Path) -> None:
+    """The map from above, the way by odometry in orange, the corrected one white, closed loops green, refused ones red."""
+    corners = np.array(made.boxes())
+    row, col = corners[:, :2].min(axis=0)
+    rows, cols = (corners[:, :2] + corners[:, 2:]).max(axis=0) - (row, col)
+    step = max(1, math.ceil(max(rows, cols) / PIXELS[1]))
+    height = np.full((-(-rows // step), -(-cols // step)), -np.inf, np.float32)
+    for box in made.boxes():
+        grid = made.read(box).grid()
+        i, j = np.nonzero(grid.trusted)
+        np.maximum.at(height, ((i + box[0] - row) // step, (j + box[1] - col) // step), grid.height[i, j])
+    known = np.isfinite(height)
+    r = made.params.resolution
+    origin = (float((col + 0.5 * (step - 1)) * r), float((row + 0.5 * (step - 1)) * r))
+    view = TopView(np.where(known, height, 0.0), known, origin, step * r, max(PIXELS[0], *height.shape))
+    for refusal in closed.refused:
+        if refusal.first != refusal.second and refusal.certainty > 0.0:
+            view.line([_xy(closed.nodes[k]) for k in (refusal.first, refusal.second)], RED)
+    for nodes, colour in ((closed.driven, ORANGE), (closed.nodes, WAY_COLOUR)):
+        for run in sorted({frame.run for frame in closed.keyframes} - set(closed.lost)):
+            own = [k for k, frame in enumerate(closed.keyframes) if frame.run == run]
+            view.line([_xy(nodes[k]) for k in own], colour)
+    for loop in closed.loops:
+        view.line([_xy(closed.nodes[k]) for k in (loop.match.first, loop.match.second)], LOOP_COLOUR, 2)
+        view.disc(*_xy(closed.nodes[loop.match.second]), LOOP_COLOUR)
+    view.save(path)
+
+
+def _xy(node: Array) -> tuple[float, float]:
+    return float(node[0]), float(node[1])

@@ -1,0 +1,78 @@
+"""`map build` on made-up runs: the loop closes, the files are there, and what cannot be is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from mapping.elevation import ElevationMap
+from rbtrg_robot.cli.main import app
+from rbtrg_robot.config import ConfigError
+from rbtrg_robot.hosts.map_build import build
+from rbtrg_robot.log.read import LogError
+from rbtrg_robot.log.write import LogWriter
+from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
+
+STRONG = Drift(bend=math.radians(0.02), climb=0.004)
+COARSE = ("elevation.resolution=0.08",)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    scene, corners = ring(half=(5.0, 3.5))
+    truth = way_through(scene, corners, step=0.5)
+    folder = tmp_path_factory.mktemp("run")
+    write_log(folder / "run.mcap", Drive(scene, truth, drifted(truth, STRONG, 3)), COARSE)
+    return folder
+
+
+def test_a_run_becomes_a_map_with_its_loops_closed(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "map.npz"
+    result = CliRunner().invoke(app, ["map", "build", str(run), "--out", str(out), "--drift", "6"])
+    assert result.exit_code == 0, result.output
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert len(record["closed"]) >= 2
+    assert f"{len(record['closed'])} loops closed, {len(record['refused'])} refused" in result.output
+    assert all(loop["why"] in result.output for loop in record["refused"])
+    assert record["moved_m"] > 0.2
+    assert max(loop["residual_m"] for loop in record["closed"]) < 0.1
+    assert Image.open(out.with_suffix(".png")).width > 100
+    made = ElevationMap()
+    assert made.load_prior(out) > 10_000
+    assert len(made.cloud) > 200
+    # the frame is that of the run: it starts in a corner of the ring
+    assert (record["keyframes"][0]["x"], record["keyframes"][0]["y"]) == pytest.approx((-6.5, -5.0), abs=0.01)
+
+
+def test_what_cannot_be_is_refused_before_it_is_begun(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"\.npz"):
+        build([run], tmp_path / "map.png")
+    with pytest.raises(ConfigError, match="no folder"):
+        build([run], tmp_path / "none" / "map.npz")
+    with pytest.raises(ConfigError, match="drift"):
+        build([run], tmp_path / "map.npz", drift=math.nan)
+    with LogWriter(tmp_path / "empty.mcap", {}):
+        pass
+    with pytest.raises(LogError, match="holds no"):
+        build([tmp_path / "empty.mcap"], tmp_path / "map.npz")
+    assert not list(tmp_path.glob("map*"))
+
+
+def test_a_run_from_elsewhere_is_left_out_and_told(run: Path, tmp_path: Path) -> None:
+    scene, corners = ring(half=(9.0, 2.0), seed=7)
+    truth = way_through(scene, corners[:3], step=0.5)[:30]
+    write_log(tmp_path / "other.mcap", Drive(scene, truth, drifted(truth, Drift(), 5)), COARSE)
+    out = tmp_path / "map.npz"
+    result = CliRunner().invoke(
+        app, ["map", "build", str(run), str(tmp_path / "other.mcap"), "--out", str(out)]
+    )
+    record = json.loads(out.with_suffix(".json").read_text())
+    assert result.exit_code == 3, result.output
+    assert record["not_in_the_map"] == [str(tmp_path / "other.mcap")]
+    assert np.load(out)["tiles"].shape[1] == 2

@@ -1,0 +1,120 @@
+"""Maps that close: drift before and after, wrong loops where corridors look alike, time and memory.
+
+    python -m tools.bench loops --only twins --seeds 20
+    python -m tools.bench loops --only site
+
+`ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and four such corridors, 1.2 km.
+What the LiDARs see is cast on the scene; the odometry is the truth with errors of the size that the stack's odometry has (`tools.closing.Drift`),
+`--drift` times as large. Truth judges, and nothing else uses it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import resource
+import time
+
+import numpy as np
+
+from hal.rotation import wrap
+from hal.scenes import Scene
+from hal.types import Array
+from mapping.closing import Closed, Closing, Recording, corrected, fuse
+from mapping.closing.graph import between, levelled
+from mapping.elevation.config import ElevationConfig
+from tools.bench.report import Report
+from tools.closing import HEIGHT, Drift, Drive, Way, drifted, record, ring, site, twins, way_through
+
+SITES = ("ring", "twins", "site")
+WRONG = (0.3, 2.0)
+"""A closed loop that is further off is wrong [m], [deg]."""
+ASKED = (0.15, 0.3)
+"""Everywhere after [m], [deg]."""
+
+
+def run(args: list[str]) -> Report:
+    """Run this bench with the arguments of its command line; returns its rows."""
+    parser = argparse.ArgumentParser(prog="python -m tools.bench loops", description=__doc__)
+    parser.add_argument("--only", choices=SITES, action="append", help="may be repeated; all without it")
+    parser.add_argument(
+        "--seeds", type=int, default=1, help="drives of each, each with its own drift and scene"
+    )
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--scale", type=float, default=1.0, help="of the site")
+    parser.add_argument("--drift", type=float, default=1.0, help="times that of the stack's odometry")
+    parser.add_argument("--step", type=float, default=0.5, help="between scans [m]")
+    parser.add_argument("--map", action="store_true", help="fuse the elevation map of each as well")
+    options = parser.parse_args(args)
+    report = Report("loops")
+    for name in options.only or SITES:
+        rows(report, name, options)
+    return report
+
+
+def world(name: str, seed: int, scale: float) -> tuple[Scene, Way]:
+    """A scene and the way through it."""
+    if name == "ring":
+        return ring(seed=seed)
+    if name == "twins":
+        return twins(float(np.random.default_rng(seed).uniform(3.6, 9.0)), seed)
+    return site(scale, seed)
+
+
+def rows(report: Report, name: str, options: argparse.Namespace) -> None:
+    """All drives of one scene."""
+    before, after, loops, refused, wrong, seconds, disk, length = [], [], 0, 0, 0, 0.0, 0.0, 0.0
+    for seed in range(options.first, options.first + options.seeds):
+        scene, way = world(name, seed, options.scale)
+        truth = way_through(scene, way, options.step)
+        recording = Recording()
+        record(recording, 0, Drive(scene, truth, drifted(truth, Drift().times(options.drift), seed), seed))
+        begin = time.process_time()
+        params = ElevationConfig()
+        closed = Closing(recording, params, levelled(truth[0], HEIGHT), max(1.0, options.drift)).close()
+        seconds += time.process_time() - begin
+        poses = corrected(recording.scans, closed.keyframes, closed.nodes)
+        before.append(errors(corrected(recording.scans, closed.keyframes, closed.driven), truth))
+        after.append(errors(poses, truth))
+        loops, refused, wrong = (
+            loops + len(closed.loops),
+            refused + len(closed.refused),
+            wrong + wrongs(closed, truth),
+        )
+        disk, length = disk + recording.nbytes / 1e6, length + recording.scans[-1].along
+        if options.map:
+            begin = time.process_time()
+            made = fuse(recording, poses, params)
+            report.add(f"{name}.{seed}.fuse_s", time.process_time() - begin, "s")
+            report.add(f"{name}.{seed}.known_cells", made.store.counts()[1], "1")
+        recording.close()
+    worst_before, worst_after = np.max(before, axis=0), np.max(after, axis=0)
+    report.add(f"{name}.drives", options.seeds, "1")
+    report.add(f"{name}.driven", length, "m")
+    report.add(f"{name}.before_m", worst_before[0], "m")
+    report.add(f"{name}.before_deg", worst_before[1], "deg")
+    report.add(f"{name}.after_m", worst_after[0], "m", ASKED[0])
+    report.add(f"{name}.after_deg", worst_after[1], "deg", ASKED[1])
+    report.add(f"{name}.loops", loops, "1", 1.0, at_least=True)
+    report.add(f"{name}.refused", refused, "1")
+    report.add(f"{name}.wrong", wrong, "1", 0.0)
+    report.add(f"{name}.close_ms_per_m", 1e3 * seconds / length, "ms")
+    report.add(f"{name}.disk_mb", disk, "MB")
+    report.add(f"{name}.peak_mb", resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, "MB")
+
+
+def errors(poses: Array, truth: Array) -> tuple[float, float]:
+    """Largest error of poses (n, 4, 4) of base_link: place [m], heading [deg]."""
+    yaw = np.arctan2(poses[:, 1, 0], poses[:, 0, 0]) - np.arctan2(truth[:, 1, 0], truth[:, 0, 0])
+    place = np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1)
+    return float(place.max()), float(np.degrees(np.abs(wrap(yaw)).max()))
+
+
+def wrongs(closed: Closed, truth: Array) -> int:
+    """Loops that were closed where there are none."""
+    grounds = [levelled(truth[frame.scan], HEIGHT) for frame in closed.keyframes]
+    count = 0
+    for loop in closed.loops:
+        off = loop.match.relative - between(grounds[loop.match.first], grounds[loop.match.second])
+        count += bool(np.linalg.norm(off[:3]) > WRONG[0] or abs(wrap(off[3])) > math.radians(WRONG[1]))
+    return count

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from rbtrg_robot.process.zygote import Zygote
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
-DETACH_LIMIT = 240.0
+DETACH_LIMIT, DETACH_LONG = 1800.0, 30.0
+"""[s] for `--detach` to be ready; until it says what takes so long."""
 DOWN_LIMIT = 8.0
 LEFT_LIMIT = 5.0
 """[s] for the others once the supervisor was killed, and once they were."""
@@ -239,8 +240,11 @@ def _detach() -> None:
             stderr=file,
             start_new_session=True,
         )
-    deadline = time.monotonic() + DETACH_LIMIT
-    while time.monotonic() < deadline:
+    began, told = time.monotonic(), False
+    while (waited := time.monotonic() - began) < DETACH_LIMIT:
+        if waited > DETACH_LONG and not told:
+            told = True
+            say(f"starting; a first start compiles the kernels, which takes a minute or more (see {output})")
         code = child.poll()
         if code is not None:
             say(output.read_text().strip().splitlines()[-1], error=True)

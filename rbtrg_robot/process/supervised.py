@@ -23,6 +23,10 @@ PROCESS_LOG = 5_000_000
 """Bytes after which a process log is rotated: twice that stays on the disk."""
 
 
+BUSY = 5.0
+"""[%]"""
+
+
 @dataclass(slots=True)
 class Child:
     """One supervised process."""
@@ -30,6 +34,8 @@ class Child:
     row: Process
     forked: Forked | None = None
     started: float = 0.0
+    busy: float = 0.0
+    """When it last computed, more than `BUSY` of a core."""
     restarts: int = 0
     in_a_row: int = 0
     due: float = 0.0
@@ -63,6 +69,8 @@ class Child:
         if self.alive and self.usage is not None:
             try:
                 self.cpu = self.usage.cpu_percent()
+                if self.cpu > BUSY:
+                    self.busy = time.monotonic()
                 self.memory = self.usage.memory_info().rss / 1e6
             except psutil.Error:
                 self.cpu = self.memory = 0.0

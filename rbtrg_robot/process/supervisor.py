@@ -42,8 +42,9 @@ from rbtrg_robot.wire.session import stack_id
 
 log = logging.getLogger(__name__)
 
-START_LIMIT = 180.0
-"""Longest wait [s] for the first heartbeat: a cold start compiles the kernels."""
+START_LIMIT, START_IDLE, START_MOST = 180.0, 30.0, 1800.0
+"""[s] until a process must be ready: a cold start compiles the kernels. On a slow or busy computer one that computes gets longer: until it has been idle
+for so long, or has taken so long in all."""
 HELD_UP = 2.0
 """A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is old, and after
 the lease sessions with its router have ended."""
@@ -229,7 +230,7 @@ class Supervisor:
         }
         child.log_path = Path(self._config.log_dir) / f"{name}.log"
         child.forked = self._zygote.fork(spec, child.log_path)
-        child.started = time.monotonic()
+        child.started = child.busy = time.monotonic()
         child.usage = psutil.Process(child.forked.pid)
         child.usage.cpu_percent()
 
@@ -286,7 +287,8 @@ class Supervisor:
         age = self._health.beat_age(name)
         beat = self._health.beats.get(name)
         if age is None or beat is None or beat[1].state != "ready":
-            silent = now - child.started > START_LIMIT
+            waited, idle = now - child.started, now - child.busy
+            silent = waited > START_LIMIT and (idle > START_IDLE or waited > START_MOST)
         else:
             silent = age > child.row.hang and now > self._deaf_until
             if child.words:

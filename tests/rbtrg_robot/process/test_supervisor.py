@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -150,6 +151,33 @@ def test_a_process_that_hangs_is_ended_after_its_time_and_started_anew(
     assert zygote.started == 2
     assert said[0] == f"{name} hangs; killing it"
     assert said[1].startswith(f"{name} ended (signal SIGKILL); restarting in 0.2 s: ")
+
+
+def test_a_process_that_still_compiles_is_not_taken_for_one_that_hangs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [None, None])
+    supervisor._ready = True
+    now = 1000.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    monkeypatch.setattr(zygote, "kill", lambda: setattr(zygote, "end", (-9, "")), raising=False)
+    monkeypatch.setattr(zygote, "wait", lambda: None, raising=False)
+    mend(supervisor)
+    (child,) = supervisor._children.values()
+
+    def seconds(count: int, share: float) -> None:
+        nonlocal now
+        child.usage = SimpleNamespace(cpu_percent=lambda: share, memory_info=lambda: SimpleNamespace(rss=0))  # type: ignore[assignment]
+        for _ in range(count):
+            now += 1.0
+            child.measure()
+            mend(supervisor)
+
+    seconds(300, 20.0)  # on a computer that others use as well
+    seconds(28, 0.0)
+    assert said == []
+    seconds(4, 0.0)
+    assert said[0] == "robot hangs; killing it"
 
 
 def test_the_process_that_starts_the_others_is_asked_each_second_and_a_new_one_is_told(

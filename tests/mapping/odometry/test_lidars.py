@@ -30,6 +30,11 @@ def recorded() -> tuple[SyntheticRun, list[Sample]]:
     return run, in_order(samples)
 
 
+@pytest.fixture(scope="module")
+def both(recorded: tuple[SyntheticRun, list[Sample]]) -> list[ScanOdometry]:
+    return driven(recorded[1])
+
+
 def in_order(samples: list[Sample], head_late: int = 0) -> list[Sample]:
     """By arrival: a scan comes when its sweep ends, one of the head LiDAR `head_late` [ns] after that."""
 
@@ -52,12 +57,11 @@ def off(run: SyntheticRun, scan: ScanOdometry) -> float:
 
 
 def test_each_lidar_has_a_cloud_at_the_stamp_of_the_pose(
-    recorded: tuple[SyntheticRun, list[Sample]],
+    recorded: tuple[SyntheticRun, list[Sample]], both: list[ScanOdometry]
 ) -> None:
-    run, samples = recorded
-    scans = driven(samples)
-    assert len(scans) >= 50
-    for scan in scans[5:]:
+    run, _ = recorded
+    assert len(both) >= 50
+    for scan in both[5:]:
         assert set(scan.clouds) == {"main", "head"}
         position, orientation = run.truth(scan.stamp)
         world = scan.clouds["head"] @ rotation(orientation[0]).T + position[0]
@@ -67,7 +71,7 @@ def test_each_lidar_has_a_cloud_at_the_stamp_of_the_pose(
 
 
 def test_a_head_lidar_whose_clock_is_wrong_leaves_the_pose_to_the_main_one(
-    recorded: tuple[SyntheticRun, list[Sample]],
+    recorded: tuple[SyntheticRun, list[Sample]], both: list[ScanOdometry]
 ) -> None:
     _, samples = recorded
     alone = driven([s for s in samples if not (isinstance(s, LidarScan) and s.name == "head")])
@@ -76,18 +80,18 @@ def test_a_head_lidar_whose_clock_is_wrong_leaves_the_pose_to_the_main_one(
         replace(s, stamp=s.stamp - 30_000_000) if isinstance(s, LidarScan) and s.name == "head" else s
         for s in samples
     ]
-    for other, near in ((samples, 0.003), (wrong, 0.01)):
-        both = driven(in_order(other))
-        assert [s.stamp for s in both] == [s.stamp for s in alone]
-        assert max(np.linalg.norm(a.position - b.position) for a, b in zip(both, alone, strict=True)) < near
-        assert any((a.position != b.position).any() for a, b in zip(both, alone, strict=True))
+    for other, near in ((both, 0.003), (driven(in_order(wrong)), 0.01)):
+        assert [s.stamp for s in other] == [s.stamp for s in alone]
+        assert max(np.linalg.norm(a.position - b.position) for a, b in zip(other, alone, strict=True)) < near
+        assert any((a.position != b.position).any() for a, b in zip(other, alone, strict=True))
 
 
-def test_a_late_head_cloud_changes_nothing(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
-    _, samples = recorded
-    on_time, late = driven(samples), driven(in_order(samples, head_late=60_000_000))
-    assert len(late) >= len(on_time) - 1
-    for a, b in zip(on_time, late, strict=False):
+def test_a_late_head_cloud_changes_nothing(
+    recorded: tuple[SyntheticRun, list[Sample]], both: list[ScanOdometry]
+) -> None:
+    late = driven(in_order(recorded[1], head_late=60_000_000))
+    assert len(late) >= len(both) - 1
+    for a, b in zip(both, late, strict=False):
         assert a.stamp == b.stamp
         assert all(a.clouds[name].tobytes() == b.clouds[name].tobytes() for name in ("main", "head"))
 

@@ -29,6 +29,12 @@ def recorded() -> tuple[SyntheticRun, list[Sample]]:
     return run, [s for s in run.samples() if not isinstance(s, GroundTruth)]
 
 
+@pytest.fixture(scope="module")
+def driven(recorded: tuple[SyntheticRun, list[Sample]]) -> Driven:
+    """The whole run as it is, by the default engine."""
+    return Driven(recorded[1])
+
+
 class Driven:
     """What came out of one pass."""
 
@@ -95,12 +101,18 @@ def rpe(run: SyntheticRun, poses: list, step: int) -> tuple[float, float]:
 @pytest.mark.parametrize(("engine", "mm", "deg"), [("kiss_icp", 12.0, 0.20), ("small_gicp", 9.0, 0.15)])
 @pytest.mark.parametrize("joints", [True, False])
 def test_motion_over_one_second_is_within_the_limits(
-    recorded: tuple[SyntheticRun, list[Sample]], engine: str, mm: float, deg: float, joints: bool
+    recorded: tuple[SyntheticRun, list[Sample]],
+    driven: Driven,
+    engine: str,
+    mm: float,
+    deg: float,
+    joints: bool,
 ) -> None:
     run, samples = recorded
     if not joints:
         samples = [s for s in samples if not isinstance(s, JointSample)]
-    out = Driven(samples, OdometryConfig(engine=engine, use_joints=joints))
+    params = OdometryConfig(engine=engine, use_joints=joints)
+    out = driven if params == PARAMS else Driven(samples, params)
     assert len(out.scans) >= SECONDS * 10 - 8
     assert rpe(run, out.scans, 10)[0] < mm
     assert rpe(run, out.scans, 10)[1] < deg
@@ -136,16 +148,16 @@ def test_results_do_not_depend_on_the_order_of_arrival(recorded: tuple[Synthetic
 
 
 def test_fast_pose_is_continuous_and_as_good_as_the_scans(
-    recorded: tuple[SyntheticRun, list[Sample]],
+    recorded: tuple[SyntheticRun, list[Sample]], driven: Driven
 ) -> None:
-    run, samples = recorded
-    out = Driven(samples)
-    assert len(out.fast) > 190 * (SECONDS - 0.3)
-    position = np.array([p.position for p in out.fast])
-    velocity = np.array([rotation(p.orientation) @ p.linear for p in out.fast])
+    run, _ = recorded
+    fast = driven.fast
+    assert len(fast) > 190 * (SECONDS - 0.3)
+    position = np.array([p.position for p in fast])
+    velocity = np.array([rotation(p.orientation) @ p.linear for p in fast])
     step = np.diff(position, axis=0) - 0.005 * velocity[1:]
     assert np.linalg.norm(step, axis=1).max() < 0.004
-    assert rpe(run, out.fast[::20], 10)[0] < 12.0
+    assert rpe(run, fast[::20], 10)[0] < 12.0
 
 
 def test_wheel_leg_odometry_drifts_less_than_three_percent(
@@ -267,7 +279,9 @@ def test_the_last_of_a_sway_is_no_gyro_bias(recorded: tuple[SyntheticRun, list[S
     assert abs(out.odometry._filter.x[11] - bias) < 0.003
 
 
-def test_a_tilt_from_the_start_does_not_stay_in_the_map(recorded: tuple[SyntheticRun, list[Sample]]) -> None:
+def test_a_tilt_from_the_start_does_not_stay_in_the_map(
+    recorded: tuple[SyntheticRun, list[Sample]], driven: Driven
+) -> None:
     """The trunk is pushed while gravity is taken, by 0.06 m/s^2: the first scans are mapped with 0.35 deg too much."""
     _, samples = recorded
     first, push = samples[0].stamp, np.array([0.06, 0.0, 0.0])
@@ -277,7 +291,7 @@ def test_a_tilt_from_the_start_does_not_stay_in_the_map(recorded: tuple[Syntheti
         else s
         for s in samples
     ]
-    up = [Driven(which).scans[-1].orientation for which in (pushed, samples)]
+    up = [out.scans[-1].orientation for out in (Driven(pushed), driven)]
     leans = [rotation(q)[2] for q in up]
     assert np.degrees(np.arccos(leans[0] @ leans[1])) < 0.1
 
@@ -354,13 +368,12 @@ def test_a_robot_unheard_for_long_is_found_where_it_may_have_coasted_and_nowhere
 
 @pytest.mark.parametrize(("moved", "found"), [(0.15, True), (1.5, True), (4.0, False)])
 def test_a_second_odometry_goes_on_from_the_last_scan_of_the_first(
-    recorded: tuple[SyntheticRun, list[Sample]], moved: float, found: bool
+    recorded: tuple[SyntheticRun, list[Sample]], driven: Driven, moved: float, found: bool
 ) -> None:
     """The process died and the robot coasted, or was carried, before it was back."""
     run, samples = recorded
     end = samples[0].stamp + 4 * NS
-    first = Driven([s for s in samples if s.stamp < end])
-    last = first.scans[-1]
+    last = [s for s in driven.scans if s.stamp < end][-1]
     position, orientation = run.truth(last.stamp)
     heading = rotation(orientation[0])[:, 0]
     x, y = position[0, :2] + moved * heading[:2]

@@ -60,14 +60,12 @@ def random_scene(seed: int, res: float = 0.04, size: float = 7.0, noise: float =
     return Scene(ElevationGrid(z.astype(np.float32), np.ones((n, n), bool), (0.0, 0.0), res), label, start)
 
 
-def swept_cells(graph: TraversalGraph, edge: np.ndarray, grid: ElevationGrid, shrink: float) -> np.ndarray:
-    """Mask (rows, cols) of cells under the footprint, `shrink` [m] smaller on each side, on its way along an edge."""
+def swept(graph: TraversalGraph, edge: np.ndarray, x: np.ndarray, y: np.ndarray, shrink: float) -> np.ndarray:
+    """Which places x, y [m] lie under the footprint, `shrink` [m] smaller on each side, on its way along an edge."""
     a, b = graph.nodes[edge[0], :2], graph.nodes[edge[1], :2]
     d = np.hypot(*(b - a))
     u = (b - a) / d
-    rows, cols = grid.shape
-    y, x = np.mgrid[0:rows, 0:cols] * grid.resolution
-    x, y = x + grid.origin[0] - a[0], y + grid.origin[1] - a[1]
+    x, y = x - a[0], y - a[1]
     along, across = x * u[0] + y * u[1], -x * u[1] + y * u[0]
     front = 0.5 * LENGTH - shrink
     return (along >= -front) & (along <= d + front) & (np.abs(across) <= 0.5 * WIDTH - shrink)
@@ -78,12 +76,14 @@ def crossing_edges(graph: TraversalGraph, scene: Scene, shrink: float, step: flo
     z, label = scene.grid.height, scene.label
     face_c = (label[:, 1:] != label[:, :-1]) & (np.abs(np.diff(z, axis=1)) > step)
     face_r = (label[1:] != label[:-1]) & (np.abs(np.diff(z, axis=0)) > step)
-    bad = []
-    for edge in graph.edges:
-        under = swept_cells(graph, edge, scene.grid, shrink)
-        if (face_c & under[:, 1:] & under[:, :-1]).any() or (face_r & under[1:] & under[:-1]).any():
-            bad.append((int(edge[0]), int(edge[1])))
-    return bad
+    pairs = [
+        np.stack([at, at + beside], axis=1)
+        for at, beside in ((np.argwhere(face_c), (0, 1)), (np.argwhere(face_r), (1, 0)))
+    ]
+    cells = np.concatenate(pairs) * scene.grid.resolution
+    y, x = cells[..., 0] + scene.grid.origin[1], cells[..., 1] + scene.grid.origin[0]
+    bad = [edge for edge in graph.edges if swept(graph, edge, x, y, shrink).all(axis=1).any()]
+    return [(int(a), int(b)) for a, b in bad]
 
 
 def drivable(scene: Scene, grow: float, headings: int = 16, step: float = 0.08) -> np.ndarray:
@@ -106,14 +106,16 @@ def drivable(scene: Scene, grow: float, headings: int = 16, step: float = 0.08) 
     gx, gy = np.meshgrid(axis, axis)
     free = np.ones((headings, *gx.shape), bool)
     front, half = 0.5 * LENGTH + grow, 0.5 * WIDTH + grow
+    angle = np.pi * np.arange(headings)[:, None, None] / headings
+    cos, sin = np.cos(angle), np.sin(angle)
+    for px, py in points:
+        j0, j1 = np.searchsorted(axis, (py - 0.5, py + 0.5))
+        i0, i1 = np.searchsorted(axis, (px - 0.5, px + 0.5))
+        dx, dy = px - gx[j0:j1, i0:i1], py - gy[j0:j1, i0:i1]
+        hit = (np.abs(dx * cos + dy * sin) <= front) & (np.abs(-dx * sin + dy * cos) <= half)
+        free[:, j0:j1, i0:i1] &= ~hit
     for h in range(headings):
         c, s = np.cos(np.pi * h / headings), np.sin(np.pi * h / headings)
-        for px, py in points:
-            j0, j1 = np.searchsorted(axis, (py - 0.5, py + 0.5))
-            i0, i1 = np.searchsorted(axis, (px - 0.5, px + 0.5))
-            dx, dy = px - gx[j0:j1, i0:i1], py - gy[j0:j1, i0:i1]
-            hit = (np.abs(dx * c + dy * s) <= front) & (np.abs(-dx * s + dy * c) <= half)
-            free[h, j0:j1, i0:i1] &= ~hit
         ex, ey = front * abs(c) + half * abs(s), front * abs(s) + half * abs(c)
         limit = (cols - 1) * res
         free[h] &= (gx > ex) & (gx < limit - ex) & (gy > ey) & (gy < limit - ey)

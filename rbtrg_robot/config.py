@@ -33,6 +33,7 @@ from planning.risk.body import BodyModel
 from planning.tracking.tracker import TrackerConfig
 from rbtrg_robot import __version__, yaml_file
 from rbtrg_robot.provenance import commit, package_version
+from rbtrg_robot.run_folder import bus_socket
 from rbtrg_robot.scope import ROBOT, Scope
 from rbtrg_robot.stage_config import (
     ConsoleConfig,
@@ -65,6 +66,10 @@ class NetworkConfig(BaseModel):
     join: bool = Field(
         False,
         description="use the router that listens on `port` already, a zenohd or that of another robot's stack, instead of bringing one",
+    )
+    open_bus: bool = Field(
+        False,
+        description="with a real robot: every user of this computer, ROS tools and stacks that join have all rights on `port`, as in simulation; else they look and stop",
     )
     keys: str = Field(
         "", description="folder of the robot's certificate; empty = `robot` where `keys init` puts it"
@@ -204,9 +209,19 @@ class StackConfig(BaseModel):
         return Scope.of(self.domain, self.robot)
 
     @property
-    def endpoint(self) -> str:
-        """Where the router listens."""
+    def closed(self) -> bool:
+        """The bus moves a real robot: other users of this computer look and stop."""
+        return self.backend != "sim" and not (self.network.open_bus or self.network.join)
+
+    @property
+    def public(self) -> str:
+        """Where every user of this computer comes in."""
         return f"tcp/127.0.0.1:{self.port}"
+
+    @property
+    def endpoint(self) -> str:
+        """Where the stack's processes and its user's commands come in. Raises UnsafeFolder."""
+        return f"unixsock-stream/{bus_socket(self.robot)}" if self.closed else self.public
 
     def load_scene(self) -> Scene:
         """The simulated terrain. Raises SceneError."""

@@ -61,6 +61,8 @@ class Topic(Generic[M]):
     """False for what makes a robot move: replay never publishes it."""
     publish_by: Role | None = None
     """Who from outside may publish it, and whoever is above; None: only processes on the robot's computer."""
+    shared: bool = False
+    """ROS tools publish it as well, such as robot_state_publisher: what they say is left out without a word."""
 
     @property
     def type(self) -> str:
@@ -101,9 +103,9 @@ WHEEL_ODOM     = Topic("/odom/wheel",            msg.Odometry,        50, Qos.SE
 ODOM_HEALTH    = Topic("/odom/health",           msg.OdometryHealth,  10, Qos.STATE,     1, "odometry",  "good, degraded, lost, and why")
 CLOUD          = Topic("/cloud/main",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "sweep deskewed to the stamp of /odom, base_link", recorded="full")
 HEAD_CLOUD     = Topic("/cloud/head",            msg.PointCloud2,     10, Qos.SENSOR,    4, "odometry",  "the same of the LiDAR in the head; empty where none came", recorded="full")
-TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link")
-TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar_main, lidar_head, imu")
-DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LATCHED,   1, "odometry",  "the robot's URDF")
+TF             = Topic("/tf",                    msg.TFMessage,       50, Qos.STATE,    50, "odometry",  "map <- odom <- base_link", shared=True)
+TF_STATIC      = Topic("/tf_static",             msg.TFMessage,        0, Qos.LATCHED,   1, "odometry",  "base_link <- lidar_main, lidar_head, imu", shared=True)
+DESCRIPTION    = Topic("/robot_description",     msg.String,           0, Qos.LATCHED,   1, "odometry",  "the robot's URDF", shared=True)
 MAP_UPDATE     = Topic("/elevation_map/update",  msg.GridMap,          0, Qos.STATE,   512, "elevation", "changed blocks of the elevation map", recorded="full lean")
 MAP_WINDOW     = Topic("/elevation_map/window",  msg.GridMap,         10, Qos.SENSOR,    1, "elevation", "elevation map around the robot, after every scan", recorded="full")
 MAP_FULL       = Topic("/elevation_map",         msg.GridMap,          0, Qos.STATE,     8, "elevation", "whole elevation map, on request; a large one in blocks", recorded="full")

@@ -13,7 +13,7 @@ from rbtrg_robot.scope import Scope
 from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys
 
-LOCAL = "local"
+LOCAL, NEIGHBOUR = "local", "neighbour"
 ASKED = ("status",)
 """What outsiders may ask the supervisor."""
 EVERY_MESSAGE = (
@@ -29,12 +29,16 @@ EVERY_MESSAGE = (
 )
 SEE = ("declare_subscriber", "liveliness_query", "declare_liveliness_subscriber")
 """What one who sees sends."""
+SIGHT = ("hear", "see", "ask", "stop")
+"""Rules of everybody who has a role."""
 RANKS = {Role.OBSERVER: (Role.OBSERVER,), Role.OPERATOR: (Role.OBSERVER, Role.OPERATOR)}
 """A role and those whose rights it has."""
 
 
-def access_control(scope: Scope, members: dict[Role, list[str]]) -> dict[str, Any]:
+def access_control(scope: Scope, members: dict[Role, list[str]], *, closed: bool = False) -> dict[str, Any]:
     """Zenoh's `access_control` of the router. `members`: common names of the certificates that have each role.
+
+    `closed`: all rights on this computer come with the socket in the run folder; who comes by TCP is an observer.
 
     Who has none of these certificates may do nothing, whoever signed it. Outsiders declare no token and answer no query: with those
     they could pass for a process that died, or hand out a false map.
@@ -62,14 +66,20 @@ def access_control(scope: Scope, members: dict[Role, list[str]]) -> dict[str, An
             "ingress",
         ),
     ]
-    subjects: list[dict[str, Any]] = [{"id": LOCAL, "link_protocols": ["tcp"], "interfaces": ["lo"]}]
+    loopback = {"link_protocols": ["tcp"], "interfaces": ["lo"]}
+    subjects: list[dict[str, Any]] = [
+        {"id": LOCAL, **({"link_protocols": ["unixsock-stream"]} if closed else loopback)}
+    ]
     policies: list[dict[str, Any]] = [{"rules": [LOCAL], "subjects": [LOCAL]}]
+    if closed:
+        subjects.append({"id": NEIGHBOUR, **loopback})
+        policies.append({"rules": [*SIGHT, Role.OBSERVER.value], "subjects": [NEIGHBOUR]})
     for role, own in RANKS.items():
         rules.append(_rule(role.value, ("put",), [keys.key(x, scope) for x in publishable(role)], "ingress"))
         if members.get(role):  # Zenoh refuses a subject with an empty list of names
             names = members[role]
             subjects.append({"id": role.value, "cert_common_names": names, "link_protocols": ["tls"]})
-            allowed = ["hear", "see", "ask", "stop", *(x.value for x in own)]
+            allowed = [*SIGHT, *(x.value for x in own)]
             policies.append({"rules": allowed, "subjects": [role.value]})
     return {
         "enabled": True,

@@ -12,9 +12,12 @@ from rbtrg_robot.wire.session import Security
 
 
 def security(config: StackConfig) -> Security | None:
-    """Certificate and rules; None where nobody else is served. Raises KeysError."""
+    """Certificate and rules; None where all who come in have all rights. Raises KeysError."""
+    neighbours = (config.public,) if config.closed else ()
     if not config.network.listen:
-        return None
+        rules = access_control(config.scope, {}, closed=True)
+        return Security({}, neighbours=neighbours, access_control=rules) if config.closed else None
     folder = Path(config.network.keys or keys_dir() / ROBOT)
     check(folder)
-    return Security(server_tls(folder), config.network.listen, access_control(config.scope, members(folder)))
+    rules = access_control(config.scope, members(folder), closed=config.closed)
+    return Security(server_tls(folder), config.network.listen, neighbours, rules)

@@ -169,7 +169,7 @@ def report(
     try:
         state = read_state(robot)
         newest = [Path(state["log_dir"])] if state["log_dir"] else newest
-        port = int(state["endpoint"].rsplit(":", 1)[1])
+        port = int(state["port"])
         with connect(robot) as bus:
             answer = bus.ask("status")
     except OperatorError:

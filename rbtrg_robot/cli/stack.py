@@ -228,7 +228,8 @@ def _supervise(config: StackConfig, zygote: Zygote) -> int:
 
 def _detach() -> None:
     """The same command line without --detach, in a session of its own."""
-    from rbtrg_robot.process.runfiles import NotRunning, run_dir, state_of
+    from rbtrg_robot.process.runfiles import NotRunning, state_of
+    from rbtrg_robot.run_folder import run_dir
 
     arguments = [a for a in sys.argv[1:] if a != "--detach"]
     output = run_dir() / f"up-{os.getpid()}.log"

@@ -98,7 +98,7 @@ def places(robot: str) -> list[tuple[str, str]]:
         return [(far.endpoint, Scope.wanted(far.domain, robot))]
     default = (DEFAULT, Scope.wanted(0, robot))
     try:
-        from rbtrg_robot.process.runfiles import run_dir
+        from rbtrg_robot.run_folder import run_dir
 
         state = json.loads((run_dir() / f"{robot}.json").read_text())
         written = (str(state["endpoint"]), Scope.of(int(state["domain"]), robot).prefix)

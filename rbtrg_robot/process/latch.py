@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from rbtrg_robot.msg import RobotState
-from rbtrg_robot.process.runfiles import run_dir
+from rbtrg_robot.run_folder import run_dir
 from rbtrg_robot.wire.messages import MessageError, decode, encode
 
 log = logging.getLogger(__name__)

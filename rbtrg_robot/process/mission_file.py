@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from rbtrg_robot import topics as t
 from rbtrg_robot.msg import MissionState
-from rbtrg_robot.process.runfiles import run_dir
+from rbtrg_robot.run_folder import run_dir
 from rbtrg_robot.stages.mission.mission import Phase, Status
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import MessageError, decode, encode

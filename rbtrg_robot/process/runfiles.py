@@ -8,13 +8,12 @@ import json
 import logging
 import os
 import socket
-import stat
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 from hal.errors import OperatorError
+from rbtrg_robot.run_folder import run_dir
 
 log = logging.getLogger(__name__)
 
@@ -44,23 +43,6 @@ class NotRunning(OperatorError):
 
 class NoRoom(OperatorError):
     """The run folder takes no file."""
-
-
-class UnsafeFolder(OperatorError):
-    """Somebody else could have put locks and state there."""
-
-
-def run_dir() -> Path:
-    """Per-user folder for locks and state: XDG_RUNTIME_DIR, else the temporary folder."""
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    path = Path(base) / "rbtrg" if base else Path(tempfile.gettempdir()) / f"rbtrg-{os.getuid()}"
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
-    found = path.lstat()
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o022:
-        raise UnsafeFolder(
-            f"{path} belongs to somebody else or is writable by others: remove it, or set XDG_RUNTIME_DIR to a folder of yours"
-        )
-    return path
 
 
 class RunLock:

@@ -185,6 +185,7 @@ class Supervisor:
         lock.write_state(
             robot=self._config.robot,
             endpoint=self._config.endpoint,
+            port=self._config.port,
             domain=self._config.domain,
             backend=self._config.backend,
             scene=self._config.scene,

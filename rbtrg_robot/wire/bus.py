@@ -129,10 +129,11 @@ class Bus(Refusals):
         self._strangers: dict[str, tuple[str, str]] | None = None
         """Node and topic of every publisher of others, by its token; None before there was a reason to ask."""
         self._front: Front | None = None
-        outside = security.listen if security is not None else ()
+        outside = (*security.listen, *security.neighbours) if security is not None else ()
         try:
             if router and security is not None and security.listen:
-                self._front = Front(security.listen, int(endpoint.rpartition(":")[2]))
+                (inside, *_) = (*security.neighbours, endpoint)
+                self._front = Front(security.listen, int(inside.rpartition(":")[2]))
                 security = replace(security, listen=self._front.doors)
             config = session_config(endpoint, router=router, stack=stack, security=security)
             self.session = open_router(config) if router else zenoh.open(config)
@@ -229,8 +230,9 @@ class Bus(Refusals):
                 self.refuse(topic, "a message of another topic")
                 return
             if owned and STRANGER.active and wire.proof_of(data) != proof:
-                self._intruded[topic] = time.monotonic()
-                self.refuse(topic, "a stranger's message")
+                if not topic.shared:
+                    self._intruded[topic] = time.monotonic()
+                    self.refuse(topic, "a stranger's message")
                 return
             sequence, stamp = wire.parse_attachment(data)
             received = Received(topic, sample.payload.to_bytes(), stamp, sequence, wire.sender_of(data))

@@ -69,6 +69,7 @@ class Front:
         """They keep Zenoh's ports until it listens there."""
         self._sockets: list[CrowdedSocket] = []
         self._loop = asyncio.new_event_loop()
+        self._end = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="front", daemon=True)
         try:
             for endpoint in listen:
@@ -100,7 +101,7 @@ class Front:
         """Nobody comes in any more, and who is in is sent away."""
         self._release()
         if self._thread.is_alive():
-            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._loop.call_soon_threadsafe(self._end.set)
             self._thread.join()
         for door in self._sockets:
             door.close()
@@ -113,16 +114,17 @@ class Front:
 
     def _run(self) -> None:
         asyncio.set_event_loop(self._loop)
+        self._loop.run_until_complete(self._serve())
+
+    async def _serve(self) -> None:
         doors = Doors(self._loop, self._doors)
         inside: set[Visitor] = set()
         for door in self._sockets:
-            self._loop.run_until_complete(
-                self._loop.create_server(partial(Visitor, doors, door, inside), sock=door)
-            )
-        self._loop.run_forever()
+            await self._loop.create_server(partial(Visitor, doors, door, inside), sock=door)
+        await self._end.wait()
         for visitor in list(inside):
             visitor.leave()
-        self._loop.run_until_complete(asyncio.sleep(0))  # transports close in the loop
+        await asyncio.sleep(0)  # transports close in the loop
 
 
 class Doors:

@@ -32,6 +32,8 @@ class Security:
     tls: dict[str, Any]
     listen: tuple[str, ...] = ()
     """Where the router listens too."""
+    neighbours: tuple[str, ...] = ()
+    """Where the router listens for other users of this computer."""
     access_control: dict[str, Any] = field(default_factory=dict)
     """Of the router."""
 
@@ -77,8 +79,9 @@ def session_config(
     }
     endpoints = [endpoint]
     if security is not None:
-        config["transport"]["link"]["tls"] = security.tls
-        endpoints += security.listen
+        if security.tls:
+            config["transport"]["link"]["tls"] = security.tls
+        endpoints += [*security.listen, *security.neighbours]
         if security.access_control:
             config["access_control"] = security.access_control
     config["listen" if router else "connect"] = {"endpoints": endpoints}

@@ -22,7 +22,7 @@ from rbtrg_robot.log.recorder import Recorder
 from rbtrg_robot.log.summary import is_intact
 from rbtrg_robot.msg import MissionState
 from rbtrg_robot.process.leftovers import last_words, rotate
-from rbtrg_robot.process.runfiles import UnsafeFolder, run_dir
+from rbtrg_robot.run_folder import UnsafeFolder, run_dir
 from rbtrg_robot.stage_config import RecorderConfig
 from rbtrg_robot.wire.clock import SourceClock
 from rbtrg_robot.wire.messages import encode, header
@@ -286,6 +286,8 @@ def test_a_run_folder_of_somebody_else_is_refused(tmp_path: Path, monkeypatch: p
     (tmp_path / "rbtrg").chmod(0o777)
     with pytest.raises(UnsafeFolder, match="writable by others"):
         run_dir()
+    (tmp_path / "rbtrg").chmod(0o755)
+    assert run_dir().stat().st_mode & 0o077 == 0
     shutil.rmtree(tmp_path / "rbtrg")
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "rbtrg").symlink_to(tmp_path / "elsewhere")

@@ -64,7 +64,7 @@ def test_whether_a_restart_may_help_is_told_by_the_exit_status(zygote: Zygote, t
     assert alone.wait(60.0) == PASSING
     assert "nothing answers" in (tmp_path / "alone.log").read_text().splitlines()[-1]
     with Bus(f"tcp/127.0.0.1:{port}", "test", router=True):
-        wrong = tracker("robot", port=port, backend="unitree", interface="none0")
+        wrong = tracker("robot", port=port, backend="unitree", interface="none0", network={"open_bus": True})
         robot = zygote.fork(wrong, tmp_path / "robot.log")
         assert robot.wait(60.0) == FATAL
     assert "'none0' does not exist" in (tmp_path / "robot.log").read_text().splitlines()[-1]

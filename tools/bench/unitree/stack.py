@@ -124,8 +124,9 @@ def running_stack(domain: int, peer: PeerProcess) -> Iterator[Stack]:
             stdout=subprocess.DEVNULL,
         )
         try:
-            _wait_until_ready(up, Path(scratch) / "rbtrg" / "go2w.json")
-            with Bus(f"tcp/127.0.0.1:{port}", "bench") as bus:
+            state = Path(scratch) / "rbtrg" / "go2w.json"
+            _wait_until_ready(up, state)
+            with Bus(json.loads(state.read_text())["endpoint"], "bench") as bus:
                 yield Stack(bus, peer, up.pid, Path(scratch))
         finally:
             up.terminate()

@@ -55,6 +55,13 @@ def test_the_table_counts_by_controller_map_and_level() -> None:
     assert rows["lanes.vmc.prior.all.wall_body"].value == 2
     assert rows["lanes.vmc.prior.all.length"].value == 1.25
     assert rows["lanes.vmc.seen.all.time"].value == 2.5
+    assert "lanes.vmc.prior.1-4.failed" not in rows, "these records tell no chance"
+    told = {r.key: r for r in table([r | {"p_fail": 0.1} for r in records]).rows}
+    assert told["lanes.vmc.prior.1-4.told_to_fail"].value == pytest.approx(0.1)
+    assert (told["lanes.vmc.prior.1-4.failed"].value, told["lanes.vmc.prior.1-4.failed"].trials) == (
+        2 / 11,
+        11,
+    )
     assert "of 4" in table(records).to_text()
     assert '"trials": 4' in table(records).to_json()
 

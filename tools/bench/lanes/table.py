@@ -53,6 +53,11 @@ def table(records: Iterable[Record]) -> Report:
         report.rate(f"{key}.1-4.false_alarms", alarms, len(drivable), 0.0, at_least=False)
         fell = sum(r["outcome"] == "fell" for r in mine)
         report.rate(f"{key}.all.falls", fell, len(mine), FALLS[controller], at_least=False)
+        told = [r for r in drivable if how == "prior" and r.get("p_fail") is not None]
+        if told:  # with a map the first plan tells of the whole way
+            failed = sum(r["outcome"] != "reached" for r in told)
+            report.add(f"{key}.1-4.told_to_fail", sum(r["p_fail"] for r in told) / len(told), "rate")
+            report.rate(f"{key}.1-4.failed", failed, len(told), None, at_least=False)
         got = [r for r in mine if r["outcome"] == "reached"]
         if got:
             report.add(f"{key}.all.length", median(r["driven"] / r["shortest"] for r in got), "ratio", DETOUR)

@@ -137,6 +137,7 @@ def route(message: msg.RouteReport) -> dict[str, Any]:
             "cost",
             "length",
             "duration",
+            "p_fail",
             "x",
             "y",
             "z",

@@ -764,6 +764,26 @@ def test_the_camera_is_shown_with_the_route_in_it_and_kept_as_a_photo(
     assert robot.filmed <= before + 1, "nobody looks any more"
 
 
+def test_a_way_that_is_likely_to_fail_is_gone_only_when_that_was_accepted_twice(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    page.fill("#gx", "4.8")
+    page.fill("#gy", "0")
+    page.click("#ask")
+    page.wait_for_selector("#accept:not([hidden])")
+    assert page.is_hidden("#go")
+    answer = page.inner_text("#answer")
+    assert "It may well fail" in answer
+    assert "70 % to arrive; worst: up a 0.16 m face at x 2.0 y 0.0" in answer
+    page.click("#accept")
+    assert page.inner_text("#accept") == "It may fall. Really?"
+    assert robot.goals == []
+    page.click("#accept")
+    soon(page, lambda: bool(robot.goals))
+    assert robot.goals[0].accept_risk
+
+
 def ahead() -> msg.RouteReport:
     """The route that is driven: straight ahead."""
     found = report(msg.RouteQuestion(goal_x=4.0))

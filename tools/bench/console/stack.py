@@ -297,7 +297,7 @@ POINTS = np.column_stack(
 
 
 def report(question: msg.RouteQuestion) -> msg.RouteReport:
-    """A straight route in five transitions, the third the worst."""
+    """A straight route in five transitions, the third the worst. Beyond x = 4.6 m it is likely to fail."""
     n = 6
     share = np.linspace(0.0, 1.0, n)
     x = question.start_x + share * (question.goal_x - question.start_x)
@@ -332,7 +332,7 @@ def report(question: msg.RouteQuestion) -> msg.RouteReport:
         transition_body=body,
         transition_unknown=np.zeros(n - 1),
         transition_p_fail=0.1 * body,
-        p_fail=0.1,
+        p_fail=0.3 if question.goal_x > 4.6 else 0.1,
         worst="up a 0.16 m face at x 2.0 y 0.0",
         d_fb=body * 0.2,
         a_lr=body * 10.0,

@@ -1,4 +1,4 @@
-"""What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about a gigabyte while a map is built."""
+"""What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about two gigabytes while a map is built."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import IO
 
 import numpy as np
@@ -44,9 +45,10 @@ class Scan:
 class Recording:
     """Scans of one or more runs, in order. Close it: the file goes then."""
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path | None = None) -> None:
+        """`folder`: where the file lies, which has no name there; None: where temporary files do. Raises OSError."""
         self.scans: list[Scan] = []
-        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as this object
+        self._file: IO[bytes] = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 - lives as long as this object
         self._end = 0
 
     def add(

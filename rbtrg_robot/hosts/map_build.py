@@ -131,7 +131,11 @@ def build(
         raise ConfigError(f"--drift is 0.1 to 100 times that of the robot's own odometry, got {drift:g}")
     if not out.resolve().parent.is_dir():
         raise ConfigError(f"there is no folder {out.resolve().parent}")
-    built, recording = Built(), Recording()
+    built = Built()
+    try:
+        recording = Recording(out.resolve().parent)
+    except OSError as error:
+        raise _cannot(out, error) from error
     try:
         readers = [
             _read(recording, number, log, file, sets, built, progress, say) for number, log in enumerate(runs)
@@ -147,10 +151,14 @@ def build(
         _beside(out, ".json", json.dumps(built.record, indent=1).encode())
         _picture(made, closed, out.with_suffix(".png"))
     except OSError as error:
-        raise ConfigError(f"cannot write {out}: {error.strerror}; make room or name another file") from error
+        raise _cannot(out, error) from error
     finally:
         recording.close()
     return built
+
+
+def _cannot(out: Path, error: OSError) -> ConfigError:
+    return ConfigError(f"cannot write {out}: {error.strerror}; make room or name another file")
 
 
 def _read(

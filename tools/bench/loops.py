@@ -41,7 +41,7 @@ def run(args: list[str]) -> Report:
         "--seeds", type=int, default=1, help="drives of each, each with its own drift and scene"
     )
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--scale", type=float, default=1.0, help="of the site")
+    parser.add_argument("--scale", type=float, default=1.0, help="of ring and site")
     parser.add_argument("--drift", type=float, default=1.0, help="times that of the stack's odometry")
     parser.add_argument("--step", type=float, default=0.5, help="between scans [m]")
     parser.add_argument("--map", action="store_true", help="fuse the elevation map of each as well")
@@ -55,7 +55,7 @@ def run(args: list[str]) -> Report:
 def world(name: str, seed: int, scale: float) -> tuple[Scene, Way]:
     """A scene and the way through it."""
     if name == "ring":
-        return ring(seed=seed)
+        return ring((10.0 * scale, 7.0 * scale), seed)
     if name == "twins":
         return twins(float(np.random.default_rng(seed).uniform(3.6, 9.0)), seed)
     return site(scale, seed)

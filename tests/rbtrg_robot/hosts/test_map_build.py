@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +12,21 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
+from hal.lidar.spec import LIDARS
+from hal.types import ImuSample, JointSample, LidarScan
 from mapping.elevation import ElevationMap
+from rbtrg_robot import msg
+from rbtrg_robot import topics as t
 from rbtrg_robot.cli.main import app
-from rbtrg_robot.config import ConfigError
+from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.map_build import build
-from rbtrg_robot.log.read import LogError
+from rbtrg_robot.log.read import CONFIG, LogError
 from rbtrg_robot.log.write import LogWriter
+from rbtrg_robot.topics import Topic
+from rbtrg_robot.wire.convert import imu_msg, joint_msg, scan_msg
+from rbtrg_robot.wire.messages import encode, time_msg
 from tools.closing import Drift, Drive, drifted, ring, way_through, write_log
+from tools.synthetic import arena_run
 
 STRONG = Drift(bend=math.radians(0.02), climb=0.004)
 COARSE = ("elevation.resolution=0.08",)
@@ -76,3 +85,29 @@ def test_a_run_from_elsewhere_is_left_out_and_told(run: Path, tmp_path: Path) ->
     assert result.exit_code == 3, result.output
     assert record["not_in_the_map"] == [str(tmp_path / "other.mcap")]
     assert np.load(out)["tiles"].shape[1] == 2
+
+
+def test_odometry_runs_again_where_the_log_holds_sweeps_alone(tmp_path: Path) -> None:
+    drive = replace(arena_run("xt16", duration=5.0, seed=1), lidar=LIDARS["xt16"].decimated(8))
+    config = load(None, ["lidars=[{name: main, model: xt16}]"], scene="flat")
+    with LogWriter(tmp_path / "run.mcap", {}, {CONFIG: config.to_yaml().encode()}) as log:
+        for sample in drive.samples():
+            topic: Topic
+            message: msg.Message
+            if isinstance(sample, ImuSample):
+                topic, message, now = t.IMU, imu_msg(sample), sample.stamp
+                log.write(t.CLOCK, encode(msg.Clock(clock=time_msg(now))), now, now)
+            elif isinstance(sample, JointSample):
+                topic, message, now = t.JOINTS, joint_msg(sample), sample.stamp
+            elif isinstance(sample, LidarScan):
+                topic, message, now = t.POINTS, scan_msg(sample), sample.stamp + drive.lidar.period
+            else:
+                continue
+            log.write(topic, encode(message), now, sample.stamp)
+    built = build([tmp_path / "run.mcap"], tmp_path / "map.npz")
+    (run,) = built.record["runs"]
+    assert run["scans"] > 35
+    assert run["driven_m"] == pytest.approx(drive.path_length(), abs=0.1)
+    assert built.record["closed"] == []
+    assert built.record["moved_m"] == pytest.approx(0.0, abs=1e-6)
+    assert built.record["known_cells"] > 5000

@@ -4,7 +4,7 @@
     DIR/robot/   ca.pem certificate.pem key.pem access.txt for the robot's computer
     DIR/NAME/    ca.pem certificate.pem key.pem            for the computer of that person
 
-EC P-256, keys in PKCS#8. A common name is `role:name:number`. The number is new each time: a certificate that was taken off the
+EC P-256, keys in PKCS#8; the authority's is encrypted where there is a passphrase. A common name is `role:name:number`. The number is new each time: a certificate that was taken off the
 list does not count again when its owner gets another one.
 """
 
@@ -20,6 +20,7 @@ from cryptography import x509
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
     Encoding,
     NoEncryption,
     PrivateFormat,
@@ -34,6 +35,9 @@ from rbtrg_robot.topics import Role
 AUTHORITY = "ca"
 ACCESS = "access.txt"
 """In the robot's folder: the common names that may connect, one on a line."""
+PASSPHRASE = "RBTRG_PASSPHRASE"
+"""Environment: of the key of the authority, where nobody can be asked."""
+ENCRYPTED = b"BEGIN ENCRYPTED PRIVATE KEY"
 EARLIER = timedelta(minutes=10)
 """A certificate is valid from this long before now: clocks differ."""
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,32}")
@@ -44,8 +48,8 @@ class KeysError(OperatorError):
     """Keys are missing, in the way, or not to be trusted; the message tells what to do."""
 
 
-def make_authority(base: Path, days: int, *, force: bool = False) -> None:
-    """A new authority and the robot's certificate in `base`. Raises KeysError."""
+def make_authority(base: Path, days: int, *, force: bool = False, passphrase: str = "") -> None:
+    """A new authority and the robot's certificate in `base`; an empty passphrase leaves its key open. Raises KeysError."""
     if (base / AUTHORITY).exists() and not force:
         raise KeysError(f"{base} holds keys already; --force makes new ones, and no old certificate counts")
     key = ec.generate_private_key(ec.SECP256R1())
@@ -60,12 +64,28 @@ def make_authority(base: Path, days: int, *, force: bool = False) -> None:
     )
     for folder in (base, base / AUTHORITY):
         _private_folder(folder)
-    _write(base / AUTHORITY, certificate, key)
-    _issue(base, ROBOT, ROBOT, ExtendedKeyUsageOID.SERVER_AUTH, days)
+    _write(base / AUTHORITY, certificate, key, passphrase)
+    _issue(base, ROBOT, ROBOT, ExtendedKeyUsageOID.SERVER_AUTH, days, passphrase)
     _replace(base / ROBOT / ACCESS, b"")
 
 
-def add(base: Path, name: str, role: Role, days: int, *, force: bool = False) -> Path:
+def locked(base: Path) -> bool:
+    """The key of the authority in `base` is encrypted."""
+    return ENCRYPTED in _key_of(base)
+
+
+def lies_open(folder: Path) -> str:
+    """In words, where the key of the authority lies beside the robot's `folder` and is not encrypted; empty where it does not."""
+    base = folder.parent
+    if not os.access(base / AUTHORITY / KEY, os.R_OK) or locked(base):
+        return ""
+    return (
+        f"{base / AUTHORITY / KEY} lies open beside the robot's key: whoever reads it lets anybody in. "
+        "Move it to another computer, or encrypt it (docs/security.md)"
+    )
+
+
+def add(base: Path, name: str, role: Role, days: int, *, force: bool = False, passphrase: str = "") -> Path:
     """A certificate for a person, who is put on the robot's list; returns its folder. Raises KeysError."""
     if not _NAME.fullmatch(name) or name in (AUTHORITY, ROBOT):
         raise KeysError(
@@ -79,8 +99,9 @@ def add(base: Path, name: str, role: Role, days: int, *, force: bool = False) ->
         )
     others = [x for x in listed(base / ROBOT) if _owner(x) != name]
     number = secrets.token_hex(4)
-    _issue(base, name, f"{role.value}:{name}:{number}", ExtendedKeyUsageOID.CLIENT_AUTH, days)
-    _rewrite(base, [*others, f"{role.value}:{name}:{number}"])
+    common = f"{role.value}:{name}:{number}"
+    _issue(base, name, common, ExtendedKeyUsageOID.CLIENT_AUTH, days, passphrase)
+    _rewrite(base, [*others, common])
     return base / name
 
 
@@ -139,12 +160,26 @@ def check(folder: Path) -> None:
     listed(folder)
 
 
-def _issue(base: Path, folder: str, common: str, purpose: x509.ObjectIdentifier, days: int) -> None:
-    authority = certificate_of(base / AUTHORITY)
+def _key_of(base: Path) -> bytes:
     try:
-        signer = load_pem_private_key((base / AUTHORITY / KEY).read_bytes(), None)
-    except (OSError, ValueError, TypeError) as error:
-        raise KeysError(f"{base / AUTHORITY / KEY} is no key: take it from a copy") from error
+        return (base / AUTHORITY / KEY).read_bytes()
+    except OSError as error:
+        raise KeysError(f"cannot read {base / AUTHORITY / KEY}: {one_line(error)}") from error
+
+
+def _issue(
+    base: Path, folder: str, common: str, purpose: x509.ObjectIdentifier, days: int, passphrase: str
+) -> None:
+    authority, sealed = certificate_of(base / AUTHORITY), locked(base)
+    if sealed and not passphrase:
+        raise KeysError(
+            f"{base / AUTHORITY / KEY} is encrypted, and its passphrase is missing: set {PASSPHRASE}"
+        )
+    try:
+        signer = load_pem_private_key(_key_of(base), passphrase.encode() if sealed else None)
+    except (ValueError, TypeError) as error:
+        wrong = "does not open with this passphrase" if sealed else "is no key: take it from a copy"
+        raise KeysError(f"{base / AUTHORITY / KEY} {wrong}") from error
     assert isinstance(signer, ec.EllipticCurvePrivateKey)
     key = ec.generate_private_key(ec.SECP256R1())
     usage = x509.KeyUsage(True, False, False, False, False, False, False, False, False)
@@ -208,8 +243,11 @@ def _private_folder(path: Path) -> None:
         )
 
 
-def _write(folder: Path, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
-    _replace(folder / KEY, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+def _write(
+    folder: Path, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey, passphrase: str = ""
+) -> None:
+    seal = BestAvailableEncryption(passphrase.encode()) if passphrase else NoEncryption()
+    _replace(folder / KEY, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, seal))
     _replace(folder / CERTIFICATE, certificate.public_bytes(Encoding.PEM))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,6 +35,19 @@ def _folder(folder: Path | None) -> Path:
     return folder or keys_dir()
 
 
+def _passphrase(question: str, *, new: bool = False) -> str:
+    """From the environment, else asked for at a terminal; empty where there is none."""
+    from rbtrg_robot.access.certificates import PASSPHRASE
+
+    told = os.environ.get(PASSPHRASE, "")
+    if told or not sys.stdin.isatty():
+        return told
+    answer: str = typer.prompt(
+        question, default="", hide_input=True, show_default=False, confirmation_prompt=new
+    )
+    return answer
+
+
 @keys_app.command("init")
 def keys_init(
     operator: Names = None,
@@ -47,12 +62,14 @@ def keys_init(
     from rbtrg_robot.topics import Role
 
     base = _folder(folder)
-    certificates.make_authority(base, days, force=force)
-    say(f"{base / certificates.AUTHORITY}: the authority; keep it off the robot")
+    passphrase = _passphrase("Passphrase for the key of the authority (empty: none)", new=True)
+    certificates.make_authority(base, days, force=force, passphrase=passphrase)
+    sealed = "encrypted" if passphrase else "not encrypted"
+    say(f"{base / certificates.AUTHORITY}: the authority, its key {sealed}; keep it off the robot")
     say(f"{base / ROBOT}: for the robot's computer (network.keys)")
     for role, names in ((Role.OPERATOR, operator), (Role.OBSERVER, observer)):
         for name in names or []:
-            certificates.add(base, name, role, 365, force=force)
+            certificates.add(base, name, role, 365, force=force, passphrase=passphrase)
             say(f"{base / name}: for the {role.value} {name}")
 
 
@@ -66,10 +83,13 @@ def keys_add(
 ) -> None:
     """Make a certificate for a person and put it on the robot's list."""
     from rbtrg_robot.access import certificates
+    from rbtrg_robot.access.identity import KEY
     from rbtrg_robot.topics import Role
 
     base = _folder(folder)
-    made = certificates.add(base, name, Role(role), days, force=force)
+    asked = (base / certificates.AUTHORITY / KEY).is_file() and certificates.locked(base)
+    passphrase = _passphrase("Passphrase of the key of the authority") if asked else ""
+    made = certificates.add(base, name, Role(role), days, force=force, passphrase=passphrase)
     say(f"{made}: for the {role} {name}")
     say(_TAKES_EFFECT)
 

@@ -21,7 +21,8 @@ from hal.errors import OperatorError, one_line
 from hal.types import LYING
 from rbtrg_robot import __version__
 from rbtrg_robot import topics as t
-from rbtrg_robot.access.serve import security
+from rbtrg_robot.access.certificates import lies_open
+from rbtrg_robot.access.serve import keys_folder, security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
@@ -127,6 +128,8 @@ class Supervisor:
             with open_bus(self._config, security=served, **ours) as bus:
                 if self._config.network.listen:
                     self._say(f"listening on {', '.join(self._config.network.listen)}")
+                    if open_key := lies_open(keys_folder(self._config)):
+                        self._say(open_key)
                 self._write_state(lock)
                 restored = {topic for child in self._children.values() for topic in child.row.restores}
                 self._bus = bus

@@ -18,12 +18,13 @@ from rbtrg_robot.access.certificates import (
     add,
     certificate_of,
     check,
+    lies_open,
     listed,
     make_authority,
     members,
     remove,
 )
-from rbtrg_robot.access.identity import CA, CERTIFICATE, KEY, keys_dir
+from rbtrg_robot.access.identity import CA, CERTIFICATE, KEY, ROBOT, keys_dir
 from rbtrg_robot.access.serve import security
 from rbtrg_robot.cli.main import app
 from rbtrg_robot.config import ConfigError, load
@@ -201,3 +202,41 @@ def test_a_damaged_list_or_key_makes_no_certificate(base: Path) -> None:
     with pytest.raises(KeysError, match="is no key"):
         add(base, "zoe", Role.OBSERVER, 30)
     assert not (base / "zoe").exists()
+
+
+def test_the_authoritys_key_opens_with_its_passphrase_alone(tmp_path: Path) -> None:
+    base = tmp_path / "keys"
+    make_authority(base, 5, passphrase="a long word")
+    with pytest.raises(TypeError, match="encrypted"):
+        load_pem_private_key((base / "ca" / KEY).read_bytes(), None)
+    for passphrase, words in (
+        ("", "set RBTRG_PASSPHRASE"),
+        ("another", "does not open with this passphrase"),
+    ):
+        with pytest.raises(KeysError, match=words):
+            add(base, "anna", Role.OPERATOR, 5, passphrase=passphrase)
+    assert listed(base / ROBOT) == []
+    assert (add(base, "anna", Role.OPERATOR, 5, passphrase="a long word") / KEY).is_file()
+    assert load_pem_private_key((base / ROBOT / KEY).read_bytes(), None), "the robot starts without anybody"
+
+
+def test_an_open_key_beside_the_robots_is_told(base: Path, tmp_path: Path) -> None:
+    assert f"{base / 'ca' / KEY} lies open" in lies_open(base / ROBOT)
+    make_authority(tmp_path / "sealed", 5, passphrase="a long word")
+    assert lies_open(tmp_path / "sealed" / ROBOT) == ""
+    (base / "ca" / KEY).unlink()
+    assert lies_open(base / ROBOT) == ""
+
+
+def test_keys_are_made_with_the_passphrase_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RBTRG_PASSPHRASE", "a long word")
+    base = tmp_path / "keys"
+    made = CliRunner().invoke(app, ["keys", "init", "--dir", str(base), "--operator", "anna"])
+    assert "its key encrypted" in made.output
+    added = CliRunner().invoke(app, ["keys", "add", "bob", "--role", "observer", "--dir", str(base)])
+    assert added.exit_code == 0
+    monkeypatch.delenv("RBTRG_PASSPHRASE")
+    refused = CliRunner().invoke(app, ["keys", "add", "cleo", "--role", "observer", "--dir", str(base)])
+    assert isinstance(refused.exception, KeysError)

@@ -274,7 +274,7 @@ def test_what_happens_is_said_once() -> None:
     ):
         narrator.take(topic, message)
     assert said == [
-        "goal g moving",
+        "goal g moving, more than 99 % to arrive",
         "mission round running",
         "mission round running: open?",
         "map: it does not fit",

@@ -283,6 +283,26 @@ class CompressedPointCloud2(Message):
 
 
 @dataclass(slots=True, eq=False)
+class ExploreQuestion(Message):
+    """rbtrg_msgs/msg/ExploreQuestion."""
+
+    __msgtype__ = "rbtrg_msgs/msg/ExploreQuestion"
+    header: Header = field(default_factory=Header)
+    sequence: int = 0
+    start_x: float = 0.0
+    start_y: float = 0.0
+    has_home: bool = False
+    home_x: float = 0.0
+    home_y: float = 0.0
+    has_target: bool = False
+    target_x: float = 0.0
+    target_y: float = 0.0
+    area: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    barred: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    anew: bool = False
+
+
+@dataclass(slots=True, eq=False)
 class GoalRequest(Message):
     """rbtrg_msgs/msg/GoalRequest."""
 
@@ -456,6 +476,8 @@ class MissionStep(Message):
     timeout: float = 0.0
     text: str = ""
     choices: list[str] = field(default_factory=list)
+    area: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    until: float = 0.0
     on_failure: str = ""
     retries: int = 0
     accept_risk: bool = False
@@ -799,6 +821,25 @@ class TrunkCommand(Message):
     header: Header = field(default_factory=Header)
     roll: float = 0.0
     pitch: float = 0.0
+
+
+@dataclass(slots=True, eq=False)
+class Viewpoints(Message):
+    """rbtrg_msgs/msg/Viewpoints."""
+
+    __msgtype__ = "rbtrg_msgs/msg/Viewpoints"
+    header: Header = field(default_factory=Header)
+    sequence: int = 0
+    refused: str = ""
+    x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    gain: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    way: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    seen: float = 0.0
+    hidden: float = 0.0
+    home: float = 0.0
+    unreachable_x: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
+    unreachable_y: NDArray[np.float64] = field(default_factory=lambda: _zeros("float64", 0))
 
 
 @dataclass(slots=True, eq=False)

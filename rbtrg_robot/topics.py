@@ -129,6 +129,8 @@ ROUTE          = Topic("/plan/path",             msg.Path,             0, Qos.LA
 ROUTE_STATUS   = Topic("/plan/status",           msg.RouteStatus,      2, Qos.STATE,     1, "planner",   "route still good? graph size")
 ROUTE_QUESTION = Topic("/plan/question",         msg.RouteQuestion,    0, Qos.STATE,     2, "",          "how would a route to a place go? nothing moves", publish_by=Role.OPERATOR)
 ROUTE_REPORT   = Topic("/plan/report",           msg.RouteReport,      0, Qos.LATCHED,   4, "planner",   "the route that is driven, or the answer to a question, and why", recorded="full standard")
+EXPLORE_QUESTION = Topic("/explore/question",    msg.ExploreQuestion,  0, Qos.STATE,     2, "mission",   "from where is to be seen what nobody saw yet? nothing moves")
+VIEWPOINTS     = Topic("/explore/viewpoints",    msg.Viewpoints,       0, Qos.STATE,     2, "planner",   "places to look from, in their order, and how much was seen")
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)

@@ -85,7 +85,7 @@ def through_virtual(
     length = np.hypot(*(graph.nodes[source, :2] - graph.nodes[graph.indices, :2]).T)
     free = hidden[source] | hidden[graph.indices]
     cost = length * np.where(free, 1.0, 1.0 + price * graph.risk)
-    return _least_way(graph.indptr, graph.indices.astype(np.int64), cost, np.where(ends, to_go, np.inf))
+    return least_way(graph.indptr, graph.indices.astype(np.int64), cost, np.where(ends, to_go, np.inf))
 
 
 def in_field(graph: TraversalGraph, points: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -104,7 +104,7 @@ def flags_at(graph: TraversalGraph, points: NDArray[np.float64]) -> NDArray[np.u
 
 
 @njit(cache=True)
-def _least_way(indptr, indices, cost, way):
+def least_way(indptr, indices, cost, way):
     """Dijkstra from the finite ones of `way` (n,), which become the least over the edges' `cost` (nnz,)."""
     heap = [(0.0, 0) for _ in range(0)]
     for i in range(len(way)):

@@ -12,6 +12,7 @@ from rbtrg_robot.cli import (
     build,
     calibrate,
     drive,
+    explore,
     foxglove,
     home,
     importing,
@@ -57,6 +58,7 @@ def _options(
 stack.register(app)
 drive.register(app)
 home.register(app)
+explore.register(app)
 mission.register(app)
 teleop.register(app)
 logs.register(app)

@@ -54,7 +54,6 @@ def run(
     """Send the robot on a mission. Exit status: 0 started (finished with --wait), 2 refused, 3 failed, 4 stopped or paused by Ctrl-C."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.cli.link import connect
-    from rbtrg_robot.missions import words
     from rbtrg_robot.missions.file import load, numbered
 
     mission = load(file)
@@ -68,18 +67,28 @@ def run(
         if update:
             running = newest(bus)
             order = mission.order(running.order_id, update=running.order_update_id + 1, start=at, owner=me())
-        try:
-            state = _ask(bus, "update" if update else "run", order=order)
-            say(words.lines(state)[0])
-            if wait:
-                raise typer.Exit(_follow(bus, order.order_id))
-        except KeyboardInterrupt:
-            say(words.lines(_ask(bus, "pause", order_id=order.order_id))[0])
-            raise typer.Exit(STOPPED) from None
+        code, _ = send(bus, order, wait=wait, update=update)
+        if wait or code:
+            raise typer.Exit(code)
         if mission.on_comms_loss != "continue":
             say(
                 f"it will {mission.on_comms_loss} unless somebody watches: `rbtrg-robot mission status --follow`"
             )
+
+
+def send(bus: Bus, order: Any, *, wait: bool, update: bool = False) -> tuple[int, Any]:
+    """Send an order, with `wait` watch it to its end; Ctrl-C pauses it. Returns the exit status and the newest state."""
+    from rbtrg_robot import topics as t
+    from rbtrg_robot.missions import words
+
+    bus.subscribe([t.MISSION_STATE])
+    try:
+        state = _ask(bus, "update" if update else "run", order=order)
+        say(words.lines(state)[0])
+        return _follow(bus, state) if wait else (FINISHED, state)
+    except KeyboardInterrupt:
+        say(words.lines(_ask(bus, "pause", order_id=order.order_id))[0])
+        return STOPPED, None
 
 
 @app.command()
@@ -102,7 +111,7 @@ def status(
         for line in words.lines(state):
             say(line)
         if follow and state.phase not in ("idle", *EXIT):
-            raise typer.Exit(_follow(bus, state.order_id))
+            raise typer.Exit(_follow(bus, state)[0])
 
 
 @app.command()
@@ -265,8 +274,8 @@ def _ask(bus: Bus, action: str, **fields: Any) -> Any:
     return order.state
 
 
-def _follow(bus: Bus, order_id: str) -> int:
-    """Print what changes until the mission ends, and be in contact meanwhile. Returns the exit status."""
+def _follow(bus: Bus, begun: Any) -> tuple[int, Any]:
+    """Print what changes until the mission of a state ends, and be in contact meanwhile. Returns the exit status and the last state."""
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.missions import words
@@ -286,14 +295,14 @@ def _follow(bus: Bus, order_id: str) -> int:
             if received.topic is not t.MISSION_STATE or state is None:
                 continue
             heard = time.monotonic()
-            if state.order_id != order_id:
+            if state.order_id != begun.order_id:
                 _fail("another mission took its place", STOPPED)
             text = words.lines(state)[0]
             if text != shown:
                 shown = text
                 say(text)
             if state.phase in EXIT:
-                return EXIT[state.phase]
+                return EXIT[state.phase], state
 
 
 def _origin(origin: tuple[float, float, float] | None) -> Origin | None:

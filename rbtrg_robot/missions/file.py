@@ -7,12 +7,23 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import yaml
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, Tag, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from hal.errors import OperatorError
 from rbtrg_robot import msg, yaml_file
-from rbtrg_robot.stages.mission.order import Blocking, Kind
+from rbtrg_robot.stages.mission.order import MOST_CORNERS, Blocking, Kind
 from rbtrg_robot.yaml_file import YamlError
 
 
@@ -92,16 +103,52 @@ class Goto(_Step):
     goto: Place
 
 
-class Limit(_Model):
-    """How long a step may take."""
+class Limits(_Model):
+    """How long a step may take, and how likely it may fail."""
 
     timeout: Seconds = Field(0.0, description="the step fails after this long [s]; 0 = never")
+    accept_risk: bool = Field(
+        False, description="drive it although it is likely to fail (planner.accept_risk)"
+    )
 
 
 class GoHome(_Step):
-    """Go home, with an id, an `on_failure` or a timeout of its own; otherwise `home` is enough."""
+    """Go home, with an id, an `on_failure` or limits of its own; otherwise `home` is enough."""
 
-    home: Limit
+    home: Limits
+
+
+class Ground(_Model):
+    """What to explore."""
+
+    area: tuple[tuple[float, float], ...] = Field(
+        (), description="corners x, y of the area [m]; empty = all that can be reached"
+    )
+    minutes: float = Field(
+        0.0, ge=0.0, le=1440.0, description="ends after about this long, the way home included; 0 = no limit"
+    )
+    until: float = Field(
+        0.0, ge=0.0, le=1.0, description="ends when this share of the area is seen; 0 = all of it"
+    )
+
+    @field_validator("area")
+    @classmethod
+    def _has_corners(cls, area: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        if len(area) not in (0, *range(3, MOST_CORNERS + 1)):
+            raise ValueError(f"an area has 3 to {MOST_CORNERS} corners")
+        return area
+
+    @model_validator(mode="after")
+    def _a_share_of_something(self) -> Ground:
+        if self.until > 0.0 and not self.area:
+            raise ValueError("`until` needs an `area`")
+        return self
+
+
+class Explore(_Step):
+    """See all ground of an area."""
+
+    explore: Ground
 
 
 class Wait(_Step):
@@ -157,11 +204,12 @@ def _kind(value: Any) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-TAGS = ("word", "goto", "home", "wait", "ask", "look", "record", "posture", "loop")
+TAGS = ("word", "goto", "home", "explore", "wait", "ask", "look", "record", "posture", "loop")
 Step = Annotated[
     Annotated[Literal["stand", "sit", "home"], Tag("word")]
     | Annotated[Goto, Tag("goto")]
     | Annotated[GoHome, Tag("home")]
+    | Annotated[Explore, Tag("explore")]
     | Annotated[Wait, Tag("wait")]
     | Annotated[Ask, Tag("ask")]
     | Annotated[Look, Tag("look")]
@@ -171,7 +219,7 @@ Step = Annotated[
     Discriminator(
         _kind,
         custom_error_type="step",
-        custom_error_message="a step is one of stand, sit, home, goto, wait, ask, look, record, posture, loop",
+        custom_error_message="a step is one of stand, sit, home, explore, goto, wait, ask, look, record, posture, loop",
     ),
 ]
 Rounds.model_rebuild()
@@ -239,7 +287,7 @@ class MissionFile(_Model):
 
     def _step(self, node: Any, number: int) -> msg.MissionStep:
         if isinstance(node, str):
-            node = GoHome(home=Limit()) if node == "home" else Posture(posture=node)  # type: ignore[arg-type]
+            node = GoHome(home=Limits()) if node == "home" else Posture(posture=node)  # type: ignore[arg-type]
         kind = node.posture if isinstance(node, Posture) else _kind(node)
         policy, _, retries = (node.on_failure or self.on_failure).partition(" ")
         return msg.MissionStep(
@@ -271,7 +319,11 @@ def _content(node: Any) -> dict[str, Any]:
             "accept_risk": p.accept_risk,
         }
     if isinstance(node, GoHome):
-        return {"timeout": node.home.timeout}
+        return {"timeout": node.home.timeout, "accept_risk": node.home.accept_risk}
+    if isinstance(node, Explore):
+        ground = node.explore
+        corners = np.array(ground.area, np.float64).reshape(-1)
+        return {"area": corners, "duration": 60.0 * ground.minutes, "until": ground.until}
     if isinstance(node, Wait):
         return {"duration": node.wait}
     if isinstance(node, Ask):
@@ -345,6 +397,7 @@ def describe(step: msg.MissionStep) -> str:
         + (f" yaw {math.degrees(step.yaw):.0f} deg" if step.has_yaw else ""),
         Kind.WAIT: f"wait {step.duration:g} s",
         Kind.ASK: f"ask {step.text!r} ({', '.join(step.choices)})",
+        Kind.EXPLORE: "explore" + (f" an area of {len(step.area) // 2} corners" if len(step.area) else ""),
         Kind.RECORD: f"record {step.text}".strip(),
     }
     return words.get(step.kind, step.kind)

@@ -30,6 +30,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.stage_config import PlannerConfig
+from rbtrg_robot.stages.look_around import views_of
 from rbtrg_robot.stages.map_blocks import MapBlocks
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.reasons import Reason
@@ -50,14 +51,22 @@ AGAIN = 1_500_000_000
 
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
-    In: changed blocks and the window of the map, plan requests, people's questions. Out: plans and paths,
+    In: changed blocks and the window of the map, plan requests, people's questions, where to explore. Out: plans and paths,
     why they are so, whether the present path still holds, a copy of the map for a restarted elevation process. It decides the route on the map
     of now, and keeps one graph that it rebuilds only where cells changed. It never owns a goal and never
     commands motion.
     """
 
-    inputs = (t.MAP_UPDATE, t.MAP_WINDOW, t.MAP_PARTS, t.MAP_STATUS, t.PLAN_REQUEST, t.ROUTE_QUESTION)
-    outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR)
+    inputs = (
+        t.MAP_UPDATE,
+        t.MAP_WINDOW,
+        t.MAP_PARTS,
+        t.MAP_STATUS,
+        t.PLAN_REQUEST,
+        t.ROUTE_QUESTION,
+        t.EXPLORE_QUESTION,
+    )
+    outputs = (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS, t.MAP_REQUEST, t.MAP_MIRROR, t.VIEWPOINTS)
     needs_all = (t.MAP_UPDATE, t.MAP_STATUS)
     """Without a block the copy of the map is wrong for good, without the status that tells of a new epoch the blocks before the next one go."""
 
@@ -160,6 +169,9 @@ class PlannerStage:
             return self._answer(message)
         elif t.ROUTE_QUESTION.carried(message, topic):
             return self._question(message)
+        elif t.EXPLORE_QUESTION.carried(message, topic):
+            self._start = self._start or (message.start_x, message.start_y)
+            return [(t.VIEWPOINTS, views_of(self._map, message, self._body, self._now))]
         return []
 
     def _return_map(self) -> Outputs:

@@ -32,6 +32,7 @@ OF_THE_STEP = frozenset(
         Reason.IN_OBSTACLE,
         Reason.START_OFF_GRAPH,
         Reason.NO_ROUTE,
+        Reason.TOO_RISKY,
         Reason.STUCK,
         Reason.TIMEOUT,
         Reason.PROCESS_LOST,

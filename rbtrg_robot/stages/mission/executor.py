@@ -44,8 +44,17 @@ class MissionStage:
     decides which step is next and what follows a failure. It never plans and never publishes a velocity.
     """
 
-    inputs = (t.MISSION_REQUEST, t.PRESENCE, t.GOAL_STATUS, t.ROBOT_STATE, t.MAP_STATUS, t.ODOM, t.TF_STATIC)
-    outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND)
+    inputs = (
+        t.MISSION_REQUEST,
+        t.PRESENCE,
+        t.GOAL_STATUS,
+        t.ROBOT_STATE,
+        t.MAP_STATUS,
+        t.ODOM,
+        t.TF_STATIC,
+        t.VIEWPOINTS,
+    )
+    outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION)
 
     def __init__(self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "") -> None:
         """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty."""
@@ -81,6 +90,9 @@ class MissionStage:
             self._frame.take(message)
         elif t.MAP_STATUS.carried(message, topic):
             self._map, self._prior_map = message, message.prior
+            return []
+        elif t.VIEWPOINTS.carried(message, topic):
+            world.views = message
             return []
         elif t.PRESENCE.carried(message, topic):
             world.contact = world.now

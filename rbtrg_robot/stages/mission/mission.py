@@ -99,6 +99,13 @@ class Mission:
         """What is to be done now."""
         return self.home if self.returning else self.order.steps[self.cursor.at - 1]
 
+    @property
+    def ends_at(self) -> tuple[float, float, float] | None:
+        """x, y [m], heading [rad] of home where a step from now on leads there; None where the mission ends elsewhere."""
+        ahead = self.order.steps[self.cursor.at - 1 :]
+        home = self.order.home_x, self.order.home_y, self.order.home_yaw
+        return home if any(step.kind == Kind.HOME for step in ahead) else None
+
     def mark(self, status: Status, result: str = "") -> None:
         """Of the present step; the way home is none."""
         if not self.returning:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from enum import StrEnum
 
+import numpy as np
+
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.cursor import nested
 from rbtrg_robot.wire.convert import MAP
@@ -16,6 +18,7 @@ class Kind(StrEnum):
 
     GOTO = "goto"
     HOME = "home"
+    EXPLORE = "explore"
     WAIT = "wait"
     ASK = "ask"
     STAND = "stand"
@@ -50,9 +53,10 @@ class Blocking(StrEnum):
 
 MOST_STEPS = 1000
 MOST_RETRIES = 100
+MOST_CORNERS = 100
 LONGEST_TEXT = 500
 """Characters of a name or a question."""
-EVERYWHERE = frozenset({Kind.GOTO, Kind.HOME, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT})
+EVERYWHERE = frozenset({Kind.GOTO, Kind.HOME, Kind.EXPLORE, Kind.WAIT, Kind.ASK, Kind.STAND, Kind.SIT})
 """What every backend does. `look` is not among them: the robot process takes no attitude yet."""
 WHY_NOT = {
     Kind.LOOK: "the robot process does not turn the body yet",
@@ -104,6 +108,8 @@ def _step_refusal(step: msg.MissionStep, possible: frozenset[Kind]) -> str:
         return "it has numbers that are not finite"
     if step.duration < 0 or step.timeout < 0:
         return "times are not negative"
+    if kind is Kind.EXPLORE and (why := _area_refusal(step)):
+        return why
     if step.on_failure not in OnFailure._value2member_map_:
         return f"on_failure {step.on_failure!r} is none of {', '.join(OnFailure)}"
     if step.retries > MOST_RETRIES:
@@ -115,6 +121,14 @@ def _step_refusal(step: msg.MissionStep, possible: frozenset[Kind]) -> str:
     if kind is Kind.ASK and not step.choices:
         return "there is nothing to answer"
     return ""
+
+
+def _area_refusal(step: msg.MissionStep) -> str:
+    if not np.isfinite(step.area).all() or len(step.area) not in (0, *range(6, 2 * MOST_CORNERS + 2, 2)):
+        return f"an area has 3 to {MOST_CORNERS} corners, each with finite x and y"
+    if not 0.0 <= step.until <= 1.0:
+        return "`until` is a share from 0 to 1"
+    return "`until` needs an area" if step.until > 0.0 and not len(step.area) else ""
 
 
 def update_refusal(old: msg.MissionOrder, new: msg.MissionOrder, at: int) -> str:

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from hal.types import NS
 from rbtrg_robot import msg
-from rbtrg_robot.stages.mission.attempt import Attempt, Outcome
+from rbtrg_robot.stages.mission.attempt import Attempt, Outcome, Verdict
+from rbtrg_robot.stages.mission.explore import Exploration
 from rbtrg_robot.stages.mission.goal_order import GoalOrder, active
 from rbtrg_robot.stages.mission.mission import OURS, Mission, Phase, Status
 from rbtrg_robot.stages.mission.order import Blocking, Kind, OnCommsLoss, OnFailure
@@ -30,6 +31,8 @@ class World:
     goal: msg.GoalStatus | None = None
     robot: msg.RobotState | None = None
     pose: Pose2 | None = None
+    views: msg.Viewpoints | None = None
+    """The planner's newest answer to a robot that explores."""
 
     def others(self) -> str:
         """Who stopped the robot, drives it or sent it elsewhere, in words; empty where nobody does."""
@@ -56,7 +59,8 @@ class Runner:
     def __init__(self, world: World) -> None:
         self._world = world
         self.mission: Mission | None = None
-        self._attempt: Attempt | None = None
+        self._attempt: Attempt | Exploration | None = None
+        self._told = 0
         self._goals = GoalOrder()
         self._retry_at = 0
         self.changed = False
@@ -95,8 +99,11 @@ class Runner:
             if now >= self._retry_at:
                 self._begin(mission)
             return []
-        orders = self._attempt.orders(now)
-        verdict = self._attempt.verdict(now, self._world.goal, self._world.robot)
+        if isinstance(self._attempt, Exploration):
+            orders, verdict = self._explore(mission, self._attempt)
+        else:
+            orders = self._attempt.orders(now)
+            verdict = self._attempt.verdict(now, self._world.goal, self._world.robot)
         if verdict.outcome is Outcome.DONE:
             self._done(mission, verdict.detail)
         elif verdict.outcome is Outcome.FAILED:
@@ -104,6 +111,44 @@ class Runner:
         elif verdict.outcome is Outcome.NEEDS_OPERATOR:
             self.halt(Phase.PAUSED, verdict.detail)
         return orders
+
+    def _explore(self, mission: Mission, step: Exploration) -> tuple[Outputs, Verdict]:
+        world = self._world
+        if world.views is not None:
+            step.take(world.views, world.now)
+            world.views = None
+        verdict = step.verdict(world.now, world.goal, world.robot)
+        if verdict.outcome is not Outcome.RUNNING:
+            return [], verdict
+        if step.wants_goal:
+            assert step.target is not None
+            mission.goal_id = ""  # the next one has an id of its own
+            self._send(mission, *step.target)
+            step.drives(mission.goal_id, world.now)
+        elif step.target is None and mission.goal_id:
+            mission.goal_id = ""
+            self._goals.want(None)
+        if world.now - self._told >= NS and step.progress:
+            self._told = world.now
+            mission.mark(Status.RUNNING, step.progress)
+            self.changed = True
+        return step.orders(world.now, world.pose), verdict
+
+    def _send(
+        self,
+        mission: Mission,
+        x: float,
+        y: float,
+        yaw: float | None = None,
+        timeout: float = 0.0,
+        accept_risk: bool = False,
+    ) -> None:
+        fields = {
+            "timeout": timeout,
+            "owner": f"mission {mission.order.name}".strip(),
+            "accept_risk": accept_risk,
+        }
+        self._goals.want(goal_request(self._world.now, mission.name_goal(), x, y, yaw, **fields))
 
     def _out_of_contact(self, mission: Mission) -> bool:
         if mission.order.on_comms_loss == OnCommsLoss.CONTINUE:
@@ -119,11 +164,13 @@ class Runner:
         if step.kind in (Kind.GOTO, Kind.HOME):
             place = mission.home if step.kind == Kind.HOME else step
             yaw = place.yaw if place.has_yaw else None
-            owner = f"mission {mission.order.name}".strip()
-            fields = {"timeout": step.timeout, "owner": owner, "accept_risk": step.accept_risk}
-            self._goals.want(goal_request(now, mission.name_goal(), place.x, place.y, yaw, **fields))
+            self._send(mission, place.x, place.y, yaw, step.timeout, step.accept_risk)
         mission.asking = step.kind == Kind.ASK
-        self._attempt = Attempt(step, now, mission.goal_id)
+        if step.kind == Kind.EXPLORE:
+            mission.goal_id, self._world.views = "", None
+            self._attempt = Exploration(step, now, mission.ends_at)
+        else:
+            self._attempt = Attempt(step, now, mission.goal_id)
         self.changed = True
         if step.blocking_type == Blocking.NONE:
             self._done(mission, "")

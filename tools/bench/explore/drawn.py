@@ -1,0 +1,192 @@
+"""A site explored by the library alone: a robot that follows the graph exactly and sees what is in sight, without physics, noise or time.
+
+It compares orders of places on many sites in seconds. What the whole stack makes of them is `driven.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hal.scenes.scene import Scene
+from mapping.filling import fill_unknown
+from mapping.grid import ElevationGrid
+from planning.graph.graph import GraphParams, TraversalGraph
+from planning.risk.body import BodyModel
+from planning.search.to_go import least_way
+from planning.search.viewpoints import Survey, viewpoints
+
+RANGE, EYE = 4.5, 0.5
+"""[m] Farthest ground that is seen, and the height of the LiDAR above the ground."""
+RAYS = 1440
+EVERY = 1.0
+"""[m] driven between two questions."""
+LOOK = 0.25
+"""[m] driven between two sweeps."""
+ANEW = 4
+"""Other graphs that are searched before there is no place left."""
+HERE = 0.75
+"""[m] A place so near to the one that was looked from shows no more."""
+LONGEST = 100.0
+"""[m] of way for each metre of the site's side, after which it is given up."""
+SHARES = (0.5, 0.8, 0.9, 0.95, 0.97)
+
+
+class Walk:
+    """A robot on a site."""
+
+    def __init__(self, scene: Scene, *, greedy: bool) -> None:
+        self.truth = scene
+        self.seen: NDArray[np.bool_] = np.zeros(scene.height.shape, np.bool_)
+        self.place = scene.start[:2]
+        self.way = 0.0
+        self._greedy = greedy
+        self._sigma = BodyModel().weight_native
+        self._shown: list[tuple[int, int, int, int]] = []
+        rows, cols = scene.height.shape
+        x, y = np.arange(cols) * scene.resolution, np.arange(rows)[:, None] * scene.resolution
+        self.seen[
+            np.hypot(x + scene.origin[0] - self.place[0], y + scene.origin[1] - self.place[1]) < 0.8
+        ] = True
+        self.look()
+        self.graph = TraversalGraph.build(self.grid(), self.place, GraphParams())
+        self.aim = truth_reachable(scene)
+
+    def grid(self) -> ElevationGrid:
+        """What was seen."""
+        height = np.where(self.seen, self.truth.height, np.float32(np.nan))
+        return ElevationGrid(fill_unknown(height), self.seen.copy(), self.truth.origin, self.truth.resolution)
+
+    def look(self) -> None:
+        """One sweep."""
+        res = self.truth.resolution
+        c, r = ((self.place[k] - self.truth.origin[k]) / res for k in (0, 1))
+        n = math.ceil(RANGE / res) + 1
+        rows, cols = self.truth.height.shape
+        sweep(self.truth.height, self.seen, c, r, res)
+        self._shown.append(
+            (max(0, int(r) - n), max(0, int(c) - n), min(rows, int(r) + n), min(cols, int(c) + n))
+        )
+
+    @property
+    def share(self) -> float:
+        """Of the ground that the robot could come to, what was seen."""
+        return float((self.seen & self.aim).sum() / self.aim.sum())
+
+    def update(self) -> ElevationGrid:
+        """The graph follows what was seen."""
+        grid = self.grid()
+        self.graph.update(grid, self._shown, self.place)
+        self._shown = []
+        return grid
+
+    def explore(self) -> dict[str, Any]:
+        """Until no place is left, then home; metres at each of `SHARES` (NaN: never), in all, and the shares at the end."""
+        barred: list[tuple[float, float]] = []
+        target: tuple[float, float] | None = None
+        record: dict[str, Any] = {f"at_{share}": math.nan for share in SHARES}
+        limit = LONGEST * max(self.truth.height.shape) * self.truth.resolution
+        looked: tuple[float, float] | None = None
+        anew = 0
+        while self.way < limit:
+            grid = self.update()
+            survey = Survey(
+                self.place, None, self.truth.start[:2], target, np.array(barred).reshape(-1, 2), self._greedy
+            )
+            found = viewpoints(self.graph, grid, survey, self._sigma)
+            if looked is not None and len(found.xy) and np.hypot(*(found.xy - looked).T).min() < HERE:
+                barred.append(looked)
+                looked, target = None, None
+                continue
+            looked = None
+            if not len(found.xy):
+                if (anew := anew + 1) > ANEW:
+                    break
+                self.graph = TraversalGraph.build(grid, self.place, GraphParams(), anew)
+                continue
+            anew = 0
+            target = (float(found.xy[0, 0]), float(found.xy[0, 1]))
+            if self._drive(target, EVERY, record):
+                looked, target = target, None
+        record |= {"explored": self.way, "share": self.share, "left": len(found.xy)}
+        record["home"] = self._drive(self.truth.start[:2], math.inf, record)
+        return record | {"way": self.way}
+
+    def _drive(self, goal: tuple[float, float], most: float, record: dict[str, Any]) -> bool:
+        """Along the graph for `most` [m]; whether it arrived."""
+        points = path(self.graph, self.place, goal, self._sigma)
+        left = most
+        for x, y in points:
+            while (away := math.dist(self.place, (x, y))) > 1e-9:
+                step = min(LOOK, away, left)
+                if step <= 1e-9:
+                    return False
+                k = step / away
+                self.place = (
+                    self.place[0] + k * (x - self.place[0]),
+                    self.place[1] + k * (y - self.place[1]),
+                )
+                self.way += step
+                left -= step
+                self.look()
+                for share in SHARES:
+                    if math.isnan(record[f"at_{share}"]) and self.share >= share:
+                        record[f"at_{share}"] = self.way
+        return bool(len(points))
+
+
+def truth_reachable(scene: Scene) -> NDArray[np.bool_]:
+    """(rows, cols) cells around which a robot that knows the whole site could stand."""
+    grid = ElevationGrid(scene.height, np.ones(scene.height.shape, np.bool_), scene.origin, scene.resolution)
+    graph = TraversalGraph.build(grid, scene.start[:2], GraphParams())
+    out = np.zeros(scene.height.shape, np.bool_)
+    n = round(0.4 / scene.resolution)
+    for x, y, _ in graph.nodes:
+        c, r = (round((v - o) / scene.resolution) for v, o in zip((x, y), scene.origin, strict=True))
+        out[max(0, r - n) : r + n + 1, max(0, c - n) : c + n + 1] = True
+    assert graph.cells is not None
+    return out & (graph.cells.flags & 5 == 0)
+
+
+def path(
+    graph: TraversalGraph, start: tuple[float, float], goal: tuple[float, float], sigma: float
+) -> list[tuple[float, float]]:
+    """Nodes of the cheapest way, and the goal where it is within a step of its node; empty where there is none."""
+    nodes = graph.nodes
+    edge = np.repeat(np.arange(len(nodes)), np.diff(graph.indptr))
+    cost = np.hypot(*(nodes[edge, :2] - nodes[graph.indices, :2]).T) * (1.0 + sigma * graph.risk)
+    first = np.full(len(nodes), np.inf)
+    begin, end = (int(np.hypot(*(nodes[:, :2] - p).T).argmin()) for p in (start, goal))
+    first[begin] = 0.0
+    way = least_way(graph.indptr, graph.indices.astype(np.int64), cost, first)
+    if not np.isfinite(way[end]):
+        return []
+    back: list[int] = [end]
+    by_target = np.argsort(graph.indices, kind="stable")
+    starts = np.searchsorted(graph.indices[by_target], np.arange(len(nodes) + 1))
+    while back[-1] != begin:
+        into = by_target[starts[back[-1]] : starts[back[-1] + 1]]
+        back.append(int(edge[into[(way[edge[into]] + cost[into]).argmin()]]))
+    return [(float(nodes[k, 0]), float(nodes[k, 1])) for k in back[::-1]]
+
+
+@njit(cache=True)
+def sweep(height, seen, c, r, res):
+    """Mark the cells in sight from column `c`, row `r`: along each ray what rises above all before it."""
+    rows, cols = height.shape
+    eye = height[int(r), int(c)] + EYE
+    for a in range(RAYS):
+        dx, dy = math.cos(2.0 * math.pi * a / RAYS), math.sin(2.0 * math.pi * a / RAYS)
+        best = -np.inf
+        for s in range(1, int(RANGE / res) + 1):
+            i, j = int(c + s * dx + 0.5), int(r + s * dy + 0.5)
+            if i < 0 or j < 0 or i >= cols or j >= rows:
+                break
+            slope = (height[j, i] - eye) / (s * res)
+            if slope >= best:
+                best = slope
+                seen[j, i] = True

@@ -221,14 +221,13 @@ def test_fuse_equals_a_plain_reading_of_the_rules() -> None:
 
 
 def crossing(sensor, end, low, high):
-    """Planar distances at which a ray enters and leaves a square, None when it misses it."""
+    """Planar distances (...) at which a ray enters and leaves squares (..., 2); it misses those that it leaves before it enters."""
     d = end[:2] - sensor[:2]
     length = np.hypot(*d)
     u = d / length
     with np.errstate(divide="ignore"):
         a, b = (low - sensor[:2]) / u, (high - sensor[:2]) / u
-    enter, leave = np.minimum(a, b).max(), np.maximum(a, b).min()
-    return (max(enter, 0.0), leave) if leave > max(enter, 0.0) else None
+    return np.maximum(np.minimum(a, b).max(axis=-1), 0.0), np.maximum(a, b).min(axis=-1)
 
 
 def test_trace_equals_brute_force_over_all_cells() -> None:
@@ -264,27 +263,25 @@ def test_trace_equals_brute_force_over_all_cells() -> None:
         return not any(h > height[r, c] - COMPANY for h in around)
 
     late = 0
+    middle = np.stack(np.meshgrid(grid, grid), axis=-1) * res  # x, y of row and column
     for end in ends.astype(float):
         dist = np.hypot(*(end - sensor)[:2])
         dz = (end[2] - sensor[2]) / dist
-        for r in range(64):
-            for c in range(64):
-                middle = np.array([grid[c], grid[r]]) * res
-                cut = crossing(sensor, end, middle - res / 2, middle + res / 2)
-                if cut is None or cut[1] > min(dist - res, 2.5):
+        enter, leave = crossing(sensor, end, middle - res / 2, middle + res / 2)
+        for r, c in np.argwhere((leave > enter) & (leave <= min(dist - res, 2.5))).tolist():
+            cut = enter[r, c], leave[r, c]
+            if known[r, c]:
+                z = sensor[2] + dz * (cut[0] if dz < 0 else cut[1])
+                over = float(store.cells["height"][index[r, c]]) - z - 0.04
+                near_end = cut[1] > min(dist - 0.3, 2.5)
+                if near_end and not (cut[1] <= min(dist - 0.075, 2.5) and alone(r, c)):
                     continue
-                if known[r, c]:
-                    z = sensor[2] + dz * (cut[0] if dz < 0 else cut[1])
-                    over = float(store.cells["height"][index[r, c]]) - z - 0.04
-                    near_end = cut[1] > min(dist - 0.3, 2.5)
-                    if near_end and not (cut[1] <= min(dist - 0.075, 2.5) and alone(r, c)):
-                        continue
-                    if over > 3 * np.sqrt(1e-4 + (angle * cut[1]) ** 2):
-                        was = want_hit.get(int(index[r, c]), (np.inf, 0))
-                        want_hit[int(index[r, c])] = (min(was[0], z), was[1] + 1)
-                        late += near_end
-                else:
-                    upper[r, c] = min(upper[r, c], sensor[2] + dz * sum(cut) / 2 + angle * cut[1])
+                if over > 3 * np.sqrt(1e-4 + (angle * cut[1]) ** 2):
+                    was = want_hit.get(int(index[r, c]), (np.inf, 0))
+                    want_hit[int(index[r, c])] = (min(was[0], z), was[1] + 1)
+                    late += near_end
+            else:
+                upper[r, c] = min(upper[r, c], sensor[2] + dz * sum(cut) / 2 + angle * cut[1])
     assert n == len(want_hit)
     assert n > 100
     assert late > 2  # some count only because they stand alone

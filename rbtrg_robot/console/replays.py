@@ -48,16 +48,23 @@ class Playback:
         self.domain = (config.domain + AWAY) % DOMAINS
         self._bus = Bus(config.endpoint, "console", Scope(self.domain))
         self.feed = Feed(self._bus, config.capabilities(), loop, replayed=True)
+        self._loop = loop
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._turn, name="replay", daemon=True)
         self._bus.subscribe(HEARD)
         self._thread.start()
 
     def _turn(self) -> None:
-        while not self._end.is_set():
-            for received in self._bus.take(0.05):
-                self.feed.take(received)
-            self.feed.tick(time.monotonic())
+        try:
+            while not self._end.is_set():
+                for received in self._bus.take(0.05):
+                    self.feed.take(received)
+                self.feed.tick(time.monotonic())
+        except Exception:
+            log.exception("the replay of %s cannot be shown", self.run)
+            wrong = "it cannot be shown; see the log of the console"
+            told = {"run": self.run, "state": "ended", "wrong": wrong}
+            self._loop.call_soon_threadsafe(self.feed.tell, "replay", told)
 
     def close(self) -> None:
         """Blocks for a moment."""

@@ -126,6 +126,8 @@ class Bus(Refusals):
         self._absent = frozenset(absent)
         self._intruded: dict[Topic, float] = {}
         """When a stranger's message on a topic was refused last [s, monotonic]."""
+        self._named: dict[Topic, str] = {}
+        """Who it was that was told of last; one that has left is still to be found."""
         self._strangers: dict[str, tuple[str, str]] | None = None
         """Node and topic of every publisher of others, by its token; None before there was a reason to ask."""
         self._front: Front | None = None
@@ -275,13 +277,10 @@ class Bus(Refusals):
                     if on == name
                 }
             )
-            told.append(
-                STRANGER.tell(
-                    topic=name,
-                    who=", ".join(who[:NAMED]) or "a program that has left or tells no name",
-                    owner=topic.owner,
-                )
-            )
+            if who:
+                self._named[topic] = ", ".join(who[:NAMED])
+            named = self._named.get(topic, "a program that has left or tells no name")
+            told.append(STRANGER.tell(topic=name, who=named, owner=topic.owner))
         return "; ".join(told)
 
     def _hear_publisher(self, sample: zenoh.Sample) -> None:

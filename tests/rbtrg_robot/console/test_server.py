@@ -23,7 +23,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.access.certificates import KeysError, make_authority
 from rbtrg_robot.access.identity import CA, ROBOT, keys_dir
 from rbtrg_robot.config import ConfigError, load
-from rbtrg_robot.console import door
+from rbtrg_robot.console import door, replays
 from rbtrg_robot.console.desk import ONLY_SEE
 from rbtrg_robot.console.lease import VALID, Lease
 from rbtrg_robot.console.server import ConsoleError, listening, serving
@@ -523,3 +523,19 @@ def test_the_graph_comes_with_the_answer_when_asked_for(planner: Any) -> None:
     assert report.graph_from.max() < len(report.graph_x)
     assert (report.graph_from < report.graph_to).all()
     assert len(asked(planner, goal_x=2.0, goal_y=0.0).graph_x) == 0
+
+
+def test_a_replay_that_cannot_be_shown_is_told(console: Console, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its thread ended, and the pages saw the last picture for ever."""
+    told: list[tuple[str, Any]] = []
+
+    def fails(*_: Any) -> None:
+        raise KeyError("of a message that nobody foresaw")
+
+    feed = SimpleNamespace(tick=fails, tell=lambda *what: told.append(what))
+    monkeypatch.setattr(replays, "Feed", lambda *_, **__: feed)
+    loop: Any = SimpleNamespace(call_soon_threadsafe=lambda call, *what: call(*what))
+    playback = replays.Playback(console.config, loop, "yard")
+    until(lambda: bool(told))
+    playback.close()
+    assert told[0][1]["wrong"] == "it cannot be shown; see the log of the console"

@@ -144,6 +144,11 @@ def test_the_operator_reads_who_it_is_once(endpoint: str, robot: Bus) -> None:
                 break
             assert time.monotonic() < end
         session = stranger.session.zid()
+    end = time.monotonic() + LIMIT
+    while robot._strangers:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    assert robot.intrusion() == said[0], "it has left, and is still to be found"
     assert said == [
         f"/guard/limits also comes from mischief (session {session}), which is refused: it belongs to guard"
     ]

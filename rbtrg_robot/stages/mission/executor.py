@@ -21,6 +21,7 @@ from rbtrg_robot.stages.mission.order import (
     refusal,
     update_refusal,
 )
+from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.mission.runner import Runner, World
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.stages.navigation.progress import Pose2
@@ -56,10 +57,12 @@ class MissionStage:
     )
     outputs = (t.MISSION_ORDER, t.MISSION_STATE, t.GOAL_REQUEST, t.ROBOT_COMMAND, t.EXPLORE_QUESTION)
 
-    def __init__(self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "") -> None:
-        """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty."""
+    def __init__(
+        self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "", floor: float = 0.0
+    ) -> None:
+        """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty; `floor`: see `Reserve`."""
         self._possible, self._prior_map = possible, prior_map
-        self._world = World()
+        self._world = World(reserve=Reserve(floor))
         self._runner = Runner(self._world)
         self._frame = MapFrame()
         self._told_home: Pose2 | None = None
@@ -85,6 +88,8 @@ class MissionStage:
             if self._frame.known:
                 pose = message.pose.pose
                 world.pose = self._frame.pose2(pose.position.x, pose.position.y, yaw_of(pose.orientation))
+                if world.robot is not None:
+                    world.reserve.take(world.robot.battery, world.pose)
             return []
         if t.TF_STATIC.carried(message, topic):
             self._frame.take(message)
@@ -266,4 +271,4 @@ def build(config: StackConfig) -> MissionStage:
     """From the stack's configuration."""
     recorded = config.record and "recorder" not in config.without
     possible = EVERYWHERE | ({Kind.RECORD} if recorded else frozenset())
-    return MissionStage(possible, fingerprint(config.map_file))
+    return MissionStage(possible, fingerprint(config.map_file), config.gate.min_battery)

@@ -15,6 +15,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.stages.mission.attempt import DONE, RUNNING, Attempt, Outcome, Verdict
 from rbtrg_robot.stages.mission.order import Kind
+from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.stage import Outputs
 from rbtrg_robot.wire.convert import MAP
@@ -52,8 +53,9 @@ class GivenUp:
 class Exploration:
     """One try of the step, as `Attempt` is; begins when it is made."""
 
-    def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None) -> None:
-        """`now` [ns]; `home`: where the way ends, None where the robot stays."""
+    def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None, reserve: Reserve) -> None:
+        """`now` [ns]; `home`: where the way ends, None where the robot stays; `reserve`: fed by whoever hears battery and pose."""
+        self._reserve = reserve
         self._step, self._began, self._home = step, now, home
         self._heard = now
         """When the planner answered last, or the step began [ns]."""
@@ -140,21 +142,15 @@ class Exploration:
     def _give_up(self, place: tuple[float, float], why: str, *, again: bool) -> None:
         self._given_up.append(GivenUp(*place, why, again and not self._retried))
 
-    def verdict(
-        self,
-        now: int,
-        goal: msg.GoalStatus | None,
-        robot: msg.RobotState | None,
-        low: str = "",
-    ) -> Verdict:
-        """From the newest words of navigator and robot; `low`: why the battery asks for the way home, or empty."""
+    def verdict(self, now: int, goal: msg.GoalStatus | None, robot: msg.RobotState | None) -> Verdict:
+        """From the newest words of navigator and robot."""
         if self._drive is not None and self._target is not None:
             drive = self._drive.verdict(now, goal, robot)
             if drive.outcome is Outcome.NEEDS_OPERATOR:
                 return drive
             if drive.outcome is not Outcome.RUNNING:
                 self._ended(drive, now)
-        if (why := self._over(now)) or (why := low):
+        if why := self._over(now) or (self._reserve.short(self._views.home) if self._views else ""):
             return self._end(why)
         if self._open and (now - self._heard) / NS > GIVE_UP:
             refused = self._views.refused if self._views else ""

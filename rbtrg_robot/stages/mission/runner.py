@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hal.types import NS
 from rbtrg_robot import msg
@@ -11,6 +11,7 @@ from rbtrg_robot.stages.mission.explore import Exploration
 from rbtrg_robot.stages.mission.goal_order import GoalOrder, active
 from rbtrg_robot.stages.mission.mission import OURS, Mission, Phase, Status
 from rbtrg_robot.stages.mission.order import Blocking, Kind, OnCommsLoss, OnFailure
+from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.stages.navigation.goal import goal_request
 from rbtrg_robot.stages.navigation.progress import Pose2
 from rbtrg_robot.stages.navigation.reasons import Reason, absence, hindrance, words
@@ -31,6 +32,8 @@ class World:
     goal: msg.GoalStatus | None = None
     robot: msg.RobotState | None = None
     pose: Pose2 | None = None
+    reserve: Reserve = field(default_factory=lambda: Reserve(0.0))
+    """Fed with every pose; what driving cost so far in this run."""
     views: msg.Viewpoints | None = None
     """The planner's newest answer to a robot that explores."""
 
@@ -168,7 +171,7 @@ class Runner:
         mission.asking = step.kind == Kind.ASK
         if step.kind == Kind.EXPLORE:
             mission.goal_id, self._world.views = "", None
-            self._attempt = Exploration(step, now, mission.ends_at)
+            self._attempt = Exploration(step, now, mission.ends_at, self._world.reserve)
         else:
             self._attempt = Attempt(step, now, mission.goal_id)
         self.changed = True

@@ -9,6 +9,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot.stages.mission.attempt import Outcome, Verdict
 from rbtrg_robot.stages.mission.explore import ANEW, GIVE_UP, LOOKED, UNREACHABLE, Exploration
+from rbtrg_robot.stages.mission.reserve import Reserve
 from rbtrg_robot.wire.messages import array, header
 
 Place = tuple[float, float]
@@ -20,7 +21,10 @@ class World:
     def __init__(self, places: list[Place], fails: dict[Place, int] | None = None, **step: Any) -> None:
         self.places, self.fails = places, fails or {}
         self.now = 10**12
-        self.explore = Exploration(msg.MissionStep(kind="explore", **step), self.now, (0.0, 0.0, 0.0))
+        self.reserve = Reserve(0.1)
+        self.explore = Exploration(
+            msg.MissionStep(kind="explore", **step), self.now, (0.0, 0.0, 0.0), self.reserve
+        )
         self.driven: list[Place] = []
         self.goal: msg.GoalStatus | None = None
         self.stays: set[Place] = set()
@@ -109,6 +113,16 @@ def test_time_ends_it_early_enough_to_be_home() -> None:
     end = world.run()
     assert end.detail.startswith("the 1 minutes are over")
     assert 29.0 <= (world.now - began) / NS <= 32.0
+    assert "(not looked from yet)" in end.detail
+
+
+def test_a_battery_that_the_way_home_needs_ends_it() -> None:
+    world = World([(1.0, 0.0), (5.0, 0.0)])
+    world.home = 60.0
+    world.reserve.take(0.12, (0.0, 0.0, 0.0))
+    end = world.run()
+    assert end.outcome is Outcome.DONE
+    assert end.detail.startswith("the battery (12 %) is needed for the way home of 60 m")
     assert "(not looked from yet)" in end.detail
 
 

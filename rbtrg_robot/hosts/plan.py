@@ -14,7 +14,7 @@ from hal.scenes import SceneError, load_scene, scene_names
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
-from planning.errors import NoRoute, PlanningError
+from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.path import PathLimits
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
@@ -138,8 +138,15 @@ class MapPlanner:
         try:
             way = ways.find(terrain, asked, None, 0)
         except PlanningError as error:
-            reason = REASONS[error.reason] if isinstance(error, NoRoute) else Reason.INVALID
-            return Route(False, reason.value, str(error))
+            if not isinstance(error, NoRoute):
+                return Route(False, Reason.INVALID.value, str(error))
+            # There is no robot that could look or be driven: the stage's advice helps nobody here.
+            where = f"the start ({start[0]:g}, {start[1]:g})"
+            words = {
+                NoRouteReason.NO_TERRAIN: f"the map knows no ground around {where}",
+                NoRouteReason.START_NOT_ON_GRAPH: f"no straight move leads from {where} to drivable ground",
+            }.get(error.reason, str(error))
+            return Route(False, REASONS[error.reason].value, words)
         return self._route(way, terrain)
 
     def _route(self, way: Way, terrain: MapGraph) -> Route:

@@ -56,6 +56,10 @@ def test_what_cannot_be_planned_is_told_with_its_reason(planner: MapPlanner) -> 
     off = planner.plan((2.0, 2.0), (60.0, 2.0))
     assert not off.ok
     assert "outside the map, which reaches from (" in off.detail
+    walled = planner.plan((4.0, 1.0), (6.0, 2.0))
+    assert walled.reason == "start_not_on_graph"
+    assert "the start (4, 1)" in walled.detail
+    assert "robot" not in walled.detail, "there is none"
     blocked = planner.plan((2.0, 2.0), (4.0, 1.0))
     assert (blocked.ok, blocked.reason) == (False, "goal_in_obstacle")
 

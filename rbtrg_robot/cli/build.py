@@ -30,7 +30,7 @@ def map_build(
     ],
     out: Annotated[Path, typer.Option(help="The map (.npz); FILE.json and FILE.png are written beside it.")],
     config: Annotated[Path | None, typer.Option(help="YAML over the configuration in the logs.")] = None,
-    set_: Annotated[list[str] | None, typer.Option("--set", help="a.b=c.")] = None,
+    set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
     drift: Annotated[
         float,
         typer.Option(help="How many times more than the robot's own the odometry of these logs drifts."),

@@ -35,7 +35,7 @@ def explore(
     wait: Annotated[bool, typer.Option("--wait", help="Watch until its end.")] = False,
     robot: Robot = ROBOT,
 ) -> None:
-    """See all ground that can be reached, or all of an area, and come home. Exit status as of `mission run`."""
+    """See all ground that can be reached. Or all of an area, and come home. Exit status as of `mission run`."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.cli.mission import send
     from rbtrg_robot.missions.file import parse

@@ -301,7 +301,7 @@ BREAKABLE = """(() => {
     window.away = false;
     window.WebSocket = function (address) { return (last = window.away ? { readyState: 0 } : new Real(address)); };
     window.breakOff = () => { window.away = true; last.close(); };
-    window.comeBack = () => { window.away = false; last.onclose(); };
+    window.comeBack = () => { window.away = false; last.onclose({ code: 1006, reason: "" }); };
 })();"""
 """A page whose connection breaks and comes back when it is told to."""
 STOPPED = "document.querySelector('#stop-said').textContent.includes('stopped: console')"

@@ -253,7 +253,11 @@ class StackConfig(BaseModel):
 
     def capabilities(self) -> Capabilities:
         """What the robot can do with its controller."""
-        return CAPABILITIES[self.controller] if self.simulated else self.unitree_options().capabilities()
+        return (
+            CAPABILITIES[self.controller]
+            if self.simulated
+            else self.unitree_options().capabilities(self.controller)
+        )
 
     def envelope(self) -> Envelope:
         """What its controller was measured to do. Raises EnvelopeError."""
@@ -295,7 +299,7 @@ class StackConfig(BaseModel):
             "robot": self.robot,
             "backend": self.backend,
             "scene": self.scene if self.simulated else "",
-            "controller": self.controller if self.simulated else "",
+            "controller": self.controller if self.simulated or self.unitree.level == "low" else "",
             "lidars": ", ".join(f"{lidar.name} {lidar.model}" for lidar in self.lidars),
             "seed": str(self.seed),
             "clock": "simulated" if self.simulated else "wall",

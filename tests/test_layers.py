@@ -23,8 +23,8 @@ ROOMS: dict[str, str] = {
     "hal.lidar": "hal",
     "hal.locomotion": "hal",
     "hal.scenes": "hal hal.lidar",
-    "hal.mujoco.postures": "hal",
-    "hal.mujoco": "hal hal.lidar hal.locomotion hal.scenes hal.mujoco.postures",
+    "hal.postures": "hal",
+    "hal.mujoco": "hal hal.lidar hal.locomotion hal.scenes hal.postures",
     "hal.mujoco.view": "hal hal.scenes hal.mujoco",
     "hal.unitree": "hal hal.lidar hal.safety.monitors hal.safety.slope",
     "mapping": "hal",  # which says where numba keeps kernels

@@ -18,9 +18,9 @@ from hal.lowlevel import Controller
 from hal.mujoco.config import CAPABILITIES, Obstacle, Push, SimConfig
 from hal.mujoco.obstacles import box_at, present
 from hal.mujoco.people import SIZE, People
-from hal.mujoco.postures.modes import Modes
 from hal.mujoco.sensors import DelayLine, Sensors, imu_sample, joint_sample
 from hal.mujoco.sim import Simulation
+from hal.postures.modes import Modes
 from hal.rotation import up_of
 from hal.scenes import Scene
 from hal.types import (
@@ -161,7 +161,7 @@ class MujocoBackend:
         self._modes.posture(command)
 
     def request(self, mode: ModeRequest) -> None:
-        """Start a transition; see `hal.mujoco.postures.modes`."""
+        """Start a transition; see `hal.postures.modes`."""
         self._check_connected()
         self._modes.request(mode)
 

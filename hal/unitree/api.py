@@ -46,7 +46,7 @@ class MotionSwitcher(IntEnum):
     SELECT_MODE = 1002
     """{name}; answers busy (7002) for about 10 s after a release."""
     RELEASE_MODE = 1003
-    """Torque drops at once. This project never sends it."""
+    """Torque drops at once. Sent to a robot that lies, and with `unitree.level: low` alone."""
 
 
 class ObstaclesAvoid(IntEnum):

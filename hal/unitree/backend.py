@@ -58,7 +58,7 @@ class UnitreeBackend:
         """interface: network interface of the robot's network; domain: 0 on the real robot; dry_run: listen, send
         nothing; link, clock, sleep: replaced by tests, then no guardian is started."""
         self.options = options or UnitreeConfig()
-        self.capabilities = self.options.capabilities()
+        self.capabilities = self.options.capabilities("hybrid")
         self._interface, self._domain, self._dry_run = interface, domain, dry_run
         self._given, self._clock, self._sleep = link, clock, sleep
         self._link: Link | None = None

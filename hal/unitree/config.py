@@ -8,7 +8,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.envelope import limits, stored
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
+from hal.lowlevel import Controller
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics, MountedLidar
 
@@ -27,6 +29,9 @@ KEPT = {
 """Limits: guesses, with a wide margin to what the vendor's gaits are said to do. The envelope that is assumed from the model-based
 controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
 
+_SLOW = {"min_vx": 0.06, "min_wz": 0.05}
+"""Dead band of the model-based and the hybrid controller [m/s, rad/s], as measured in simulation."""
+
 
 class UnitreeConfig(BaseModel):
     """Settings to reach and drive a real Go2-W and the LiDARs it carries. Times in seconds."""
@@ -35,6 +40,15 @@ class UnitreeConfig(BaseModel):
 
     domain: int | None = Field(
         default=None, ge=0, le=232, description="DDS domain; null: 0 on the robot's network, 1 on loopback"
+    )
+    level: Literal["sport", "low"] = Field(
+        default="sport",
+        description="who balances: the robot's own sport service, or the stack's `controller` at the motors",
+    )
+    tried: tuple[Controller, ...] = Field(
+        default=(),
+        description="level low: controllers that were tried on this robot with its wheels off the ground; any other one gets "
+        "a third of the torque and 0.2 m/s",
     )
     imu: Literal["lowstate", "l1"] = Field(default="lowstate", description="which IMU feeds odometry")
     imu_yaw: float = Field(
@@ -115,9 +129,12 @@ class UnitreeConfig(BaseModel):
         turned = rotation_rpy(*mounted.mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw)
         return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
-    def capabilities(self) -> Capabilities:
-        """The robot's limits with these settings. Nobody measured the vendor's gaits: see `KEPT`."""
-        return Capabilities(
+    def capabilities(self, controller: Controller) -> Capabilities:
+        """The robot's limits with these settings. At level low they are what the stack's `controller` was measured to do in simulation.
+
+        Nobody measured the vendor's gaits: see `KEPT`.
+        """
+        rates = Capabilities(
             "unitree-go2w",
             max_vx=self.max_vx,
             max_wz=self.max_wz,
@@ -125,5 +142,9 @@ class UnitreeConfig(BaseModel):
             max_alpha=2.5,
             max_trunk_tilt=math.radians(15.0),
             lidars=self.mounted(),
-            **KEPT,  # type: ignore[arg-type]
         )
+        if self.level == "sport":
+            return replace(rates, **KEPT)  # type: ignore[arg-type]
+        slow = {"max_trunk_tilt": 0.0, "min_vx": 0.2, "min_wz": 0.3} if controller == "policy" else _SLOW
+        name = f"unitree-go2w-{controller}"
+        return replace(rates, name=name, **slow, **limits(stored(controller)))  # type: ignore[arg-type]

@@ -10,7 +10,8 @@ from hal.contract import BackendError
 from hal.optional import INSTALL_DDS
 
 if TYPE_CHECKING:
-    from hal.unitree.backend import UnitreeBackend
+    from hal.contract import Backend
+    from hal.lowlevel import Controller
     from hal.unitree.config import UnitreeConfig
 
 
@@ -38,11 +39,24 @@ def make_backend(
     dry_run: bool = False,
     options: UnitreeConfig | None = None,
     clock: Callable[[], int] = time.time_ns,
-) -> UnitreeBackend:
-    """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given. Raises MissingExtra, or BackendError for an unusable interface."""
+    controller: Controller = "hybrid",
+    policy: str = "",
+) -> Backend:
+    """Backend for the robot on `interface`; `clock` [ns] is that of the `now` it will be given.
+
+    controller, policy: of level low, see `hal.locomotion.controllers`. Raises MissingExtra, or BackendError for an unusable interface.
+    """
     check(interface)
-    from hal.unitree.backend import UnitreeBackend
     from hal.unitree.config import UnitreeConfig
 
-    domain = (options or UnitreeConfig()).dds_domain(interface)
+    options = options or UnitreeConfig()
+    domain = options.dds_domain(interface)
+    if options.level == "low":
+        if dry_run:
+            raise BackendError("a dry run listens to the sport service: unitree.level=sport", retry=False)
+        from hal.unitree.low.backend import LowLevelBackend
+
+        return LowLevelBackend(interface, domain, options, controller, policy, clock=clock)
+    from hal.unitree.backend import UnitreeBackend
+
     return UnitreeBackend(interface, domain, options, dry_run, clock=clock)

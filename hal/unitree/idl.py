@@ -130,6 +130,45 @@ class LowState(IdlStruct, typename="unitree_go.msg.dds_.LowState_"):
 
 @dataclass
 @final
+class MotorCmd(IdlStruct, typename="unitree_go.msg.dds_.MotorCmd_"):
+    mode: byte
+    q: float32
+    dq: float32
+    tau: float32
+    kp: float32
+    kd: float32
+    reserve: array[uint32, 3]
+
+
+@dataclass
+@final
+class BmsCmd(IdlStruct, typename="unitree_go.msg.dds_.BmsCmd_"):
+    off: byte
+    reserve: array[byte, 3]
+
+
+@packed
+@dataclass
+@final
+class LowCmd(IdlStruct, typename="unitree_go.msg.dds_.LowCmd_"):
+    head: array[byte, 2]
+    level_flag: byte
+    frame_reserve: byte
+    sn: array[uint32, 2]
+    version: array[uint32, 2]
+    bandwidth: uint16
+    motor_cmd: array[MotorCmd, 20]
+    bms_cmd: BmsCmd
+    wireless_remote: array[byte, 40]
+    led: array[byte, 12]
+    fan: array[byte, 2]
+    gpio: byte
+    reserve: uint32
+    crc: uint32
+
+
+@dataclass
+@final
 class TimeSpec(IdlStruct, typename="unitree_go.msg.dds_.TimeSpec_"):
     sec: int32
     nanosec: uint32
@@ -329,5 +368,14 @@ class CustomMsg(IdlStruct, typename="livox_ros_driver2.msg.dds_.CustomMsg_"):
     points: sequence[CustomPoint]
 
 
-TOPIC_TYPES = (LowState, SportModeState, RequestMessage, ResponseMessage, PointCloud2, Imu, CustomMsg)
+TOPIC_TYPES = (
+    LowState,
+    LowCmd,
+    SportModeState,
+    RequestMessage,
+    ResponseMessage,
+    PointCloud2,
+    Imu,
+    CustomMsg,
+)
 """Every type that is announced on the network."""

@@ -1,4 +1,4 @@
-"""Fixed-size messages of the robot as numpy records: LowState, SportModeState; checksum; motor order.
+"""Fixed-size messages of the robot as numpy records: LowState, LowCmd, SportModeState; checksum; motor order.
 
 On the wire (CDR) every number is aligned to its own size and structs are not padded; the checksum is taken over the
 padded C struct instead. Both layouts come from one field list. Decoding is a view: no copy, about a microsecond.
@@ -68,6 +68,23 @@ LOW_STATE: list[Field] = [
     ("power_v", "<f4"),
     ("power_a", "<f4"),
     ("fan_frequency", "<u2", 4),
+    ("reserve", "<u4"),
+    ("crc", "<u4"),
+]
+_MOTOR_CMD: list[Field] = [
+    ("mode", "u1"),
+    *((name, "<f4") for name in ("q", "dq", "tau", "kp", "kd")),
+    ("reserve", "<u4", 3),
+]
+_BMS_CMD: list[Field] = [("off", "u1"), ("reserve", "u1", 3)]
+LOW_CMD: list[Field] = [
+    *_HEAD,
+    ("motor_cmd", _MOTOR_CMD, 20),
+    ("bms_cmd", _BMS_CMD),
+    ("wireless_remote", "u1", 40),
+    ("led", "u1", 12),
+    ("fan", "u1", 2),
+    ("gpio", "u1"),
     ("reserve", "<u4"),
     ("crc", "<u4"),
 ]
@@ -152,7 +169,9 @@ def c_dtype(fields: list[Field]) -> np.dtype[np.void]:
 
 LOW_STATE_CDR = cdr_dtype(LOW_STATE)
 SPORT_MODE_STATE_CDR = cdr_dtype(SPORT_MODE_STATE)
+LOW_CMD_CDR = cdr_dtype(LOW_CMD)
 LOW_STATE_C = c_dtype(LOW_STATE)
+LOW_CMD_C = c_dtype(LOW_CMD)
 
 CDR_HEADER = b"\x00\x01\x00\x00"
 """Encapsulation of a little-endian XCDR1 message."""
@@ -181,6 +200,11 @@ def _crc(stream: bytes) -> int:
 def low_state_checksum(data: bytes) -> int:
     """What `crc` of this LowState should be: over its C struct without the last word (`crc` itself)."""
     return _crc(np.frombuffer(data, np.uint8)[_CHECKED].tobytes())
+
+
+def low_cmd_checksum(data: bytes) -> int:
+    """The same of a LowCmd."""
+    return _crc(np.frombuffer(data, np.uint8)[_CHECKED_CMD].tobytes())
 
 
 def _checked(cdr: np.dtype[np.void], c: np.dtype[np.void]) -> NDArray[np.intp]:
@@ -213,3 +237,4 @@ def _assign(target: np.void, source: np.void) -> None:
 
 
 _CHECKED = _checked(LOW_STATE_CDR, LOW_STATE_C)
+_CHECKED_CMD = _checked(LOW_CMD_CDR, LOW_CMD_C)

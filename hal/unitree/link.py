@@ -41,6 +41,12 @@ class Link(Protocol):
     def responses(self, service: str) -> list[Response]:
         """Responses since the last call."""
 
+    def publish(self, topic: str, message: bytes) -> None:
+        """Write a CDR message."""
+
+    def publishers(self, topic: str) -> int:
+        """How many write this topic, on the whole network."""
+
     def take(self, topic: str) -> list[bytes]:
         """CDR messages since the last call, oldest first."""
 
@@ -108,8 +114,13 @@ class DdsLink:
         domain: int,
         topics: Iterable[tuple[str, Any, int]],
         services: Iterable[str] = api.SERVICES,
+        commands: Iterable[tuple[str, Any]] = (),
     ) -> None:
-        """topics: name, IDL type, depth of the queue between two `take` calls; CUSTOM may stand behind a name. Raises BackendError."""
+        """Raises BackendError.
+
+        topics: name, IDL type, depth of the queue between two `take` calls; CUSTOM may stand behind a name; commands: name and IDL type
+        of what `publish` writes.
+        """
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
         from cyclonedds.core import (
             DDSException,
@@ -150,6 +161,10 @@ class DdsLink:
             for name, kind, depth in topics:
                 topic: Any = Topic(self._participant, name.removesuffix(CUSTOM), kind)
                 self._readers[name] = DataReader(self._participant, topic, qos(depth, reliable=False))
+            self._kinds: dict[str, Any] = dict(commands)
+            for name, kind in self._kinds.items():
+                topic = Topic(self._participant, name, kind)
+                self._writers[name] = DataWriter(self._participant, topic, qos(1, reliable=True))
             self._senders: Any = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
             alive = ViewState.Any | SampleState.Any | InstanceState.Alive
             self._alive: Any = ReadCondition(self._senders, alive)
@@ -173,6 +188,20 @@ class DdsLink:
             self._writers[service].write(self._request.of(request.pack()))
         except DDSException as error:
             log.warning("request %d to %s was not sent: %s", request.api, service, error)
+
+    def publish(self, topic: str, message: bytes) -> None:
+        """Write a CDR message; a full queue drops it, the next one comes."""
+        from cyclonedds.core import DDSException
+
+        try:
+            self._writers[topic].write(self._kinds[topic].of(message))
+        except DDSException as error:
+            log.warning("a message on %s was not sent: %s", topic, error)
+
+    def publishers(self, topic: str) -> int:
+        """How many write this topic, on the whole network, ours included."""
+        found = self._senders.read(N=1000, condition=self._alive)
+        return sum(sample.topic_name == topic for sample in found)
 
     def responses(self, service: str) -> list[Response]:
         """Responses since the last call; those that cannot be read are counted and logged."""
@@ -246,6 +275,13 @@ class DryRunLink:
     def responses(self, service: str) -> list[Response]:
         """The made-up answers."""
         return self._answers.pop(service, [])
+
+    def publish(self, topic: str, message: bytes) -> None:
+        """Nothing is sent."""
+
+    def publishers(self, topic: str) -> int:
+        """Of the real network."""
+        return self._link.publishers(topic)
 
     def take(self, topic: str) -> list[bytes]:
         """Real telemetry."""

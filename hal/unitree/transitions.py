@@ -33,6 +33,8 @@ class Transitions:
         self.phase = Phase.STANDING
         """The phase that the robot shows meanwhile."""
         self._stood_up = False
+        self.released = ""
+        """Name of the motion service that was released; empty where none was."""
 
     # -- running -------------------------------------------------------------------------------------------------------
 
@@ -104,6 +106,31 @@ class Transitions:
         yield from self._call(api.SPORT, Sport.DAMP, "damp")
         yield from self._until(lambda: self._seen(LYING, (7,)), 2.0, "going soft")
 
+    def release_motion(self) -> Steps:
+        """Have the motors for LowCmd: the robot lies down, then its motion service goes, whose torque drops at once."""
+        self.released = ""
+        name = yield from self._active_motion()
+        if not name:
+            return
+        if not self._seen(LYING, (5, 7)):
+            yield from self.sit()
+        deadline = self.now + round(self._options.busy_timeout * NS)
+        while name:
+            self.released = name
+            yield from self._call(
+                api.MOTION_SWITCHER, MotionSwitcher.RELEASE_MODE, f"releasing motion service {name!r}"
+            )
+            yield from self._pause(0.2)
+            name = yield from self._active_motion()
+            if name and self.now > deadline:
+                raise Failed(f"motion service {name!r} does not go; close the app, then start again")
+
+    def give_back_motion(self) -> Steps:
+        """The motion service that was released owns the motors again. The robot lies, soft."""
+        name, self.released = self.released, ""
+        if name:
+            yield from self._select_motion(name)
+
     def come_to_rest(self) -> Steps:
         """StopMove, and the time that it takes."""
         yield from self._call(api.SPORT, Sport.STOP_MOVE, "stopping", tries=2, timeout=0.3)
@@ -143,16 +170,9 @@ class Transitions:
 
     def _own_motion(self) -> Steps:
         """CheckMode; where no motion service is active, SelectMode. Then obstacle avoidance as configured."""
-        asked = "which motion service is active"
-        answer = yield from self._call(api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, asked)
-        if not self._dry_run:
-            try:
-                name = answer.json()["name"]
-            except (WireError, KeyError) as error:  # taken for "none", the running one would be replaced
-                why = error if isinstance(error, WireError) else f"answer {answer.data!r} has no name"
-                raise Failed(f"{asked}: {why}") from error
-            if not name:
-                yield from self._select_motion()
+        name = yield from self._active_motion()
+        if not name and not self._dry_run:
+            yield from self._select_motion(self._options.motion_mode)
         if self._options.avoid_obstacles:
             yield from self._call(
                 api.OBSTACLES_AVOID, ObstaclesAvoid.SWITCH_SET, "obstacle avoidance on", enable=True
@@ -164,10 +184,21 @@ class Transitions:
                 is_remote_commands_from_api=True,
             )
 
-    def _select_motion(self) -> Steps:
+    def _active_motion(self) -> Generator[None, None, str]:
+        """Name of the motion service that owns the motors; empty for none. A dry run is not told."""
+        asked = "which motion service is active"
+        answer = yield from self._call(api.MOTION_SWITCHER, MotionSwitcher.CHECK_MODE, asked)
+        if self._dry_run:
+            return ""
+        try:
+            return str(answer.json()["name"])
+        except (WireError, KeyError) as error:  # taken for "none", the running one would be replaced
+            why = error if isinstance(error, WireError) else f"answer {answer.data!r} has no name"
+            raise Failed(f"{asked}: {why}") from error
+
+    def _select_motion(self, name: str) -> Steps:
         """SelectMode, with patience for busy, until the service reports."""
         deadline = self.now + round(self._options.busy_timeout * NS)
-        name = self._options.motion_mode
         while True:
             answer = yield from self._call(
                 api.MOTION_SWITCHER,

@@ -80,6 +80,8 @@ def _hardware(config: StackConfig, clock: SourceClock | None) -> Backend:
         dry_run=config.dry_run,
         options=config.unitree_options(),
         clock=clock or SourceClock(),
+        controller=config.controller,
+        policy=config.policy_dir,
     )
     return backend
 

@@ -23,10 +23,13 @@ from dataclasses import fields
 from typing import Any
 
 from hal.lidar.config import only
+from hal.scenes import load_scene
 from hal.types import NS
 from hal.unitree import api, idl
 from hal.unitree.api import Request, WireError
 from hal.unitree.link import L1_CLOUD, L1_IMU, LOW_STATE, SPORT_STATE, check_interface, domain_config
+from hal.unitree.low.wire import LOW_CMD
+from tests.hal.unitree.low.robot import MotorBody, MotorSide
 from tests.hal.unitree.robot import LOW_STATE_PERIOD, Faults, KinematicBody, MujocoBody, RobotSide
 
 CLOUDS = {"l1": L1_CLOUD, "xt16": "rt/lidar_points"}
@@ -86,6 +89,10 @@ class Peer:
             response: Any = Topic(participant, f"rt/api/{service}/response", idl.ResponseMessage)
             self._requests[service] = DataReader(participant, request, server)
             self._answers[service] = DataWriter(participant, response, client)
+        self._low_cmd: Any = None
+        if isinstance(robot, MotorSide):
+            newest = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(4))
+            self._low_cmd = DataReader(participant, Topic(participant, LOW_CMD, idl.LowCmd), newest)
 
     def step(self, wall: int) -> None:
         """Requests in, physics on, responses and telemetry out, up to `wall` [ns] since the start.
@@ -105,12 +112,34 @@ class Peer:
                 if hasattr(sample, "cdr"):
                     with contextlib.suppress(WireError):
                         self.robot.handle(service, Request.unpack(sample.cdr), now)
+        if isinstance(self.robot, MotorSide):
+            for sample in self._low_cmd.take(N=8):
+                if hasattr(sample, "cdr"):
+                    self.robot.low_cmd(sample.cdr)
         self.robot.step(now)
         for service, response in self.robot.responses(now):
             self._answers[service].write(self._response.of(response.pack()))
         for topic, messages in self.robot.outbox().items():
             for data in messages:
                 self._writers[topic].write(self._types[topic].of(data))
+
+
+def _robot(options: argparse.Namespace, faults: Faults, topic: str) -> RobotSide:
+    """The robot that the command line asks for."""
+    if options.body == "kinematic":
+        return RobotSide(KinematicBody(not options.lying), faults, options.lidar, topic)
+    start = tuple(options.start) if options.start else None
+    body = {
+        "seed": options.seed,
+        "lidars": only(options.lidar),
+        "lidar_step": options.lidar_step,
+        "start": start,
+    }
+    if options.body == "motors":
+        return MotorSide(
+            MotorBody(load_scene(options.scene), not options.lying, **body), faults, options.lidar, topic
+        )
+    return RobotSide(MujocoBody(options.scene, not options.lying, **body), faults, options.lidar, topic)
 
 
 def main() -> int:
@@ -120,7 +149,7 @@ def main() -> int:
     )
     parser.add_argument("--interface", default="lo")
     parser.add_argument("--domain", type=int, default=1)
-    parser.add_argument("--body", choices=("kinematic", "mujoco"), default="kinematic")
+    parser.add_argument("--body", choices=("kinematic", "mujoco", "motors"), default="kinematic")
     parser.add_argument("--scene", default="flat", help="scene of the simulated robot")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--lidar", choices=tuple(CLOUDS), default="xt16")
@@ -142,20 +171,10 @@ def main() -> int:
     faults = Faults()
     for text in options.fault:
         set_fault(faults, text)
-    body = (
-        MujocoBody(
-            options.scene,
-            not options.lying,
-            seed=options.seed,
-            lidars=only(options.lidar),
-            lidar_step=options.lidar_step,
-            start=tuple(options.start) if options.start else None,
-        )
-        if options.body == "mujoco"
-        else KinematicBody(not options.lying)
-    )
     topic = CLOUDS[options.lidar]
-    peer = Peer(join(options.interface, options.domain), RobotSide(body, faults, options.lidar, topic), topic)
+    robot = _robot(options, faults, topic)
+    body = robot.body
+    peer = Peer(join(options.interface, options.domain), robot, topic)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     start = time.monotonic_ns()
     due = 0
@@ -173,6 +192,7 @@ def main() -> int:
                 "t": time.monotonic(), "v": body.v, "wz": body.wz, "x": body.x, "y": body.y,
                 "yaw": body.yaw, "mode": peer.robot.mode, "command": peer.robot.command, "phase": body.phase.value,
                 "ended": peer.robot.ended,
+                "commands": getattr(robot, "commands", 0), "stiff": getattr(body, "stiff", False),
                 "moves": [round(at / NS, 4) for at in peer.robot.moves],
             }  # fmt: skip
             peer.robot.moves.clear()

@@ -20,8 +20,8 @@ import numpy as np
 from hal import go2w
 from hal.contract import fulfilled, refusal
 from hal.lowlevel import Locomotion, LowCommand, LowState
-from hal.mujoco.postures.motion import Keyframe, Motion, damped, level_stance
-from hal.mujoco.postures.righting import UPRIGHT, Righting
+from hal.postures.motion import Keyframe, Motion, damped, level_stance
+from hal.postures.righting import UPRIGHT, Righting
 from hal.rotation import up_of
 from hal.types import Array, ModeRequest, Phase, PostureCommand, VelocityCommand
 
@@ -105,6 +105,11 @@ class Modes:
     def fault(self, reason: str) -> None:
         """Damp the motors; only RECOVER or DAMP lead out."""
         self._enter(Phase.FAULT, reason, self._damp)
+
+    @property
+    def seated(self) -> bool:
+        """Whether it lies on its folded legs, and holds them so."""
+        return self._act == self._hold_seat
 
     # --- ticking ---------------------------------------------------------------------------------------------------
     def step(self, state: LowState) -> LowCommand:

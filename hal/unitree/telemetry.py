@@ -285,9 +285,7 @@ class Telemetry:
 
     def several(self, now: int) -> str:
         """The robots whose LowState comes by turns, in words; empty where one speaks."""
-        found = [np.frombuffer(serial, "<u4") for _, serial in self._turns.several(now)]
-        serials = ["-".join(str(part) for part in serial) for serial in found]
-        return f"LowState of serial numbers {' and '.join(sorted(serials))}" if serials else ""
+        return self._turns.words(now)
 
     def figures(self) -> dict[str, float]:
         """Figures for the operator: offsets of clocks [s] and the rate of LowState [Hz] as float, counters as int."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hal.types import NS
 
 Speaker = tuple[int, bytes]
@@ -39,3 +41,9 @@ class Turns:
             return []
         assert self._speaker is not None
         return [self._speaker, *(who for who, at in self._others.items() if now - at < LASTS)]
+
+    def words(self, now: int) -> str:
+        """The robots whose LowState comes by turns; empty where one speaks."""
+        found = [np.frombuffer(serial, "<u4") for _, serial in self.several(now)]
+        serials = ["-".join(str(part) for part in serial) for serial in found]
+        return f"LowState of serial numbers {' and '.join(sorted(serials))}" if serials else ""

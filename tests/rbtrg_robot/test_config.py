@@ -138,7 +138,9 @@ def test_a_file_that_is_no_configuration(tmp_path: Path, text: str) -> None:
 def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.MonkeyPatch) -> None:
     got: dict[str, Any] = {}
 
-    def make_backend(interface: str, dry_run: bool, options: UnitreeConfig, clock: SourceClock) -> None:
+    def make_backend(
+        interface: str, dry_run: bool, options: UnitreeConfig, clock: SourceClock, **_: str
+    ) -> None:
         got.update(interface=interface, dry_run=dry_run, options=options, clock=clock)
         raise BackendError("no robot here")
 

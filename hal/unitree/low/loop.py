@@ -165,10 +165,9 @@ class MotorLoop:
         low = view(data, LOW_STATE_CDR)
         if self._check_crc and low["crc"] not in (0, low_state_checksum(data)):
             raise WireError("its checksum is wrong")
-        robot = (speaker, "-".join(str(part) for part in low["sn"]))
-        if not self._turns.counts(robot, round(now * NS)):
-            if serials := self._turns.several(round(now * NS)):
-                self.soften(TWO_ROBOTS.tell(found=" and ".join(sorted(serial for _, serial in serials))))
+        if not self._turns.counts((speaker, low["sn"].tobytes()), round(now * NS)):
+            if several := self._turns.words(round(now * NS)):
+                self.soften(TWO_ROBOTS.tell(found=several))
             return
         tick = int(low["tick"])
         if tick == self._tick:

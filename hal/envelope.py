@@ -2,8 +2,8 @@
 
 A `Table` holds what was counted: trials and failures over a grid of sizes and angles. `Fit` is the model of one table,
 a logistic regression whose parts grow with height, angle and steepness and which knows no harm on flat ground. Its mean
-tells what a motion costs, its bound at 80 % what is no way. `tools.bench envelope --write` makes the files; no number in
-them is typed by hand.
+tells what a motion costs, its bound at 80 % what is no way. `tools.bench envelope --write` makes the files; no number
+in them is typed by hand.
 
     envelope = stored("hybrid")
     envelope.hazard("up", height, angle, slope)      # -ln(1 - p); infinite where there is no way
@@ -192,8 +192,8 @@ ROUNDS = 100
 class Fit:
     """Hazard of a manoeuvre over its parts: h = softplus(base + w . parts) - softplus(base).
 
-    So it is none where all parts are zero. p = 1 - exp(-h) is a logistic curve of the parts with its value on flat ground
-    taken off (Abbott's formula). Base and logarithms of the weights are the mode of their posterior; its normal
+    So it is none where all parts are zero. p = 1 - exp(-h) is a logistic curve of the parts with its value on flat
+    ground taken off (Abbott's formula). Base and logarithms of the weights are the mode of their posterior; its normal
     approximation there (Laplace) gives the bound.
     """
 
@@ -373,9 +373,9 @@ CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
 def limits(envelope: Envelope) -> dict[str, float]:
     """Limits by the names of `Capabilities`: the largest of each size with `ROUTINE_RISK` at most, and a way.
 
-    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every direction;
-    `max_posts` is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no more than twice
-    as often; zero where each does.
+    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every
+    direction; `max_posts` is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no
+    more than twice as often; zero where each does.
     """
 
     def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:

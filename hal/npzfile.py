@@ -1,4 +1,5 @@
-"""The one reader of .npz and .npy files from somebody else: what an array takes is known, and allowed, before anything is unpacked.
+"""The one reader of .npz and .npy files from somebody else: what an array takes is known, and allowed, before anything
+is unpacked.
 
 `numpy.load` unpacks what an archive says, up to a thousand times its size, and its parser of headers raises whatever it trips over.
 """
@@ -31,7 +32,8 @@ PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 class DamagedFile(ValueError):
-    """It is no readable file of arrays, or larger than allowed; the message says what is wrong, without the file's name."""
+    """It is no readable file of arrays, or larger than allowed; the message says what is wrong, without the file's
+    name."""
 
 
 def read_npz(path: Path | str, most: float = GIGABYTE, only: Collection[str] = ()) -> dict[str, NDArray[Any]]:

@@ -61,6 +61,9 @@ class Topic(Generic[M]):
     """False for what makes a robot move: replay never publishes it."""
     publish_by: Role | None = None
     """Who from outside may publish it, and whoever is above; None: only processes on the robot's computer."""
+    thinned: bool = False
+    """The recorder leaves most out, and adds those of before a stop or a refusal late: gaps and an odd order in a log
+    are no loss."""
     shared: bool = False
     """ROS tools publish it as well, such as robot_state_publisher: what they say is left out without a word."""
 
@@ -85,7 +88,7 @@ JOINTS         = Topic("/joint_states",          msg.JointState,      50, Qos.SE
 POINTS         = Topic("/lidar/main/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "one sweep, frame lidar_main, per-point time", recorded="full standard")
 HEAD_POINTS    = Topic("/lidar/head/points",     msg.PointCloud2,     10, Qos.SENSOR,    4, "robot",     "the same of the LiDAR in the head, where there is one", recorded="full standard")
 WHEELS         = Topic("/wheels/odom",           msg.Odometry,          0, Qos.SENSOR,  100, "",          "speed that the wheels of another robot tell, base_link: in imported logs", recorded="full standard")
-CAMERA         = Topic("/camera/front/image/compressed", msg.CompressedImage, 0, Qos.SENSOR, 1, "camera", "JPEG, frame camera_front, stamped at the exposure; while somebody looks, and once a second while it is recorded", recorded="full standard")
+CAMERA         = Topic("/camera/front/image/compressed", msg.CompressedImage, 0, Qos.SENSOR, 1, "camera", "JPEG, frame camera_front, stamped at the exposure; while somebody looks, and once a second while it is recorded", recorded="full standard", thinned=True)
 CAMERA_INFO    = Topic("/camera/front/camera_info", msg.CameraInfo,    0, Qos.LATCHED,   1, "camera",    "its intrinsics", recorded="full standard")
 CAMERA_REQUEST = Topic("/camera/request",        msg.String,           0, Qos.STATE,     1, "",          "somebody looks: frames for the next 2 s", recorded="")
 ROBOT_STATE    = Topic("/robot/state",           msg.RobotState,      10, Qos.LATCHED,   1, "robot",     "phase, e-stop, gate, battery")

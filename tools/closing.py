@@ -1,4 +1,5 @@
-"""Drives for maps that close: a scene, a way through it, what the LiDARs see on it, and an odometry that drifts. No physics, no stack."""
+"""Drives for maps that close: a scene, a way through it, what the LiDARs see on it, and an odometry that drifts. No
+physics, no stack."""
 
 from __future__ import annotations
 
@@ -37,8 +38,9 @@ Way = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """Errors of an odometry, standard deviations; each drive draws its own. About 1.5 times those of the stack's odometry in 70 m of new corridor: it
-    bent by 0.0023 deg a metre with 0.007 deg by the root of a metre, and lost 0.2 mm of height a metre. Lengths: of tyres that slip.
+    """Errors of an odometry, standard deviations; each drive draws its own. About 1.5 times those of the stack's
+    odometry in 70 m of new corridor: it bent by 0.0023 deg a metre with 0.007 deg by the root of a metre, and lost 0.2
+    mm of height a metre. Lengths: of tyres that slip.
     """
 
     scale: float = 0.001
@@ -60,8 +62,8 @@ class Drift:
 
 
 def way_through(scene: Scene, corners: Way, step: float = 0.25, turning: float = math.radians(12.0)) -> Array:
-    """(n, 4, 4) poses of base_link along straight lines between corners, `step` [m] apart, turning on the spot by `turning` [rad] at a time,
-    standing on the ground of the scene."""
+    """(n, 4, 4) poses of base_link along straight lines between corners, `step` [m] apart, turning on the spot by
+    `turning` [rad] at a time, standing on the ground of the scene."""
     poses = []
     heading = None
     for (ax, ay), (bx, by) in pairwise(corners):
@@ -159,7 +161,8 @@ def write_log(path: Path, drive: Drive, sets: Sequence[str] = ()) -> None:
 
 
 def ring(half: tuple[float, float] = (10.0, 7.0), seed: int = 0) -> tuple[Scene, Way]:
-    """A corridor of 3 m round a block of twice `half` [m], with crates and pillars along its walls, and the corners of one and a quarter rounds."""
+    """A corridor of 3 m round a block of twice `half` [m], with crates and pillars along its walls, and the corners of
+    one and a quarter rounds."""
     a, b = half
     canvas = Canvas((-a - 3.0, a + 3.0, -b - 3.0, b + 3.0), 0.05)
     canvas.border(0.2, 2.0)
@@ -194,7 +197,8 @@ def clutter(
 
 
 def twins(apart: float = 9.0, seed: int = 0) -> tuple[Scene, Way]:
-    """Two corridors of 24 x 3 m, `apart` [m], that look the same to the last crate, and a way through one, through the other, and through the first again."""
+    """Two corridors of 24 x 3 m, `apart` [m], that look the same to the last crate, and a way through one, through the
+    other, and through the first again."""
     canvas = Canvas((-15.0, 15.0, -4.5, apart + 4.5), 0.05)
     canvas.border(0.2, 2.0)
     for y in (0.0, apart):
@@ -216,8 +220,8 @@ def twins(apart: float = 9.0, seed: int = 0) -> tuple[Scene, Way]:
 
 
 def site(scale: float = 1.0, seed: int = 0) -> tuple[Scene, Way]:
-    """150 x 150 m times `scale`: a way round the outside, over a hill in one corner, into a house of four corridors that look the same, and out
-    again along ways that were driven before; 1.2 km.
+    """150 x 150 m times `scale`: a way round the outside, over a hill in one corner, into a house of four corridors
+    that look the same, and out again along ways that were driven before; 1.2 km.
     """
     half = 75.0 * scale
     canvas = Canvas((-half, half, -half, half), 0.1)

@@ -1,9 +1,10 @@
-"""Checks of inputs as a table, one row each: what is watched, what is allowed, what happens beyond, what the operator reads.
+"""Checks of inputs as a table, one row each: what is watched, what is allowed, what happens beyond, what the operator
+reads.
 
-The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own. Checks that are no rows yet, such as
-the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/safety.md`. `docs/monitors.md` is this table as a page;
-the health of processes and `tools.bench faults` read it. A limit that an operator may set stands in the configuration, and the row names
-its field.
+The code that judges asks the row (`outside`, `tell`) and spells no limit and no sentence of its own. Checks that are no
+rows yet, such as the gate's timeouts, tilt, fence and stop zone, stand in the code and in `docs/safety.md`.
+`docs/monitors.md` is this table as a page; the health of processes and `tools.bench faults` read it. A limit that an
+operator may set stands in the configuration, and the row names its field.
 """
 
 from __future__ import annotations

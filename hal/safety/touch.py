@@ -127,10 +127,11 @@ class TouchWatch:
 
 
 def uneven(around: Surroundings, pose: tuple[float, float, float]) -> tuple[float, float]:
-    """How far [m] the ground under the body and AHEAD of it, and that under it and as far behind it, lies off the plane under the body.
+    """How far [m] the ground under the body and AHEAD of it, and that under it and as far behind it, lies off the plane
+    under the body.
 
-    `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because the trunk is
-    level on a slope, too.
+    `pose`: x, y [m], yaw [rad]. By what was measured: what was touched explains no touch. The plane is fitted, because
+    the trunk is level on a slope, too.
     """
     x, y, yaw = (float(v) for v in pose)
     front, side, resolution = BODY_LENGTH / 2, BODY_WIDTH / 2, around.resolution

@@ -18,8 +18,9 @@ NOTHING = (math.nan,) * 3
 class Untold:
     """Averages over `moving_stop`: sway is no motion.
 
-    Wheels and odometry must agree, the slower counts: a wheel that spins or an odometry that drifts is no motion. Odometry alone counts
-    from `CREEP` on, as of a robot that slides; so does what leads down a slope. Where one of them is silent the other counts.
+    Wheels and odometry must agree, the slower counts: a wheel that spins or an odometry that drifts is no motion.
+    Odometry alone counts from `CREEP` on, as of a robot that slides; so does what leads down a slope. Where one of them
+    is silent the other counts.
     """
 
     def __init__(self, params: GateConfig) -> None:

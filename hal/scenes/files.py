@@ -108,7 +108,8 @@ def _scene(
 
 
 def _read_npy(path: Path) -> NDArray[np.float64]:
-    """Heights (rows, cols), row 0 in the south, or points (n, 3): in double precision, since they may be of a country's grid."""
+    """Heights (rows, cols), row 0 in the south, or points (n, 3): in double precision, since they may be of a country's
+    grid."""
     try:
         array = np.asarray(read_npy(path), np.float64)
     except (OSError, ValueError) as error:  # a damaged file, or one of texts

@@ -35,7 +35,8 @@ class Geometry:
     triangles: NDArray[np.int64]
 
     def finite(self, name: str) -> Geometry:
-        """Without vertices that are no numbers, and without their triangles. Raises SceneError: nothing is left of file `name`."""
+        """Without vertices that are no numbers, and without their triangles. Raises SceneError: nothing is left of file
+        `name`."""
         good = np.asarray(np.isfinite(self.vertices).all(axis=1))
         if not good.any():
             raise SceneError(f"{name}: holds no points")

@@ -25,21 +25,18 @@ from hal.types import (
     VelocityCommand,
 )
 from hal.unitree.config import UnitreeConfig
-from hal.unitree.connect import open_link, wait_for_robot
+from hal.unitree.connect import listen_alone, open_link, wait_for_robot
 from hal.unitree.guardian import Guardian
 from hal.unitree.link import DRY_RUN, DryRunLink, Link
 from hal.unitree.mover import Mover
+from hal.unitree.news import News
 from hal.unitree.rpc import Echo, Rpc
 from hal.unitree.telemetry import MOUNT_TOLERANCE, Telemetry
-from hal.unitree.transitions import Failed, Steps, Transitions
+from hal.unitree.transitions import Steps, Transitions, finish
 
 log = logging.getLogger(__name__)
 
 RECOVERING = "recovering"
-LISTEN = 0.1
-"""[s] at the start, before and after the first requests: long enough for another robot's LowState (500 Hz) and answer."""
-_STATE_PERIOD = NS // 25
-"""[ns] between RobotState samples while nothing changes."""
 
 
 class UnitreeBackend:
@@ -58,7 +55,7 @@ class UnitreeBackend:
         """interface: network interface of the robot's network; domain: 0 on the real robot; dry_run: listen, send
         nothing; link, clock, sleep: replaced by tests, then no guardian is started."""
         self.options = options or UnitreeConfig()
-        self.capabilities = self.options.capabilities("hybrid")
+        self.capabilities = self.options.capabilities()
         self._interface, self._domain, self._dry_run = interface, domain, dry_run
         self._given, self._clock, self._sleep = link, clock, sleep
         self._link: Link | None = None
@@ -73,8 +70,7 @@ class UnitreeBackend:
         """Why the last request was not followed; until the next one, or until the phase changes."""
         self._away: int | None = None
         """When LowState was last found missing [ns]; None while the robot is under control."""
-        self._reported: tuple[Phase, str] | None = None
-        self._reported_at = 0
+        self._news = News()
 
     # -- contract --------------------------------------------------------------------------------------------------
 
@@ -128,11 +124,7 @@ class UnitreeBackend:
         self._mover.pump(now, allowed=self._phase in (Phase.READY, Phase.MOVING))
         if self._guardian is not None:
             self._guardian.beat(self._mover.moving)
-        state = self.state()
-        due = now - self._reported_at >= _STATE_PERIOD or (state.phase, state.cause) != self._reported
-        if due and now > self._reported_at:
-            self._reported_at, self._reported = now, (state.phase, state.cause)
-            out.append(state)
+        out += self._news.of(self.state())
         return out
 
     def drive(self, command: VelocityCommand) -> None:
@@ -199,7 +191,8 @@ class UnitreeBackend:
     def close(self, *, lie_down: bool = True) -> None:
         """Stop, lie down, release; never releases the motion service.
 
-        Takes 3.2 s at most (1.5 to rest, 1.7 to lie down), and 5 s more where the guardian has to insist that the robot rests.
+        Takes 3.2 s at most (1.5 to rest, 1.7 to lie down), and 5 s more where the guardian has to insist that the robot
+        rests.
         """
         if self._telemetry is None:
             return
@@ -244,20 +237,15 @@ class UnitreeBackend:
 
     def _run_now(self, steps: Steps) -> None:
         """Drive a transition to its end, waiting. Only in connect and close."""
-        telemetry = self._connected()
-        try:
-            while True:
-                self._now = self._steps.now = self._clock()
-                telemetry.read(self._now)
-                self._rpc.poll(self._now)
-                if self._guardian is not None:
-                    self._guardian.beat(self._mover.moving)
-                next(steps)
-                self._sleep(0.005)
-        except StopIteration:
-            return
-        except Failed as failure:
-            raise BackendError(str(failure)) from failure
+        finish(steps, self._tick, self._sleep)
+
+    def _tick(self) -> None:
+        """Hear the robot while something waits for it."""
+        self._now = self._steps.now = self._clock()
+        self._connected().read(self._now)
+        self._rpc.poll(self._now)
+        if self._guardian is not None:
+            self._guardian.beat(self._mover.moving)
 
     def _start(self, steps: Steps, goal: str, phase: Phase) -> None:
         if self._steps.goal == goal:
@@ -316,15 +304,7 @@ class UnitreeBackend:
         )
 
     def _alone(self, telemetry: Telemetry) -> None:
-        """Nobody is commanded before it is sure who hears it. Raises BackendError."""
-        until = self._clock() + round(LISTEN * NS)
-        while self._clock() < until:
-            self._now = self._clock()
-            telemetry.read(self._now)
-            self._rpc.poll(self._now)
-            if several := self._several(telemetry, self._now):
-                raise BackendError(f"{several}; {TWO_ROBOTS.remedy}", retry=False)
-            self._sleep(0.005)
+        listen_alone(lambda: self._several(telemetry, self._now), self._tick, self._clock, self._sleep)
 
     def _verdict(self, t: Telemetry, now: int) -> tuple[Phase, str]:
         o = self.options

@@ -8,8 +8,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hal.envelope import limits, stored
 from hal.lidar.config import DEFAULT_LIDARS, LidarConfig
+from hal.locomotion.abilities import ABILITIES
 from hal.lowlevel import Controller
 from hal.rotation import rotation_rpy, rpy_of
 from hal.types import Capabilities, Extrinsics, MountedLidar
@@ -26,11 +26,8 @@ KEPT = {
     "max_posts": 0.05,
     "step_vx": 0.0,
 }
-"""Limits: guesses, with a wide margin to what the vendor's gaits are said to do. The envelope that is assumed from the model-based
-controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
-
-_SLOW = {"min_vx": 0.06, "min_wz": 0.05}
-"""Dead band of the model-based and the hybrid controller [m/s, rad/s], as measured in simulation."""
+"""Limits: guesses, with a wide margin to what the vendor's gaits are said to do. The envelope that is assumed from the
+model-based controller is stricter (a face of 0.13 m, 20 deg), since an assumed table counts by its bound."""
 
 
 class UnitreeConfig(BaseModel):
@@ -129,22 +126,22 @@ class UnitreeConfig(BaseModel):
         turned = rotation_rpy(*mounted.mount.rpy) @ rotation_rpy(0.0, 0.0, self.l1_yaw)
         return replace(mounted, mount=Extrinsics(mounted.mount.translation, rpy_of(turned)))
 
-    def capabilities(self, controller: Controller) -> Capabilities:
-        """The robot's limits with these settings. At level low they are what the stack's `controller` was measured to do in simulation.
+    def capabilities(self, controller: Controller = "hybrid") -> Capabilities:
+        """The robot's limits with these settings: at level low those of the stack's `controller` in simulation, else
+        those of the vendor's gaits.
 
         Nobody measured the vendor's gaits: see `KEPT`.
         """
-        rates = Capabilities(
-            "unitree-go2w",
+        sport = Capabilities("", max_trunk_tilt=math.radians(15.0), **KEPT)  # type: ignore[arg-type]
+        able = ABILITIES[controller] if self.level == "low" else sport
+        return replace(
+            able,
+            name=f"unitree-go2w-{controller}" if self.level == "low" else "unitree-go2w",
             max_vx=self.max_vx,
+            max_vy=0.0,
+            strafe=False,
             max_wz=self.max_wz,
             max_accel=0.8,
             max_alpha=2.5,
-            max_trunk_tilt=math.radians(15.0),
             lidars=self.mounted(),
         )
-        if self.level == "sport":
-            return replace(rates, **KEPT)  # type: ignore[arg-type]
-        slow = {"max_trunk_tilt": 0.0, "min_vx": 0.2, "min_wz": 0.3} if controller == "policy" else _SLOW
-        name = f"unitree-go2w-{controller}"
-        return replace(rates, name=name, **slow, **limits(stored(controller)))  # type: ignore[arg-type]

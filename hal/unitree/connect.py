@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable
 
 from hal.contract import BackendError
+from hal.safety.monitors import TWO_ROBOTS
 from hal.types import NS
 from hal.unitree.config import UnitreeConfig
 from hal.unitree.link import CUSTOM, L1_IMU, LOW_STATE, SPORT_STATE, DdsLink, Link
@@ -27,6 +28,27 @@ def open_link(interface: str, domain: int, options: UnitreeConfig) -> Link:
     topics += [(options.topic(lidar), idl.PointCloud2, 4) for lidar in options.lidars]
     topics += [(options.topic(x) + CUSTOM, idl.CustomMsg, 4) for x in options.lidars if x.model == "mid360"]
     return DdsLink(interface, domain, topics)
+
+
+LISTEN = 0.1
+"""[s] at the start, before and after the first requests: long enough for another robot's LowState (500 Hz) and
+answer."""
+
+
+def listen_alone(
+    several: Callable[[], str],
+    tick: Callable[[], None],
+    clock: Callable[[], int],
+    sleep: Callable[[float], None],
+) -> None:
+    """Nobody is commanded before it is sure who hears it. `tick` hears the robot, `several` names more than one. Raises
+    BackendError."""
+    until = clock() + round(LISTEN * NS)
+    while clock() < until:
+        tick()
+        if found := several():
+            raise BackendError(f"{found}; {TWO_ROBOTS.remedy}", retry=False)
+        sleep(0.005)
 
 
 def wait_for_robot(

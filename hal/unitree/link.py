@@ -118,8 +118,8 @@ class DdsLink:
     ) -> None:
         """Raises BackendError.
 
-        topics: name, IDL type, depth of the queue between two `take` calls; CUSTOM may stand behind a name; commands: name and IDL type
-        of what `publish` writes.
+        topics: name, IDL type, depth of the queue between two `take` calls; CUSTOM may stand behind a name; commands:
+        name and IDL type of what `publish` writes.
         """
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
         from cyclonedds.core import (

@@ -48,7 +48,8 @@ class Telemetry:
     """Drains the link into samples. Ages are host time since the last message that carried something new."""
 
     def __init__(self, link: Link, options: UnitreeConfig, *, log_raw: bool = False) -> None:
-        """`log_raw`: a dry run. What the posture is read from is logged whenever it changes, and no request is answered by the robot."""
+        """`log_raw`: a dry run. What the posture is read from is logged whenever it changes, and no request is answered
+        by the robot."""
         self._log_raw = log_raw
         self._link, self._options = link, options
         self._imu_rotation = rotation_rpy(0.0, 0.0, options.imu_yaw)

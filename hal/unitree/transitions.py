@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from typing import Any
 
+from hal.contract import BackendError
 from hal.safety.monitors import ROLLS_ON
 from hal.types import LYING, NS, Phase
 from hal.unitree import api
@@ -18,6 +19,19 @@ Steps = Generator[None, None, None]
 
 class Failed(RuntimeError):
     """A transition did not come to its end; the message says why and what to do."""
+
+
+def finish(steps: Steps, tick: Callable[[], None], sleep: Callable[[float], None]) -> None:
+    """Drive a sequence to its end, waiting; `tick` hears the robot before each step. Raises BackendError."""
+    try:
+        while True:
+            tick()
+            next(steps)
+            sleep(0.005)
+    except StopIteration:
+        return
+    except Failed as failure:
+        raise BackendError(str(failure)) from failure
 
 
 class Transitions:
@@ -128,7 +142,7 @@ class Transitions:
     def give_back_motion(self) -> Steps:
         """The motion service that was released owns the motors again. The robot lies, soft."""
         name, self.released = self.released, ""
-        if name:
+        if name and not (yield from self._active_motion()):  # app or remote may have selected one
             yield from self._select_motion(name)
 
     def come_to_rest(self) -> Steps:

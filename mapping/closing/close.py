@@ -1,4 +1,5 @@
-"""Loops of one or more runs, found in the order in which they were driven: search, verify, agree, solve. What is not beyond doubt is refused."""
+"""Loops of one or more runs, found in the order in which they were driven: search, verify, agree, solve. What is not
+beyond doubt is refused."""
 
 from __future__ import annotations
 
@@ -19,10 +20,11 @@ from mapping.elevation.config import ElevationConfig
 from mapping.relocalise import ENOUGH, PriorMap, locate
 
 DRIFT = np.array([0.02, 0.02, 0.03, math.radians(0.05)])
-"""Of odometry by the root of a metre: x, y, z [m], yaw [rad]. In 70 m of new corridor it was 0.01, 0.13, 0.014 m and 0.16 deg off, which is a third of
-that; wheels that slip and impacts of simulated physics made 0.02 m in 6 m of it."""
+"""Of odometry by the root of a metre: x, y, z [m], yaw [rad]. In 70 m of new corridor it was 0.01, 0.13, 0.014 m and
+0.16 deg off, which is a third of that; wheels that slip and impacts of simulated physics made 0.02 m in 6 m of it."""
 LOOP_SIGMA = np.array([0.04, 0.04, 0.04, math.radians(0.3)])
-"""Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by the drift within it."""
+"""Of a registration: x, y, z [m], yaw [rad]. Its own error is 0.006 m and 0.05 deg; the map of a keyframe is bent by
+the drift within it."""
 NEW = 30.0
 """Driven between two keyframes of a loop, at least [m]."""
 OVERLAP = 5.0
@@ -36,7 +38,8 @@ WIDEST = 15.0
 MOST = 8
 """Maps in which one keyframe is searched, the nearest ones."""
 GATE = 18.5
-"""Square of the distance from what odometry says, by its covariance: one right loop of a thousand is further (chi square, 4)."""
+"""Square of the distance from what odometry says, by its covariance: one right loop of a thousand is further (chi
+square, 4)."""
 TOGETHER = 40.0
 """Two loops speak for each other where odometry between them is no longer than this [m]."""
 LOST_SAY = 0.2
@@ -77,7 +80,8 @@ class Closing:
     def __init__(
         self, recording: Recording, params: ElevationConfig, origin: Array, drift: float = 1.0
     ) -> None:
-        """origin (4,): x, y, z [m], yaw [rad] of the first run's `odom` in `map`. drift: how many times more than `DRIFT` the odometry drifts."""
+        """origin (4,): x, y, z [m], yaw [rad] of the first run's `odom` in `map`. drift: how many times more than
+        `DRIFT` the odometry drifts."""
         self._recording, self._params = recording, params
         self._drift = drift * DRIFT
         self.keyframes = keyframes_of(recording.scans)
@@ -103,7 +107,8 @@ class Closing:
         """Runs whose place is known."""
 
     def close(self, progress: Callable[[float], None] = lambda _share: None) -> Closed:
-        """Twice over all keyframes: what the first time was too far off may be in reach once other loops are closed. progress hears the share done."""
+        """Twice over all keyframes: what the first time was too far off may be in reach once other loops are closed.
+        progress hears the share done."""
         count = len(self.keyframes)
         for n in range(2 * count):
             number = n % count
@@ -179,7 +184,8 @@ class Closing:
         self.refused.append(Refusal(match.first, match.second, why, match.certainty))
 
     def _candidates(self, second: int) -> list[tuple[int, Array, float, float]]:
-        """Keyframes in whose maps it may be found, the nearest first: number, where (4,), within which radius [m] and turn [rad]."""
+        """Keyframes in whose maps it may be found, the nearest first: number, where (4,), within which radius [m] and
+        turn [rad]."""
         frame = self.keyframes[second]
         if frame.run not in self._found:
             return self._anywhere(second)

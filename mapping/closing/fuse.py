@@ -21,7 +21,8 @@ BETWEEN = 1800 * 10**9
 
 
 def corrected(scans: list[Scan], keyframes: list[Keyframe], nodes: Array) -> Array:
-    """(n, 4, 4) poses of base_link in `map`: between two keyframes as odometry has it from each, by the way from one to the other. nodes (k, 4)."""
+    """(n, 4, 4) poses of base_link in `map`: between two keyframes as odometry has it from each, by the way from one to
+    the other. nodes (k, 4)."""
     at = np.array([keyframe.scan for keyframe in keyframes])
     along = np.array([keyframe.along for keyframe in keyframes])
     run = np.array([keyframe.run for keyframe in keyframes])
@@ -51,7 +52,8 @@ def fuse(
     which: Iterable[int] | None = None,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> ElevationMap:
-    """The map of scans (all, or the numbers `which`) whose base_link is at poses (n, 4, 4) in `map`. progress hears the share that is done."""
+    """The map of scans (all, or the numbers `which`) whose base_link is at poses (n, 4, 4) in `map`. progress hears the
+    share that is done."""
     made = ElevationMap(params)
     numbers = list(range(len(recording.scans)) if which is None else which)
     shift, last = 0, None

@@ -1,7 +1,9 @@
-"""A pose graph of x, y, z and yaw: gravity tells roll and pitch everywhere, so nothing that the loops say may tilt the map.
+"""A pose graph of x, y, z and yaw: gravity tells roll and pitch everywhere, so nothing that the loops say may tilt the
+map.
 
-Gauss-Newton on the sparse normal equations (scipy, SuperLU). Loops count by Cauchy's weight, odometry in full: a loop that contradicts all others
-loses its say, and `PoseGraph.solve` tells how much each kept. The same factors give the covariance of any two nodes, which says where a loop may be.
+Gauss-Newton on the sparse normal equations (scipy, SuperLU). Loops count by Cauchy's weight, odometry in full: a loop
+that contradicts all others loses its say, and `PoseGraph.solve` tells how much each kept. The same factors give the
+covariance of any two nodes, which says where a loop may be.
 """
 
 from __future__ import annotations
@@ -99,7 +101,8 @@ class PoseGraph:
         return self._append(np.asarray(pose, np.float64))
 
     def drive(self, relative: ArrayLike, sigma: ArrayLike) -> int:
-        """The next node of the run: `relative` (4,) to the newest by odometry, standard deviations (4,). Returns its number."""
+        """The next node of the run: `relative` (4,) to the newest by odometry, standard deviations (4,). Returns its
+        number."""
         last = len(self.nodes) - 1
         measured = np.asarray(relative, np.float64)
         self._odometry.append((last, last + 1, measured, np.asarray(sigma, np.float64)))
@@ -132,7 +135,8 @@ class PoseGraph:
         return _edges(self._odometry)
 
     def solve(self) -> Array:
-        """Move the nodes to where odometry and loops put them; returns the weight of each loop (m,), 1 for one that fits, 0 for one that does not."""
+        """Move the nodes to where odometry and loops put them; returns the weight of each loop (m,), 1 for one that
+        fits, 0 for one that does not."""
         odometry, loops = self.odometry, self.loops
         for _ in range(STEPS):
             weight = _weights(loops.errors(self.nodes))

@@ -1,4 +1,5 @@
-"""Keyframes of the graph: every few metres one, with what was seen around it as a map to be searched and as a submap to be searched for."""
+"""Keyframes of the graph: every few metres one, with what was seen around it as a map to be searched and as a submap to
+be searched for."""
 
 from __future__ import annotations
 
@@ -64,7 +65,8 @@ class Surroundings:
         self._run = np.array([scan.run for scan in recording.scans])
 
     def map(self, keyframe: Keyframe) -> PriorMap | None:
-        """What was seen around a keyframe, in the frame of the ground under it, x ahead. None where no ground was seen."""
+        """What was seen around a keyframe, in the frame of the ground under it, x ahead. None where no ground was
+        seen."""
         if keyframe.scan not in self._maps:
             _keep(self._maps, keyframe.scan, self._build(keyframe))
         self._maps.move_to_end(keyframe.scan)

@@ -1,4 +1,5 @@
-"""What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about two gigabytes while a map is built."""
+"""What a run's LiDARs saw, on disk: millimetres as int16, one scan every few centimetres. A kilometre takes about two
+gigabytes while a map is built."""
 
 from __future__ import annotations
 
@@ -60,8 +61,9 @@ class Recording:
         below: float,
         contacts: Array,
     ) -> bool:
-        """One scan of every LiDAR: points (n, 3) in base_link, deskewed to `stamp` [ns]; pose (4, 4) of base_link in `odom`, how far the ground is
-        under it [m], bottoms of the wheels (k, 3) in base_link. Returns whether it was kept. Raises OSError where the disk is full.
+        """One scan of every LiDAR: points (n, 3) in base_link, deskewed to `stamp` [ns]; pose (4, 4) of base_link in
+        `odom`, how far the ground is under it [m], bottoms of the wheels (k, 3) in base_link. Returns whether it was
+        kept. Raises OSError where the disk is full.
         """
         last = self.scans[-1] if self.scans and self.scans[-1].run == run else None
         along = 0.0

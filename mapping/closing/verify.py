@@ -1,4 +1,5 @@
-"""Is one keyframe where another was? The relocaliser says where; both directions, every rival and the walls' grip say whether to believe it."""
+"""Is one keyframe where another was? The relocaliser says where; both directions, every rival and the walls' grip say
+whether to believe it."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ BOTH = (0.1, 0.1, 0.1, math.radians(1.0))
 GRIP = 0.05
 """Least share of the walls' normals along the direction that they hold least. Normals of one plane scatter by 0.01."""
 LEAD = 0.12
-"""A place is more certain than any other by at least this: of the looks of one keyframe none is far from the others, so they count as two."""
+"""A place is more certain than any other by at least this: of the looks of one keyframe none is far from the others, so
+they count as two."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +55,8 @@ class Verifier:
     def search(
         self, first: int, second: int, near: Array, radius: float, turn: float
     ) -> list[Candidate] | None:
-        """Where keyframe `second` may be in the map of `first`, within `radius` [m] and `turn` [rad] of `near` (4,); None: too little stands there."""
+        """Where keyframe `second` may be in the map of `first`, within `radius` [m] and `turn` [rad] of `near` (4,);
+        None: too little stands there."""
         prior = self._around.map(self._keyframes[first])
         if prior is None:
             return None
@@ -82,7 +85,8 @@ class Verifier:
 
 
 def rivals(nodes: Array, found: list[Match]) -> tuple[Match, Match | None]:
-    """The most certain of some matches of one keyframe, and the most certain one that puts the keyframe elsewhere. nodes (n, 4): where the graph has them."""
+    """The most certain of some matches of one keyframe, and the most certain one that puts the keyframe elsewhere.
+    nodes (n, 4): where the graph has them."""
     ranked = sorted(found, key=lambda match: -match.certainty)
     best = ranked[0]
     here = place_of(after(nodes[best.first], best.relative))

@@ -92,8 +92,8 @@ def possible(
     radius: float = 1.5,
     turn: float = math.radians(30.0),
 ) -> list[Candidate] | None:
-    """Places of a submap, registered, the most certain first; None where too little stands around. near: x, y [m], yaw [rad], only within
-    `radius` [m] and `turn` [rad] of which is searched.
+    """Places of a submap, registered, the most certain first; None where too little stands around. near: x, y [m], yaw
+    [rad], only within `radius` [m] and `turn` [rad] of which is searched.
     """
     cloud, eyes = submap.cloud()
     structure = cloud[cloud[:, 2] > GROUND]

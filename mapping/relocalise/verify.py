@@ -75,8 +75,8 @@ class Surfaces:
         return Place(float(x), float(y), float(z), float(yaw), place.share)
 
     def grip(self, cloud: NDArray[np.float64], place: Place) -> float:
-        """How well the walls that a submap (n, 3) meets hold it in the plane [0..0.5]: the share of their normals along the direction that they hold
-        least. 0 in a corridor without ends, along which every place fits.
+        """How well the walls that a submap (n, 3) meets hold it in the plane [0..0.5]: the share of their normals along
+        the direction that they hold least. 0 in a corridor without ends, along which every place fits.
         """
         pose = pose_of(place)
         there = cloud[cloud[:, 2] > GROUND] @ pose[:3, :3].T + pose[:3, 3]

@@ -1,10 +1,13 @@
-"""The chance that a route fails: what its controller was measured to do, at each face, slope, turn, gap and field of posts on the way.
+"""The chance that a route fails: what its controller was measured to do, at each face, slope, turn, gap and field of
+posts on the way.
 
-A route is a chain of straight moves with turns between them. Its four wheels trace lines over the map. Where one of them rises or falls
-over a face (`planning.graph.faces`) it makes a quarter of a crossing of the envelope: a kerb under all wheels is one crossing, one under
-the left wheels is half of one. Faces that follow each other like treads are stairs. Hazards add along the route.
+A route is a chain of straight moves with turns between them. Its four wheels trace lines over the map. Where one of
+them rises or falls over a face (`planning.graph.faces`) it makes a quarter of a crossing of the envelope: a kerb under
+all wheels is one crossing, one under the left wheels is half of one. Faces that follow each other like treads are
+stairs. Hazards add along the route.
 
-A failure is what ends a drive (`ENDING`): the tracker leads a robot back that slid 0.1 m off its line. Ground that nobody saw has no hazard.
+A failure is what ends a drive (`ENDING`): the tracker leads a robot back that slid 0.1 m off its line. Ground that
+nobody saw has no hazard.
 """
 
 from __future__ import annotations
@@ -42,7 +45,8 @@ STAIRS, LONGEST_TREAD = 3, 0.45
 BESIDE = 0.10
 """Farthest from the wheels that an edge lies beside them [m], as in the trials."""
 EDGE = 10
-"""So many of the samples under and beside the wheels, 3 cm apart, may be higher than the edge there: the highest one is noise."""
+"""So many of the samples under and beside the wheels, 3 cm apart, may be higher than the edge there: the highest one is
+noise."""
 BEND = math.radians(30.0)
 """Larger turns [rad] are made on the spot."""
 LEAST_TOLD = 0.001
@@ -139,7 +143,8 @@ class Drive:
 
     # --- the way ----------------------------------------------------------------------------------------------
     def _poses(self) -> tuple[Array, NDArray[np.int64], Array]:
-        """Poses (n, 3) of the body, the transition of each (n,), and how far it turns there from the pose before [rad] (n,), 0 in a move."""
+        """Poses (n, 3) of the body, the transition of each (n,), and how far it turns there from the pose before [rad]
+        (n,), 0 in a move."""
         way = self._way
         leg = np.diff(way.xy, axis=0)
         yaw = np.arctan2(leg[:, 1], leg[:, 0]) + np.pi * way.back

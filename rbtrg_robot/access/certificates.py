@@ -4,8 +4,9 @@
     DIR/robot/   ca.pem certificate.pem key.pem access.txt for the robot's computer
     DIR/NAME/    ca.pem certificate.pem key.pem            for the computer of that person
 
-EC P-256, keys in PKCS#8; the authority's is encrypted where there is a passphrase. A common name is `role:name:number`. The number is new each time: a certificate that was taken off the
-list does not count again when its owner gets another one.
+EC P-256, keys in PKCS#8; the authority's is encrypted where there is a passphrase. A common name is `role:name:number`.
+The number is new each time: a certificate that was taken off the list does not count again when its owner gets another
+one.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ class KeysError(OperatorError):
 
 
 def make_authority(base: Path, days: int, *, force: bool = False, passphrase: str = "") -> None:
-    """A new authority and the robot's certificate in `base`; an empty passphrase leaves its key open. Raises KeysError."""
+    """A new authority and the robot's certificate in `base`; an empty passphrase leaves its key open. Raises
+    KeysError."""
     if (base / AUTHORITY).exists() and not force:
         raise KeysError(f"{base} holds keys already; --force makes new ones, and no old certificate counts")
     key = ec.generate_private_key(ec.SECP256R1())
@@ -75,7 +77,8 @@ def locked(base: Path) -> bool:
 
 
 def lies_open(folder: Path) -> str:
-    """In words, where the key of the authority lies beside the robot's `folder` and is not encrypted; empty where it does not."""
+    """In words, where the key of the authority lies beside the robot's `folder` and is not encrypted; empty where it
+    does not."""
     base = folder.parent
     if not os.access(base / AUTHORITY / KEY, os.R_OK) or locked(base):
         return ""

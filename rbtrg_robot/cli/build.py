@@ -37,7 +37,8 @@ def map_build(
     ] = 1.0,
     as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
 ) -> None:
-    """Make one map of one or more runs whose loops are closed. Exit status 3: a run was not found in those before it and is left out."""
+    """Make one map of one or more runs whose loops are closed. Exit status 3: a run was not found in those before it
+    and is left out."""
     from rich.console import Console
     from rich.progress import Progress
 

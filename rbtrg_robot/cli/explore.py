@@ -23,7 +23,7 @@ def explore(
         list[str] | None, typer.Argument(help="X0 Y0 X1 Y1: two corners of the area [m], frame map.")
     ] = None,
     area: Annotated[
-        str, typer.Option("--area", help="FILE (YAML: a list of corners [x, y]), or X0 Y0 X1 Y1.")
+        str, typer.Option("--area", help="FILE (YAML: a list of corners [x, y] in metres), or X0 Y0 X1 Y1.")
     ] = "",
     minutes: Annotated[
         float, typer.Option(min=0.0, help="Be back after about so many minutes; 0 = no limit.")
@@ -32,6 +32,9 @@ def explore(
         float, typer.Option(min=0.0, max=1.0, help="End when this share of the area is seen; 0 = all of it.")
     ] = 0.0,
     back: Annotated[bool, typer.Option("--return/--no-return", help="Come home at the end.")] = True,
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Come home although the way is likely to fail.")
+    ] = False,
     wait: Annotated[bool, typer.Option("--wait", help="Watch until its end.")] = False,
     robot: Robot = ROBOT,
 ) -> None:
@@ -48,8 +51,7 @@ def explore(
     }
     steps: list[Any] = [{"explore": ground, "on_failure": "skip" if back else "stop"}]
     if back:
-        # It drove out on accepted ways: staying out is worse than the sum of their risks on the way back.
-        steps.append({"home": {"accept_risk": True}, "on_failure": "retry 3"})
+        steps.append({"home": {"accept_risk": accept}, "on_failure": "retry 3"})
     mission = parse({"name": "explore", "steps": steps}, "explore")
     with connect(robot) as bus:
         code, state = send(bus, mission.order(uuid.uuid4().hex[:12], owner=me()), wait=wait)
@@ -72,7 +74,9 @@ def _area(words: list[str]) -> list[list[float]]:
         try:
             content = yaml_file.read(Path(words[0]))
         except OSError as error:
-            raise ConfigError(f"cannot read {words[0]}: {error.strerror}") from error
+            raise ConfigError(
+                f"cannot read {words[0]}: {error.strerror}; an area is a FILE or X0 Y0 X1 Y1 in metres"
+            ) from error
         except YamlError as error:
             raise ConfigError(f"{words[0]} is not YAML: {error}") from error
         if not isinstance(content, list):

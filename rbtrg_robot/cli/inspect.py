@@ -158,7 +158,8 @@ def report(
     log_dir: Annotated[Path, typer.Option(help="Where the newest run is looked for.")] = Path("logs"),
     robot: Robot = ROBOT,
 ) -> None:
-    """Pack what a fault is reported with into one archive. Configuration, versions, doctor, status, last log lines, the last 60 s of a run."""
+    """Pack what a fault is reported with into one archive. Configuration, versions, doctor, status, last log lines, the
+    last 60 s of a run."""
     from hal.errors import OperatorError
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.log.keep import runs

@@ -272,7 +272,8 @@ def log_keep(
 
 @log_app.command("picture")
 def log_picture(file: LogFile, out: Annotated[Path, typer.Argument(help="FILE.png.")]) -> None:
-    """Draw a run from above. The map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the way that was driven."""
+    """Draw a run from above. The map at its end (not seen: dark; assumed, nobody saw it: orange), the last path, the
+    way that was driven."""
     from rbtrg_robot.log.picture import picture
 
     say(f"{picture(file, out):.1f} m driven -> {out}")

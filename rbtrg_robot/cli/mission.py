@@ -77,7 +77,8 @@ def run(
 
 
 def send(bus: Bus, order: Any, *, wait: bool, update: bool = False) -> tuple[int, Any]:
-    """Send an order, with `wait` watch it to its end; Ctrl-C pauses it. Returns the exit status and the newest state."""
+    """Send an order, with `wait` watch it to its end; Ctrl-C pauses it. Returns the exit status and the newest
+    state."""
     from rbtrg_robot import topics as t
     from rbtrg_robot.missions import words
 
@@ -275,7 +276,8 @@ def _ask(bus: Bus, action: str, **fields: Any) -> Any:
 
 
 def _follow(bus: Bus, begun: Any) -> tuple[int, Any]:
-    """Print what changes until the mission of a state ends, and be in contact meanwhile. Returns the exit status and the last state."""
+    """Print what changes until the mission of a state ends, and be in contact meanwhile. Returns the exit status and
+    the last state."""
     from rbtrg_robot import msg
     from rbtrg_robot import topics as t
     from rbtrg_robot.missions import words

@@ -195,7 +195,8 @@ class Site:
                 await socket.close(ENDED, OUTSIDE.strip())
 
     async def _send(self, socket: WebSocket, slots: Slots, who: Visitor) -> None:
-        """One frame after the other; while the page is slow, newer frames take the places of older ones. It ends with the cookie."""
+        """One frame after the other; while the page is slow, newer frames take the places of older ones. It ends with
+        the cookie."""
         while not who.ended:  # a heartbeat comes four times a second
             slots.feed.terrain_for(slots)
             entry = slots.take()

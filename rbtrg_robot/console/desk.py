@@ -169,8 +169,8 @@ class Desk:
             raise Refused(f"{what} while the robot stands and has no goal")
 
     def alive(self, page: Page, now: float, wish: dict[str, Any] | None = None) -> None:
-        """The page says that it is there, when it joins and twice a second after that: it keeps the lease, or takes it where nobody has it.
-        It is told how old what it sees is, there and back again on its link.
+        """The page says that it is there, when it joins and twice a second after that: it keeps the lease, or takes it
+        where nobody has it. It is told how old what it sees is, there and back again on its link.
 
         `watched`: it is in front of somebody and shows what is. Whoever operates is then in contact with the mission.
         """

@@ -1,8 +1,8 @@
 """Who comes in: one-time tokens, signed cookies, and one guard over everything that is served.
 
 The tokens lie in the run folder, which only the user who runs `up` can read. Whoever opens an address with a token gets a cookie,
-and the token is replaced; one that nobody uses ends after ten minutes. Cookies are signed and outlive a restart of the process: a page that is open
-can still stop the robot. They end with the stack, whose supervisor removes the secret.
+and the token is replaced; one that nobody uses ends after ten minutes. Cookies are signed and outlive a restart of the
+process: a page that is open can still stop the robot. They end with the stack, whose supervisor removes the secret.
 """
 
 from __future__ import annotations
@@ -96,7 +96,8 @@ class Door:
         fresh.replace(self._file)
 
     def renew(self) -> None:
-        """Call now and then: old tokens end, and whoever asks for one gets one that lives for half of its life at least."""
+        """Call now and then: old tokens end, and whoever asks for one gets one that lives for half of its life at
+        least."""
         now = time.monotonic()
         kept = {
             token: (role, born) for token, (role, born) in self._tokens.items() if now - born < TOKEN_LIFE

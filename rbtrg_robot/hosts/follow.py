@@ -18,8 +18,8 @@ PATIENCE = 5 * NS
 BEHIND = 64
 """Messages of a topic before the one just taken that are still kept: two publishers' may be taken in another order than recorded."""
 
-Made = Callable[[Topic, bytes, int, int], None]
-"""Called with topic, wire bytes, source clock [ns] and number of what a stage publishes."""
+Made = Callable[[Topic, bytes, int, int, int], None]
+"""Called with topic, wire bytes, time of the log, source clock [ns] and number of what a stage publishes."""
 
 
 class Inbox:
@@ -114,16 +114,17 @@ class Follower:
         except messages.MessageError:  # the process refused it, too
             return True
         self._gaps[name].look(kind, sequence)
-        self._publish(stage.on(kind, message), self.now)
+        self._publish(stage.on(kind, message), stamp)
         return True
 
-    def _publish(self, outputs: list[tuple[Topic, Any]], now: int) -> None:
+    def _publish(self, outputs: list[tuple[Topic, Any]], stamp: int) -> None:
+        """Recorded when the newest message of the log was: a simulated clock shows another date than the log."""
         for topic, message in outputs:
             if topic.owner not in self._stages:  # others publish there too: all that was said is in the log
                 continue
             payload = messages.encode(message)
             self._numbers[topic] += 1
-            self._made(topic, payload, now, self._numbers[topic])
+            self._made(topic, payload, self.now, stamp, self._numbers[topic])
             for name, stage in self._stages.items():
                 if topic in stage.inputs:
                     self._inboxes[name].put(topic.name, self._numbers[topic], None, payload)

@@ -120,10 +120,12 @@ def build(
     progress: Progress = lambda _what, _share: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> Built:
-    """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first run's `map` is the map's frame.
+    """Write the map of `runs` to `out` (.npz), and beside it what was found (.json) and a picture (.png). The first
+    run's `map` is the map's frame.
 
-    Where a log holds the deskewed clouds they are used, else odometry runs again on its sweeps. The configuration is that of each log, of the
-    elevation map that of the first, changed by `file` and `sets`; drift: see `Closing`. Raises ConfigError, LogError, MapError, which say what to do.
+    Where a log holds the deskewed clouds they are used, else odometry runs again on its sweeps. The configuration is
+    that of each log, of the elevation map that of the first, changed by `file` and `sets`; drift: see `Closing`. Raises
+    ConfigError, LogError, MapError, which say what to do.
     """
     if out.suffix != ".npz":
         raise ConfigError(f"{out} must end in .npz: `up --map` reads it by that")
@@ -262,7 +264,8 @@ def _beside(out: Path, suffix: str, data: bytes) -> None:
 
 
 def _picture(made: ElevationMap, closed: Closed, path: Path) -> None:
-    """The map from above, the way by odometry in orange, the corrected one white, closed loops green, refused ones red."""
+    """The map from above, the way by odometry in orange, the corrected one white, closed loops green, refused ones
+    red."""
     corners = np.array(made.boxes())
     row, col = corners[:, :2].min(axis=0)
     rows, cols = (corners[:, :2] + corners[:, 2:]).max(axis=0) - (row, col)

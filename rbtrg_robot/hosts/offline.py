@@ -42,9 +42,9 @@ def rerun(
     progress: Progress = lambda _seconds: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> dict[str, int]:
-    """Feed `log` through the named stages; write inputs and new outputs to `out`, what they publish instead of what the log holds on those topics.
-    Only `duration` [s] of the log from `start_offset` [s] on is fed, after what was latched before. See `config_of`, `stages_for` and `feed`. Returns
-    messages per topic.
+    """Feed `log` through the named stages; write inputs and new outputs to `out`, what they publish instead of what the
+    log holds on those topics. Only `duration` [s] of the log from `start_offset` [s] on is fed, after what was latched
+    before. See `config_of`, `stages_for` and `feed`. Returns messages per topic.
     """
     counts: Counter[str] = Counter()
     config = config_of(log, file, sets, say)
@@ -65,7 +65,8 @@ def rerun(
 def config_of(
     log: Path, file: Path | None, sets: Sequence[str], say: Callable[[str], None] = lambda _text: None
 ) -> StackConfig:
-    """The configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). Raises ConfigError, LogError."""
+    """The configuration the log was made with, changed by `file` (YAML) and `sets` (a.b=c). Raises ConfigError,
+    LogError."""
     base, unknown = of_log(first_of(log).attachments.get(CONFIG, b""))
     if unknown:
         say(f"the log is of another version; left out of its configuration: {', '.join(unknown)}")
@@ -73,8 +74,8 @@ def config_of(
 
 
 def stages_for(log: Path, names: list[str], config: StackConfig) -> Stages:
-    """The named stages, warm. Raises ConfigError for a name that is no stage or a configuration that does not hold, LogError where the log lacks
-    what one needs.
+    """The named stages, warm. Raises ConfigError for a name that is no stage or a configuration that does not hold,
+    LogError where the log lacks what one needs.
     """
     possible = [p.name for p in PROCESSES if p.hosted]
     for name in names:
@@ -96,8 +97,8 @@ def feed(
     progress: Progress = lambda _seconds: None,
     say: Callable[[str], None] = lambda _text: None,
 ) -> None:
-    """Feed a part of `log` through stages; `write` hears inputs and outputs, `progress(seconds)` how much of the source clock is done, `say` what the
-    operator should know. Raises LogError.
+    """Feed a part of `log` through stages; `write` hears inputs and outputs, `progress(seconds)` how much of the source
+    clock is done, `say` what the operator should know. Raises LogError.
     """
     held = overview(log).topics
     # From a later start on, stages begin anew: their messages have other numbers than the journals say.
@@ -260,8 +261,8 @@ def _follow(
 ) -> None:
     """A log of live processes: each stage takes what its journal says."""
 
-    def made(topic: Topic, payload: bytes, now: int, sequence: int) -> None:
-        write(topic, payload, now, stamp_in(payload, topic.type) or now, sequence)
+    def made(topic: Topic, payload: bytes, now: int, stamp: int, sequence: int) -> None:
+        write(topic, payload, now, stamp_in(payload, topic.type) or stamp, sequence)
 
     follower = Follower(stages, steps, made)
     first: int | None = None

@@ -80,8 +80,8 @@ class MapPlanner:
     """One map, many questions."""
 
     def __init__(self, file: str, config: StackConfig, start: tuple[float, float] | None = None) -> None:
-        """Read `file`: a built-in scene, a scene file or a saved map. `start` x, y [m]: where the questions begin; a file without a level place to start on
-        needs it. Raises ConfigError, SceneError, MapError."""
+        """Read `file`: a built-in scene, a scene file or a saved map. `start` x, y [m]: where the questions begin; a
+        file without a level place to start on needs it. Raises ConfigError, SceneError, MapError."""
         self.config = config
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)

@@ -91,7 +91,8 @@ class _Part(Protocol):
 
 
 class _FromRos1:
-    """Messages of ROS 1 as CDR, by the number of their connection. One that is not what its definition says is left out and counted."""
+    """Messages of ROS 1 as CDR, by the number of their connection. One that is not what its definition says is left out
+    and counted."""
 
     def __init__(self) -> None:
         self._convert: dict[int, Callable[[bytes], bytes]] = {}
@@ -112,7 +113,8 @@ class _FromRos1:
         return told
 
     def take(self, number: int, topic: str, data: bytes) -> bytes | None:
-        """A message; None where it is broken. As it is where its connection is not of ROS 1, or its definition cannot be read."""
+        """A message; None where it is broken. As it is where its connection is not of ROS 1, or its definition cannot
+        be read."""
         convert = self._convert.get(number)
         try:
             return data if convert is None else convert(data)
@@ -220,7 +222,8 @@ class Decoder:
         self._stores: dict[Source, Any] = {}
 
     def decode(self, source: Source, data: bytes) -> Any:
-        """The message, a sweep that we packed as the sweep; None where it is no CDR, nobody says what it holds, or it is broken."""
+        """The message, a sweep that we packed as the sweep; None where it is no CDR, nobody says what it holds, or it
+        is broken."""
         if source not in self._stores:
             self._stores[source] = _store_of(source)
         store = self._stores[source]

@@ -105,7 +105,7 @@ class Recorder:
         if received.topic in HEARS and self._moments.begins(received.topic, decode(received)):
             for kept in self._pictures.moment(now):
                 self.write(kept.topic, kept.payload, kept.stamp, kept.sequence)
-        thin = received.topic is t.CAMERA and self._params.profile != "full"
+        thin = received.topic.thinned and self._params.profile != "full"
         for kept in self._pictures.take(received, now) if thin else (received,):
             self.write(kept.topic, kept.payload, kept.stamp, kept.sequence)
 

@@ -36,10 +36,11 @@ class TopicStatistics:
         if self.count:
             gap = (stamp - self.last) / 1e9
             self.longest_gap = max(self.longest_gap, gap)
-            self.backwards += gap < 0
             known = BY_NAME.get(entry.topic)
+            whole = known is None or not known.thinned
+            self.backwards += whole and gap < 0
             # Where several publish, their sequences interleave.
-            if known is not None and known.owner and entry.sequence > self.sequence + 1:
+            if whole and known is not None and known.owner and entry.sequence > self.sequence + 1:
                 self.missing += entry.sequence - self.sequence - 1
         else:
             self.first = stamp

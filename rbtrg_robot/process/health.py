@@ -247,7 +247,8 @@ _CAUSES = (
 
 
 def _advice(row: dict[str, Any], details: list[str]) -> dict[str, str]:
-    """What to do about each raised monitor, by its name, from the words in a record of `robot_row` and of the processes."""
+    """What to do about each raised monitor, by its name, from the words in a record of `robot_row` and of the
+    processes."""
     told = [*details, *(str(row.get(key, "")) for key in _CAUSES)]
     told.append(row.get("goal", {}).get("detail", ""))
     return {monitor.name: monitor.remedy for monitor in raised("\n".join(told))}

@@ -44,8 +44,8 @@ from rbtrg_robot.wire.session import stack_id
 log = logging.getLogger(__name__)
 
 START_LIMIT, START_IDLE, START_MOST = 180.0, 30.0, 1800.0
-"""[s] until a process must be ready: a cold start compiles the kernels. On a slow or busy computer one that computes gets longer: until it has been idle
-for so long, or has taken so long in all."""
+"""[s] until a process must be ready: a cold start compiles the kernels. On a slow or busy computer one that computes
+gets longer: until it has been idle for so long, or has taken so long in all."""
 HELD_UP = 2.0
 """A turn that took this long [s]: the supervisor was held up itself (stopped, swapped out), so what it has heard is old, and after
 the lease sessions with its router have ended."""

@@ -50,8 +50,8 @@ class Feeling:
         place_of: Callable[[], tuple[NDArray[np.float64], float] | None],
         speed: float | None = None,
     ) -> Outputs:
-        """`place_of` is asked at a touch: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured, forward [m/s]; None where
-        nobody knows it."""
+        """`place_of` is asked at a touch: position (3,) [m] and yaw [rad] of base_link in `map`; `speed`: measured,
+        forward [m/s]; None where nobody knows it."""
         touch = self._watch.joints(sample, driven.vx, driven.wz, self._uneven(driven.vx), speed)
         if touch is None:
             return []

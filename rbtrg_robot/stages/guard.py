@@ -214,7 +214,8 @@ class GuardStage:
         self._laid = False
 
     def _sweep(self, *, main: bool) -> None:
-        """Lay the newest sweep whose pose is known over the window, once for all that came since the last time. `main`: the main LiDAR speaks."""
+        """Lay the newest sweep whose pose is known over the window, once for all that came since the last time. `main`:
+        the main LiDAR speaks."""
         if self._laid:
             return
         self._laid = True

@@ -51,10 +51,10 @@ AGAIN = 1_500_000_000
 
 class PlannerStage:
     """Blocks of the map and requests in, plans out.
-    In: changed blocks and the window of the map, plan requests, people's questions, where to explore. Out: plans and paths,
-    why they are so, whether the present path still holds, a copy of the map for a restarted elevation process. It decides the route on the map
-    of now, and keeps one graph that it rebuilds only where cells changed. It never owns a goal and never
-    commands motion.
+    In: changed blocks and the window of the map, plan requests, people's questions, where to explore. Out: plans and
+    paths, why they are so, whether the present path still holds, a copy of the map for a restarted elevation process.
+    It decides the route on the map of now, and keeps one graph that it rebuilds only where cells changed. It never owns
+    a goal and never commands motion.
     """
 
     inputs = (
@@ -80,7 +80,8 @@ class PlannerStage:
         creep: float = 0.0,
         envelope: Envelope | None = None,
     ) -> None:
-        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `envelope`: of the controller that drives."""
+        """`seed` of the graph's samples; `creep` [m/s]: see `Capabilities`; `envelope`: of the controller that
+        drives."""
         self._envelope = envelope
         self._params = params
         self._body = body

@@ -68,7 +68,8 @@ class WaySearch:
         creep: float = 0.0,
         envelope: Envelope | None = None,
     ) -> None:
-        """`creep` [m/s]: see `Capabilities`; `envelope` of the controller that drives: without it no way tells its chance."""
+        """`creep` [m/s]: see `Capabilities`; `envelope` of the controller that drives: without it no way tells its
+        chance."""
         self._envelope = envelope
         self._creep = creep
         self._crept: tuple[float, float] | None = None

@@ -252,7 +252,8 @@ class Bus(Refusals):
     def intrusion(self) -> str:
         """Who publishes what belongs to a process of this stack, in the operator's words; empty where nobody does.
 
-        Asked again and again: who it is comes from liveliness tokens, which nobody looks at before there is a reason to.
+        Asked again and again: who it is comes from liveliness tokens, which nobody looks at before there is a reason
+        to.
         """
         since = time.monotonic() - INTRUSION
         topics = [topic for topic, newest in self._intruded.copy().items() if newest > since]

@@ -80,7 +80,8 @@ def publisher_of(token: str) -> tuple[str, str]:
 
 
 def gid(token: str, key: str, proof: bytes) -> bytes:
-    """16 bytes that name an endpoint: 4 from its token, the `proof` of its process, 8 from the data key it publishes under."""
+    """16 bytes that name an endpoint: 4 from its token, the `proof` of its process, 8 from the data key it publishes
+    under."""
     return hashlib.blake2b(token.encode(), digest_size=4).digest() + proof + mark(key)
 
 

@@ -25,8 +25,8 @@ from hal.envelope import (
     read,
     stored,
 )
+from hal.locomotion.abilities import ABILITIES, KEPT
 from hal.lowlevel import CONTROLLERS
-from hal.mujoco.config import CAPABILITIES, KEPT
 
 HEIGHT = Axis(name="height", unit="m", values=(0.05, 0.10, 0.15, 0.20))
 ANGLE = Axis(name="angle", unit="deg", values=(0, 30, 60))
@@ -307,7 +307,7 @@ def test_each_controllers_file_holds_every_manoeuvre(controller: str) -> None:
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_numbers_of_the_capabilities_are_kept_only_where_other_ones_were_measured(controller) -> None:
-    able = CAPABILITIES[controller]
+    able = ABILITIES[controller]
     for name, value in limits(stored(controller)).items():
         if name in KEPT[controller]:
             assert getattr(able, name) == KEPT[controller][name] != pytest.approx(value), name

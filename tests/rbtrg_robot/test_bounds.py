@@ -222,8 +222,8 @@ def robot_obeys(config: StackConfig) -> None:
 
 
 def odometry_judges(config: StackConfig) -> None:
-    """Lost ends every goal: at the speed of the robot it comes after 5 m without a usable scan, or with a metre of doubt. What fits nowhere,
-    jumps, or holds hardly a point is not used; what fits is, and is no reason for it."""
+    """Lost ends every goal: at the speed of the robot it comes after 5 m without a usable scan, or with a metre of
+    doubt. What fits nowhere, jumps, or holds hardly a point is not used; what fits is, and is no reason for it."""
     second, here, sure = NS, np.eye(4), 1e-6 * np.eye(6)
 
     def judged(**how: Any) -> Verdict:

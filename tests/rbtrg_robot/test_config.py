@@ -158,7 +158,7 @@ def test_the_settings_of_the_real_robot_reach_its_backend(monkeypatch: pytest.Mo
     assert options.mounted() == (
         MountedLidar("main", "mid360", Extrinsics((0.1, 0.0, 0.2), (0.0, 0.3, 0.0))),
     )
-    assert options.capabilities("hybrid").max_vx == 0.5
+    assert options.capabilities().max_vx == 0.5
 
 
 def test_mapping_and_backend_agree_on_where_the_lidar_is() -> None:
@@ -166,7 +166,7 @@ def test_mapping_and_backend_agree_on_where_the_lidar_is() -> None:
     for mount in ("", ", mount: {translation: [0.3, 0.0, 0.0], rpy: [0.0, 2.8, 0.1]}"):
         config = load(None, [*sets, f"lidars=[{{name: main}}, {{name: head, model: l1{mount}}}]"])
         main, head = config.mounted_lidars()
-        assert (main, head) == config.unitree_options().capabilities("hybrid").lidars
+        assert (main, head) == config.unitree_options().capabilities().lidars
         assert (main.model, head.model) == ("xt16", "l1")
         assert abs(head.mount.rpy[2]) > 0.5
 

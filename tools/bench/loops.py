@@ -3,9 +3,9 @@
     python -m tools.bench loops --only twins --seeds 20
     python -m tools.bench loops --only site
 
-`ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and four such corridors, 1.2 km.
-What the LiDARs see is cast on the scene; the odometry is the truth with errors of the size that the stack's odometry has (`tools.closing.Drift`),
-`--drift` times as large. Truth judges, and nothing else uses it.
+`ring` is a short loop, `twins` two corridors that look the same to the last crate, `site` 150 x 150 m with a hill and
+four such corridors, 1.2 km. What the LiDARs see is cast on the scene; the odometry is the truth with errors of the size
+that the stack's odometry has (`tools.closing.Drift`), `--drift` times as large. Truth judges, and nothing else uses it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The Go2-W with a locomotion controller of ours at its motors, as a backend of the contract.
 
-Three processes: this one, which has the sensors and tells velocities; the motor loop, which balances (`hal.unitree.low.process`); and its
-watchdog (`hal.unitree.low.watch`). Each stops the robot when the one above it dies. The robot's own motion service is released from a
-robot that lies, and given back at the end.
+Three processes: this one, which has the sensors and tells velocities; the motor loop, which balances
+(`hal.unitree.low.process`); and its watchdog (`hal.unitree.low.watch`). Each stops the robot when the one above it
+dies. The robot's own motion service is released from a robot that lies, and given back at the end.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from hal.types import (
     Sample,
     VelocityCommand,
 )
-from hal.unitree.backend import LISTEN
 from hal.unitree.config import UnitreeConfig
-from hal.unitree.connect import open_link, wait_for_robot
+from hal.unitree.connect import listen_alone, open_link, wait_for_robot
 from hal.unitree.link import Link
 from hal.unitree.low.handle import MotorProcess, Motors
 from hal.unitree.low.loop import Order
 from hal.unitree.low.wire import LOW_CMD
+from hal.unitree.news import News
 from hal.unitree.rpc import Rpc
 from hal.unitree.telemetry import Telemetry
-from hal.unitree.transitions import Failed, Steps, Transitions
+from hal.unitree.transitions import Transitions, finish
 
 log = logging.getLogger(__name__)
 
@@ -50,8 +50,6 @@ OWNED = 0.5
 """[s] within which a motion service that has the motors tells its state."""
 KEPT_REQUESTS = 8
 """Requests that are told again and again: a line may be lost."""
-_STATE_PERIOD = NS // 25
-"""[ns] between RobotState samples while nothing changes."""
 
 
 class LowLevelBackend:
@@ -96,8 +94,7 @@ class LowLevelBackend:
         self._fed_at = self._released_at = 0
         self._now = 0
         self._phase, self._cause = Phase.DISCONNECTED, "not connected yet"
-        self._reported: tuple[Phase, str] | None = None
-        self._reported_at = 0
+        self._news = News()
 
     # -- contract --------------------------------------------------------------------------------------------------
 
@@ -114,7 +111,7 @@ class LowLevelBackend:
             where = f"on {self._interface!r}, DDS domain {self._domain}"
             wait_for_robot(telemetry, self.options, where, self._clock, self._sleep)
             self._alone(link, telemetry)
-            self._run_now(self._steps.release_motion())
+            finish(self._steps.release_motion(), self._tick, self._sleep)
             self._start_motors()
         except BackendError:
             self._leave()
@@ -133,14 +130,10 @@ class LowLevelBackend:
         self._rpc.poll(now)
         # Its last words may come after its release.
         if telemetry.sport_age(now) < OWNED and now - self._released_at > 2 * OWNED * NS:
-            self._order.silent = True
+            self._order.taken = True
         self._tell(now)
         self._judge()
-        state = self.state()
-        due = now - self._reported_at >= _STATE_PERIOD or (state.phase, state.cause) != self._reported
-        if due and now > self._reported_at:
-            self._reported_at, self._reported = now, (state.phase, state.cause)
-            out.append(state)
+        out += self._news.of(self.state())
         return out
 
     def drive(self, command: VelocityCommand) -> None:
@@ -169,7 +162,7 @@ class LowLevelBackend:
     def request(self, mode: ModeRequest) -> None:
         """Start a transition; the motor loop follows or refuses, and `state` shows it."""
         self._connected()
-        if mode is ModeRequest.RECOVER and self._lost():
+        if mode is ModeRequest.RECOVER and self._lost() and not self._order.taken:
             self._restart_motors()
         self._requests += 1
         self._order.requests = [*self._order.requests, (self._requests, mode.value)][-KEPT_REQUESTS:]
@@ -216,43 +209,30 @@ class LowLevelBackend:
 
     def _alone(self, link: Link, telemetry: Telemetry) -> None:
         """One robot on the network, and nobody else at its motors. Raises BackendError."""
-        until = self._clock() + round(LISTEN * NS)
-        while self._clock() < until:
-            self._step(telemetry)
-            if several := telemetry.several(self._now):
-                raise BackendError(f"{TWO_ROBOTS.tell(found=several)}; {TWO_ROBOTS.remedy}", retry=False)
-            self._sleep(0.005)
+
+        def several() -> str:
+            found = telemetry.several(self._now)
+            return TWO_ROBOTS.tell(found=found) if found and TWO_ROBOTS.active else ""
+
+        listen_alone(several, self._tick, self._clock, self._sleep)
         if others := link.publishers(LOW_CMD):
             raise BackendError(
                 f"{others} other programs send {LOW_CMD}: two commanders shake the robot; end the others first",
                 retry=False,
             )
 
-    def _step(self, telemetry: Telemetry) -> None:
+    def _tick(self) -> None:
+        """Hear the robot while something waits for it."""
         self._now = self._steps.now = self._clock()
-        telemetry.read(self._now)
+        self._connected().read(self._now)
         self._rpc.poll(self._now)
-
-    def _run_now(self, steps: Steps) -> None:
-        """Drive a transition to its end, waiting. Only in connect and close. Raises BackendError."""
-        telemetry = self._connected()
-        try:
-            while True:
-                self._step(telemetry)
-                next(steps)
-                self._sleep(0.005)
-        except StopIteration:
-            return
-        except Failed as failure:
-            raise BackendError(str(failure)) from failure
 
     def _start_motors(self) -> None:
         """The motor loop, up to its first report. Raises BackendError."""
-        telemetry = self._connected()
         self._motors = self._start(dict(self._settings))
         deadline = self._clock() + round(START * NS)
         while True:
-            self._step(telemetry)
+            self._tick()
             report = self._motors.report()
             if report is not None and report.phase is not Phase.DISCONNECTED:
                 return
@@ -288,13 +268,13 @@ class LowLevelBackend:
 
     def _verdict(self) -> tuple[Phase, str]:
         telemetry = self._connected()
+        if self._order.taken:
+            return Phase.FAULT, RETURNED
         if lost := self._lost():
             return Phase.FAULT, f"{lost}; recover starts it again"
         report = self._motors.report() if self._motors is not None else None
         if report is None or report.phase is Phase.DISCONNECTED:
             return Phase.STANDING, "the motor loop starts"
-        if self._order.silent:
-            return Phase.FAULT, RETURNED
         notes = [report.cause]
         if not self._tried:
             notes.append(TETHER)
@@ -309,7 +289,7 @@ class LowLevelBackend:
             self._motors = None
         try:
             if self._telemetry is not None:
-                self._run_now(self._steps.give_back_motion())
+                finish(self._steps.give_back_motion(), self._tick, self._sleep)
         except BackendError as error:
             log.warning("the robot's own motion service was not given its motors back: %s", error)
         if self._link is not None:

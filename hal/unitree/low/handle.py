@@ -86,7 +86,10 @@ class MotorProcess:
         return ""
 
     def close(self) -> None:
-        """End it: it lies the robot down by itself. Idempotent."""
+        """End it: it lies the robot down by itself; one that is lost is killed, and its watchdog makes the robot soft.
+        Idempotent."""
+        if self.lost():
+            self._process.kill()
         if self._process.stdin is not None and not self._process.stdin.closed:
             self._process.stdin.close()
         try:

@@ -1,4 +1,5 @@
-"""What stands between a locomotion controller and the motors: limits of each command, and what the motors must not do."""
+"""What stands between a locomotion controller and the motors: limits of each command, and what the motors must not
+do."""
 
 from __future__ import annotations
 
@@ -72,8 +73,8 @@ class Limits:
     def apply(self, command: LowCommand, state: LowState) -> LowCommand | None:
         """The command within all limits, valid until the next call; None where a value of it is not finite.
 
-        Positions stay in the joints' range, speeds and gains below their most, and the torque that a motor will make of it,
-        tau + kp (q* - q) + kd (dq* - dq), at its limit at most: all three terms shrink by one factor.
+        Positions stay in the joints' range, speeds and gains below their most, and the torque that a motor will make of
+        it, tau + kp (q* - q) + kd (dq* - dq), at its limit at most: all three terms shrink by one factor.
         """
         out = self._out
         for name in ("q", "dq", "tau", "kp", "kd"):

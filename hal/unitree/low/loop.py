@@ -8,7 +8,7 @@
 | a motor too hot, too fast, outside its range, or that loses messages | soft |
 | the controller fails, or asks for what is not a number | soft |
 | L2 and B on the robot's own remote | soft |
-| the robot's own motion service has the motors again | nothing is sent: two commanders shake the robot |
+| the robot's own motion service has the motors again | nothing is sent any more, the loop ends: two commanders shake the robot |
 | a stick of it moves | velocity zero |
 
 Soft is a fault that RECOVER or DAMP alone leave, except the remote's, which STAND leaves, too.
@@ -65,8 +65,8 @@ class Order:
     """[m]; None for the controller's own."""
     climb: bool = True
     """See `VelocityCommand.climb`."""
-    silent: bool = False
-    """Somebody else has the motors: send nothing, ever again."""
+    taken: bool = False
+    """Somebody else has the motors: send nothing more, and end."""
     requests: list[tuple[int, str]] = field(default_factory=list)
     """The newest requests with their numbers, which grow: each counts once, however often it is told."""
 
@@ -127,7 +127,8 @@ class MotorLoop:
         share: float = 1.0,
         max_vx: float = math.inf,
     ) -> None:
-        """share: of the torque limits; max_vx [m/s]: both are small while a controller is tried with the wheels off the ground."""
+        """share: of the torque limits; max_vx [m/s]: both are small while a controller is tried with the wheels off the
+        ground."""
         self._controller, self._imu_yaw, self._check_crc, self._max_vx = (
             controller,
             imu_yaw,
@@ -140,7 +141,6 @@ class MotorLoop:
         self._damped = damped()
         self._order, self._ordered_at = Order(), -math.inf
         self._number = 0
-        self._silent = False
         self._state: LowState | None = None
         self._heard_at = -math.inf
         self._tick: int | None = None
@@ -156,7 +156,7 @@ class MotorLoop:
         self._rested_at: float | None = None
         self._unread = 0
         self.finished = False
-        """The host is gone and the robot lies soft: the loop may end."""
+        """The loop ends: the host is gone and the robot lies soft, or somebody else has the motors."""
 
     # -- in --------------------------------------------------------------------------------------------------------
 
@@ -194,7 +194,7 @@ class MotorLoop:
     def order(self, order: Order, now: float) -> None:
         """From the host."""
         self._order, self._ordered_at = order, now
-        self._silent = self._silent or order.silent
+        self.finished = self.finished or order.taken
         # Before the first LowState nothing can be followed; what was asked for is told again.
         for number, mode in order.requests if self._state is not None else ():
             if number > self._number:
@@ -216,10 +216,10 @@ class MotorLoop:
     # -- out -------------------------------------------------------------------------------------------------------
 
     def tick(self, now: float) -> bytes | None:
-        """The next LowCmd; None before the first LowState, and once somebody else has the motors."""
+        """The next LowCmd; None before the first LowState, and when the loop is finished."""
         state = self._state
-        if state is None or self._silent:
-            self.finished = self._gone_at is not None
+        if state is None or self.finished:
+            self.finished = self.finished or self._gone_at is not None
             return None
         silent = now - self._heard_at
         if silent > STATE_SILENT:

@@ -33,7 +33,8 @@ class Lines:
 
 
 def write(descriptor: int, line: bytes) -> bool:
-    """Write a line to a pipe that does not block. False where it is full, or nobody reads: the next line tells the same anew."""
+    """Write a line to a pipe that does not block. False where it is full, or nobody reads: the next line tells the same
+    anew."""
     with contextlib.suppress(BlockingIOError, BrokenPipeError):
         return os.write(descriptor, line[:LONGEST]) == len(line)
     return False

@@ -1,7 +1,8 @@
-"""The process of the motor loop: 500 commands a second over its own DDS participant, orders on standard input, reports on standard output.
+"""The process of the motor loop: 500 commands a second over its own DDS participant, orders on standard input, reports
+on standard output.
 
-The loop waits for nothing: pipes do not block, Python's collector runs once a second over the youngest objects alone, and where the
-kernel permits it the process has a real-time priority (`LimitRTPRIO=` of the service, or `ulimit -r`).
+The loop waits for nothing: pipes do not block, Python's collector runs once a second over the youngest objects alone,
+and where the kernel permits it the process has a real-time priority (`LimitRTPRIO=` of the service, or `ulimit -r`).
 """
 
 from __future__ import annotations

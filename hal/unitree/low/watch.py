@@ -1,8 +1,9 @@
 """A process that makes the motors soft when the motor loop beside it dies or hangs.
 
-Motors follow their last LowCmd; what they do when none comes any more is the robot's own affair, and not documented. This process hears
-a beat from the loop with every command. After `SILENCE` without one, or where the pipe ends without a word, it kills the loop, so that
-nobody else speaks to the motors, and sends damping commands of its own over its own DDS participant.
+Motors follow their last LowCmd; what they do when none comes any more is the robot's own affair, and not documented.
+This process hears a beat from the loop with every command. After `SILENCE` without one, or where the pipe ends without
+a word, it kills the loop, so that nobody else speaks to the motors, and sends damping commands of its own over its own
+DDS participant.
 
 Input: any byte is a beat; `e` says that the robot lies soft and the loop ends. Output: `r` once it can send.
 """
@@ -52,7 +53,8 @@ def main(interface: str, domain: int, loop: int) -> int:
 
 
 def silence(beats: int) -> str:
-    """Read `beats` (a descriptor) until the loop hangs, dies or ends. Why the motors must go soft, in words; empty at a proper end."""
+    """Read `beats` (a descriptor) until the loop hangs, dies or ends. Why the motors must go soft, in words; empty at a
+    proper end."""
     started = False
     while True:
         readable, _, _ = select.select([beats], [], [], SILENCE if started else None)

@@ -1,6 +1,7 @@
 """LowState into `hal.lowlevel.LowState`, and `hal.lowlevel.LowCommand` into LowCmd, both in the robot's motor order.
 
-Source: unitree_go IDL of unitree_sdk2, `example/go2w` and `utils/crc.py` of unitree_sdk2_python for the head, the modes and the checksum.
+Source: unitree_go IDL of unitree_sdk2, `example/go2w` and `utils/crc.py` of unitree_sdk2_python for the head, the modes
+and the checksum.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ import math
 
 import numpy as np
 
+from hal import go2w
 from hal.lowlevel import LowCommand, LowState
 from hal.unitree.layout import CDR_HEADER, LOW_CMD_CDR, low_cmd_checksum
 
 LOW_CMD = "rt/lowcmd"
-MOTORS = 16
+MOTORS = len(go2w.MOTORS)
 """Of the twenty slots in a message; the others stay off."""
 HEAD = (0xFE, 0xEF)
 LOW_LEVEL = 0xFF
@@ -21,7 +23,8 @@ LOW_LEVEL = 0xFF
 FOC = 0x01
 """`mode` of a motor that follows; 0 is off."""
 L2, B = 1 << 5, 1 << 9
-"""Bits of the remote's keys, bytes 2 and 3 of `wireless_remote`: R1, L1, start, select, R2, L2, F1, F2, A, B, X, Y, up, right, down, left."""
+"""Bits of the remote's keys, bytes 2 and 3 of `wireless_remote`: R1, L1, start, select, R2, L2, F1, F2, A, B, X, Y, up,
+right, down, left."""
 _SOFT = L2 | B
 
 

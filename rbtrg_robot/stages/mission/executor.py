@@ -60,7 +60,8 @@ class MissionStage:
     def __init__(
         self, possible: frozenset[Kind] = EVERYWHERE, prior_map: str = "", floor: float = 0.0
     ) -> None:
-        """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty; `floor`: see `Reserve`."""
+        """`possible`: kinds of steps that can be done here; `prior_map`: hash of the loaded map, or empty; `floor`: see
+        `Reserve`."""
         self._possible, self._prior_map = possible, prior_map
         self._world = World(reserve=Reserve(floor))
         self._runner = Runner(self._world)

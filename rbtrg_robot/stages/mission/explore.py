@@ -1,8 +1,10 @@
-"""The step `explore`: ordinary goals to places that show what nobody saw, one after the other, until an end that says why.
+"""The step `explore`: ordinary goals to places that show what nobody saw, one after the other, until an end that says
+why.
 
-The planner answers from where the most is to be seen and in which order (`planning.search.viewpoints`). Here is what one step remembers: the place
-that is driven to, and the places that were given up, each with its reason. A place that could not be come to is tried once more before the end:
-noise closes a passage for a while, and more of the ground is known then.
+The planner answers from where the most is to be seen and in which order (`planning.search.viewpoints`). Here is what
+one step remembers: the place that is driven to, and the places that were given up, each with its reason. A place that
+could not be come to is tried once more before the end: noise closes a passage for a while, and more of the ground is
+known then.
 """
 
 from __future__ import annotations
@@ -54,7 +56,8 @@ class Exploration:
     """One try of the step, as `Attempt` is; begins when it is made."""
 
     def __init__(self, step: msg.MissionStep, now: int, home: Pose2 | None, reserve: Reserve) -> None:
-        """`now` [ns]; `home`: where the way ends, None where the robot stays; `reserve`: fed by whoever hears battery and pose."""
+        """`now` [ns]; `home`: where the way ends, None where the robot stays; `reserve`: fed by whoever hears battery
+        and pose."""
         self._reserve = reserve
         self._step, self._began, self._home = step, now, home
         self._heard = now

@@ -101,7 +101,8 @@ class Mission:
 
     @property
     def ends_at(self) -> tuple[float, float, float] | None:
-        """x, y [m], heading [rad] of home where a step from now on leads there; None where the mission ends elsewhere."""
+        """x, y [m], heading [rad] of home where a step from now on leads there; None where the mission ends
+        elsewhere."""
         ahead = self.order.steps[self.cursor.at - 1 :]
         home = self.order.home_x, self.order.home_y, self.order.home_yaw
         return home if any(step.kind == Kind.HOME for step in ahead) else None

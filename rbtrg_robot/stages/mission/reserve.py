@@ -9,8 +9,8 @@ from rbtrg_robot.stages.navigation.progress import Pose2
 MORE = 1.2
 """The way home may take so many times what driving cost so far."""
 PER_METRE, OVER = 0.0005, 100.0
-"""State of charge [0..1] a metre is thought to take before much was driven, and how many metres of experience that counts for. A robot tells
-whole percents, so the first metres say little."""
+"""State of charge [0..1] a metre is thought to take before much was driven, and how many metres of experience that
+counts for. A robot tells whole percents, so the first metres say little."""
 JUMP = 1.0
 """[m] A pose farther than this from the one before was set and not driven to."""
 
@@ -41,7 +41,8 @@ class Reserve:
         return (spent + PER_METRE * OVER) / (self._metres + OVER)
 
     def short(self, way: float) -> str:
-        """Why a way home of so much [m] must begin now; empty while it need not. Where the way is not known nothing is said."""
+        """Why a way home of so much [m] must begin now; empty while it need not. Where the way is not known nothing is
+        said."""
         if self._first is None or not math.isfinite(way):
             return ""
         needed = MORE * self.per_metre * way

@@ -343,13 +343,15 @@ class NavigatorStage:
         return math.dist(self._pose[:2], (goal.x, goal.y)) if self._pose else math.inf
 
     def _arrived(self, goal: Goal) -> bool:
-        """Whether the robot is at the goal. That is a matter of its pose: what a path or a plan says of the rest changes nothing. The one place that decides it."""
+        """Whether the robot is at the goal. That is a matter of its pose: what a path or a plan says of the rest
+        changes nothing. The one place that decides it."""
         if self._pose is None or self._distance(goal) > self._params.goal_tolerance:
             return False
         return not heading_off(goal.yaw, self._pose[2])
 
     def _reach(self) -> None:
-        """The robot is at the goal, as far as its place is known: one that is known worse than the tolerance is not called reached."""
+        """The robot is at the goal, as far as its place is known: one that is known worse than the tolerance is not
+        called reached."""
         if unsure := self._inputs.unsure(self._params.goal_tolerance):
             self._end(GoalState.ABORTED, Reason.UNSURE, unsure)
         else:
@@ -360,7 +362,8 @@ class NavigatorStage:
         return end < self._distance(goal) - NEARER
 
     def _recover(self, goal: Goal) -> None:
-        """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at the goal needs neither."""
+        """Move out of the place, then replan around it; give up where that was done often enough. A robot that is at
+        the goal needs neither."""
         if self._arrived(goal):
             return self._reach()
         self._progress.reset()

@@ -23,7 +23,8 @@ HEADING = math.radians(10.0)
 
 
 def heading_off(wanted: float | None, yaw: float) -> str:
-    """In words how far a robot at its goal that looks along `yaw` [rad] is off the heading `wanted` [rad]; empty within `HEADING`, or without one."""
+    """In words how far a robot at its goal that looks along `yaw` [rad] is off the heading `wanted` [rad]; empty within
+    `HEADING`, or without one."""
     off = 0.0 if wanted is None else abs(wrap(wanted - yaw))
     if off <= HEADING:
         return ""

@@ -28,8 +28,9 @@ STUCK_ANGLE = 0.5
 REST = 1.0, 0.02, 0.03
 """In so many seconds less than so many [m] and [rad]: the robot is at rest."""
 SECONDS, SLOW, PLACE = 25.0, 0.3, 1.0
-"""[s] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] from all places before it a place is new: a robot that shuttles before what it
-cannot cross, from one frontier to the other, stays within a body length or two of where it was."""
+"""[s] of a `Budget`, [m/s] at which the way of a plan is driven at least, [m] from all places before it a place is new:
+a robot that shuttles before what it cannot cross, from one frontier to the other, stays within a body length or two of
+where it was."""
 BESIDE = 0.15
 """[m] beside a path a robot is off it. Plans that keep the path that is driven reach as far."""
 STRAY = 0.10
@@ -132,8 +133,9 @@ class ProgressMonitor:
 class Budget:
     """How many seconds a goal may take without coming to a place where the robot has not been for it.
 
-    A robot that shuttles, circles what it cannot enter or waits before it spends them; one that comes nearer, or looks at what it has not
-    looked at, is somewhere new all the time. A plan adds the way back over old ground that it asks for, once.
+    A robot that shuttles, circles what it cannot enter or waits before it spends them; one that comes nearer, or looks
+    at what it has not looked at, is somewhere new all the time. A plan adds the way back over old ground that it asks
+    for, once.
     """
 
     def __init__(self) -> None:
@@ -150,7 +152,8 @@ class Budget:
         self._last = None
 
     def spent(self, now: int, pose: Pose2) -> str:
-        """In words what was spent, where that is all there is; else empty. Call it while the goal is worked on; `now` in ns."""
+        """In words what was spent, where that is all there is; else empty. Call it while the goal is worked on; `now`
+        in ns."""
         if self._last is not None:
             self._seconds += (now - self._last) / NS
         self._last = now

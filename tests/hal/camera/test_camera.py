@@ -37,7 +37,8 @@ def jpeg(colour: tuple[int, int, int] = (200, 30, 30)) -> bytes:
 
 
 def project(camera: MountedCamera, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) in base_link [m] -> (n, 3): column, row [pixels] and depth [m], by what a camera tells of itself."""
+    """Points (n, 3) in base_link [m] -> (n, 3): column, row [pixels] and depth [m], by what a camera tells of
+    itself."""
     seen = (points - camera.mount.translation) @ camera.rotation @ camera.matrix.T
     return np.column_stack([seen[:, :2] / seen[:, 2:], seen[:, 2]])
 

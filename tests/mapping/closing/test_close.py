@@ -1,4 +1,5 @@
-"""Short made-up drives with an odometry that drifts: the loop closes, the drift goes, and what looks alike is refused."""
+"""Short made-up drives with an odometry that drifts: the loop closes, the drift goes, and what looks alike is
+refused."""
 
 from __future__ import annotations
 

@@ -221,7 +221,8 @@ def test_fuse_equals_a_plain_reading_of_the_rules() -> None:
 
 
 def crossing(sensor, end, low, high):
-    """Planar distances (...) at which a ray enters and leaves squares (..., 2); it misses those that it leaves before it enters."""
+    """Planar distances (...) at which a ray enters and leaves squares (..., 2); it misses those that it leaves before
+    it enters."""
     d = end[:2] - sensor[:2]
     length = np.hypot(*d)
     u = d / length

@@ -11,13 +11,15 @@ import pytest
 from mapping.filling import fill_unknown
 from mapping.grid import ElevationGrid
 from planning.graph.graph import TraversalGraph
+from planning.search import sight
 from planning.search import viewpoints as v
 
 RES = 0.05
 
 
 def room(door: bool, step: float = 0.0) -> tuple[ElevationGrid, TraversalGraph]:
-    """A hall of 8 x 6 m seen up to a wall at x 4 m; a door of 1.2 m in it leads on to ground `step` [m] higher, of which a strip was seen."""
+    """A hall of 8 x 6 m seen up to a wall at x 4 m; a door of 1.2 m in it leads on to ground `step` [m] higher, of
+    which a strip was seen."""
     height = np.zeros((120, 160), np.float32)
     seen = np.zeros(height.shape, np.bool_)
     seen[:, :84] = True
@@ -99,17 +101,17 @@ def test_what_a_place_shows_is_what_a_plain_count_says() -> None:
     taken = unseen & (random.random((40, 40)) < 0.2)
     top = np.where(random.random((40, 40)) < 0.05, 1.0, -np.inf).astype(np.float32)
     place = np.array([[4.1, 3.7, 0.0]])
-    total, step = 0.0, 0.5 * v.RASTER
-    for a in range(v.RAYS):
-        for s in range(1, int(v.SIGHT / step) + 1):
+    total, step = 0.0, 0.5 * sight.RASTER
+    for a in range(sight.RAYS):
+        for s in range(1, int(sight.SIGHT / step) + 1):
             x, y = (
-                place[0, k] + s * step * f(2.0 * math.pi * a / v.RAYS)
+                place[0, k] + s * step * f(2.0 * math.pi * a / sight.RAYS)
                 for k, f in ((0, math.cos), (1, math.sin))
             )
-            r, c = math.floor(y / v.RASTER), math.floor(x / v.RASTER)
+            r, c = math.floor(y / sight.RASTER), math.floor(x / sight.RASTER)
             if not (0 <= r < 40 and 0 <= c < 40):
                 continue
-            if top[r, c] > v.HIGH:
+            if top[r, c] > sight.HIGH:
                 break
-            total += s * step * step * 2.0 * math.pi / v.RAYS * (unseen[r, c] and not taken[r, c])
-    assert v._shown(place, unseen, taken, top, 0.0, 0.0)[0] == pytest.approx(total, rel=1e-9)
+            total += s * step * step * 2.0 * math.pi / sight.RAYS * (unseen[r, c] and not taken[r, c])
+    assert sight._shown(place, unseen, taken, top, 0.0, 0.0)[0] == pytest.approx(total, rel=1e-9)

@@ -134,6 +134,9 @@ def test_a_slow_planner_is_run_again_to_the_same_bytes(live: tuple[Path, int], t
     for topic in (t.PLAN, t.ROUTE, t.ROUTE_REPORT, t.ROUTE_STATUS):
         assert of(log, topic), topic.name
         assert of(tmp_path / "again.mcap", topic) == of(log, topic), topic.name
+    last = max(entry.log_time for entry in read_run(log))
+    for entry in read_run(tmp_path / "again.mcap"):
+        assert UP - START <= entry.log_time <= last, "the log and its simulated clock show other dates"
     rerun(tmp_path / "again.mcap", ["planner"], tmp_path / "twice.mcap")
     assert of(tmp_path / "twice.mcap", t.PLAN) == of(log, t.PLAN)
 

@@ -230,7 +230,8 @@ def test_an_imu_in_g_and_in_other_axes_is_told_and_corrected(tmp_path: Path) -> 
 
 
 def test_the_turn_that_is_proposed_goes_on_from_the_one_of_tf(tmp_path: Path) -> None:
-    """The bag's tf turns the IMU about x, and its axes differ about y as well: what is proposed stands alone, and levels it."""
+    """The bag's tf turns the IMU about x, and its axes differ about y as well: what is proposed stands alone, and
+    levels it."""
     tf = foreign.static(
         "base_link", "imu", (0.1, 0.0, 0.2), turn=(math.sin(math.pi / 4), 0.0, 0.0, math.cos(math.pi / 4))
     )

@@ -154,6 +154,14 @@ def test_recover_never_overwrites(tmp_path: Path) -> None:
         recover(tmp_path / "a.mcap", tmp_path / "b.mcap")
 
 
+def test_pictures_that_the_recorder_left_out_or_added_late_are_no_loss(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}, {}) as writer:
+        for number in (1, 6, 11, 8, 9, 12):
+            writer.write(t.CAMERA, encode(msg.CompressedImage()), 10**9 * number, 10**9 * number, number)
+    assert summarize(path).problems() == []
+
+
 def test_statistics_find_the_missing_message(tmp_path: Path) -> None:
     write(tmp_path / "log_0.mcap", drop=77)
     summary = summarize(tmp_path)

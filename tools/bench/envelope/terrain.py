@@ -144,7 +144,8 @@ def _posts(x: Field, y: Field, value: float, seed: int) -> tuple[Field, float]:
 
 
 def posts(x: Field, y: Field, columns: int, rng: np.random.Generator) -> Field:
-    """A stepfield of so many columns from x = 0 on: posts of 0.12 m of four heights, more low than high ones [thirds of the highest]."""
+    """A stepfield of so many columns from x = 0 on: posts of 0.12 m of four heights, more low than high ones [thirds of
+    the highest]."""
     column, row = (np.floor(v / 0.12).astype(int) for v in (x, y - y[0, 0]))
     thirds = rng.choice(4, (row.max() + 1, columns), p=[0.4, 0.3, 0.2, 0.1])
     inside = (column >= 0) & (column < columns)

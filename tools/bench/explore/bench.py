@@ -1,6 +1,7 @@
 """Generated sites explored by the planner's order of places and by a plain nearest-first explorer on the same seeds.
 
-`--how drawn`: the library alone, a robot without physics or noise, in seconds; `--how driven`: the whole stack in lockstep, in minutes a site.
+`--how drawn`: the library alone, a robot without physics or noise, in seconds; `--how driven`: the whole stack in
+lockstep, in minutes a site.
 """
 
 from __future__ import annotations
@@ -53,7 +54,8 @@ def run(args: list[str]) -> Report:
 
 
 def table(records: list[dict[str, Any]], how: str) -> Report:
-    """Rows `explore.HOW.*`: what was seen, came home, fell; of pairs on one site the ratio of ways to the same share and home."""
+    """Rows `explore.HOW.*`: what was seen, came home, fell; of pairs on one site the ratio of ways to the same share
+    and home."""
     report = Report("explore")
     by = {r["key"]: r for r in records}
     for order in ORDERS:

@@ -1,4 +1,5 @@
-"""A site explored by the library alone: a robot that follows the graph exactly and sees what is in sight, without physics, noise or time.
+"""A site explored by the library alone: a robot that follows the graph exactly and sees what is in sight, without
+physics, noise or time.
 
 It compares orders of places on many sites in seconds. What the whole stack makes of them is `driven.py`.
 """
@@ -85,7 +86,8 @@ class Walk:
         return grid
 
     def explore(self) -> dict[str, Any]:
-        """Until no place is left, then home; metres at each of `SHARES` (NaN: never), in all, and the shares at the end."""
+        """Until no place is left, then home; metres at each of `SHARES` (NaN: never), in all, and the shares at the
+        end."""
         barred: list[tuple[float, float]] = []
         target: tuple[float, float] | None = None
         record: dict[str, Any] = {f"at_{share}": math.nan for share in SHARES}

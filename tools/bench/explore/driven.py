@@ -63,7 +63,8 @@ class Explored:
 
 
 def drive(scene: Scene, budget: float = 0.0) -> dict[str, Any]:
-    """The record: metres at each of `SHARES`, share at the end, whether it came home by the truth, fell, and the stack's own words."""
+    """The record: metres at each of `SHARES`, share at the end, whether it came home by the truth, fell, and the
+    stack's own words."""
     began = time.process_time()
     aim = truth_reachable(scene)
     budget = budget or BUDGET * aim.sum() * scene.resolution**2

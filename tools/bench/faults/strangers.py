@@ -1,4 +1,5 @@
-"""Another program on this computer publishes what belongs to a process of the stack: the robot process on a bus, driven by hand."""
+"""Another program on this computer publishes what belongs to a process of the stack: the robot process on a bus, driven
+by hand."""
 
 from __future__ import annotations
 

@@ -35,7 +35,8 @@ def walled_floor() -> Scene:
 
 
 class Switch:
-    """In place of the simulator's own postures: the motors follow those, or LowCmd once the motion service is released."""
+    """In place of the simulator's own postures: the motors follow those, or LowCmd once the motion service is
+    released."""
 
     def __init__(self, modes: Modes) -> None:
         self.modes = modes
@@ -97,7 +98,8 @@ class MotorSide(RobotSide):
     ) -> None:
         super().__init__(body, faults, lidar, topic)
         self.commands = self.fought = self.broken = 0
-        """LowCmd that were followed, that came while the motion service had the motors, and with a wrong head or checksum."""
+        """LowCmd that were followed, that came while the motion service had the motors, and with a wrong head or
+        checksum."""
         self.stuck = False
         """The motors hold what they were last told."""
         self._owned = True

@@ -25,7 +25,7 @@ Place = tuple[float, float]
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command()(plan)
+    app.command(context_settings={"ignore_unknown_options": True})(plan)  # a place may begin with a minus
 
 
 def plan(

@@ -84,6 +84,7 @@ def test_the_command_answers_for_people_and_for_programs(wall: Path, tmp_path: P
     assert code == 2
     assert "1 of 2 reach their goal" in out
     assert run(str(wall), "2,2", "40,2")[0] == 2
+    assert "No such option" not in run(str(wall), "-1,2", "6,2")[1]
     (tmp_path / "many.txt").write_text("2 2 6 2\n" * 1_300_000)
     with pytest.raises(ConfigError, match=r"many.txt has more than 10 MB: split it"):
         run(str(wall), "--pairs", str(tmp_path / "many.txt"))

@@ -102,6 +102,8 @@ class Closing:
         self._tried: set[tuple[int, int]] = set()
         self._asked: set[int] = set()
         """Keyframes that were searched in the whole map."""
+        self._absent: set[int] = set()
+        """Keyframes of further runs that were not found where the map of another run has their place."""
         self._prior: tuple[int, PriorMap] | None = None
         self._found = {0}
         """Runs whose place is known."""
@@ -115,6 +117,7 @@ class Closing:
             if not any(number == match.second for match in (*self.matches, *self._waiting)):
                 self._take(number)
             progress((n + 1) / (2 * count))
+        self._doubt()
         for match in self._waiting:
             self._refuse(match, "alone: no other loop near it says the same")
         weights = self.graph.solve() if len(self.keyframes) else np.empty(0)
@@ -161,6 +164,8 @@ class Closing:
             return
         if not found or max(match.certainty for match in found) < ENOUGH:
             most = max((match.certainty for match in found), default=0.0)
+            if any(self.keyframes[first].run != self.keyframes[second].run for first in searched):
+                self._absent.add(second)
             self.refused.append(Refusal(searched[0], second, f"not there: {most:.0%} certain at best", most))
             return
         best, rival = rivals(self.graph.nodes, found)
@@ -299,6 +304,31 @@ class Closing:
             self.graph.drop({worst})
             del self.matches[worst]
             weights = self.graph.solve()
+        self._reach()
+
+    def _doubt(self) -> None:
+        """A run of which as many keyframes are missed as are found is elsewhere: two places may look alike, a way through
+        them does not."""
+        for run in sorted(self._found - {0}):
+            loops = {
+                n
+                for n, match in enumerate(self.matches)
+                if self.keyframes[match.second].run == run and self.keyframes[match.first].run != run
+            }
+            there = {self.matches[n].second for n in loops}
+            absent = {k for k in self._absent if self.keyframes[k].run == run} - there
+            if loops and len(absent) >= len(there):
+                for n in loops:
+                    self._refuse(
+                        self.matches[n],
+                        f"elsewhere: of run {run + 1} {len(there)} keyframes are there and {len(absent)} are not",
+                    )
+                self.graph.drop(loops)
+                self.matches = [match for n, match in enumerate(self.matches) if n not in loops]
+        self._reach()
+
+    def _reach(self) -> None:
+        """Which runs hang together with the first one."""
         runs = [tuple(self.keyframes[k].run for k in (match.first, match.second)) for match in self.matches]
         self._found = {0}
         for first, second in sorted(runs):

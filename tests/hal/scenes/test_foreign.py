@@ -85,7 +85,7 @@ def test_a_cloud_of_a_countrys_grid_keeps_its_points_and_their_distances(tmp_pat
     for name, at in (("here", (0.0, 0.0, 0.0)), ("there", (3_500_000.0, 5_400_000.0, 0.0))):
         np.save(tmp_path / f"{name}.npy", points + np.array(at))
     here, there = (load_scene(tmp_path / f"{name}.npy") for name in ("here", "there"))
-    assert "x, y count from (3500000, 5400000)" in there.description
+    assert "x, y count from (3500000, 5400000)" in there.taken
     np.testing.assert_allclose(there.height, here.height, atol=0.01)
 
 

@@ -203,6 +203,7 @@ READERS = {
     "rbtrg_robot/wire/clock.py": "once, at the start",
     "hal/unitree/backend.py": "default of a parameter; the stack gives its own clock",
     "hal/unitree/factory.py": "the same",
+    "hal/unitree/low/backend.py": "the same",
     "rbtrg_robot/cli": "stamps of requests, names of folders",
     "rbtrg_robot/orders": "stamps of requests; their deadlines are on the monotonic clock",
     "rbtrg_robot/console": "stamps of requests, until when a cookie holds; ages are on the monotonic clock",

@@ -283,6 +283,25 @@ class CompressedPointCloud2(Message):
 
 
 @dataclass(slots=True, eq=False)
+class Event(Message):
+    """rbtrg_msgs/msg/Event."""
+
+    __msgtype__ = "rbtrg_msgs/msg/Event"
+    INFO: ClassVar[int] = 0
+    WARNING: ClassVar[int] = 1
+    ERROR: ClassVar[int] = 2
+    header: Header = field(default_factory=Header)
+    number: int = 0
+    severity: int = 0
+    kind: str = ""
+    text: str = ""
+    who: str = ""
+    has_place: bool = False
+    x: float = 0.0
+    y: float = 0.0
+
+
+@dataclass(slots=True, eq=False)
 class ExploreQuestion(Message):
     """rbtrg_msgs/msg/ExploreQuestion."""
 

@@ -137,6 +137,7 @@ VIEWPOINTS     = Topic("/explore/viewpoints",    msg.Viewpoints,       0, Qos.ST
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)
+EVENTS         = Topic("/events",                msg.Event,            0, Qos.STATE,    64, "",          "what happened: stops, restarts, refusals, touches, goals, maps, and who did it; from the supervisor, which answers `events` with the newest 200")
 HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
 JOURNAL        = Topic("/journal",               msg.Journal,          0, Qos.STATE,   512, "",          "what each process took from the bus, in order: a re-run does the same", recorded="full standard")
 DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, "",          "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures")

@@ -14,7 +14,7 @@ from rbtrg_robot.topics import Role
 from rbtrg_robot.wire import keys
 
 LOCAL, NEIGHBOUR = "local", "neighbour"
-ASKED = ("status",)
+ASKED = ("status", "events")
 """What outsiders may ask the supervisor."""
 EVERY_MESSAGE = (
     "put",

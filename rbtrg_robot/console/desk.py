@@ -247,8 +247,8 @@ class Desk:
     async def _cancel(self, page: Page, _wish: dict[str, Any]) -> Answer:
         return answer(await self.carry_out(CancelGoal(owner=self.owner(page))))
 
-    async def _resume(self, _page: Page, _wish: dict[str, Any]) -> Answer:
-        outcome = await self.carry_out(Resume())
+    async def _resume(self, page: Page, _wish: dict[str, Any]) -> Answer:
+        outcome = await self.carry_out(Resume(self.owner(page)))
         if outcome.ok:
             self._say_stop("none", "")
         return answer(outcome)

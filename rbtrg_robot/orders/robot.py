@@ -10,6 +10,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.latch import confirms, new_name
 from rbtrg_robot.orders.limits import ANSWER_LIMIT, PATIENCE, REPEAT, SETTLE, USE_HARDWARE, WORRY
 from rbtrg_robot.orders.order import Order, Outcome
+from rbtrg_robot.orders.who import me
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.messages import header
 
@@ -22,9 +23,9 @@ POSTURES = {
 """What may be asked for, and the phases that mean it is done."""
 
 
-def command(mode: str, latch: int = 0, cause: str = "operator") -> msg.RobotCommand:
-    """rbtrg_msgs/RobotCommand of now."""
-    return msg.RobotCommand(header=header(time.time_ns(), ""), mode=mode, cause=cause, latch=latch)
+def command(mode: str, latch: int = 0, cause: str = "") -> msg.RobotCommand:
+    """rbtrg_msgs/RobotCommand of now. `cause`: who asks; empty: who runs this process."""
+    return msg.RobotCommand(header=header(time.time_ns(), ""), mode=mode, cause=cause or me(), latch=latch)
 
 
 class Stop(Order):
@@ -62,13 +63,15 @@ class Resume(Order):
     hears = (t.ROBOT_STATE,)
     sends = (t.ROBOT_COMMAND,)
 
-    def __init__(self) -> None:
+    def __init__(self, owner: str = "") -> None:
+        """`owner`: as in `command`."""
         super().__init__(REPEAT, ANSWER_LIMIT)
+        self._owner = owner
         self._latch: int | None = None
 
     def message(self) -> tuple[Topic, msg.Message] | None:
         """Resume, once it is known of what."""
-        return None if self._latch is None else (t.ROBOT_COMMAND, command("resume", self._latch))
+        return None if self._latch is None else (t.ROBOT_COMMAND, command("resume", self._latch, self._owner))
 
     def take(self, topic: Topic, message: Any) -> None:
         """A RobotState."""

@@ -26,11 +26,11 @@ from rbtrg_robot.access.serve import keys_folder, security
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
+from rbtrg_robot.process.events import ERROR, INFO, WARNING, Events
 from rbtrg_robot.process.health import Health, expected_topics
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
-from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.notify import Notifier
 from rbtrg_robot.process.router import open_bus
 from rbtrg_robot.process.runfiles import RunLock, console_address, take_interface
@@ -39,6 +39,7 @@ from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.clock import SourceClock
+from rbtrg_robot.wire.messages import stamp_of
 from rbtrg_robot.wire.session import stack_id
 
 log = logging.getLogger(__name__)
@@ -86,7 +87,7 @@ class Supervisor:
         self._usage_due = 0.0
         self._looked = math.inf
         self._deaf_until = 0.0
-        self._narrator = Narrator(say)
+        self._events = Events(say, config.gate.min_battery, lambda: self._health.source_now)
         self._latch = LatchFile(config.robot)
         self._mission = MissionFile(config.robot)
         self._notifier = Notifier()
@@ -114,10 +115,16 @@ class Supervisor:
         lock = RunLock(self._config.robot)
         if latched := self._latch.read():
             self._kept[t.ROBOT_STATE] = latched
-            self._say("the emergency stop of before is still latched: `rbtrg-robot resume` releases it")
+            self._events.happened(
+                "stop",
+                "the emergency stop of before is still latched: `rbtrg-robot resume` releases it",
+                ERROR,
+            )
         if left := self._mission.read():
             self._kept |= left
-            self._say("a mission of before is paused: see `rbtrg-robot mission status`")
+            self._events.happened(
+                "mission", "a mission of before is paused: see `rbtrg-robot mission status`"
+            )
         try:
             ours: dict[str, Any] = {
                 "clock": self._clock,
@@ -133,8 +140,10 @@ class Supervisor:
                 self._write_state(lock)
                 restored = {topic for child in self._children.values() for topic in child.row.restores}
                 self._bus = bus
-                bus.subscribe({*Health.WATCHED, *restored})
+                bus.subscribe({*Health.WATCHED, *Events.HEARS, *restored})
+                bus.advertise(t.EVENTS)
                 bus.serve("status", lambda _: self._answer())
+                bus.serve("events", lambda _: json.dumps(self._events.newest()).encode())
                 try:
                     for child in self._children.values():
                         self._spawn(child)
@@ -158,11 +167,13 @@ class Supervisor:
                 self._mission.write(self._kept, message)
             if received.topic in Health.WATCHED:
                 self._health.take(received.topic, message)
-                self._narrator.take(received.topic, message)
+            self._events.take(received.topic, message)
             if t.ROBOT_STATE.carried(message, received.topic):
                 self._latch.follow(received.payload, latched=message.estop)
         self._mend()
         self._measure()
+        for event in self._events.due():
+            self._bus.publish(t.EVENTS, event, stamp_of(event))
         self._notifier.alive()
         status = self.status()
         with self._lock:
@@ -173,7 +184,7 @@ class Supervisor:
             self._bus.publish(t.DIAGNOSTICS, self._diagnosis.message(status, now), now)
         if not self._ready and self._well():
             self._ready = True
-            self._say(f"ready after {time.monotonic() - self.began:.1f} s")
+            self._events.happened("stack", f"ready after {time.monotonic() - self.began:.1f} s")
             if "console" in self._children:
                 place = console_address(self._config.robot, token=not self._notifier.wanted)
                 self._say(f"console: {place}")
@@ -246,14 +257,14 @@ class Supervisor:
             if not self._ready:
                 raise
             if str(error) != child.words:
-                self._say(f"{child.row.name} cannot be started ({one_line(error)}); trying again")
+                self._process(f"{child.row.name} cannot be started ({one_line(error)}); trying again")
             child.words, child.due = str(error), time.monotonic() + BACKOFF[-1]
 
     def _mend(self) -> None:
         now = time.monotonic()
         if now - self._looked > HELD_UP:
             self._deaf_until = now + REJOIN
-            self._say(f"the supervisor was held up for {now - self._looked:.1f} s")
+            self._process(f"the supervisor was held up for {now - self._looked:.1f} s")
         self._looked = now
         for child in self._children.values():
             name = child.row.name
@@ -277,14 +288,17 @@ class Supervisor:
                 )
             if code == FATAL:
                 child.fatal = words
-                self._say(f"{name} gave up: {words}")
+                self._process(f"{name} gave up: {words}")
                 continue
             wait = child.ended(now)
             how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             why = words if code == PASSING else how
             if code != PASSING or why != child.words:  # a robot that is away for an hour is said once
-                self._say(f"{name} ended ({why}); restarting in {wait:.1f} s: {child.row.loss}")
+                self._process(f"{name} ended ({why}); restarting in {wait:.1f} s: {child.row.loss}")
             child.words = why
+
+    def _process(self, text: str, severity: int = ERROR) -> None:
+        self._events.happened("process", text, severity)
 
     def _end_if_hung(self, child: Child, now: float) -> None:
         name = child.row.name
@@ -296,10 +310,10 @@ class Supervisor:
         else:
             silent = age > child.row.hang and now > self._deaf_until
             if child.words:
-                self._say(f"{name} runs again")
+                self._process(f"{name} runs again", INFO)
                 child.words = ""
         if silent and child.forked is not None:
-            self._say(f"{name} hangs; killing it")
+            self._process(f"{name} hangs; killing it")
             child.forked.kill()
             child.forked.wait()
 
@@ -323,8 +337,11 @@ class Supervisor:
             return
         self._usage_due = now + 1.0
         if self._zygote.mend():
-            self._say("the process that starts the others ended; there is a new one, and the robot drives on")
-        self._narrator.strangers(self._bus.intrusion())
+            self._process(
+                "the process that starts the others ended; there is a new one, and the robot drives on",
+                WARNING,
+            )
+        self._events.strangers(self._bus.intrusion())
         self._zygote.reap({child.forked.pid for child in self._children.values() if child.forked})
         for child in self._children.values():
             child.measure()

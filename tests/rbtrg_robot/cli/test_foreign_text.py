@@ -22,8 +22,8 @@ from rbtrg_robot.cli import table
 from rbtrg_robot.log.read import CONFIG, Entry
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.process import doctor
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.wire.messages import encode
 from tests.rbtrg_robot.conftest import Here
 from tools.bench.ports import free_port
@@ -187,9 +187,7 @@ def test_status(here: Here, stack: Stack, monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_what_up_says(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     screen = table.Screen()
-    Narrator(screen.say).take(
-        t.GOAL_STATUS, msg.GoalStatus(id="g", state="aborted", detail=NASTY, reason="x")
-    )
+    Events(screen.say).take(t.GOAL_STATUS, msg.GoalStatus(id="g", state="aborted", detail=NASTY, reason="x"))
     clean(capsys.readouterr().out)
     terminal = io.StringIO()
     monkeypatch.setattr(table, "Console", lambda: Console(file=terminal, force_terminal=True, no_color=True))

@@ -12,6 +12,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.table import render
 from rbtrg_robot.config import load
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.health import Health
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.bus import Received, Refusals
@@ -70,7 +71,7 @@ def test_a_heartbeat_with_unequal_lists_leaves_the_supervisor_up(supervisor: Sup
     assert supervisor._health.beats == {}
 
 
-@pytest.mark.parametrize("topic", Health.WATCHED, ids=lambda x: x.name)
+@pytest.mark.parametrize("topic", dict.fromkeys((*Health.WATCHED, *Events.HEARS)), ids=lambda x: x.name)
 def test_no_mutation_of_a_watched_message_ends_the_supervisor(supervisor: Supervisor, topic: t.Topic) -> None:
     rng = np.random.default_rng(3)
     whole = encode(topic.kind())

@@ -12,8 +12,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.orders.words import robot_line
 from rbtrg_robot.process import health as module
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.process.supervisor import Supervisor
 from rbtrg_robot.wire.convert import MAP, ODOM, transform_msg
 from rbtrg_robot.wire.messages import array, decode, encode, header
@@ -160,10 +160,10 @@ def test_a_planner_that_looks_at_a_large_map_keeps_no_stack_from_being_ready(
 
 def test_a_robot_that_goes_and_comes_back_is_told_on_the_screen() -> None:
     said: list[str] = []
-    narrator = Narrator(said.append)
+    events = Events(said.append)
     for phase in ("ready", "disconnected", "disconnected", "ready", "moving"):
         state = t.ROBOT_STATE.kind(header=header(1, ""), phase=phase, cause="no LowState for 0.2 s")
-        narrator.take(t.ROBOT_STATE, state)
+        events.take(t.ROBOT_STATE, state)
     assert said == ["robot disconnected: no LowState for 0.2 s", "robot is back"]
 
 

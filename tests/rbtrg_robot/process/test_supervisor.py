@@ -10,18 +10,22 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from hal.types import NS
+from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.process import zygote as zygote_module
 from rbtrg_robot.process.child import FATAL, PASSING
-from rbtrg_robot.process.narrator import Narrator
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.supervisor import StartFailed, Supervisor
 from rbtrg_robot.process.zygote import Zygote, ZygoteError
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.bus import Refusals
-from rbtrg_robot.wire.messages import array, header
+from rbtrg_robot.wire.convert import odometry_msg, transform_msg
+from rbtrg_robot.wire.messages import array, header, stamp_of
 
 
 class Scripted:
@@ -256,7 +260,7 @@ def test_before_the_stack_was_ready_the_first_word_ends_it(tmp_path: Path, end: 
 
 def test_what_happens_is_said_once() -> None:
     said: list[str] = []
-    narrator = Narrator(said.append)
+    events = Events(said.append)
     goal, mission, elevation = t.GOAL_STATUS.kind, t.MISSION_STATE.kind, t.MAP_STATUS.kind
     for topic, message in (
         (t.MAP_STATUS, elevation()),
@@ -272,7 +276,7 @@ def test_what_happens_is_said_once() -> None:
         (t.MAP_STATUS, elevation()),
         (t.GOAL_STATUS, goal(id="g", state="aborted", reason="stuck", detail="here")),
     ):
-        narrator.take(topic, message)
+        events.take(topic, message)
     assert said == [
         "goal g moving, more than 99 % to arrive",
         "mission round running",
@@ -280,4 +284,63 @@ def test_what_happens_is_said_once() -> None:
         "map: it does not fit",
         "map: well again",
         "goal g aborted: stuck (here)",
+    ]
+
+
+def test_an_event_tells_when_where_and_who_did_it() -> None:
+    events = Events(lambda _: None, least_battery=0.1, clock=lambda: 7)
+    at = msg.Pose(msg.Point(4.0, 5.0, 0.0))
+    frames = msg.TFMessage(
+        transforms=[transform_msg(1, "map", "odom", np.array([1.0, 2.0, 0.0]), (0, 0, 0, 1.0))]
+    )
+    odom = odometry_msg(1, (3.0, 0.0, 0.4), (0.0, 0.0, 0.0, 1.0), (0.0,) * 3, np.zeros(3))
+    stopped = {"estop": True, "estop_cause": "emergency stop: Anna", "battery": 0.9}
+    refused = {"refused_reason": ["old hands", "stopped until resume"], "battery": 0.19}
+
+    def refusal(second: int, count: int) -> msg.RobotState:
+        counts = np.array([count, 50 * second], np.uint32)
+        return msg.RobotState(header=header(second * NS, ""), refused_count=counts, **refused)
+
+    for topic, message in (
+        (t.TOUCHED, msg.PoseStamped(pose=at)),
+        (t.TF_STATIC, frames),
+        (t.ODOM, odom),
+        (t.GOAL_STATUS, msg.GoalStatus(id="g", owner="Bert", state="moving", x=9.0, y=8.0)),
+        (t.ROBOT_STATE, msg.RobotState(**stopped)),
+        (t.GOAL_STATUS, msg.GoalStatus(id="g", owner="Bert", state="aborted", reason="emergency_stop")),
+        (t.ROBOT_COMMAND, msg.RobotCommand(mode="resume", cause="Carl")),
+        (t.ROBOT_STATE, msg.RobotState(battery=0.9)),
+        (t.MAP_STATUS, msg.MapStatus(detail="the map was loaded")),
+        (t.ROBOT_STATE, refusal(20, 1)),
+        (t.ROBOT_STATE, refusal(21, 30)),  # hands that are old twenty times a second
+        (t.ROBOT_STATE, refusal(22, 30)),
+        (t.ROBOT_STATE, refusal(40, 31)),
+    ):
+        events.take(topic, message)
+    told = [(e.number, e.severity, e.kind, e.who, (e.x, e.y) if e.has_place else None) for e in events.due()]
+    here = (4.0, 2.0)
+    assert told == [
+        (1, 1, "touch", "", (4.0, 5.0)),
+        (2, 0, "goal", "Bert", (9.0, 8.0)),
+        (3, 2, "stop", "Anna", here),
+        (4, 1, "goal", "Bert", here),
+        (5, 0, "release", "Carl", here),
+        (6, 0, "map", "", here),
+        (7, 1, "battery", "", here),
+        (8, 1, "refusal", "", here),
+        (9, 1, "refusal", "", here),
+    ]
+    assert events.due() == []
+    assert events.newest()[2] == {
+        "number": 3,
+        "stamp": 7e-9,
+        "kind": "stop",
+        "severity": "error",
+        "text": "e-stop: emergency stop: Anna",
+        "who": "Anna",
+        "place": [4.0, 2.0],
+    }
+    events.happened("process", "planner runs again")
+    assert [(e.number, stamp_of(e), e.header.frame_id, e.text) for e in events.due()] == [
+        (10, 7, "map", "planner runs again")
     ]

@@ -11,8 +11,8 @@ import pytest
 from hal.safety.monitors import STRANGER, raised, taken_out
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.process.narrator import Narrator
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import keys
@@ -130,7 +130,7 @@ def test_what_a_stack_does_without_and_a_program_outside_of_it_take_from_everybo
 
 def test_the_operator_reads_who_it_is_once(endpoint: str, robot: Bus) -> None:
     heart, said = Heart(robot, "robot"), list[str]()
-    narrator, health = Narrator(said.append), Health(simulated=True)
+    events, health = Events(said.append), Health(simulated=True)
     with Bus(endpoint, "supervisor", stack=STACK) as supervisor, Bus(endpoint, "mischief") as stranger:
         supervisor.subscribe([t.HEARTBEAT])
         end = time.monotonic() + LIMIT
@@ -138,7 +138,7 @@ def test_the_operator_reads_who_it_is_once(endpoint: str, robot: Bus) -> None:
             say(stranger, t.MOTION_LIMITS)
             heart.beat()
             for received in supervisor.take(0.05):
-                narrator.take(received.topic, message := received.decode())
+                events.take(received.topic, message := received.decode())
                 health.take(received.topic, message)
             if number > 40 and said:
                 break

@@ -16,15 +16,15 @@ import typer
 
 from rbtrg_robot.cli.scene_options import HeightRange, Resolution, Units, Up, chosen
 from rbtrg_robot.scope import NAMED, ROBOT
-from rbtrg_robot.terminal import say, say_json, say_text
+from rbtrg_robot.terminal import say, say_json
 
 if TYPE_CHECKING:
     from rbtrg_robot.config import StackConfig
     from rbtrg_robot.process.zygote import Zygote
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
-DETACH_LIMIT, DETACH_LONG = 1800.0, 30.0
-"""[s] for `--detach` to be ready; until it says what takes so long."""
+DETACH_LIMIT = 1800.0
+"""[s] for `--detach` to be ready: a first start compiles the kernels."""
 DOWN_LIMIT = 8.0
 LEFT_LIMIT = 5.0
 """[s] for the others once the supervisor was killed, and once they were."""
@@ -241,11 +241,8 @@ def _detach() -> None:
             stderr=file,
             start_new_session=True,
         )
-    began, told = time.monotonic(), False
-    while (waited := time.monotonic() - began) < DETACH_LIMIT:
-        if waited > DETACH_LONG and not told:
-            told = True
-            say(f"starting; a first start compiles the kernels, which takes a minute or more (see {output})")
+    began, told = time.monotonic(), 0
+    while time.monotonic() - began < DETACH_LIMIT:
         code = child.poll()
         if code is not None:
             say(output.read_text().strip().splitlines()[-1], error=True)
@@ -253,8 +250,8 @@ def _detach() -> None:
             raise typer.Exit(code or 1)
         try:
             state = state_of(child.pid)
+            told = _pass_on(output, told)
             if state["ready"]:
-                say_text(output.read_text().strip())
                 name = "" if state["robot"] == ROBOT else f" --robot {state['robot']}"
                 say(f"running with pid {child.pid}; stop it with `rbtrg-robot down{name}`")
                 output.unlink()
@@ -268,6 +265,14 @@ def _detach() -> None:
     child.terminate()
     say(f"rbtrg-robot: not ready after {DETACH_LIMIT:.0f} s, see {output}", error=True)
     raise typer.Exit(1)
+
+
+def _pass_on(output: Path, told: int) -> int:
+    """Print the lines of a file but for the first `told` ones. Returns how many there are."""
+    *lines, _rest = output.read_text().split("\n")
+    for line in lines[told:]:
+        say(line)
+    return len(lines)
 
 
 def down(robot: Robot = ROBOT) -> None:

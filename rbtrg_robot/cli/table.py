@@ -16,6 +16,10 @@ from rbtrg_robot.orders.words import goal_line, mission_line, robot_line
 from rbtrg_robot.terminal import plain, plain_all, say
 
 REFRESH = 0.5
+TOLD = 15.0
+"""[s] between two words on the kernels where no screen shows them all the time."""
+VERDICTS = {True: Text("ok", style="green"), False: Text("bad", style="red"), None: Text("-")}
+"""Of a topic's rate; None before it can be told."""
 
 
 def render(status: dict[str, Any], *, topics: bool = False) -> Group:
@@ -42,6 +46,8 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
         if row.get("detail")
     ]
     parts: list[Any] = [processes, *told, Text(robot_line(status["robot"])), Text(goal_line(status["robot"]))]
+    if compiling := status.get("compiling"):
+        parts.insert(0, Text(compiling, "yellow"))
     if words := mission_line(status["robot"]):
         parts.append(Text(words))
     parts += [
@@ -54,7 +60,7 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
     if any(refused.values()):
         counts = ", ".join(f"{name} {count}" for name, count in refused.items() if count)
         parts.append(Text(f"messages refused: {counts}", style="yellow"))
-    shown = [row for row in status["topics"] if row["nominal"] and (topics or not row["ok"])]
+    shown = [row for row in status["topics"] if row["nominal"] and (topics or row["ok"] is False)]
     if shown:
         table = Table(box=None, pad_edge=False)
         for title in ("topic", "rate", "nominal", "age", ""):
@@ -66,7 +72,7 @@ def render(status: dict[str, Any], *, topics: bool = False) -> Group:
                 f"{row['rate']:.1f}",
                 f"{row['nominal']:g}",
                 "-" if age is None else f"{age:.2f} s",
-                Text("ok", style="green") if row["ok"] else Text("bad", style="red"),
+                VERDICTS[row["ok"]],
             )
         parts.append(table)
     return Group(*parts)
@@ -114,12 +120,17 @@ class Screen:
                 say(line)
 
     def show(self, status: dict[str, Any]) -> None:
-        """The table, twice a second."""
+        """The table, twice a second; elsewhere now and then how far the kernels are."""
         now = time.monotonic()
-        if self._rich and now >= self._due:
+        if now < self._due:
+            return
+        if self._rich:
             self._due = now + REFRESH
             with contextlib.suppress(OSError):
                 self._live.update(render(status), refresh=True)
+        elif compiling := status["compiling"]:
+            self._due = now + TOLD
+            self.say(compiling)
 
     def __enter__(self) -> Self:
         if self._rich:

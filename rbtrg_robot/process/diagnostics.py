@@ -73,7 +73,7 @@ class Diagnosis:
 
     def _topics(self, rows: list[dict[str, Any]]) -> DiagnosticStatus:
         timed = [row for row in rows if row["nominal"]]
-        bad = [row["topic"] for row in timed if not row["ok"]]
+        bad = [row["topic"] for row in timed if row["ok"] is False]
         words = f"too slow: {', '.join(bad)}" if bad else "all rates are well"
         rates = {row["topic"]: f"{row['rate']:.1f} of {row['nominal']:g} Hz" for row in timed}
         return self._entry("topics", WARN if bad else OK, words, **rates)

@@ -80,6 +80,8 @@ class Health:
         self._frame = MapFrame()
         self.newest: dict[Topic, Any] = {}
         self.beats: dict[str, tuple[float, Heartbeat]] = {}
+        self._ready: dict[str, float] = {}
+        """When each process said first that it is ready [s, monotonic]."""
         self.topics: dict[str, TopicHealth] = {}
 
     def take(self, topic: Topic, message: Any) -> None:
@@ -89,6 +91,8 @@ class Health:
                 return
             wall = time.monotonic()
             self.beats[message.process] = (wall, message)
+            if message.state == "ready":
+                self._ready.setdefault(message.process, wall)
             for name, count, newest in zip(message.topic, message.published, message.newest, strict=True):
                 if name in t.BY_NAME:
                     self.topics.setdefault(name, TopicHealth()).add(wall, int(count), int(newest))
@@ -104,6 +108,12 @@ class Health:
     def forget(self, process: str) -> None:
         """It died: its last heartbeat says nothing any more."""
         self.beats.pop(process, None)
+        self._ready.pop(process, None)
+
+    def is_ready(self, process: str) -> bool:
+        """Its newest heartbeat says so."""
+        beat = self.beats.get(process)
+        return beat is not None and beat[1].state == "ready"
 
     def beat_age(self, process: str) -> float | None:
         """Seconds since the last heartbeat; None before the first."""
@@ -129,18 +139,25 @@ class Health:
         state = self.newest.get(t.ROBOT_STATE)
         return float(state.realtime_factor) if state is not None else math.nan
 
+    def _begins(self, topic: Topic) -> bool:
+        """Nothing can be said of its rate yet: its process is not ready, or the robot's, which makes a simulator's time, or not for long enough."""
+        makers = {topic.owner, "robot" if self._simulated else ""} & BY_NAME.keys()
+        since = max((self._ready.get(process, math.inf) for process in makers), default=-math.inf)
+        return time.monotonic() - since < WINDOW
+
     def topic_row(self, topic: Topic) -> dict[str, Any]:
-        """Rate, age and verdict of one topic."""
+        """Rate, age and verdict of one topic: `ok` is None where it begins."""
         seen = self.topics.get(topic.name)
         rate = seen.rate if seen else 0.0
         age = (self.source_now - seen.newest) / 1e9 if seen and seen.newest else None
+        ok: bool | None
         if topic.rate == 0 or (topic in (t.CLOCK, t.TRUTH) and not self._simulated):
             ok = True
         else:
             share = RATE_SHARE
             if self._simulated and self.realtime_factor < 1.0:
                 share *= max(self.realtime_factor, SIMULATED_RATE_FLOOR)
-            ok = rate >= share * topic.rate
+            ok = rate >= share * topic.rate or (None if self._begins(topic) else False)
         if topic is t.HEARTBEAT:
             rate, age, ok = 2.0 * len(self.beats), None, True
         return {"topic": topic.name, "rate": round(rate, 1), "nominal": topic.rate, "age": age, "ok": ok}

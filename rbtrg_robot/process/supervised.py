@@ -83,7 +83,7 @@ class Child:
         if self.fatal:
             state = f"failed: {self.fatal}"
         elif not self.alive:
-            state = "restarting"
+            state = "restarting" if self.started else "starting"
         else:
             state = beat[1].state if beat else "starting"
         if self.words and state != "ready":

@@ -28,6 +28,7 @@ from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.diagnostics import Diagnosis
 from rbtrg_robot.process.events import ERROR, INFO, WARNING, Events
 from rbtrg_robot.process.health import Health, expected_topics
+from rbtrg_robot.process.kernels import Compiling
 from rbtrg_robot.process.latch import LatchFile
 from rbtrg_robot.process.leftovers import last_words, shared_segments
 from rbtrg_robot.process.mission_file import MissionFile
@@ -53,6 +54,8 @@ the lease sessions with its router have ended."""
 REJOIN = 6.0
 """[s] in which processes are on its bus again then; Zenoh tries every 4 s at the longest. Until then nobody is ended for silence."""
 PLANNER = "planner"
+COMPILES = (PLANNER, "elevation", "odometry", "guard", "robot")
+"""Processes that compile kernels at a first start: the longest first, the robot last, for it waits for the others then."""
 LAST_WISH = 0.9
 """The recorder's own seconds after all others have ended."""
 
@@ -82,6 +85,8 @@ class Supervisor:
         self._lock = threading.Lock()
         self._snapshot = b"{}"
         self._ready = False
+        self._compiling, self._compiled = Compiling(), ""
+        self._console_told = "console" not in self._children
         self._were_well: set[Topic] = set()
         """Topics that have been so since the start."""
         self._usage_due = 0.0
@@ -145,8 +150,10 @@ class Supervisor:
                 bus.serve("status", lambda _: self._answer())
                 bus.serve("events", lambda _: json.dumps(self._events.newest()).encode())
                 try:
+                    self._let_begin()
                     for child in self._children.values():
-                        self._spawn(child)
+                        if child.due < math.inf:
+                            self._spawn(child)
                     while not stopping():
                         self._turn(lock)
                         on_turn(self.status())
@@ -182,12 +189,13 @@ class Supervisor:
             self._diagnosis_due = time.monotonic() + 1.0
             now = self._health.source_now
             self._bus.publish(t.DIAGNOSTICS, self._diagnosis.message(status, now), now)
+        if not self._console_told and self._health.is_ready("console"):
+            self._console_told = True
+            place = console_address(self._config.robot, token=not self._notifier.wanted)
+            self._say(f"console: {place}")
         if not self._ready and self._well():
-            self._ready = True
+            self._ready, self._compiled = True, ""
             self._events.happened("stack", f"ready after {time.monotonic() - self.began:.1f} s")
-            if "console" in self._children:
-                place = console_address(self._config.robot, token=not self._notifier.wanted)
-                self._say(f"console: {place}")
             state = self._health.newest.get(t.ROBOT_STATE)
             if state is not None and state.phase in LYING:
                 self._say(f"the robot is {state.phase}: `rbtrg-robot posture stand` before the first goal")
@@ -213,10 +221,8 @@ class Supervisor:
         """All runs as it should. A planner that looks at a large prior map for seconds before anybody asks it counts as well if it was before."""
         bad = set(self._health.unhealthy_topics(self._expected))
         self._were_well |= {topic for topic in self._expected if topic.name not in bad}
-        for child in self._children.values():
-            beat = self._health.beats.get(child.row.name)
-            if not child.alive or beat is None or beat[1].state != "ready":
-                return False
+        if not all(child.alive and self._health.is_ready(name) for name, child in self._children.items()):
+            return False
         if "robot" in self._children:
             state = self._health.newest.get(t.ROBOT_STATE)
             if state is None or state.phase not in ("ready", "moving", "stopped", *LYING):
@@ -228,6 +234,14 @@ class Supervisor:
         )
 
     # --- processes --------------------------------------------------------------------------------------------
+
+    def _let_begin(self) -> None:
+        """Where kernels must be compiled, each of COMPILES takes a core for that: the planner has one to itself, who finds none free waits."""
+        these = [self._children[name] for name in COMPILES if name in self._children]
+        free = len(os.sched_getaffinity(0)) if self._compiling.cold else len(these)
+        free -= sum(child.started > 0.0 and not self._health.is_ready(child.row.name) for child in these)
+        for number, child in enumerate(child for child in these if not child.started):
+            child.due = 0.0 if number < free else math.inf
 
     def _spawn(self, child: Child) -> None:
         name = child.row.name
@@ -266,6 +280,8 @@ class Supervisor:
             self._deaf_until = now + REJOIN
             self._process(f"the supervisor was held up for {now - self._looked:.1f} s")
         self._looked = now
+        if not self._ready:
+            self._let_begin()
         for child in self._children.values():
             name = child.row.name
             if child.fatal:
@@ -303,8 +319,7 @@ class Supervisor:
     def _end_if_hung(self, child: Child, now: float) -> None:
         name = child.row.name
         age = self._health.beat_age(name)
-        beat = self._health.beats.get(name)
-        if age is None or beat is None or beat[1].state != "ready":
+        if age is None or not self._health.is_ready(name):
             waited, idle = now - child.started, now - child.busy
             silent = waited > START_LIMIT and (idle > START_IDLE or waited > START_MOST)
         else:
@@ -336,6 +351,8 @@ class Supervisor:
         if now < self._usage_due:
             return
         self._usage_due = now + 1.0
+        if not self._ready:
+            self._compiled = self._compiling.words()
         if self._zygote.mend():
             self._process(
                 "the process that starts the others ended; there is a new one, and the robot drives on",
@@ -366,6 +383,7 @@ class Supervisor:
             "version": __version__,
             "pid": os.getpid(),
             "ready": self._ready,
+            "compiling": self._compiled,
             "refused": self._bus.refused,
             "uptime": round(time.monotonic() - self.began, 1),
             "log_dir": self._config.log_dir if self._config.record else "",

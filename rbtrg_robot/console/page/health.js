@@ -30,7 +30,7 @@ export function makeHealth(link, about) {
             figure(x.rate, 1),
             figure(x.nominal, 0),
             x.age === null ? "–" : figure(x.age),
-            x.ok ? ["ok", "text word-good"] : ["bad", "text word-bad"],
+            x.ok === null ? ["–", "text"] : x.ok ? ["ok", "text word-good"] : ["bad", "text word-bad"],
           ]),
       );
     }

@@ -274,6 +274,16 @@ def test_a_disk_that_takes_no_configuration_keeps_no_robot_from_starting(
     assert "No space left on device; make room" in capsys.readouterr().err
 
 
+def test_how_far_the_kernels_are_is_told_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    screen, now = Screen(), 0.0
+    monkeypatch.setattr("time.monotonic", lambda: now)
+    for now in range(1, 41):
+        screen.show({"compiling": f"compiling kernels: {now} of 40" if now > 3 else ""})
+    assert capsys.readouterr().out.splitlines() == [f"compiling kernels: {k} of 40" for k in (4, 19, 34)]
+
+
 def test_words_that_nobody_takes_end_no_stack(monkeypatch: pytest.MonkeyPatch) -> None:
     with io.TextIOWrapper(io.FileIO("/dev/full", "w"), write_through=True) as full:
         monkeypatch.setattr(sys, "stdout", full)

@@ -64,6 +64,33 @@ def test_an_old_pose_is_told_as_old_and_without_its_speed() -> None:
         assert f"robot: ready, {words}" in robot_line(health.robot_row())
 
 
+def test_nothing_is_said_of_a_topic_before_its_process_and_the_simulator_are_ready(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    health = Health(simulated=True)
+    now = 100.0
+    monkeypatch.setattr(module.time, "monotonic", lambda: now)
+
+    def says(process: str, state: str) -> bool | None:
+        """What `status` says of the odometry's topic after this heartbeat."""
+        message = t.HEARTBEAT.kind(header=header(1, ""), process=process, pid=1, state=state)
+        take(health, t.HEARTBEAT, message)
+        verdict: bool | None = health.topic_row(t.ODOM)["ok"]
+        return verdict
+
+    assert health.topic_row(t.ODOM)["ok"] is None
+    assert says("robot", "starting") is None
+    assert says("odometry", "ready") is None
+    now += 90.0  # others compile, and simulated time waits for them
+    assert says("odometry", "ready") is None
+    assert says("robot", "ready") is None
+    assert health.unhealthy_topics((t.ODOM,)) == [t.ODOM.name], "the stack is not ready before it is well"
+    now += 2.1
+    assert says("odometry", "ready") is False
+    health.forget("odometry")
+    assert health.topic_row(t.ODOM)["ok"] is None
+
+
 def test_a_topic_is_well_at_its_rate_only(monkeypatch: pytest.MonkeyPatch) -> None:
     health = Health(simulated=False)
     now = 100.0

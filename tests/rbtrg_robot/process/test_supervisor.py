@@ -17,6 +17,7 @@ from hal.types import NS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
+from rbtrg_robot.process import supervisor as module
 from rbtrg_robot.process import zygote as zygote_module
 from rbtrg_robot.process.child import FATAL, PASSING
 from rbtrg_robot.process.events import Events
@@ -182,6 +183,62 @@ def test_a_process_that_still_compiles_is_not_taken_for_one_that_hangs(
     assert said == []
     seconds(4, 0.0)
     assert said[0] == "robot hangs; killing it"
+
+
+def ready(process: str) -> Any:
+    return t.HEARTBEAT.kind(header=header(1, ""), process=process, state="ready")
+
+
+def test_where_kernels_are_compiled_the_planner_has_a_core_to_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[str] = []
+    stays = SimpleNamespace(pid=os.getpid(), poll=lambda: None)
+    zygote: Any = SimpleNamespace(fork=lambda spec, _log: started.append(spec["process"]) or stays)
+    supervisor: Any = Supervisor(load(log_dir=str(tmp_path)), zygote, print)
+    supervisor._bus = Refusals()
+    supervisor._compiling = SimpleNamespace(cold=True)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
+    supervisor._mend()
+    assert {p.name for p in PROCESSES} - set(started) == {"odometry", "guard", "robot"}
+    assert {row["state"] for row in supervisor.status()["processes"]} == {"starting"}
+    for compiled, then in (("elevation", "odometry"), ("odometry", "guard"), ("guard", "robot")):
+        supervisor._mend()
+        assert then not in started
+        supervisor._health.take(t.HEARTBEAT, ready(compiled))
+        supervisor._mend()
+        assert started[-1] == then
+    assert sorted(started) == sorted(p.name for p in PROCESSES)
+    kept: Any = Supervisor(load(log_dir=str(tmp_path)), zygote, print)
+    kept._compiling = SimpleNamespace(cold=False)
+    started.clear()
+    kept._mend()
+    assert len(started) == len(PROCESSES), "all at once"
+
+
+def test_the_console_is_told_when_it_serves_whoever_else_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supervisor, zygote, said = supervised(tmp_path, [None], "console")
+    monkeypatch.setattr(supervisor, "_well", lambda: False)
+    monkeypatch.setattr(module, "console_address", lambda *_, **__: "http://there")
+    monkeypatch.setattr(zygote, "mend", lambda: False, raising=False)
+    monkeypatch.setattr(zygote, "reap", lambda _known: None, raising=False)
+    heard: list[Any] = []
+    supervisor._bus = SimpleNamespace(  # type: ignore[assignment]
+        take=lambda _limit: heard,
+        open=lambda received: received.message,
+        publish=lambda *_: None,
+        intrusion=lambda: "",
+        refused=0,
+    )
+    supervisor._turn(None)  # type: ignore[arg-type]
+    assert said == []
+    heard.append(SimpleNamespace(topic=t.HEARTBEAT, payload=b"", message=ready("console")))
+    for _ in range(2):
+        supervisor._turn(None)  # type: ignore[arg-type]
+    assert said == ["console: http://there"]
+    assert not supervisor.status()["ready"]
 
 
 def test_the_process_that_starts_the_others_is_asked_each_second_and_a_new_one_is_told(

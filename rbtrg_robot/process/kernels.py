@@ -1,0 +1,62 @@
+"""How far a first start has come with compiling: numba leaves a file for each kernel that it has compiled."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+KERNELS = 228
+"""Files that a start leaves where none was kept, within a tenth: `python -m tools.warm` says so when it is off."""
+INDEX = "*.nbi"
+"""Numba's index of one compiled function, written anew with each compilation."""
+SURE = 20
+"""Kernels after which the remaining time is told."""
+ROOT = Path(__file__).parents[2]
+
+
+def kept_in() -> tuple[Path, ...]:
+    """Where numba may keep the kernels of this stack, see `hal/kernel_cache.py`."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return (Path(given),)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return (*(ROOT / package for package in ("hal", "mapping", "planning")), cache / "numba")
+
+
+class Compiling:
+    """What was compiled since it was made."""
+
+    def __init__(self, folders: Sequence[Path] | None = None) -> None:
+        self._folders = kept_in() if folders is None else folders
+        self._began = time.time()
+        self.cold = len(self._stamps()) < KERNELS // 2
+        """Hardly any was kept."""
+
+    @property
+    def done(self) -> int:
+        """Kernels."""
+        return sum(stamp >= self._began for stamp in self._stamps())
+
+    def words(self) -> str:
+        """For an operator; empty where nothing had to be compiled. After an upgrade nobody knows how many kernels it takes."""
+        done = self.done
+        if not done:
+            return ""
+        said = f"compiling kernels for this machine, once: {done}"
+        if not self.cold or done >= KERNELS:
+            return f"{said} so far"
+        left = (time.time() - self._began) * (KERNELS - done) / done
+        return f"{said} of {KERNELS}" + (f", about {5 * math.ceil(left / 5)} s" if done >= SURE else "")
+
+    def _stamps(self) -> list[float]:
+        """When each file was written [s since 1970]."""
+        found = []
+        for folder in self._folders:
+            for path in folder.rglob(INDEX):
+                try:
+                    found.append(path.stat().st_mtime)
+                except FileNotFoundError:  # numba replaces them
+                    continue
+        return found

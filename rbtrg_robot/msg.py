@@ -291,6 +291,7 @@ class Event(Message):
     WARNING: ClassVar[int] = 1
     ERROR: ClassVar[int] = 2
     header: Header = field(default_factory=Header)
+    logged: int = 0
     number: int = 0
     severity: int = 0
     kind: str = ""

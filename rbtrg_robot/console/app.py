@@ -82,7 +82,7 @@ def facts_of(config: StackConfig) -> dict[str, Any]:
         "max_vx": robot.max_vx,
         "max_wz": robot.max_wz,
         "max_step": robot.max_step,
-        "recording": config.record,
+        "run": Path(config.log_dir).name if config.record else "",
         "camera": _camera(config),
     }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +66,7 @@ class Archive:
 
     async def _run(self, request: Request) -> Response:
         try:
-            summary = await run_in_threadpool(overview, self._folder(request))
+            summary = await run_in_threadpool(partial(overview, quick=True), self._folder(request))
         except OperatorError as error:
             return JSONResponse({"words": str(error)}, 404)
         topics = [
@@ -76,7 +77,13 @@ class Archive:
             }
             for name, s in sorted(summary.topics.items())
         ]
-        about = {"facts": summary.metadata, "topics": topics, "damage": summary.damage}
+        about = {
+            "begin": summary.begin / 1e9,
+            "facts": summary.metadata,
+            "topics": topics,
+            "damage": summary.damage,
+            "unfinished": summary.unfinished,
+        }
         return JSONResponse(about)
 
     async def _keep(self, request: Request) -> Response:

@@ -40,6 +40,8 @@ LOGS = ("replay", "pause replay", "live", "rerun")
 """Wishes that concern logs alone: from pages that show a replay, too."""
 FREE = ("ask", *LOGS)
 """Wishes of pages that do not operate."""
+RELEASED = 0.5
+"""[s] after a confirmation: a state without a stop is a newer one."""
 Answer = tuple[bool, str, dict[str, Any] | None]
 """Whether it was done, why not, and what was found out."""
 Reply = Callable[[bool, str, dict[str, Any] | None], None]
@@ -119,7 +121,7 @@ class Desk:
             "ask": self._ask,
         }
         """What pages may ask for; others add theirs."""
-        self._present = -math.inf
+        self._present = self._confirmed = -math.inf
         self._tasks: set[asyncio.Task[None]] = set()
         for topic in self.SENDS:
             bus.advertise(topic)
@@ -210,13 +212,22 @@ class Desk:
         self._begin(order, self._stopped)
 
     def watch_stop(self, now: float) -> None:
-        """Say that nobody confirms."""
+        """Say that nobody confirms; forget a stop that was confirmed and then released, from wherever."""
+        state = self._feed.state
+        if (
+            self.stop_state["state"] == "confirmed"
+            and now > self._confirmed + RELEASED
+            and state
+            and not state.estop
+        ):
+            self._say_stop("none", "")
         if self._stop is not None and self._stop.worried(now) and self.stop_state["state"] == "sending":
             self._say_stop("unconfirmed", UNCONFIRMED)
 
     def _stopped(self, outcome: Outcome) -> None:
         if outcome.ok:
-            self._say_stop("confirmed", outcome.words)
+            self._confirmed = time.monotonic()
+            self._say_stop("confirmed", "STOP confirmed by the robot")
         else:
             self._say_stop("unconfirmed", UNCONFIRMED)
 
@@ -248,10 +259,7 @@ class Desk:
         return answer(await self.carry_out(CancelGoal(owner=self.owner(page))))
 
     async def _resume(self, page: Page, _wish: dict[str, Any]) -> Answer:
-        outcome = await self.carry_out(Resume(self.owner(page)))
-        if outcome.ok:
-            self._say_stop("none", "")
-        return answer(outcome)
+        return answer(await self.carry_out(Resume(self.owner(page))))
 
     async def _posture(self, _page: Page, wish: dict[str, Any]) -> Answer:
         what = str(wish.get("what"))

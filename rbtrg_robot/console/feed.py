@@ -17,6 +17,8 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.console import frames
 from rbtrg_robot.console.terrain import Key, Terrain
 from rbtrg_robot.orders.words import goal_line, robot_line
+from rbtrg_robot.process.events import KEPT as KEPT_EVENTS
+from rbtrg_robot.process.events import plain
 from rbtrg_robot.stages.navigation.goal import GoalState
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus, Received
@@ -45,13 +47,14 @@ HEARD: tuple[Topic, ...] = (
     t.MAP_UPDATE,
     t.MAP_FULL,
     t.ROUTE_REPORT,
+    t.EVENTS,
     *frames.PLAIN,
 )
 
 ACTIVE = {state.value for state in GoalState if state.active}
 KEPT = (
     *(t.CAMERA_INFO, t.TF_STATIC, t.ROBOT_STATE, t.GOAL_STATUS, t.MAP_STATUS, t.ODOM, t.ROUTE_REPORT),
-    *(t.MISSION_ORDER, t.MISSION_STATE),
+    *(t.MISSION_ORDER, t.MISSION_STATE, t.EVENTS),
 )
 """Decoded while nobody looks, too: they come once, or orders need them."""
 
@@ -140,6 +143,8 @@ class Feed:
         self.located = False
         self._moving = self._goal_active = False
         self.state: msg.RobotState | None = None
+        self.events: list[dict[str, Any]] = []
+        """The newest that happened, oldest first. Belongs to the server's thread."""
         self.terrain = Terrain(robot, folder)
         self.terrain_lock = threading.Lock()
 
@@ -234,6 +239,15 @@ class Feed:
             status["lines"] = [robot_line(status["robot"]), goal_line(status["robot"])]
         self._loop.call_soon_threadsafe(self._hand_out, "status", frames.pack("status", status), True)
 
+    def remember(self, events: list[dict[str, Any]]) -> None:
+        """What happened, as `process.events.plain` tells it; what is known already does not count twice. From any thread."""
+        self._loop.call_soon_threadsafe(self._remember, events)
+
+    def _remember(self, events: list[dict[str, Any]]) -> None:
+        known = {event["number"]: event for event in (*self.events, *events)}
+        self.events = sorted(known.values(), key=lambda event: event["number"])[-KEPT_EVENTS:]
+        self._hand_out("events", frames.pack("events", {"events": self.events}), True)
+
     def tick(self, now: float) -> None:
         """Ask for the map while pages look and none came; make what came ready."""
         with self.terrain_lock:
@@ -261,6 +275,8 @@ class Feed:
                 self.place = (content["x"], content["y"], content["yaw"])
                 self.located = True
                 self._put(topic, "pose", content, now)
+        elif t.EVENTS.carried(message, topic):
+            self.remember([plain(message)])
         elif t.CAMERA.carried(message, topic):
             self._picture(message)
         elif t.CAMERA_INFO.carried(message, topic):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +27,7 @@ from rbtrg_robot.wire.frames import MapFrame
 from rbtrg_robot.wire.messages import stamp_of
 
 JSON, TERRAIN, POINTS, AGES, PICTURE = 1, 2, 3, 4, 5
+COMMAND = re.compile(r"[;:,]? *`rbtrg-robot (?:resume|posture|mission)[^`]*`[^;)]*")
 POINTS_MOST = 6000
 """Of one frame."""
 
@@ -94,8 +96,8 @@ def robot(message: msg.RobotState) -> dict[str, Any]:
         "estop_cause": message.estop_cause,
         "latch": str(message.latch),
         "taken": message.taken,
-        "held": held(message.hold),
-        "hindrance": words(*why) if why else "",
+        "held": here(held(message.hold)),
+        "hindrance": here(words(*why)) if why else "",
         "battery": message.battery,
         "motor_temperature": message.motor_temperature,
         "contact": [bool(x) for x in message.contact],
@@ -108,13 +110,19 @@ def robot(message: msg.RobotState) -> dict[str, Any]:
     }
 
 
+def here(text: str) -> str:
+    """Words without the commands for which the page has buttons."""
+    return COMMAND.sub("", text)
+
+
 def goal(message: msg.GoalStatus) -> dict[str, Any]:
     """The newest goal and how it stands."""
     return {
         "id": message.id,
         "owner": message.owner,
         "state": message.state,
-        "words": words(message.reason, message.detail),
+        "reason": message.reason,
+        "words": here(words(message.reason, message.detail)),
         "x": message.x,
         "y": message.y,
         "yaw": message.yaw if message.has_yaw else None,

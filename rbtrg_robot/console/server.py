@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 import logging
 import ssl
 import threading
@@ -151,8 +152,12 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
 
     def ask() -> None:
         """The supervisor, once a second while somebody looks. It may be slow: nobody waits for it."""
+        told = False
         while not ended.wait(STATUS_PERIOD):
             try:
+                if not told and (events := bus.ask("events", timeout=STATUS_PERIOD)) is not None:
+                    told = True
+                    feed.remember(json.loads(events))
                 answer = bus.ask("status", timeout=STATUS_PERIOD) if feed.pages else None
                 if answer is not None:
                     feed.status(answer)

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 
-from mcap.reader import make_reader
-from mcap.records import Channel, Schema
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Footer, Schema, Statistics
 from mcap.summary import Summary
 
 from hal.regular import open_regular
 from rbtrg_robot.log.read import (
     BROKEN,
+    MCAP0_MAGIC,
     METADATA,
     LogContents,
     first_of,
@@ -20,6 +25,9 @@ from rbtrg_robot.log.read import (
     log_files,
     read_log,
 )
+
+TAIL = 9 + 20 + len(MCAP0_MAGIC)
+"""Bytes of the footer and what follows."""
 
 
 @dataclass(slots=True)
@@ -57,13 +65,40 @@ class Overview:
 
 
 def summary_of(path: Path) -> Summary | None:
-    """The summary of a file; None where it has none that can be read."""
+    """Schemas, channels and statistics of a file; None where it has no summary that can be read. What tells where its chunks lie is left
+    out: there are thousands of them, and each lists all channels."""
+    found = Summary()
     try:
         with open_regular(path) as stream:
-            summary = make_reader(stream).get_summary()
+            stream.seek(-TAIL, os.SEEK_END)
+            tail = stream.read()
+            start = Footer.read(_content(tail, 9)).summary_start
+            if tail[0] != Opcode.FOOTER or tail[-len(MCAP0_MAGIC) :] != MCAP0_MAGIC or not start:
+                return None
+            stream.seek(start)
+            section = stream.read()
+        at = 0
+        while at + TAIL < len(section):
+            opcode, length = struct.unpack_from("<BQ", section, at)
+            at += 9
+            if opcode == Opcode.SCHEMA:
+                schema = Schema.read(_content(section, at))
+                found.schemas[schema.id] = schema
+            elif opcode == Opcode.CHANNEL:
+                channel = Channel.read(_content(section, at))
+                found.channels[channel.id] = channel
+            elif opcode == Opcode.STATISTICS:
+                found.statistics = Statistics.read(_content(section, at))
+            at += length
     except (*BROKEN, OSError):
         return None
-    return summary if summary is not None and summary.statistics is not None else None
+    return found if found.statistics is not None else None
+
+
+def _content(section: bytes, at: int) -> ReadDataStream:
+    stream = BytesIO(section)
+    stream.seek(at)
+    return ReadDataStream(stream)
 
 
 def is_intact(path: Path) -> bool:
@@ -76,13 +111,22 @@ def channels_of(path: Path) -> list[tuple[Schema | None, Channel, int]]:
     return [(schema, channel, count) for schema, channel, count, *_ in _channels(path, LogContents())]
 
 
-def overview(path: Path) -> Overview:
-    """Of a file, or of all files of a run's folder. Raises LogError."""
+def overview(path: Path, *, quick: bool = False) -> Overview:
+    """Of a file, or of all files of a run's folder. `quick`: files without a summary are named and not read, but for the beginning of the
+    first. Raises LogError."""
     files = log_files(path)
     found = Overview([file.name for file in files], first_of(path).metadata.get(METADATA, {}))
     for file in files:
         contents = LogContents()
         found.size += file.stat().st_size
+        if quick and not is_intact(file):
+            if file is files[0]:
+                found.begin = next((entry.log_time for entry, *_ in read_log(file, raw=True)), 0)
+            if is_being_written(file):
+                found.unfinished.append(file.name)
+            else:
+                found.damage.append(f"{file.name} has no index; `rbtrg-robot log recover` makes one")
+            continue
         for schema, channel, count, begin, end in _channels(file, contents):
             held = found.topics.setdefault(
                 channel.topic, Held(schema.name if schema else "", channel.message_encoding)

@@ -37,10 +37,11 @@ Place = tuple[float, float]
 
 
 def plain(event: msg.Event) -> dict[str, Any]:
-    """An event as JSON tells it: `stamp` in s of the source clock, `place` x, y [m] in `map` or None."""
+    """An event as JSON tells it: `stamp` and `logged` in s of the source's and the recorder's clock, `place` x, y [m] in `map` or None."""
     return {
         "number": event.number,
         "stamp": stamp_of(event) / NS,
+        "logged": event.logged / NS,
         "kind": event.kind,
         "severity": GRADES[min(event.severity, ERROR)],
         "text": event.text,
@@ -60,12 +61,16 @@ class Events:
     )
 
     def __init__(
-        self, say: Callable[[str], None], least_battery: float = -1.0, clock: Callable[[], int] = lambda: 0
+        self,
+        say: Callable[[str], None],
+        least_battery: float = -1.0,
+        clock: Callable[[], int] = lambda: 0,
+        recorder: Callable[[], int] = lambda: 0,
     ) -> None:
-        """`say` gets the text of each event at once. `least_battery`: charge at which the robot stops [0..1], negative: at none. `clock`: the source's [ns]."""
+        """`say` gets the text of each event at once. `least_battery`: charge at which the robot stops [0..1], negative: at none. `clock`: the source's, `recorder`: the recorder's [ns]."""
         self._say = say
         self._least_battery = least_battery
-        self._clock = clock
+        self._clock, self._recorder = clock, recorder
         self._due: list[msg.Event] = []
         self._kept: deque[dict[str, Any]] = deque(maxlen=KEPT)
         self._number = 0
@@ -91,6 +96,7 @@ class Events:
         self._due.append(
             msg.Event(
                 header=header(self._clock(), MAP),
+                logged=self._recorder(),
                 number=self._number,
                 severity=severity,
                 kind=kind,

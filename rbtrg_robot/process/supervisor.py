@@ -92,7 +92,7 @@ class Supervisor:
         self._usage_due = 0.0
         self._looked = math.inf
         self._deaf_until = 0.0
-        self._events = Events(say, config.gate.min_battery, lambda: self._health.source_now)
+        self._events = Events(say, config.gate.min_battery, lambda: self._health.source_now, self._clock)
         self._latch = LatchFile(config.robot)
         self._mission = MissionFile(config.robot)
         self._notifier = Notifier()

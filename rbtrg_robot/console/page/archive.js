@@ -27,14 +27,16 @@ export function makeArchive(link, free) {
       }),
     );
   }
-  async function look(name) {
-    const { facts, topics, damage } = await get(`/runs/${name}`);
+  async function look(name, logged = 0) {
+    const { facts, topics, damage, unfinished, begin } = await get(`/runs/${name}`);
+    $("replay-from").value = figure(Math.max(0, logged - begin), 0);
     const meta = Object.entries(facts).flatMap(([, group]) => (typeof group === "object" ? Object.entries(group) : []));
     $("run-card").hidden = false;
     shown = name;
     put("run-name", name);
     list($("run-facts"), [
       ...meta.filter(([key]) => !key.startsWith("package")).map(([key, value]) => [key, String(value)]),
+      ...unfinished.map((file) => ["being written", `${file}: what it holds is counted at its end`]),
       ...damage.map((words) => ["damage", words, "word-bad"]),
     ]);
     table(
@@ -70,5 +72,10 @@ export function makeArchive(link, free) {
     if (job === "running" && state !== "running" && !$("logs").hidden) runs().catch(say);
     job = state;
   });
-  return { runs: () => runs().catch(say) };
+  // A run at an instant of its log's clock [s].
+  function at(name, logged) {
+    free.open("logs");
+    return look(name, logged).catch(say);
+  }
+  return { runs: () => runs().catch(say), at };
 }

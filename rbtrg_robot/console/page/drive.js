@@ -1,7 +1,7 @@
 // The robot in words, the goal, and what would become of it.
+import { ACTIVE } from "./state.js";
 import { $, button, degrees, figure, list, number, put, twice } from "./tell.js";
 
-const ACTIVE = ["accepted", "planning", "moving", "recovering", "paused"];
 
 export function makeDrive(link, view, about, free) {
   const { world } = view;
@@ -9,35 +9,8 @@ export function makeDrive(link, view, about, free) {
 
   // --- the robot ------------------------------------------------------------------------------------------
   function showRobot() {
-    const { robot, pose, goal, odometry, map } = link.newest;
+    const { robot, pose, odometry, map } = link.newest;
     if (!robot) return;
-    put("phase", robot.phase);
-    put(
-      "said",
-      robot.estop
-        ? `Stopped: ${robot.estop_cause}`
-        : robot.taken
-          ? "Driven by hand"
-          : goal && goal.state !== "paused" && ACTIVE.includes(goal.state)
-            ? `Goal ${goal.state}${goal.left ? `, ${figure(goal.left, 1)} m ${goal.frontier ? "to the edge of what is seen" : "left"}` : ""}`
-            : `Robot ${robot.phase}`,
-    );
-    const still = robot.hindrance || robot.held;
-    put(
-      "why-still",
-      [
-        still,
-        goal?.state === "paused"
-          ? "The goal waits. Resume lets it go on."
-          : goal && ACTIVE.includes(goal.state)
-            ? [goal.chance, goal.words].filter(Boolean).join("; ")
-            : goal && goal.state !== "idle"
-              ? `Last goal ${goal.state}${goal.words ? `: ${goal.words}` : ""}`
-              : "",
-      ]
-        .filter(Boolean)
-        .join(" · "),
-    );
     const rows = [["Battery", robot.battery === null ? "unknown" : `${Math.round(robot.battery * 100)} %`]];
     if (pose)
       rows.unshift(
@@ -52,27 +25,9 @@ export function makeDrive(link, view, about, free) {
       ]);
     if (map?.warning) rows.push(["Map", map.warning, "word-warn"]);
     list($("figures"), rows);
-    $("resume").hidden = robot.latch === "0";
-    put(
-      "resume",
-      robot.estop ? "Release the stop" : goal?.state === "paused" ? "Continue the goal" : "Give motion back",
-    );
-    $("cancel").hidden = !goal || !ACTIVE.includes(goal.state);
   }
-  async function tell(content) {
-    try {
-      const answer = await link.wish(content);
-      if (answer.words) free.say(answer.words, answer.ok ? "" : "bad");
-      return answer;
-    } catch (error) {
-      free.say(error.message, "bad");
-      return { ok: false };
-    }
-  }
-  $("resume").onclick = () => tell({ do: "resume" });
-  $("cancel").onclick = () => tell({ do: "cancel" });
   for (const made of document.querySelectorAll("[data-posture]")) {
-    const act = () => tell({ do: "posture", what: made.dataset.posture });
+    const act = () => free.tell({ do: "posture", what: made.dataset.posture });
     if (made.dataset.posture === "damp") twice(made, () => "It sinks to the ground. Really?", act);
     else made.onclick = act;
   }
@@ -167,7 +122,7 @@ export function makeDrive(link, view, about, free) {
     const goal = wanted();
     if (!goal) return;
     button.disabled = true;
-    const answer = await tell({ do: "goal", accept, ...goal });
+    const answer = await free.tell({ do: "goal", accept, ...goal });
     button.disabled = locked();
     if (answer.ok) {
       forget(false);
@@ -178,9 +133,9 @@ export function makeDrive(link, view, about, free) {
   $("go").onclick = () => go($("go"), false);
   twice($("accept"), () => "It may fall. Really?", () => go($("accept"), true));
 
-  const locked = () => link.fresh === "stale" || !free.operating();
+  const locked = () => !free.may();
   function lock() {
-    for (const id of ["ask", "go", "accept", "resume", "cancel"]) $(id).disabled = locked();
+    for (const id of ["ask", "go", "accept"]) $(id).disabled = locked();
     for (const made of document.querySelectorAll("[data-posture], #names button")) made.disabled = locked();
   }
 

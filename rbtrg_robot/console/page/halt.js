@@ -23,6 +23,7 @@ export function makeHalt(link) {
       true,
     );
   }
+  // Of a stop that was released nothing stays here; the line on top tells what is.
   link.on("halt", ({ state, words }) => {
     const at = $("stop-said");
     at.className = state === "confirmed" ? "good" : state === "unconfirmed" ? "bad" : "";

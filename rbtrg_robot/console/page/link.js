@@ -20,6 +20,9 @@ export function open() {
     replay: "",
     fresh: "stale",
     age: Infinity,
+    met: false, // there was a connection
+    silent: "console", // whose words are missing, or the link that is slow, and since how many seconds
+    since: Infinity,
     ended: "", // what to do where the console lets this page in no more
     seen: "", // newest stamp of the robot that this page saw: every velocity echoes it, and the robot refuses what is older than 0.5 s
     delay: 0, // seconds that this page's picture is behind the robot, there and back again on its link
@@ -31,7 +34,7 @@ export function open() {
     connected: () => socket?.readyState === 1,
   };
   let socket,
-    beat = 0,
+    beat = -Infinity,
     ages = {},
     number = 0,
     pressed = 0,
@@ -53,12 +56,15 @@ export function open() {
       mine = 0; // the server that took a stop may be gone
       delete link.newest.stop;
       link.ended = "";
+      beat = performance.now();
       tell("open");
+      look();
     };
     socket.onclose = ({ code, reason }) => {
       if (code === ENDED) link.ended = reason;
       for (const { no } of waiting.values()) no(new Error(link.ended || "the console is gone"));
       waiting.clear();
+      look();
       tell("close");
       setTimeout(dial, 500);
     };
@@ -75,6 +81,7 @@ export function open() {
     if (content.kind === "beat") {
       beat = performance.now();
       ages = content.ages;
+      link.met = true;
       look();
     }
     if (content.kind === "robot") link.seen = content.seen;
@@ -100,9 +107,11 @@ export function open() {
   function look() {
     const since = (performance.now() - beat) / 1000;
     const topics = STEADY.map((name) => (name in ages ? ages[name] + since : Infinity));
+    const lost = socket?.readyState !== 1;
     link.age = Math.max(since, link.delay, ...topics);
-    link.silent = since > STALE ? "console" : topics[1] > STALE ? "robot" : topics[0] > STALE ? "odometry" : "";
-    const fresh = link.age > STALE ? "stale" : link.age > OLD ? "old" : "live";
+    link.silent = lost || since > STALE ? "console" : topics[1] > STALE ? "robot" : topics[0] > STALE ? "odometry" : link.delay > STALE ? "link" : "";
+    link.since = { console: since, robot: topics[1], odometry: topics[0], link: link.delay }[link.silent] ?? 0;
+    const fresh = lost || link.age > STALE ? "stale" : link.age > OLD ? "old" : "live";
     const changed = fresh !== link.fresh;
     link.fresh = fresh;
     tell("age", changed);

@@ -1,12 +1,14 @@
-// The page: one connection, one picture, six views, and STOP on all of them.
+// The page: one connection, one picture, seven views, and STOP on all of them.
 import { makeArchive } from "./archive.js";
 import { makeDrive } from "./drive.js";
+import { makeEvents } from "./events.js";
 import { makeHalt } from "./halt.js";
 import { makeHealth } from "./health.js";
 import { open } from "./link.js";
 import { makeMaps } from "./maps.js";
 import { makeMissions } from "./missions.js";
 import { makePicture } from "./picture.js";
+import { makeState } from "./state.js";
 import { makeStick } from "./stick.js";
 import { $, figure, put, twice } from "./tell.js";
 import { makeWhy } from "./why.js";
@@ -26,6 +28,13 @@ let why,
   timer = 0;
 
 const free = {
+  may: () => link.fresh !== "stale" && free.operating(),
+  open: (name) => show(name),
+  async tell(content) {
+    const answer = await link.wish(content).catch((error) => ({ ok: false, words: error.message }));
+    if (!answer.ok) free.say(answer.words, "bad"); // what was done is told by the line of state
+    return answer;
+  },
   operating: () => !link.replay && link.role === "operator" && link.newest.beat?.operator === link.page,
   say(words, kind = "") {
     banner(words, kind);
@@ -69,7 +78,8 @@ stick = makeStick(link, view, about, free);
 missions = makeMissions(link, view, free);
 maps = makeMaps(link, view, free);
 const health = makeHealth(link, about),
-  archive = makeArchive(link, free);
+  archive = makeArchive(link, free),
+  events = makeEvents(link, view, about, free, archive);
 
 // --- views --------------------------------------------------------------------------------------------------
 function show(name) {
@@ -78,7 +88,7 @@ function show(name) {
     (made.toggleAttribute("aria-current", made.dataset.view === name),
       made.dataset.view === name && made.setAttribute("aria-current", "page"));
   for (const panel of document.querySelectorAll(".panel")) panel.hidden = panel.id !== name;
-  ({ health: health.show, logs: archive.runs, maps: maps.show, missions: missions.show, why: why.gate })[name]?.();
+  ({ events: events.show, health: health.show, logs: archive.runs, maps: maps.show, missions: missions.show, why: why.gate })[name]?.();
 }
 for (const made of document.querySelectorAll("nav button")) made.onclick = () => show(made.dataset.view);
 show("drive");
@@ -98,6 +108,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
       "limits",
       "route_status",
       "tracker",
+      "events",
     ])
       delete link.newest[kind];
     Object.assign(view.world, {
@@ -112,6 +123,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
       place: null,
       candidates: null,
       arc: null,
+      mark: null,
     });
     picture.clear();
     why.show(null);
@@ -145,13 +157,6 @@ link.on("age", (changed) => {
   put("fresh", link.fresh === "live" ? "live" : link.fresh === "old" ? seconds : `stale: ${seconds}`);
   lease();
   if (!changed) return;
-  if (link.fresh === "stale")
-    speak(
-      link.ended
-        ? `${link.ended} STOP works from here all the same.`
-        : `What you see is old: ${{ console: "the console is silent", robot: "the robot is silent", odometry: "the odometry is silent" }[link.silent] ?? "no data"}. Goals and driving are locked, STOP is not.`,
-    );
-  if (link.fresh === "live") speak("");
   drive.lock();
   missions.lock();
   maps.lock();
@@ -214,7 +219,7 @@ function banner(words, kind = "") {
 }
 // What stands at the end of the page can be scrolled out from behind the bar, however high its warnings make it.
 new ResizeObserver(([bar]) => document.body.style.setProperty("--bar", `${bar.borderBoxSize[0].blockSize}px`)).observe($("stopbar"));
-const speak = (words) => banner(words, words ? "bad" : "");
 
+makeState(link, free);
 picture.begin();
 window.consoleView = view; // for tests, and for the curious

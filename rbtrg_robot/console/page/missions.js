@@ -16,13 +16,7 @@ export function makeMissions(link, view, free) {
   let file = null,
     asked = "";
 
-  async function tell(content) {
-    const answer = await link
-      .wish({ do: "mission", ...content })
-      .catch((error) => ({ ok: false, words: error.message }));
-    free.say(answer.words, answer.ok ? "" : "bad");
-    return answer;
-  }
+  const tell = (content) => free.tell({ do: "mission", ...content });
   const present = () => {
     const { mission, mission_order: order } = link.newest;
     return mission?.order_id && order?.order_id === mission.order_id ? { ...order, ...mission } : null;
@@ -39,7 +33,6 @@ export function makeMissions(link, view, free) {
     const asks = mission.question ? `${mission.order_id} ${mission.step} ${mission.question}` : "";
     if (asks !== asked) {
       asked = asks;
-      if (asks) free.say(`The mission asks: ${mission.question}`);
       put("question-words", mission.question);
       $("choices").replaceChildren(
         ...mission.choices.map((words) =>

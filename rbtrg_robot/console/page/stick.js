@@ -20,10 +20,7 @@ export function makeStick(link, view, about, free) {
 
   const may = () => link.fresh !== "stale" && free.operating() && !document.hidden;
   function hold(by) {
-    if (may()) {
-      held = by;
-      free.take?.();
-    }
+    if (may()) held = by;
   }
   function drop() {
     held = null;

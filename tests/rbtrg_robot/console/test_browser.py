@@ -78,10 +78,6 @@ def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable
         context.close()
 
 
-def said(page: Page) -> str:
-    return page.inner_text("#stop-said")
-
-
 # --- goals --------------------------------------------------------------------------------------------------
 
 
@@ -170,7 +166,7 @@ def test_everything_by_keyboard_alone(visit: Callable[..., Page], robot: Robot) 
     assert page.is_visible("#why")
     page.keyboard.press("Space")  # on a button that has the focus
     soon(page, lambda: bool(robot.cause))
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
     assert page.get_attribute("#live", "aria-live") == "assertive"
     until(page, "document.querySelector('#live').textContent.includes('Emergency stop')")
 
@@ -199,7 +195,7 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
 @pytest.mark.parametrize("how", ["press", "Escape", "observer"])
 def test_stop(visit: Callable[..., Page], robot: Robot, how: str) -> None:
     page = visit("observer" if how == "observer" else "operator")
-    for view in range(1, 7):
+    for view in range(1, 8):
         page.click(f"nav button:nth-child({view})")
         box = page.locator("#halt").bounding_box()
         assert box is not None
@@ -211,7 +207,41 @@ def test_stop(visit: Callable[..., Page], robot: Robot, how: str) -> None:
         page.hover("#halt")
         page.mouse.down()  # the finger is still on it
     soon(page, lambda: bool(robot.cause))
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
+
+
+def test_a_stop_is_told_once_released_here_and_the_goal_goes_on(
+    visit: Callable[..., Page], robot: Robot
+) -> None:
+    page = visit()
+    page.fill("#gx", "4.5")
+    page.fill("#gy", "0.5")
+    page.click("#ask")
+    page.click("#go")
+    until(page, "document.body.dataset.state === 'go'")
+    robot.pace = 0.0
+    page.keyboard.press("Escape")
+    until(page, "document.querySelector('#said').textContent === 'Stopped'")
+    seen = page.evaluate("[...document.body.children].map(x => x.matches('.hide') ? '' : x.innerText).join()")
+    assert seen.count("console") == 1  # who stopped it is told once
+    assert "rbtrg-robot" not in seen
+    assert page.evaluate("getComputedStyle(document.body, '::after').borderTopColor") == "rgb(192, 24, 24)"
+    page.click("#act-resume")
+    until(page, "document.body.dataset.state === 'calm' && !document.querySelector('#stop-said').textContent")
+    assert page.inner_text("#why-still") == "The goal to x 4.5 y 0.5 m was stopped."
+    page.click("#act-continue")
+    soon(page, lambda: len(robot.goals) == 2)
+    assert (robot.goals[1].x, robot.goals[1].y, robot.goals[1].has_yaw) == (4.5, 0.5, False)
+    page.click("nav [data-view=events]")
+    said = page.locator("#event-list li").all_inner_texts()[:4]
+    assert [words.split(" ", 1)[1].split(" ", 1)[0] for words in said] == [
+        "goal",
+        "e-stop",
+        "goal",
+        "e-stop:",
+    ]
+    page.click("#event-list li:nth-child(4) button")  # where it was stopped
+    assert page.evaluate("consoleView.world.mark.x") == pytest.approx(robot.x, abs=0.1)
 
 
 def test_stop_is_repeated_and_not_called_done_until_the_robot_says_so(
@@ -226,7 +256,7 @@ def test_stop_is_repeated_and_not_called_done_until_the_robot_says_so(
     heard = robot.stops
     soon(page, lambda: robot.stops > heard + 3)
     robot.deaf = False
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
 
 
 def test_stop_with_a_frozen_feed_and_what_is_old_is_grey_and_locked(
@@ -238,7 +268,8 @@ def test_stop_with_a_frozen_feed_and_what_is_old_is_grey_and_locked(
     until(page, "document.body.dataset.fresh === 'stale'")
     assert page.is_disabled("#ask")
     assert "grayscale" in page.evaluate("getComputedStyle(document.querySelector('#view')).filter")
-    until(page, "document.querySelector('#banner').textContent.includes('locked')")
+    until(page, "document.querySelector('#said').textContent.startsWith('The robot is silent')")
+    assert "locked" in page.inner_text("#why-still")
     assert page.locator("#view canvas").bounding_box() == picture  # a warning moves nothing under a finger
     page.focus("#stick")
     page.keyboard.down("ArrowUp")
@@ -248,7 +279,7 @@ def test_stop_with_a_frozen_feed_and_what_is_old_is_grey_and_locked(
     page.keyboard.press("Escape")
     soon(page, lambda: robot.stops > 0)
     robot.frozen = False
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
     until(page, "document.body.dataset.fresh === 'live'")
 
 
@@ -260,7 +291,7 @@ def test_stop_from_a_page_that_draws_too_slowly(visit: Callable[..., Page], robo
     )
     page.keyboard.press("Escape")
     soon(page, lambda: bool(robot.cause))
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
 
 
 def test_a_server_that_is_gone_is_seen_and_comes_back(browser: Browser, robot: Robot, tmp_path: Path) -> None:
@@ -274,10 +305,12 @@ def test_a_server_that_is_gone_is_seen_and_comes_back(browser: Browser, robot: R
         page.goto(first.address())
         until(page, "!!window.consoleView && document.body.dataset.fresh === 'live'")
         page.keyboard.press("Escape")  # the stop of before, released from elsewhere
-        until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+        until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
         robot.reset()
         first.close()
         until(page, "document.body.dataset.fresh === 'stale'")
+        assert page.inner_text("#said").startswith("Link lost")
+        assert page.inner_text("#phase") == ""  # nobody knows
         page.keyboard.press("Escape")
         until(
             page, "document.querySelector('#stop-said').textContent.includes('the console does not answer')"
@@ -287,7 +320,7 @@ def test_a_server_that_is_gone_is_seen_and_comes_back(browser: Browser, robot: R
         second = Console(robot, tmp_path, "other", port=port)
         try:
             soon(page, lambda: bool(robot.cause))
-            until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+            until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
             until(page, "document.body.dataset.fresh === 'live'")
         finally:
             second.close()
@@ -304,7 +337,7 @@ BREAKABLE = """(() => {
     window.comeBack = () => { window.away = false; last.onclose({ code: 1006, reason: "" }); };
 })();"""
 """A page whose connection breaks and comes back when it is told to."""
-STOPPED = "document.querySelector('#stop-said').textContent.includes('stopped: console')"
+STOPPED = "document.querySelector('#stop-said').textContent.includes('confirmed by')"
 NOT_CONFIRMED = "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')"
 
 
@@ -459,8 +492,8 @@ def test_hands_let_go(visit: Callable[..., Page], robot: Robot, end: str) -> Non
         robot.heard.wait(0.1)
     assert robot.state == "paused"  # the goal goes on only when told to
     if end == "key up":
-        until(page, "document.querySelector('#resume').textContent === 'Continue the goal'")
-        page.click("#resume")
+        until(page, "document.querySelector('#act-resume')?.textContent === 'Continue the goal'")
+        page.click("#act-resume")
         soon(page, lambda: robot.state in ("moving", "reached"))
 
 
@@ -503,7 +536,7 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     robot.pace = PACE
     page.click("[data-mission=resume]")
     page.click("nav [data-view=drive]")
-    until(page, "document.querySelector('#banner').textContent.includes('Is the valve open?')")
+    until(page, "document.querySelector('#why-still').textContent === 'Is the valve open?'")
     assert (robot.x, robot.y) == pytest.approx((1.5, 0.5), abs=0.15)
     assert page.locator("nav .asks").inner_text() == "Missions"
     page.click("nav [data-view=missions]")
@@ -626,7 +659,7 @@ def test_a_run_is_replayed_beside_the_robot_and_run_again(
     soon(page, lambda: robot.stops > 3)
     until(page, "document.querySelector('#stop-said').textContent.includes('NOT CONFIRMED')")
     robot.deaf = False
-    until(page, "document.querySelector('#stop-said').textContent.includes('stopped: console')")
+    until(page, "document.querySelector('#stop-said').textContent.includes('confirmed by')")
     page.click("#replay-pause")
     until(page, "document.querySelector('#replay-said').textContent.includes('paused at')")
     assert page.inner_text("#replay-pause") == "Go on"

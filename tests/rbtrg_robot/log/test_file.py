@@ -338,3 +338,13 @@ def test_an_overview_reads_no_message(tmp_path: Path, monkeypatch: pytest.Monkey
     assert found.seconds == pytest.approx(250.0)
     assert found.metadata == {"scene": "flat", "seed": "3"}
     assert found.damage == []
+    began, whole = found.begin, (tmp_path / "log_0.mcap").read_bytes()
+    (tmp_path / "log_0.mcap").write_bytes(whole[: len(whole) - 100])  # killed before it wrote its summary
+    chunks.clear()
+    found = overview(tmp_path, quick=True)
+    assert len(chunks) == 2  # the facts, the first time
+    assert (found.topics, found.damage) == (
+        {},
+        ["log_0.mcap has no index; `rbtrg-robot log recover` makes one"],
+    )
+    assert found.begin == began

@@ -77,7 +77,7 @@ def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: 
         page.mouse.down()  # and not up: pressing is enough
         until(
             page,
-            "document.querySelector('#stop-said').textContent === 'stopped: emergency stop: console'",
+            "document.querySelector('#stop-said').textContent === 'STOP confirmed by the robot'",
             LIMIT,
         )
         until(page, "document.querySelector('#figures').textContent.includes('Speed0.00 m/s')", LIMIT)
@@ -85,5 +85,8 @@ def test_a_press_on_the_ground_moves_the_robot_and_stop_makes_it_stand(address: 
         page.wait_for_timeout(500)
         assert figure(page, "Place") == pytest.approx(before, abs=0.03)
         assert before[0] < x + 2.5  # it did not come to its goal
-        assert page.inner_text("#said").startswith("Stopped: emergency stop: console")
-        assert "emergency stop: emergency" not in page.inner_text("#why-still")
+        assert page.inner_text("#said") == "Stopped"
+        assert page.inner_text("#why-still") == "emergency stop: console"
+        page.click("#act-resume")
+        page.click("#act-continue")
+        until(page, f"consoleView.world.pose.x > {before[0] + 0.15}", LIMIT)

@@ -391,6 +391,7 @@ def test_an_event_tells_when_where_and_who_did_it() -> None:
     assert events.newest()[2] == {
         "number": 3,
         "stamp": 7e-9,
+        "logged": 0.0,
         "kind": "stop",
         "severity": "error",
         "text": "e-stop: emergency stop: Anna",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import math
 import threading
 import time
@@ -21,6 +22,7 @@ from rbtrg_robot.config import load
 from rbtrg_robot.console.server import Serving, serving
 from rbtrg_robot.hosts.camera import image_msg, info_msg
 from rbtrg_robot.latch import number
+from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.runfiles import console_address
 from rbtrg_robot.stages.mission.executor import MissionStage
 from rbtrg_robot.stages.stage import Outputs
@@ -35,7 +37,7 @@ from rbtrg_robot.wire.convert import (
     transform_msg,
     yaw_of,
 )
-from rbtrg_robot.wire.messages import header
+from rbtrg_robot.wire.messages import header, stamp_of
 from tools.bench.ports import free_port
 
 PACE = 0.05
@@ -86,6 +88,8 @@ class Robot:
             ]
         )
         self.bus.serve("status", lambda _: b"{}")
+        self.events = Events(lambda _: None, 0.1, time.time_ns, time.time_ns)
+        self.bus.serve("events", lambda _: json.dumps(self.events.newest()).encode())
         self.lock = threading.Lock()
         self.heard = threading.Event()
         """Set by every message that comes."""
@@ -115,7 +119,7 @@ class Robot:
             self.cause = ""
             self.taken = ""
             self.goal: msg.GoalRequest | None = None
-            self.state = "idle"
+            self.state, self.reason = "idle", ""
             self.stops = 0
             self.goals: list[msg.GoalRequest] = []
             self.driven: list[tuple[float, float, float]] = []
@@ -158,6 +162,7 @@ class Robot:
         at = (place.x - c * self.x + s * self.y, place.y - s * self.x - c * self.y, 0.0)
         turn = rpy_quaternion((0.0, 0.0, yaw))
         frames = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, at, turn)])
+        self.events.take(t.TF_STATIC, frames)
         self.bus.publish(t.TF_STATIC, frames, stamp)
 
     def _do(self, orders: Outputs) -> None:
@@ -169,13 +174,14 @@ class Robot:
                 self._hear(topic, message)
 
     def _hear(self, topic: t.Topic, message: Any) -> None:
+        self.events.take(topic, message)
         if topic is t.ROBOT_STOP:
             self.stops += 1
             if not self.deaf:
                 self.latch = number(max(self.latch + 1, time.monotonic_ns()), message.latch)
                 self.cause = message.cause
                 if self.state == "moving":
-                    self.state = "aborted"
+                    self.state, self.reason = "aborted", "emergency_stop"
         elif topic is t.ROBOT_COMMAND and message.mode == "resume" and message.latch == self.latch:
             self.latch, self.cause, self.taken = 0, "", ""
             self.state = "moving" if self.state == "paused" else self.state
@@ -185,7 +191,7 @@ class Robot:
             elif self.goal is None or message.id != self.goal.id:
                 self.goal = message
                 self.goals.append(message)
-                self.state = "rejected" if self.latch else "moving"
+                self.state, self.reason = ("rejected", "emergency_stop") if self.latch else ("moving", "")
         elif topic is t.MAP_REQUEST:
             if message.action == "full":
                 self.bus.publish(t.MAP_FULL, patch_msg(ground()), 1)
@@ -270,7 +276,7 @@ class Robot:
             candidates=np.array(self.alike),
         )
         self.bus.publish(t.MAP_STATUS, status, stamp)
-        told = msg.GoalStatus(header=header(stamp, MAP), state=self.state)
+        told = msg.GoalStatus(header=header(stamp, MAP), state=self.state, reason=self.reason)
         if self.goal is not None:
             told.id, told.x, told.y, told.owner = self.goal.id, self.goal.x, self.goal.y, self.goal.owner
             told.has_yaw, told.yaw = self.goal.has_yaw, self.goal.yaw
@@ -278,6 +284,14 @@ class Robot:
         self.bus.publish(t.GOAL_STATUS, told, stamp)
         for topic, message in ((t.ROBOT_STATE, state), (t.GOAL_STATUS, told)):
             self._do(self.mission.on(topic, message))
+        news: tuple[tuple[t.Topic, msg.Message], ...] = (
+            *((t.ODOM, odom), (t.ROBOT_STATE, state)),
+            *((t.MAP_STATUS, status), (t.GOAL_STATUS, told)),
+        )
+        for new in news:
+            self.events.take(*new)
+        for event in self.events.due():
+            self.bus.publish(t.EVENTS, event, stamp_of(event))
         self._do(self.mission.tick(stamp))
 
 

@@ -185,6 +185,13 @@ export function makeFlat(canvas, world, ground, camera) {
             COLOUR.goal,
           );
       }
+    if (world.mark) {
+      context.beginPath();
+      context.arc(...spot(world.mark.x, world.mark.y), 12, 0, 7);
+      context.lineWidth = 4;
+      context.strokeStyle = css(COLOUR.worst);
+      context.stroke();
+    }
     if (world.home) body(world.home.x, world.home.y, world.home.yaw, COLOUR.home);
     for (const { x, y, yaw } of world.candidates ?? []) body(x, y, yaw, COLOUR.preview);
     if (world.place) body(world.place.x, world.place.y, world.place.yaw, COLOUR.goal);

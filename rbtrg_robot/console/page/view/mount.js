@@ -21,6 +21,7 @@ export function mount(element, options) {
     place: null,
     candidates: null,
     arc: null,
+    mark: null,
     cloud: null,
     graph: null,
     chosen: null,

@@ -241,6 +241,11 @@ export function build(world, ground, camera) {
     shapes.line3([goal.x, goal.y, z], [goal.x, goal.y, z + 0.9], 0.04, paint);
     if (goal.yaw !== null && goal.yaw !== undefined) arrow(shapes, goal.x, goal.y, z + 0.08, goal.yaw, 0.75, paint);
   }
+  if (world.mark) {
+    const { x, y } = world.mark;
+    shapes.disc(x, y, onGround(x, y, base) + 0.08, 0.35, COLOUR.worst, 0.25);
+    shapes.line3([x, y, onGround(x, y, base)], [x, y, onGround(x, y, base) + 1.2], 0.05, COLOUR.worst);
+  }
   if (world.home) {
     const { x, y, yaw } = world.home,
       z = onGround(x, y, base);

@@ -14,6 +14,7 @@ from hal.safety.geofence import Geofence
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import GUARD, StackConfig
+from rbtrg_robot.hosts.memory import keep_what_is_loaded
 from rbtrg_robot.processes import BY_NAME, PROCESSES
 from rbtrg_robot.stages.robot import STEP, RobotStage
 from rbtrg_robot.stages.stage import Outputs
@@ -154,6 +155,7 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
     """To end, and not by an error: after one, the next process takes the robot as it stands, on a stair or a ramp."""
     try:
         stage.warm_up()
+        keep_what_is_loaded()
         changes: deque[tuple[str, bool]] = deque()
 
         def changed(process: str, alive: bool) -> None:

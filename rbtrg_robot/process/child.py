@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import faulthandler
-import gc
 import importlib
 import logging
 import signal
@@ -26,12 +25,6 @@ class _Formatter(logging.Formatter):
         return plain(super().formatMessage(record))
 
 
-def keep_what_is_loaded() -> None:
-    """Look through all objects for what nobody needs once more and never again: 200,000 of modules and kernels take 0.1 s, in the middle of an answer."""
-    gc.collect()
-    gc.freeze()
-
-
 def run(spec: dict[str, Any]) -> int:
     """One process until told to stop; returns its exit status.
 
@@ -49,6 +42,7 @@ def run(spec: dict[str, Any]) -> int:
     from hal.errors import OperatorError, one_line
     from rbtrg_robot.config import load
     from rbtrg_robot.hosts.live import Node
+    from rbtrg_robot.hosts.memory import keep_what_is_loaded
     from rbtrg_robot.processes import BY_NAME
     from rbtrg_robot.topics import BY_NAME as TOPIC_BY_NAME
     from rbtrg_robot.wire.bus import Bus

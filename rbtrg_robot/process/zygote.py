@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import importlib
 import json
 import logging
@@ -287,6 +288,9 @@ def preload() -> None:
 
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
+    # A collection writes to every object that it looks at: each forked process would have its own copy of all of them.
+    gc.collect()
+    gc.freeze()
 
 
 def main() -> int:

@@ -101,6 +101,7 @@ def test_a_second_run_is_put_where_it_was(round_trip: tuple[Recording, Array, Cl
     recording.close()
 
 
+@pytest.mark.campaign
 def test_a_corridor_that_looks_like_another_one_is_refused() -> None:
     scene, corners = twins()
     truth = way_through(scene, corners, step=0.5)

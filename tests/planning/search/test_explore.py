@@ -33,8 +33,8 @@ RING = 1.9
     [
         (1.7, 5, 0.1, RING, (0, 1, 2)),
         (1.1, 6, 0.1, 0.0, (1, 2, 18, 22)),
-        (1.2, 6, 0.3, 0.0, (9, 13, 3)),
-        (1.4, 7, 0.0, 0.0, (5,)),
+        pytest.param(1.2, 6, 0.3, 0.0, (9, 13, 3), marks=pytest.mark.campaign),
+        pytest.param(1.4, 7, 0.0, 0.0, (5,), marks=pytest.mark.campaign),
     ],
 )
 def test_the_way_through_an_unseen_maze_is_at_most_twice_the_known_one(

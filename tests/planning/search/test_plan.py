@@ -64,7 +64,7 @@ def test_search_finds_the_optimum_forward_and_backward(world):
     grid, graph = world
     last = len(graph.nodes) - 1
     driven = set()
-    for start, goal, yaws in ((0, last, (-2.4, -2.4)), (last, 3, (0.5, None)), (2, last, (-2.4, 0.8))):
+    for start, goal, yaws in ((0, last, (-2.4, -2.4)), (last, 3, (0.5, None))):
         got = plan(graph, grid, PlanRequest(start, goal, *yaws, rules=DriveRules(backward=1.01)), BODY)
         cost, nodes = reference.cheapest_route(
             grid, graph, start, goal, BODY, start_yaw=yaws[0], goal_yaw=yaws[1], backward=1.01

@@ -105,8 +105,8 @@ def test_over_ground_that_sends_no_ray_back_it_creeps_to_the_goal(monkeypatch: p
     ("kind", "askew", "friction", "controller"),
     [
         ("pit", 0.0, 0.6, "hybrid"),
-        ("stairs", 0.3, 0.8, "hybrid"),
-        ("platform", -0.7, 1.0, "vmc"),
+        pytest.param("stairs", 0.3, 0.8, "hybrid", marks=pytest.mark.campaign),
+        pytest.param("platform", -0.7, 1.0, "vmc", marks=pytest.mark.campaign),
     ],
 )
 def test_at_an_edge_that_nobody_saw_it_stops_and_tells_of_it(

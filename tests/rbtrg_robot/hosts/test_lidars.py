@@ -83,13 +83,11 @@ def run(stack: Lockstep, seconds: float) -> None:
 
 
 @pytest.mark.usefixtures("in_lane")
-@pytest.mark.parametrize("lidars", [DEFAULT_LIDARS, only("xt16")], ids=["both", "xt16"])
-def test_a_robot_in_a_narrow_lane_starts_and_moves(lidars: tuple[LidarConfig, ...]) -> None:
-    with stack(lidars) as made:
+def test_a_robot_without_a_head_lidar_starts_in_a_narrow_lane() -> None:
+    with stack(only("xt16")) as made:
         made.wait_ready()
         run(made, 0.5)
-        warning = made.newest[t.MAP_STATUS].warning
-        assert ("taken for granted" in warning) == (len(lidars) == 1)
+        assert "taken for granted" in made.newest[t.MAP_STATUS].warning
         made.send_goal(4.0, 0.0)
         made.run_until(lambda: moved(made) > 0.8, 20.0, "a start")
 
@@ -135,7 +133,7 @@ def test_a_robot_whose_head_lidar_never_spoke_does_not_drive_into_a_pit_before_i
         assert made.newest[t.ROBOT_STATE].phase == "ready"
 
 
-@pytest.mark.parametrize("creep", [0.0, 0.1])
+@pytest.mark.parametrize("creep", [0.0, pytest.param(0.1, marks=pytest.mark.campaign)])
 def test_a_robot_whose_head_lidar_falls_silent_does_not_drive_into_a_pit_behind_it(
     creep: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,8 +185,10 @@ def test_a_robot_whose_head_lidar_falls_silent_while_it_drives_stops_before_a_pi
 def test_the_head_lidar_carries_the_robot_on_where_the_main_one_is_silent() -> None:
     with stack(DEFAULT_LIDARS) as made:
         made.wait_ready()
+        run(made, 0.5)
+        assert "taken for granted" not in made.newest[t.MAP_STATUS].warning
         made.send_goal(4.0, 0.0)
-        made.run_until(lambda: moved(made) > 0.4, 20.0, "a start")
+        made.run_until(lambda: moved(made) > 0.8, 20.0, "a start")
         mute(made, "main")
         run(made, 2.0)
         health: Any = made.newest[t.ODOM_HEALTH]

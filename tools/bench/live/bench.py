@@ -7,6 +7,7 @@ the simulator's truth, which the stack itself never sees.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
 import tempfile
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from hal.rotation import wrap
 from hal.scenes import load_scene
@@ -104,12 +106,22 @@ def run(args: list[str]) -> Report:
     return report
 
 
+def proportional(supervisor: int) -> float:
+    """Memory [MB] of a stack at this moment, by its supervisor's pid: what processes share counts once in all (PSS)."""
+    found = 0
+    for process in (psutil.Process(supervisor), *psutil.Process(supervisor).children(recursive=True)):
+        with contextlib.suppress(psutil.NoSuchProcess):  # it has just ended
+            found += process.memory_full_info().pss
+    return found / 1e6
+
+
 def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
     scene = load_scene(scene_name)
     watch = Watch()
     bus.subscribe(Watch.TOPICS)
     cpu: list[float] = []
     memory: dict[str, float] = {}
+    together = 0.0
     first_motion = []
     for number, name in enumerate(goals):
         x, y, yaw = scene.goals[name]
@@ -128,7 +140,10 @@ def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
                 bus.publish(t.GOAL_REQUEST, request, time.time_ns())
             if now > sample:
                 sample = now + 2.0
-                processes = json.loads(bus.ask("status") or b"{}").get("processes", [])
+                status = json.loads(bus.ask("status") or b"{}")
+                processes = status.get("processes", [])
+                if status:
+                    together = max(together, proportional(status["pid"]))
                 cpu.append(sum(p["cpu"] for p in processes))
                 for p in processes:
                     memory[p["process"]] = max(memory.get(p["process"], 0.0), p["memory_mb"])
@@ -148,6 +163,7 @@ def _drive(bus: Bus, scene_name: str, goals: list[str], report: Report) -> None:
     report.add("realtime_factor", float(np.mean(watch.factors)), "-", 0.95, at_least=True)
     report.add("realtime_factor.min", float(np.min(watch.factors)), "-")
     report.add("cpu_pct", float(np.mean(cpu)), "% of one core", 200.0)
+    report.add("memory_pss_mb", together, "MB", 1000.0)
     for name, value in memory.items():
         report.add(f"memory_mb.{name}", value, "MB")
     for key, values in (

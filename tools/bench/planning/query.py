@@ -27,7 +27,7 @@ from planning.risk.table import RiskTable
 from planning.search.plan import PlanRequest, plan
 from rbtrg_robot import msg
 from rbtrg_robot.config import load
-from rbtrg_robot.process.child import keep_what_is_loaded
+from rbtrg_robot.hosts.memory import keep_what_is_loaded
 from rbtrg_robot.stage_config import PlannerConfig
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.planner import build

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import time
@@ -30,14 +31,15 @@ class Compiling:
 
     def __init__(self, folders: Sequence[Path] | None = None) -> None:
         self._folders = kept_in() if folders is None else folders
-        self._began = time.time()
-        self.cold = len(self._stamps()) < KERNELS // 2
+        self._began = time.monotonic()
+        self._kept = self._files()
+        self.cold = len(self._kept) < KERNELS // 2
         """Hardly any was kept."""
 
     @property
     def done(self) -> int:
         """Kernels."""
-        return sum(stamp >= self._began for stamp in self._stamps())
+        return sum(self._kept.get(path) != written for path, written in self._files().items())
 
     def words(self) -> str:
         """For an operator; empty where nothing had to be compiled. After an upgrade nobody knows how many kernels it takes."""
@@ -47,16 +49,14 @@ class Compiling:
         said = f"compiling kernels for this machine, once: {done}"
         if not self.cold or done >= KERNELS:
             return f"{said} so far"
-        left = (time.time() - self._began) * (KERNELS - done) / done
+        left = (time.monotonic() - self._began) * (KERNELS - done) / done
         return f"{said} of {KERNELS}" + (f", about {5 * math.ceil(left / 5)} s" if done >= SURE else "")
 
-    def _stamps(self) -> list[float]:
-        """When each file was written [s since 1970]."""
-        found = []
+    def _files(self) -> dict[Path, int]:
+        """When each was written [ns]."""
+        found = {}
         for folder in self._folders:
             for path in folder.rglob(INDEX):
-                try:
-                    found.append(path.stat().st_mtime)
-                except FileNotFoundError:  # numba replaces them
-                    continue
+                with contextlib.suppress(FileNotFoundError):  # numba replaces them
+                    found[path] = path.stat().st_mtime_ns
         return found

@@ -18,7 +18,7 @@ GOAL = (2.0, 3.0)
 """x, y [m]."""
 
 
-@pytest.mark.parametrize("prior", [False, True])
+@pytest.mark.parametrize("prior", [pytest.param(False, marks=pytest.mark.campaign), True])
 def test_a_robot_that_fell_gets_up_and_reaches_the_goal_when_it_is_sent_again(
     tmp_path: Path, prior: bool
 ) -> None:

@@ -10,7 +10,9 @@ from tools.bench.faults.contact import FAULTS, go_round, pane, push
 BY_NAME = {fault.name: fault for fault in FAULTS}
 
 
-@pytest.mark.parametrize(("degrees", "controller"), [(0.0, "hybrid"), (60.0, "vmc")])
+@pytest.mark.parametrize(
+    ("degrees", "controller"), [(0.0, "hybrid"), pytest.param(60.0, "vmc", marks=pytest.mark.campaign)]
+)
 def test_by_hand_it_stands_at_a_pane_of_glass(degrees: float, controller: str) -> None:
     outcome = push(pane(degrees), controller, 0.5, 2)  # type: ignore[arg-type]
     assert not BY_NAME["contact.pane"].missed(outcome)

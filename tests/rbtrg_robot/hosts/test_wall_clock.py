@@ -119,6 +119,7 @@ def test_the_robot_drives_on_and_says_so_when_the_wall_clock_is_set(
     speeds: list[float] = []
     driven = world.backend.drive
     monkeypatch.setattr(world.backend, "drive", lambda c: (driven(c), speeds.append(world.body.v)))
+    monkeypatch.setattr(robot_process, "keep_what_is_loaded", lambda: None)  # pytest goes on
     robot_process.main(config, bus, stopping, {})  # type: ignore[arg-type]
     after = [m for at, topic, m in bus.sent if topic is t.ROBOT_STATE and set_at < at < end - NS]
     assert len(after) >= 28, "ten a second"

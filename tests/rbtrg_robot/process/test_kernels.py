@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 
 import pytest
@@ -12,14 +11,13 @@ from rbtrg_robot.process import kernels
 from rbtrg_robot.process.kernels import KERNELS, SURE, Compiling, kept_in
 
 
-def keep(folder: Path, count: int, age: float = 0.0) -> None:
-    """As if numba had compiled `count` kernels, `age` [s] ago."""
-    stamp = time.time() - age
+def keep(folder: Path, count: int, second: int = 2) -> None:
+    """As if numba had compiled `count` kernels in this second."""
     for number in range(count):
         path = folder / "__pycache__" / f"kernels.k{number}-1.py311.nbi"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-        os.utime(path, (stamp, stamp))
+        os.utime(path, (second, second))
 
 
 def test_a_first_start_tells_how_many_of_all_and_how_long_they_take(
@@ -27,24 +25,24 @@ def test_a_first_start_tells_how_many_of_all_and_how_long_they_take(
 ) -> None:
     compiling = Compiling([tmp_path])
     assert compiling.words() == ""
-    keep(tmp_path, SURE - 1, age=-1.0)
+    keep(tmp_path, SURE - 1)
     assert compiling.words() == f"compiling kernels for this machine, once: {SURE - 1} of {KERNELS}"
-    keep(tmp_path, 57, age=-1.0)
+    keep(tmp_path, 57)
     began = compiling._began
-    monkeypatch.setattr(kernels.time, "time", lambda: began + 20.0)
+    monkeypatch.setattr(kernels.time, "monotonic", lambda: began + 20.0)
     left = 20.0 * (KERNELS - 57) / 57
     said, seconds = compiling.words().rsplit(", about ", 1)
     assert said == f"compiling kernels for this machine, once: 57 of {KERNELS}"
     assert 0.0 <= int(seconds.removesuffix(" s")) - left < 5.0
-    keep(tmp_path, KERNELS + 3, age=-1.0)
+    keep(tmp_path, KERNELS + 3)
     assert compiling.words().endswith(f"once: {KERNELS + 3} so far")
 
 
 def test_after_an_upgrade_it_tells_how_many_so_far_and_a_warm_start_says_nothing(tmp_path: Path) -> None:
-    keep(tmp_path, KERNELS, age=3600.0)
+    keep(tmp_path, KERNELS, second=1)
     compiling = Compiling([tmp_path])
     assert compiling.words() == ""
-    keep(tmp_path, 30, age=-1.0)
+    keep(tmp_path, 30)
     assert compiling.words() == "compiling kernels for this machine, once: 30 so far"
 
 

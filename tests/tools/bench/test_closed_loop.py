@@ -200,6 +200,7 @@ def test_a_study_goes_on_where_it_was_cut_off(tmp_path: Path, monkeypatch: pytes
     assert "8 trials, 2 draws" in (tmp_path / "tables.md").read_text()
 
 
+@pytest.mark.campaign
 def test_a_small_study_gives_the_same_numbers_with_two_workers_as_with_one(tmp_path: Path) -> None:
     args = ["--controller", "vmc", "--scenes", SCENE, "--queries", "2", "--draws", "1"]
     records, rows = {}, {}

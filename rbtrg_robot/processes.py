@@ -51,3 +51,5 @@ PROCESSES: tuple[Process, ...] = (
 )
 # fmt: on
 BY_NAME = {p.name: p for p in PROCESSES}
+SUPERVISOR = "supervisor"
+"""The process that starts the others."""

@@ -37,6 +37,9 @@ class Role(StrEnum):
     """May do what an observer may, and command the robot."""
 
 
+STACK = "the stack"
+"""Owner of what each of its processes publishes."""
+
 M = TypeVar("M", bound=msg.Message)
 
 
@@ -53,7 +56,7 @@ class Topic(Generic[M]):
     depth: int
     """How many undelivered messages a consumer keeps; the oldest go first. 1 = latest wins."""
     owner: str
-    """The process that publishes it; empty where operators or several processes do."""
+    """The process that publishes it; STACK: each does; empty where operators do."""
     doc: str
     recorded: str = "full standard lean"
     """Profiles of the recorder (`recorder.profile`) that write it; empty: none does."""
@@ -65,12 +68,17 @@ class Topic(Generic[M]):
     """The recorder leaves most out, and adds those of before a stop or a refusal late: gaps and an odd order in a log
     are no loss."""
     shared: bool = False
-    """ROS tools publish it as well, such as robot_state_publisher: what they say is left out without a word."""
+    """ROS tools publish it as well, such as robot_state_publisher or drivers: what they say is left out without a word."""
 
     @property
     def type(self) -> str:
         """`package/msg/Name` of its messages."""
         return self.kind.__msgtype__
+
+    @property
+    def alone(self) -> bool:
+        """One process publishes it: its messages are numbered without gaps, and their stamps do not go back."""
+        return self.owner not in ("", STACK)
 
     def carried(self, message: object, topic: Topic) -> TypeGuard[M]:
         """Whether `message`, which came on `topic`, came on this one; mypy knows its type then."""
@@ -137,10 +145,10 @@ VIEWPOINTS     = Topic("/explore/viewpoints",    msg.Viewpoints,       0, Qos.ST
 PATH_COMMAND   = Topic("/track/path",            msg.PathCommand,      0, Qos.STATE,     4, "navigator", "path to drive; empty = stand", safe_to_replay=False)
 TRACKER_STATE  = Topic("/track/state",           msg.TrackerState,    10, Qos.STATE,     1, "tracker",   "what the tracker does, or why not")
 MOTION_LIMITS  = Topic("/guard/limits",          msg.MotionLimits,    20, Qos.COMMAND,   1, "guard",     "speeds at which the body still stops before what is in its way", safe_to_replay=False)
-EVENTS         = Topic("/events",                msg.Event,            0, Qos.STATE,    64, "",          "what happened: stops, restarts, refusals, touches, goals, maps, and who did it; from the supervisor, which answers `events` with the newest 200")
-HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, "",          "each process, in real time")
-JOURNAL        = Topic("/journal",               msg.Journal,          0, Qos.STATE,   512, "",          "what each process took from the bus, in order: a re-run does the same", recorded="full standard")
-DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, "",          "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures")
+EVENTS         = Topic("/events",                msg.Event,            0, Qos.STATE,    64, "supervisor", "what happened: stops, restarts, refusals, touches, goals, maps, and who did it; the supervisor also answers `events` with the newest 200")
+HEARTBEAT      = Topic("/heartbeat",             msg.Heartbeat,        2, Qos.STATE,    64, STACK,       "each process, in real time")
+JOURNAL        = Topic("/journal",               msg.Journal,          0, Qos.STATE,   512, STACK,       "what each process took from the bus, in order: a re-run does the same", recorded="full standard")
+DIAGNOSTICS    = Topic("/diagnostics",           msg.DiagnosticArray,  0, Qos.STATE,     8, STACK,       "1 Hz: from the supervisor what `status` knows, from the robot process its backend's figures", shared=True)
 # fmt: on
 
 TOPICS: tuple[Topic, ...] = tuple(v for v in dict(globals()).values() if isinstance(v, Topic))

@@ -40,7 +40,7 @@ class TopicStatistics:
             whole = known is None or not known.thinned
             self.backwards += whole and gap < 0
             # Where several publish, their sequences interleave.
-            if whole and known is not None and known.owner and entry.sequence > self.sequence + 1:
+            if whole and known is not None and known.alone and entry.sequence > self.sequence + 1:
                 self.missing += entry.sequence - self.sequence - 1
         else:
             self.first = stamp
@@ -69,7 +69,7 @@ class LogSummary:
             topic = BY_NAME.get(name)
             if s.missing:
                 found.append(f"{name}: {s.missing} of {s.count + s.missing} messages are missing")
-            if s.backwards and (topic is None or topic.owner):
+            if s.backwards and (topic is None or topic.alone):
                 found.append(f"{name}: stamps go backwards {s.backwards} times")
             if topic and topic.rate and name != "/heartbeat" and s.longest_gap > max(10 / topic.rate, 0.5):
                 found.append(f"{name}: silent for {s.longest_gap:.2f} s (nominal {topic.rate:g} Hz)")

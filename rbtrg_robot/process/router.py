@@ -7,6 +7,7 @@ from typing import Any
 from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.process.runfiles import RobotTaken
+from rbtrg_robot.processes import SUPERVISOR
 from rbtrg_robot.wire.bus import Bus, BusError
 
 
@@ -14,7 +15,7 @@ def open_bus(config: StackConfig, **ours: Any) -> Bus:
     """The supervisor's, alone on it. Raises BusError, RobotTaken."""
     join = config.network.join
     try:
-        bus = Bus(config.endpoint, "supervisor", config.scope, router=not join, **ours)
+        bus = Bus(config.endpoint, SUPERVISOR, config.scope, router=not join, **ours)
     except BusError as error:
         if not join:
             raise
@@ -22,7 +23,7 @@ def open_bus(config: StackConfig, **ours: Any) -> Bus:
             f"nothing listens on {config.endpoint}: start its router first, or leave network.join out"
         ) from error
     try:
-        if bus.second("supervisor"):
+        if bus.second(SUPERVISOR):
             raise RobotTaken(
                 f"a stack of robot {config.robot!r} is on the router at {config.endpoint} already (domain {config.domain}): "
                 "end that one, or give this one another --robot"

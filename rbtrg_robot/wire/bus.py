@@ -7,7 +7,7 @@ Choices that a measured failure stands behind:
 - congestion control is DROP everywhere: BLOCK lets one hung consumer freeze its producer for 5 s;
 - a message that comes under the key of another topic is refused: Zenoh mixes the keys up for up to 1.5 s after sessions
   have come back to a router that hung (`keys.astray`);
-- a topic with an owner is taken from that process of this stack alone: another program on this computer published the
+- a topic with an owner is taken from that process of this stack alone, or from any of its processes: another program on this computer published the
   guard's limits, and the robot drove by them. It is told apart by the stack's id, which is no secret: this is for
   accidents; malice is kept out by the session (`session.py`);
 - loopback, no multicast, one known endpoint.
@@ -30,8 +30,9 @@ from zenoh.handlers import Callback
 
 from hal.errors import OperatorError
 from hal.safety.monitors import STRANGER
+from rbtrg_robot.processes import BY_NAME, SUPERVISOR
 from rbtrg_robot.scope import Scope
-from rbtrg_robot.topics import M, Qos, Topic
+from rbtrg_robot.topics import STACK, M, Qos, Topic
 from rbtrg_robot.wire import keys as wire
 from rbtrg_robot.wire import messages
 from rbtrg_robot.wire.clock import SourceClock
@@ -224,14 +225,15 @@ class Bus(Refusals):
     def _receiver(self, topic: Topic, mark: bytes) -> Callable[[zenoh.Sample], None]:
         queue = self._queues[topic]
         owned = bool(self._stack and topic.owner) and topic.owner not in self._absent
-        proof = wire.proof(self._stack, topic.owner)
+        owners = (*BY_NAME, SUPERVISOR) if topic.owner == STACK else (topic.owner,)
+        proofs = {wire.proof(self._stack, owner) for owner in owners}
 
         def receive(sample: zenoh.Sample) -> None:
             data = sample.attachment.to_bytes() if sample.attachment is not None else b""
             if wire.astray(data, mark):
                 self.refuse(topic, "a message of another topic")
                 return
-            if owned and STRANGER.active and wire.proof_of(data) != proof:
+            if owned and STRANGER.active and wire.proof_of(data) not in proofs:
                 if not topic.shared:
                     self._intruded[topic] = time.monotonic()
                     self.refuse(topic, "a stranger's message")

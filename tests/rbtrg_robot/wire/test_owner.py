@@ -13,7 +13,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.process.events import Events
 from rbtrg_robot.process.health import Health
-from rbtrg_robot.processes import PROCESSES
+from rbtrg_robot.processes import PROCESSES, SUPERVISOR
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire import keys
 from rbtrg_robot.wire.bus import Bus
@@ -66,7 +66,8 @@ def heard(bus: Bus, topic: Topic, number: int = 1) -> list[str]:
 
 def test_every_topic_of_a_process_is_refused_from_others_and_taken_from_it(endpoint: str, robot: Bus) -> None:
     assert {t.MOTION_LIMITS, t.CMD_VEL, t.PATH_COMMAND, t.POSE, t.ODOM, t.TF_STATIC, t.PLAN} < set(OWNED)
-    owners = {p.name for p in PROCESSES}
+    assert {t.EVENTS, t.HEARTBEAT, t.JOURNAL, t.DIAGNOSTICS} < set(OWNED)
+    owners = {t.STACK, SUPERVISOR, *(p.name for p in PROCESSES)}
     assert all(topic.owner in owners and topic.publish_by is None for topic in OWNED)
     with Bus(endpoint, "somebody") as stranger:
         for topic in OWNED:
@@ -79,7 +80,8 @@ def test_every_topic_of_a_process_is_refused_from_others_and_taken_from_it(endpo
             assert robot.take(0.1) == []
         assert robot.refused == len(TOLD)
     for topic in OWNED:
-        with Bus(endpoint, topic.owner, stack=STACK) as owner:
+        name = SUPERVISOR if topic.owner == t.STACK else topic.owner
+        with Bus(endpoint, name, stack=STACK) as owner:
             say(owner, topic)
             heard(robot, topic)
     assert robot.refused == len(TOLD)
@@ -100,6 +102,25 @@ def test_neither_a_name_nor_another_stack_nor_another_process_makes_an_owner(
         say(guard, t.MOTION_LIMITS)
         assert heard(robot, t.MOTION_LIMITS)
         assert robot.refused == 1
+
+
+def test_a_forged_heartbeat_hides_no_process_that_hangs(endpoint: str) -> None:
+    health, beat = Health(simulated=True), msg.Heartbeat(process="planner", state="ready")
+    with (
+        Bus(endpoint, "supervisor", stack=STACK) as supervisor,
+        Bus(endpoint, "planner") as forger,
+        Bus(endpoint, "planner", stack=STACK) as planner,
+    ):
+        supervisor.subscribe([t.HEARTBEAT])
+        for bus, taken in ((forger, set()), (planner, {"planner"})):
+            say(bus, t.HEARTBEAT)  # of a process without a name
+            bus.publish(t.HEARTBEAT, beat, 2)
+            end = time.monotonic() + LIMIT
+            while supervisor.refused < 2 or health.beats.keys() != taken:
+                assert time.monotonic() < end
+                for received in supervisor.take(0.05):
+                    health.take(received.topic, received.decode())
+        assert supervisor.refused == 2
 
 
 def test_an_owner_that_was_started_anew_is_taken_at_once_and_is_another_sender(

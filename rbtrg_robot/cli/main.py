@@ -17,6 +17,7 @@ from rbtrg_robot.cli import (
     home,
     importing,
     inspect,
+    judging,
     keys,
     logs,
     mission,
@@ -62,6 +63,7 @@ explore.register(app)
 mission.register(app)
 teleop.register(app)
 logs.register(app)
+judging.register(app)
 importing.register(app)
 plan.register(app)
 foxglove.register(app)

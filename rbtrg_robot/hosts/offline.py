@@ -16,7 +16,7 @@ from rbtrg_robot.hosts.journal import LAST, Step, read_journals
 from rbtrg_robot.hosts.lockstep import build_stages
 from rbtrg_robot.hosts.sync import SyncHost
 from rbtrg_robot.log.read import CONFIG, METADATA, Entry, LogError, first_of, read_run
-from rbtrg_robot.log.summary import Held, overview
+from rbtrg_robot.log.summary import overview
 from rbtrg_robot.log.write import LogWriter
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.stages.stage import Stage
@@ -77,11 +77,7 @@ def stages_for(log: Path, names: list[str], config: StackConfig) -> Stages:
     """The named stages, warm. Raises ConfigError for a name that is no stage or a configuration that does not hold,
     LogError where the log lacks what one needs.
     """
-    possible = [p.name for p in PROCESSES if p.hosted]
-    for name in names:
-        if name not in possible:
-            raise ConfigError(f"--rerun {name}: choose from {', '.join(possible)}")
-    _check(log, names, overview(log).topics, config)
+    fitting(log, names, config)
     stages = build_stages(config, names)
     for stage, _period in stages.values():
         stage.warm_up()
@@ -175,8 +171,14 @@ def _needs(config: StackConfig) -> dict[str, tuple[tuple[Topic, ...], ...]]:
     }
 
 
-def _check(log: Path, names: list[str], held: dict[str, Held], config: StackConfig) -> None:
-    """Raises LogError where the log lacks what a stage needs, and no stage of the re-run makes it; or holds it in another layout."""
+def fitting(log: Path, names: list[str], config: StackConfig) -> None:
+    """Raises ConfigError for a name that is no stage, LogError where the log lacks what a stage needs, and no stage of the re-run makes it; or
+    holds it in another layout."""
+    possible = [p.name for p in PROCESSES if p.hosted]
+    for name in names:
+        if name not in possible:
+            raise ConfigError(f"--rerun {name}: choose from {', '.join(possible)}")
+    held = overview(log).topics
     ours = {
         topic
         for name, of in held.items()

@@ -89,10 +89,11 @@ def of_run(log: Path, topic: str = "/odom") -> Trajectory:
     if not stamps:
         lead = f"; poses are on {', '.join(sorted(others))}: --topic" if others else ""
         raise LogError(f"{log} holds no poses on {topic}{lead}")
-    return _made(np.array(stamps, np.int64), np.array(positions), np.array(orientations), f"{log}")
+    return of_poses(np.array(stamps, np.int64), np.array(positions), np.array(orientations), f"{log}")
 
 
-def _made(stamps: NDArray[np.int64], positions: Array, orientations: Array, name: str) -> Trajectory:
+def of_poses(stamps: NDArray[np.int64], positions: Array, orientations: Array, name: str) -> Trajectory:
+    """From stamps (n,) [ns], positions (n, 3) [m] and quaternions (n, 4) x, y, z, w. Raises LogError, which begins with `name`."""
     norm = np.linalg.norm(orientations, axis=1)
     if not (np.isfinite(positions).all() and np.isfinite(norm).all() and (norm > 0.5).all()):
         raise LogError(f"{name} holds poses that are none: not finite, or without an orientation")
@@ -142,7 +143,7 @@ def read(path: Path) -> Trajectory:
             stamps = np.array([_nanoseconds(row[0]) for row in rows], np.int64)
             values = np.array([row[1:] for row in rows], np.float64)
             order = np.argsort(stamps, kind="stable")
-            return _made(stamps[order], values[order, :3], values[order, 3:], str(path))
+            return of_poses(stamps[order], values[order, :3], values[order, 3:], str(path))
         if widths == {12}:
             poses = np.tile(np.eye(4), (len(rows), 1, 1))
             poses[:, :3] = np.array(rows, np.float64).reshape(-1, 3, 4)

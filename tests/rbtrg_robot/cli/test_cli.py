@@ -13,12 +13,13 @@ from pathlib import Path
 
 import pytest
 import yaml
+from rich.console import Console
 
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli import logs, stack
 from rbtrg_robot.cli.main import main
-from rbtrg_robot.cli.table import Screen
+from rbtrg_robot.cli.table import Screen, render
 from rbtrg_robot.config import load
 from rbtrg_robot.log.read import CONFIG, first_of
 from rbtrg_robot.log.write import LogWriter
@@ -266,6 +267,31 @@ def test_a_disk_that_takes_no_configuration_keeps_no_robot_from_starting(
     (tmp_path / "config.yaml").symlink_to("/dev/full")
     stack._write_config(tmp_path, load())
     assert "No space left on device; make room" in capsys.readouterr().err
+
+
+def test_a_terminal_shows_how_far_the_kernels_are_and_no_topic_that_has_not_begun() -> None:
+    rows = [
+        {"topic": f"/{ok}", "rate": 0.0, "nominal": 10.0, "age": None, "ok": ok} for ok in (True, False, None)
+    ]
+    status = {
+        "processes": [],
+        "topics": rows,
+        "robot": {},
+        "refused": 0,
+        "compiling": "compiling kernels: 41 of 235",
+    }
+
+    def shown(**more: bool) -> str:
+        console = Console(file=io.StringIO(), width=120)
+        console.print(render(status, **more))
+        return console.file.getvalue()  # type: ignore[attr-defined, no-any-return]
+
+    assert shown().splitlines()[0] == "compiling kernels: 41 of 235"
+    assert "/False" in shown()
+    assert "/None" not in shown()
+    assert re.search(r"/None .* -$", shown(topics=True), re.MULTILINE), (
+        "asked for, it is there and not called bad"
+    )
 
 
 def test_how_far_the_kernels_are_is_told_now_and_then(

@@ -204,6 +204,8 @@ def test_beside_a_supervisor_that_hangs_it_says_so_before_the_connection_ends(
     said: list[str] = []
 
     def hangs(_endpoint: str) -> None:
+        if said:
+            return
         end = time.monotonic() + 20.0
         while not (words := capsys.readouterr().err) and time.monotonic() < end:
             time.sleep(0.01)

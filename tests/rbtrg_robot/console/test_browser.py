@@ -52,20 +52,22 @@ def console(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 @pytest.fixture
 def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable[..., Page]]:
-    """A page of its own, once it shows the robot."""
+    """A page of its own, once it shows the robot: from above, for without a graphics card 3D takes ten times the processor."""
     robot.reset()
     contexts: list[BrowserContext] = []
 
     def enter(
-        role: str = "operator", size: Any = DESK, *, wait: bool = True, path: str = "", **options: Any
+        role: str = "operator", size: Any = DESK, *, wait: bool = True, flat: bool = True, **options: Any
     ) -> Page:
         context = browser.new_context(viewport=size, reduced_motion="reduce", **options)
         context.set_default_timeout(1000 * LIMIT)
         contexts.append(context)
         page = context.new_page()
-        page.goto(console.address(role))
-        if path:
-            page.goto(console.address(role).partition("/enter")[0] + path)
+        address = console.address(role)
+        if flat:
+            context.request.get(address)  # with its answer comes the cookie
+            address = address.partition("/enter")[0] + "/?flat"
+        page.goto(address)
         if wait:
             until(
                 page,
@@ -82,7 +84,7 @@ def visit(browser: Browser, console: Console, robot: Robot) -> Iterator[Callable
 
 
 def test_a_goal_by_mouse_is_shown_before_it_is_sent(visit: Callable[..., Page], robot: Robot) -> None:
-    page = visit()
+    page = visit(flat=False)
     page.click("#follow")  # a view that moves with the robot would move the ground under the mouse
     press, end = on_screen(page, 2.4, 0.6), on_screen(page, 2.4, 1.4)
     page.mouse.move(*press)
@@ -687,7 +689,7 @@ def test_a_run_is_replayed_beside_the_robot_and_run_again(
 
 
 def test_a_lost_context_comes_back(visit: Callable[..., Page]) -> None:
-    page = visit()
+    page = visit(flat=False)
     assert page.evaluate("consoleView.kind") == "3D"
     page.evaluate(
         "() => { const gl = document.querySelector('#view canvas').getContext('webgl2'); window.lost = gl.getExtension('WEBGL_lose_context'); lost.loseContext(); }"
@@ -715,13 +717,13 @@ SEEN = """(() => {
 def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_from_above(
     visit: Callable[..., Page], robot: Robot
 ) -> None:
-    page = visit()
+    page = visit(flat=False)
     page.evaluate(
         "() => document.querySelector('#view canvas').getContext('webgl2').getExtension('WEBGL_lose_context').loseContext()"
     )
     until(page, "consoleView.kind === '2D'")
     page.close()
-    page = visit(path="/?flat")
+    page = visit()
     until(page, "document.querySelector('#lease').textContent === 'you operate'")
     assert page.evaluate("consoleView.kind") == "2D"
     until(page, SEEN)
@@ -734,7 +736,7 @@ def test_a_context_that_stays_lost_and_a_browser_without_webgl_show_the_ground_f
 
 
 def test_the_ground_tells_its_age_where_it_is_asked_for(visit: Callable[..., Page], robot: Robot) -> None:
-    page = visit()
+    page = visit(flat=False)
     assert np.isnan(page.evaluate("consoleView.ground.cell(1, 0).age"))
     page.select_option("#layer", label="Age")
     until(page, "consoleView.ground.cell(1, 0).age < 100")

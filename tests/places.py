@@ -19,6 +19,11 @@ needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="reference data do
 """Only the absence of the whole folder skips: a file that is missing in it fails."""
 
 
+def extension(number: int) -> str:
+    """The code of the planner (0) or the program (1) of `docs/extend.md`."""
+    return (ROOT / "docs" / "extend.md").read_text().split("```python\n")[number + 1].split("```")[0]
+
+
 @cache
 def no_opengl() -> str:
     """Why nothing can be drawn on this machine; empty where pictures can."""

@@ -17,7 +17,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.hosts.plan import MapPlanner
-from tests.places import ROOT
+from tests.places import extension
 from tools.bench.closed_loop import routes as study
 from tools.bench.closed_loop.pictures import draw
 from tools.bench.static.study import survey_grid
@@ -28,9 +28,8 @@ METHOD = "straight_of_the_docs:plan"
 @pytest.fixture(scope="module", autouse=True)
 def module(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """The code block of the page as a module."""
-    text = (ROOT / "docs" / "extend.md").read_text().split("```python\n")[1].split("```")[0]
     folder = tmp_path_factory.mktemp("own")
-    (folder / "straight_of_the_docs.py").write_text(text)
+    (folder / "straight_of_the_docs.py").write_text(extension(0))
     sys.path.insert(0, str(folder))
     yield
     sys.path.remove(str(folder))

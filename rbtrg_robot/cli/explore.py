@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import uuid
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -41,7 +41,7 @@ def explore(
     """See all ground that can be reached. Or all of an area, and come home. Exit status as of `mission run`."""
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.cli.mission import send
-    from rbtrg_robot.missions.file import parse
+    from rbtrg_robot.missions.file import exploration
     from rbtrg_robot.orders.who import me
 
     ground = {
@@ -49,10 +49,7 @@ def explore(
         "minutes": minutes,
         "until": until,
     }
-    steps: list[Any] = [{"explore": ground, "on_failure": "skip" if back else "stop"}]
-    if back:
-        steps.append({"home": {"accept_risk": accept}, "on_failure": "retry 3"})
-    mission = parse({"name": "explore", "steps": steps}, "explore")
+    mission = exploration(ground, back=back, accept=accept)
     with connect(robot) as bus:
         code, state = send(bus, mission.order(uuid.uuid4().hex[:12], owner=me()), wait=wait)
     if state is not None and wait:

@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from hal.errors import OperatorError
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
+from rbtrg_robot.console.api import Api
 from rbtrg_robot.console.archive import Archive
 from rbtrg_robot.console.desk import FAILED, Desk, Page
 from rbtrg_robot.console.door import ENDED, OUTSIDE, STOP, VALID, WHO, Door, Guard, Visitor
@@ -128,6 +129,7 @@ class Site:
             *Maps(self._config, self._desk).routes(),
             *MissionFiles(self._config, self._desk).routes(),
             *robots.ROUTES,
+            *Api(self._config.robot, self._desk, self._feed, self._numbers.__next__).routes(),
             Mount("/page", StaticFiles(directory=PAGE)),
         ]
         return Guard(Starlette(routes=routes), self._door, crowd)

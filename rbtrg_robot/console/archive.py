@@ -116,15 +116,19 @@ def run_folder(base: Path, name: str) -> Path:
     return folder
 
 
-async def body_of(request: Request) -> bytes:
-    """What was posted. Raises Refused for more than a page posts."""
+class TooLong(Refused):
+    """More was posted than is read."""
+
+
+async def body_of(request: Request, most: int = LARGEST_BODY) -> bytes:
+    """What was posted, up to `most` bytes. Raises Refused."""
     body = b""
     try:
         async with asyncio.timeout(PATIENCE):
             async for part in request.stream():
                 body += part
-                if len(body) > LARGEST_BODY:
-                    raise Refused("that is too long")
+                if len(body) > most:
+                    raise TooLong("that is too long")
     except TimeoutError as error:
         raise Refused("that takes too long") from error
     return body

@@ -57,10 +57,11 @@ class Refused(OperatorError):
 
 
 class Page:
-    """One open page, as the desk knows it."""
+    """One open page, or a program, as the desk knows it."""
 
-    def __init__(self, number: int, role: Role, slots: Slots) -> None:
+    def __init__(self, number: int, role: Role, slots: Slots, kind: str = "page") -> None:
         self.number = number
+        self.kind = kind
         self.slots = slots
         self.role = role
         self.driving = False
@@ -115,6 +116,7 @@ class Desk:
         self._capabilities = config.capabilities()
         self.wishes: dict[str, Wish] = {
             "goal": self._goal,
+            "home": self._home,
             "cancel": self._cancel,
             "resume": self._resume,
             "posture": self._posture,
@@ -253,7 +255,14 @@ class Desk:
         name = str(wish.get("name", ""))[:64]
         fields = {"name": name, "owner": self.owner(page), "accept_risk": wish.get("accept") is True}
         request = goal_request(time.time_ns(), goal_id, x, y, yaw, **fields)
-        return answer(await self.carry_out(SendGoal(request, wait=False)))
+        outcome = await self.carry_out(SendGoal(request, wait=False))
+        return outcome.ok, outcome.words, {"id": goal_id}
+
+    async def _home(self, page: Page, _wish: dict[str, Any]) -> Answer:
+        home = self._feed.known().get("mission", {}).get("home")
+        if home is None:
+            raise Refused("where home is is not known: the robot does not know yet where it is")
+        return await self._goal(page, {**home, "name": "home"})
 
     async def _cancel(self, page: Page, _wish: dict[str, Any]) -> Answer:
         return answer(await self.carry_out(CancelGoal(owner=self.owner(page))))
@@ -318,7 +327,7 @@ class Desk:
 
     def owner(self, page: Page) -> str:
         """Who gives the orders of a page."""
-        return f"{me()} (page {page.number})"
+        return f"{me()} ({page.kind} {page.number})"
 
     def _begin(self, order: Order, done: Callable[[Outcome], None]) -> None:
         """Send at once; the thread of the bus goes on with it."""

@@ -18,7 +18,7 @@ from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import cookie_parser
-from starlette.responses import PlainTextResponse
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rbtrg_robot.crowd import CrowdedSocket
@@ -42,6 +42,8 @@ TOKEN_LIFE = 600.0
 """[s] after which a token that nobody used lets nobody in."""
 STOP = "/stop"
 """Where a page stops the robot, however many pages there are."""
+API = "/api"
+"""Where programs ask for something."""
 ENDED = 4401
 """Code with which the socket of a page closes whose cookie has ended."""
 OUTSIDE = (
@@ -56,6 +58,8 @@ class Visitor:
     role: Role
     until: int
     """[s] Unix time when the cookie ends."""
+    name: str
+    """Of this cookie alone."""
 
     @property
     def ended(self) -> bool:
@@ -122,7 +126,7 @@ class Door:
                 del self._tokens[good]
                 self._renew(role)
                 self._write()
-                return self._signed(f"{role.value}.{int(time.time()) + VALID}")
+                return self._signed(f"{role.value}.{int(time.time()) + VALID}.{secrets.token_hex(4)}")
         return None
 
     def _signed(self, text: str) -> str:
@@ -130,13 +134,11 @@ class Door:
 
     def visitor(self, cookie: str) -> Visitor | None:
         """Whose cookie it is, also one that has ended; None where it is not ours."""
-        role, _, rest = cookie.partition(".")
-        until = rest.partition(".")[0]
-        if role not in list(Role) or not until.isdecimal():
+        text = cookie.rpartition(".")[0]
+        if text.count(".") != 2 or not hmac.compare_digest(self._signed(text).encode(), cookie.encode()):
             return None
-        if not hmac.compare_digest(self._signed(f"{role}.{until}").encode(), cookie.encode()):
-            return None
-        return Visitor(Role(role), int(until))
+        role, until, name = text.split(".")
+        return Visitor(Role(role), int(until), name)
 
     @property
     def hosts(self) -> tuple[str, ...]:
@@ -172,7 +174,10 @@ class Guard:
             await receive()
             await send({"type": "websocket.close", "code": 4000 + status, "reason": why.strip()})
         else:
-            await PlainTextResponse(why, status)(scope, receive, _with_headers(send))
+            refusal: Response = PlainTextResponse(why, status)
+            if scope["path"].startswith(f"{API}/"):
+                refusal = JSONResponse({"ok": False, "words": why.strip(), "found": None}, status)
+            await refusal(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> tuple[int, str]:
         """HTTP status and words; 0 where it may pass."""

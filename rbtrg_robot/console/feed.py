@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import logging
 import threading
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from hal.types import Capabilities
+from hal.types import NS, Capabilities
 from mapping.elevation.exchange import MapError
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
@@ -129,6 +131,9 @@ class Feed:
         self._told: dict[Topic, float] = {}
         self._looked: dict[Topic, float] = {}
         self._frames: dict[str, bytes] = {}
+        self._ears: frozenset[tuple[Topic, Callable[[Any], None]]] = (
+            frozenset()
+        )  # as the pages: never changed
         self._epoch, self._correction = 0, 0.0
         self._asked = -ASK_AGAIN
         self._filmed = -VIDEO_AGAIN
@@ -169,6 +174,32 @@ class Feed:
     def follow(self, page: Slots, *, away: bool) -> None:
         """A page that is `away` looks at something else; it gets what is told to all of them."""
         self._away = self._away | {page} if away else self._away - {page}
+
+    @contextlib.contextmanager
+    def listening(self, topic: Topic, hear: Callable[[Any], None]) -> Iterator[None]:
+        """`hear` gets each message of a topic of HEARD, in the server's thread, whether pages look or not."""
+        ear = topic, hear
+        self._ears |= {ear}
+        try:
+            yield
+        finally:
+            self._ears -= {ear}
+
+    def known(self) -> dict[str, Any]:
+        """The newest content of each kind of JSON frame."""
+        return {
+            kind: {key: value for key, value in json.loads(frame[4:]).items() if key != "kind"}
+            for kind, frame in self._frames.items()
+        }
+
+    def film(self) -> None:
+        """Ask for pictures."""
+        self._bus.publish(t.CAMERA_REQUEST, msg.String(data="console"), time.time_ns())
+
+    def age(self, message: msg.Message) -> float:
+        """[s] from the stamp of a sensor's message to now, on the clock of the sensors."""
+        stamp, at = self._source
+        return (stamp - stamp_of(message)) / NS + time.monotonic() - at
 
     @property
     def looking(self) -> frozenset[Slots]:
@@ -227,10 +258,13 @@ class Feed:
         now = time.monotonic()
         topic = received.topic
         self._arrived[topic] = now
+        ears = [hear for heard, hear in self._ears if heard is topic]
+        if not (topic in KEPT or self._pages or ears) or (message := self._bus.open(received)) is None:
+            return
+        for hear in ears:
+            self._loop.call_soon_threadsafe(hear, message)
         if topic in KEPT or self._pages:
-            message = self._bus.open(received)
-            if message is not None:
-                self._show(topic, message, now)
+            self._show(topic, message, now)
 
     def status(self, answer: bytes) -> None:
         """What the supervisor says, with its lines in words."""
@@ -258,7 +292,7 @@ class Feed:
             and now - self._filmed > VIDEO_AGAIN
         ):
             self._filmed = now
-            self._bus.publish(t.CAMERA_REQUEST, msg.String(data="console"), time.time_ns())
+            self.film()
         if self._pages and self.terrain.empty and not self._replayed and now - self._asked > ASK_AGAIN:
             self._asked = now
             stamp = time.time_ns()
@@ -309,10 +343,9 @@ class Feed:
         self._loop.call_soon_threadsafe(self._hand_out, kind, frames.pack(kind, content), True)
 
     def _picture(self, message: msg.CompressedImage) -> None:
-        """How old it is goes with it: from the exposure to now, on the clock of the sensors."""
-        stamp, at = self._source
-        age = (stamp - stamp_of(message)) / 1e9 + time.monotonic() - at
-        frame = frames.picture(message, {**self._lens, "age": age, "stamp": stamp_of(message) / 1e9})
+        """How old it is goes with it."""
+        facts = {**self._lens, "age": self.age(message), "stamp": stamp_of(message) / NS}
+        frame = frames.picture(message, facts)
         self._loop.call_soon_threadsafe(self._hand_out, "picture", frame, False)
 
     def _map(self, topic: Topic, message: msg.GridMap) -> None:

@@ -34,17 +34,18 @@ POINTS_MOST = 6000
 
 def pack(kind: str, content: dict[str, Any]) -> bytes:
     """A JSON frame; numbers that are not finite become null."""
-    text = json.dumps({"kind": kind, **_finite(content)}, separators=(",", ":"), allow_nan=False)
+    text = json.dumps({"kind": kind, **finite(content)}, separators=(",", ":"), allow_nan=False)
     return bytes((JSON, 0, 0, 0)) + text.encode()
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """As JSON holds it: numbers that are not finite become None, the others are rounded to 0.0001."""
     if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [finite(item) for item in value]
     if isinstance(value, np.ndarray):
-        return _finite(value.tolist())
+        return finite(value.tolist())
     if isinstance(value, float | np.floating):
         return round(float(value), 4) if math.isfinite(value) else None
     return value.item() if isinstance(value, np.generic) else value
@@ -65,7 +66,7 @@ def lens(message: msg.CameraInfo) -> dict[str, Any]:
 
 def picture(message: msg.CompressedImage, facts: dict[str, Any]) -> bytes:
     """A PICTURE frame: length of the JSON `facts` in four bytes, little-endian, the facts, the JPEG."""
-    text = json.dumps(_finite(facts), separators=(",", ":"), allow_nan=False).encode()
+    text = json.dumps(finite(facts), separators=(",", ":"), allow_nan=False).encode()
     return bytes((PICTURE, 0, 0, 0)) + len(text).to_bytes(4, "little") + text + message.data.tobytes()
 
 

@@ -16,7 +16,7 @@ from hal.regular import is_own
 from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console.desk import Answer, Desk, Page, Refused, answer
 from rbtrg_robot.console.frames import mission_order
-from rbtrg_robot.missions.file import MissionError, MissionFile, load
+from rbtrg_robot.missions.file import MissionError, MissionFile, exploration, load, parse
 from rbtrg_robot.orders.mission import TellMission
 
 FOLDER = "missions"
@@ -31,7 +31,7 @@ class MissionFiles:
     def __init__(self, config: StackConfig, desk: Desk) -> None:
         self._desk = desk
         self._folder = Path(config.log_dir).parent / FOLDER
-        desk.wishes["mission"] = self._tell
+        desk.wishes |= {"mission": self._tell, "explore": self._explore}
 
     def routes(self) -> list[Route]:
         """Of the server."""
@@ -54,13 +54,25 @@ class MissionFiles:
         if not 0 <= step <= LAST_STEP:
             raise Refused(f"there is no step {step}")
         if what == "run":
-            mission = await run_in_threadpool(self.load, str(wish.get("file")))
+            mission = await run_in_threadpool(self._wanted, wish)
             order = mission.order(uuid.uuid4().hex[:12], start=max(step, 1), owner=owner)
             request = TellMission(what, owner=owner, order=order)
         else:
             told = {name: str(wish.get(name, ""))[:100] for name in ("order_id", "answer")}
             request = TellMission(what, owner=owner, step=step, **told)
         return answer(await self._desk.carry_out(request))
+
+    def _wanted(self, wish: dict[str, Any]) -> MissionFile:
+        """The mission itself, or a file's. Raises MissionError."""
+        own = wish.get("mission")
+        return parse(own, "this mission") if own is not None else self.load(str(wish.get("file")))
+
+    async def _explore(self, page: Page, wish: dict[str, Any]) -> Answer:
+        ground = {key: wish[key] for key in ("area", "minutes", "until") if key in wish}
+        back, accept = wish.get("back") is not False, wish.get("accept") is True
+        owner = self._desk.owner(page)
+        order = exploration(ground, back=back, accept=accept).order(uuid.uuid4().hex[:12], owner=owner)
+        return answer(await self._desk.carry_out(TellMission("run", owner=owner, order=order)))
 
     def _rows(self) -> list[dict[str, Any]]:
         found = sorted(self._folder.iterdir()) if self._folder.is_dir() else []

@@ -351,6 +351,15 @@ def parse(values: Any, what: str) -> MissionFile:
         raise MissionError(f"{what}: {_explain(error)}") from error
 
 
+def exploration(ground: dict[str, Any], *, back: bool, accept: bool) -> MissionFile:
+    """See all of `ground` (fields of `Ground`), and come `back`, with `accept` although the way is likely to fail.
+    Raises MissionError."""
+    steps: list[Any] = [{"explore": ground, "on_failure": "skip" if back else "stop"}]
+    if back:
+        steps.append({"home": {"accept_risk": accept}, "on_failure": "retry 3"})
+    return parse({"name": "explore", "steps": steps}, "explore")
+
+
 def load(path: Path) -> MissionFile:
     """Read a file. Raises MissionError."""
     try:

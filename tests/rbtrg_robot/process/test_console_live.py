@@ -1,8 +1,12 @@
-"""A whole stack and a real page: a goal pressed on the ground moves the robot, STOP makes it stand."""
+"""A whole stack, a real page and a program: a goal pressed on the ground moves the robot, STOP makes it stand; the client of the docs drives."""
 
 from __future__ import annotations
 
+import json
+import math
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urljoin
@@ -10,6 +14,7 @@ from urllib.parse import urljoin
 import pytest
 from playwright.sync_api import Page
 
+from tests.places import extension
 from tests.rbtrg_robot.console.pages import chromium, on_screen, until
 from tests.rbtrg_robot.process.command import SPARSE, command
 from tools.bench.ports import free_port
@@ -20,9 +25,10 @@ LIMIT = 60.0
 """[s] on a busy machine."""
 
 
-@pytest.fixture
-def address(tmp_path: Path) -> Iterator[str]:
-    """The one that `up` prints. Nothing is left running."""
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The runtime folder of a stack. Nothing is left running."""
+    tmp_path = tmp_path_factory.mktemp("run")
     words = ("--scene", "flat", "--port", str(free_port()), "--console-port", "0", "--no-record", *SPARSE)
     up = command(
         tmp_path,
@@ -31,12 +37,39 @@ def address(tmp_path: Path) -> Iterator[str]:
     )
     try:
         assert up.returncode == 0, up.stderr
-        printed = re.search(r"^console: (\S+)$", up.stdout, re.MULTILINE)
-        assert printed is not None, up.stdout
-        yield printed[1]
+        assert re.search(r"^console: http://127\.0\.0\.1:\d+/enter\?token=\S+$", up.stdout, re.MULTILINE), (
+            up.stdout
+        )
+        yield tmp_path
     finally:
         down = command(tmp_path, "down", "--robot", NAME)
         assert down.returncode == 0, down.stderr
+
+
+@pytest.fixture
+def address(folder: Path) -> str:
+    """A fresh one."""
+    said = command(folder, "console", "--robot", NAME)
+    assert said.returncode == 0, said.stderr
+    return said.stdout.strip()
+
+
+def test_the_program_of_the_docs_drives_the_robot(folder: Path, address: str, tmp_path: Path) -> None:
+    script = tmp_path / "errand.py"
+    script.write_text(extension(1))
+    status = command(folder, "status", "--json", "--robot", NAME)
+    robot = json.loads(status.stdout)["robot"]
+    x, y = robot["x"] + 0.8, robot["y"]
+    done = subprocess.run(
+        [sys.executable, str(script), address, str(x), str(y)],
+        capture_output=True,
+        text=True,
+        timeout=120.0,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.split()[:1]) == (0, ["reached"]), done.stdout + done.stderr
+    robot = json.loads(command(folder, "status", "--json", "--robot", NAME).stdout)["robot"]
+    assert math.dist((robot["x"], robot["y"]), (x, y)) < 0.4
 
 
 def figure(page: Page, name: str) -> list[float]:

@@ -164,6 +164,7 @@ class Robot:
         frames = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, at, turn)])
         self.events.take(t.TF_STATIC, frames)
         self.bus.publish(t.TF_STATIC, frames, stamp)
+        self.mission.on(t.TF_STATIC, frames)
 
     def _do(self, orders: Outputs) -> None:
         """What the mission wants."""

@@ -1,0 +1,200 @@
+"""The door for programs: what it takes, what it refuses, and that it always answers. The client is that of `docs/extend.md`."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import math
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rbtrg_robot.console.api import CALLS, LARGEST, ORDERS
+from rbtrg_robot.console.desk import ONLY_SEE, TAKEN, Page
+from rbtrg_robot.console.feed import Slots
+from rbtrg_robot.topics import Role
+from tests.places import extension
+from tests.rbtrg_robot.strangers import until
+from tools.bench.console.stack import Console
+
+PAGES = {"/", "/enter", "/live", "/page", "/robots", "/robots/{name}"}
+"""What is served for browsers alone."""
+
+
+CLIENT: dict[str, Any] = {"__name__": "errand"}
+exec(extension(1), CLIENT)
+
+
+class Program:
+    """The client of the docs, and a way to post what it would not."""
+
+    def __init__(self, console: Console, role: str = "operator") -> None:
+        self.robot = CLIENT["Robot"](console.address(role))
+        self.call = self.robot.call
+        jar = next(h for h in self.robot.http.handlers if hasattr(h, "cookiejar")).cookiejar
+        self.headers = {"Cookie": "; ".join(f"{c.name}={c.value}" for c in jar), "Origin": self.robot.base}
+
+    def post(self, path: str, body: bytes, **headers: str) -> tuple[int, dict[str, Any]]:
+        client = http.client.HTTPConnection(self.robot.base.partition("//")[2], timeout=60)
+        client.request("POST", path, body, {**self.headers, **headers})
+        answer = client.getresponse()
+        found = answer.status, json.loads(answer.read())
+        client.close()
+        return found
+
+
+@pytest.fixture(scope="module")
+def robot(console: Console) -> Program:
+    """One program that operates in all tests: no other one is refused its lease of before."""
+    return Program(console)
+
+
+@pytest.fixture(autouse=True)
+def _fresh(console: Console, robot: Program) -> None:
+    console.robot.reset()
+    assert console.serve is not None
+    until(lambda: console.serve.desk.stop_state["state"] != "sending")  # type: ignore[union-attr]
+    until(lambda: console.serve.feed.known().get("goal", {}).get("state") == "idle")  # type: ignore[union-attr]
+    robot.call("/api/take_over", {})
+
+
+def test_what_is_served_is_described(console: Console, robot: Program) -> None:
+    told = robot.call("/api")
+    assert console.serve is not None
+    served = {r.path for r in console.serve.site.app(console.serve.listener)._app.routes} - PAGES  # type: ignore[attr-defined]
+    assert set(told["paths"]) == served == {call.path for call in CALLS}
+    goal = told["components"]["schemas"]["Goal"]
+    assert goal["required"] == ["x", "y"]
+    assert goal["properties"]["x"]["description"] == "[m]"
+
+
+def test_a_program_sends_the_robot_and_stops_it(console: Console, robot: Program) -> None:
+    plan = robot.call("/api/ask", {"x": 2.0, "y": 0.0})
+    assert plan["ok"]
+    assert plan["found"]["length"] == pytest.approx(2.0, abs=0.1)
+    said = robot.call("/api/goal", {"x": 2.0, "y": 0.0, "name": "there"})
+    assert (said["ok"], said["words"]) == (True, "goal moving")
+    goal = console.robot.goals[-1]
+    assert goal.id == said["found"]["id"]
+    assert "(program " in goal.owner
+    until(lambda: robot.call("/api/state")["goal"]["id"] == goal.id)
+    state = robot.call("/api/state")
+    assert state["operator"] == state["program"]
+    assert state["ages"]["/robot/state"] < 2.0
+    assert robot.call("/api/cancel", {})["words"] == "goal cancelled"
+    assert not robot.call("/api/goal", {"x": 1e7, "y": 0.0})["ok"]
+    assert robot.call("/stop", {})["state"] == "sending"
+    until(lambda: robot.call("/api/state")["stop"]["state"] == "confirmed")
+    assert robot.call("/api/resume", {})["ok"]
+
+
+def test_a_program_runs_missions_and_comes_home(console: Console, robot: Program) -> None:
+    until(lambda: robot.call("/api/state")["mission"]["home"] is not None)
+    assert robot.call("/api/mission", {"what": "run", "mission": {"name": "own", "steps": [{"wait": 60}]}})[
+        "ok"
+    ]
+    until(lambda: robot.call("/api/state")["mission"]["name"] == "own")
+    assert robot.call("/api/mission", {"what": "stop"})["ok"]
+    refused = robot.call("/api/mission", {"what": "run", "mission": {"steps": [{"fly": 1}]}})
+    assert "a step is one of" in refused["words"]
+    assert "no mission 'a.yaml'" in robot.call("/api/mission", {"what": "run", "file": "a.yaml"})["words"]
+    assert robot.call("/api/explore", {"area": [[0, 0], [4, 0], [4, 4]], "until": 0.9})["ok"]
+    assert [s["step"] for s in robot.call("/api/state")["mission_order"]["steps"]] == ["explore", "home"]
+    assert "corners" in robot.call("/api/explore", {"area": [[0, 0], [4, 0]]})["words"]
+    assert robot.call("/api/mission", {"what": "stop"})["ok"]
+    assert robot.call("/api/home", {})["ok"]
+    assert math.hypot(console.robot.goals[-1].x, console.robot.goals[-1].y) < 0.1
+
+
+def test_a_picture_of_now(robot: Program) -> None:
+    with robot.robot.http.open(f"{robot.robot.base}/api/photo", timeout=60) as answer:
+        assert answer.read(2) == b"\xff\xd8"
+        assert 0.0 <= float(answer.headers["x-age"]) < 5.0
+
+
+def test_one_operates_at_a_time(console: Console, robot: Program) -> None:
+    other = Program(console)
+    assert console.serve is not None
+    assert other.call("/api/take_over", {})["ok"]
+    assert other.call("/api/alive", {})["ok"]
+    assert robot.call("/api/goal", {"x": 1.0, "y": 0.0})["words"] == TAKEN
+    assert not robot.call("/api/alive", {})["ok"]
+    assert robot.call("/api/take_over", {})["ok"]
+    assert robot.call("/api/goal", {"x": 1.0, "y": 0.0})["ok"]
+    page = Page(10_000, Role.OPERATOR, Slots(console.serve.feed))
+    with pytest.raises(Exception, match="take over first"):
+        console.serve.desk.do(page, {"do": "cancel"}, lambda *_: None)
+
+
+def test_an_observer_may_look_and_stop(console: Console) -> None:
+    robot = Program(console, "observer")
+    bodies = {"/api/goal": b'{"x":1,"y":1}', "/api/ask": b'{"x":1,"y":1}', "/api/posture": b'{"what":"sit"}'}
+    bodies |= {"/api/pose": b'{"x":1,"y":1,"yaw":0}', "/api/map": b'{"file":"a.npz"}'}
+    bodies |= {"/api/mission": b'{"what":"pause"}'}
+    for path in ORDERS:
+        status, answer = robot.post(path, bodies.get(path, b"{}"))
+        assert (status, answer["words"]) == (403, ONLY_SEE), path
+    assert robot.call("/api/state")["role"] == "observer"
+    stops = console.robot.stops
+    assert robot.post("/stop", b"junk")[0] == 202
+    until(lambda: console.robot.stops > stops)
+    assert not console.robot.goals
+
+
+def test_who_shows_no_cookie_or_comes_from_another_page_is_told_so(console: Console) -> None:
+    robot = Program(console)
+    for path in ("/api/goal", "/api/nowhere"):
+        status, answer = robot.post(path, b'{"x": 1, "y": 1}', Cookie="x=y")
+        assert (status, answer["ok"]) == (401, False)
+        assert "rbtrg-robot console" in answer["words"]
+    assert robot.post("/api/goal", b"{}", Origin="http://evil.example")[0] == 403
+
+
+NASTY = (
+    *(b"not json", b"[]", b"null", b"7", b'"', b"[" * 50_000, b'{"x":' * 9000, b"\xff\xfe", b"\x00"),
+    *(b'{"x": 1e999, "y": 0}', b'{"x": NaN, "y": 0}', b'{"x": "1", "y": 2}', b'{"x": true, "y": 2}'),
+    *(b'{"x": 1' + b"0" * 5000 + b', "y": 0}', b'{"x": 1, "y": 1, "name": "\\ud800"}', b'{"extra": 1}'),
+    *(b'{"what": "run", "mission": {"steps": ' + b'[{"loop": {"times": 2, "steps": ' * 60 + b"[]",),
+    *(b'{"what": "run", "file": "../../etc/passwd"}', b'{"what": "run", "file": "\\u0000.yaml"}'),
+    *(b'{"file": "\\u0000.npz"}', b'{"what": "skip", "step": -1}', b'{"what": ["run"]}'),
+    *(b'{"area": [[1e300, 1e300], [0, 0], [1, 1]]}', b'{"area": ' + b"[" * 300 + b"]" * 300 + b"}"),
+)
+
+
+@pytest.mark.parametrize("path", ORDERS)
+def test_whatever_is_sent_is_answered(robot: Program, path: str, caplog: pytest.LogCaptureFixture) -> None:
+    for body in NASTY:
+        status, answer = robot.post(path, body)
+        assert status in (200, 400, 409), (body[:60], status)
+        assert answer["words"] or answer["ok"]
+        assert "Traceback" not in answer["words"]
+        assert len(answer["words"]) < 1000
+    assert robot.post(path, b" " * (LARGEST + 1))[0] == 413
+    assert not [r for r in caplog.records if r.exc_info], "a fault of ours"
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(["x", "y", "yaw", "what", "mission", "steps", "area"]), inner, max_size=4
+        )
+    ),
+    max_leaves=8,
+)
+
+
+@settings(
+    max_examples=60,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+@given(st.sampled_from(sorted(ORDERS)), JSON)
+def test_no_json_is_a_fault(robot: Program, caplog: pytest.LogCaptureFixture, path: str, value: Any) -> None:
+    status, _ = robot.post(path, json.dumps(value).encode())
+    assert status in (200, 400, 409)
+    assert not [r for r in caplog.records if r.exc_info], "a fault of ours"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import uuid
+from collections.abc import Callable
 from typing import Annotated, Any, Literal, NoReturn
 
 import typer
@@ -57,7 +59,7 @@ def goal(
 
     if again and target:
         raise ConfigError("--again takes no target: it is that of the last goal")
-    x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], *scene(robot))
+    x, y, goal_yaw, name = (0.0, 0.0, None, "") if again else _target(target or [], lambda: scene(robot))
     with connect(robot) as bus:
         if again:
             x, y, goal_yaw = _last(bus)
@@ -94,23 +96,27 @@ def send(bus: Any, request: Any, *, wait: bool) -> int:
         return CANCELLED
 
 
-def _target(words: list[str], scene: str, options: dict[str, Any]) -> tuple[float, float, float | None, str]:
+def _target(
+    words: list[str], find_scene: Callable[[], tuple[str, dict[str, Any]]]
+) -> tuple[float, float, float | None, str]:
     from rbtrg_robot.config import ConfigError
 
-    if len(words) == 2:
-        try:
-            return float(words[0]), float(words[1]), None, ""
-        except ValueError as error:
-            raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}") from error
-    if len(words) != 1:
-        raise ConfigError(f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}")
+    wrong = f"a goal is X Y in metres or a NAME, got {' '.join(words)!r}"
+    numbers = []
+    with contextlib.suppress(ValueError):
+        numbers = [float(word) for word in words]
+    if len(numbers) == 2:
+        return numbers[0], numbers[1], None, ""
+    if len(words) != 1 or numbers:
+        raise ConfigError(wrong)
+    scene, options = find_scene()
     if not scene:
-        raise ConfigError("named goals exist in scenes simulated on this computer only; give X Y")
+        raise ConfigError(f"{wrong}; names exist in scenes simulated on this computer only")
     from hal.scenes import load_scene
 
     goals = load_scene(scene, **options).goals
     if words[0] not in goals:
-        raise ConfigError(f"scene {scene} has no goal {words[0]!r}; it has {', '.join(goals)}")
+        raise ConfigError(f"{wrong}; the names of scene {scene} are {', '.join(goals)}")
     x, y, yaw = goals[words[0]]
     return x, y, yaw, words[0]
 

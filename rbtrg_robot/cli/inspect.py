@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +12,10 @@ import typer
 
 from rbtrg_robot.cli.scene_options import HeightRange, Resolution, Units, Up, chosen
 from rbtrg_robot.scope import NAMED, ROBOT
-from rbtrg_robot.terminal import say, say_json, say_text
+from rbtrg_robot.terminal import plain, say, say_json, say_text
 
 Robot = Annotated[str, typer.Option("--robot", envvar=NAMED, help="Name of the robot.")]
+Json = Annotated[bool, typer.Option("--json", help="Machine-readable.")]
 
 scene_app = typer.Typer(help="Built-in scenes and terrain files.", no_args_is_help=True)
 config_app = typer.Typer(help="Configuration of the stack.", no_args_is_help=True)
@@ -29,12 +32,20 @@ def register(app: typer.Typer) -> None:
 
 
 @scene_app.command("list")
-def scene_list() -> None:
+def scene_list(as_json: Json = False) -> None:
     """Built-in scenes."""
     from hal.scenes import load_scene, scene_names
 
-    for name in scene_names():
-        scene = load_scene(name)
+    scenes = {name: load_scene(name) for name in scene_names()}
+    if as_json:
+        say_json(
+            [
+                {"name": name, "extent": [round(v, 3) for v in x.extent], "description": x.description}
+                for name, x in scenes.items()
+            ]
+        )
+        return
+    for name, scene in scenes.items():
         x0, y0, x1, y1 = scene.extent
         say(f"{name:18s} {x1 - x0:4.1f} x {y1 - y0:4.1f} m  {scene.description}")
 
@@ -42,7 +53,7 @@ def scene_list() -> None:
 @scene_app.command("show")
 def scene_show(
     name: Annotated[str, typer.Argument(help="Built-in scene or terrain file.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Machine-readable.")] = False,
+    as_json: Json = False,
     png: Annotated[Path | None, typer.Option(help="Write a picture of the terrain.")] = None,
     resolution: Resolution = None,
     height_range: HeightRange = None,
@@ -84,11 +95,16 @@ def scene_show(
 def config_show(
     config: Annotated[Path | None, typer.Option(help="YAML configuration.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
+    as_json: Json = False,
 ) -> None:
     """The whole configuration, defaults included."""
     from rbtrg_robot.config import load
 
-    say_text(load(config, set_ or ()).to_yaml())
+    loaded = load(config, set_ or ())
+    if as_json:
+        say_json(loaded.model_dump(mode="json"))
+    else:
+        say_text(loaded.to_yaml())
 
 
 @config_app.command("schema")
@@ -100,7 +116,11 @@ def config_schema() -> None:
 
 
 @map_app.command("save")
-def map_save(file: Annotated[Path, typer.Argument(help="FILE.npz.")], robot: Robot = ROBOT) -> None:
+def map_save(
+    file: Annotated[Path, typer.Argument(help="FILE.npz.")],
+    force: Annotated[bool, typer.Option("--force", help="Overwrite FILE without asking.")] = False,
+    robot: Robot = ROBOT,
+) -> None:
     """Write the present map to FILE (.npz); `up --map FILE` loads it."""
     from mapping.elevation import MapError
     from rbtrg_robot.cli.link import connect
@@ -111,6 +131,10 @@ def map_save(file: Annotated[Path, typer.Argument(help="FILE.npz.")], robot: Rob
         raise MapError(f"{file} must end in .npz: `up --map` reads it by that")
     if not file.resolve().parent.is_dir():
         raise MapError(f"there is no folder {file.resolve().parent}")
+    if os.path.isfile(file) and not force:  # False for a name that no file can have
+        asked = f"{plain(str(file))} exists. Overwrite it?"
+        if not (sys.stdin.isatty() and typer.confirm(asked)):
+            raise MapError(f"{file} exists and stays; `--force` overwrites it")
     order = FetchMap()
     with connect(robot) as bus:
         end = follow(bus, order)
@@ -138,16 +162,21 @@ def map_clear(robot: Robot = ROBOT) -> None:
     say(end.words)
 
 
-def doctor(port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447) -> None:
+def doctor(
+    port: Annotated[int, typer.Option(help="TCP port of the router.")] = 7447, as_json: Json = False
+) -> None:
     """Check what this machine lacks, in plain words. Exit status 1 on a fault."""
     from rbtrg_robot.process.doctor import Level, examine
 
-    worst = 0
+    found = []
     for finding in examine(port):
-        mark = {Level.OK: "ok  ", Level.NOTE: "note", Level.FAULT: "BAD "}[finding.level]
-        say(f"{mark} {finding.what}: {finding.words}")
-        worst = max(worst, finding.level is Level.FAULT)
-    raise typer.Exit(worst)
+        found.append(finding)
+        if not as_json:
+            mark = {Level.OK: "ok  ", Level.NOTE: "note", Level.FAULT: "BAD "}[finding.level]
+            say(f"{mark} {finding.what}: {finding.words}")
+    if as_json:
+        say_json([{"what": x.what, "level": x.level.name.lower(), "words": x.words} for x in found])
+    raise typer.Exit(any(finding.level is Level.FAULT for finding in found))
 
 
 def report(
@@ -163,6 +192,7 @@ def report(
     from hal.errors import OperatorError
     from rbtrg_robot.cli.link import connect
     from rbtrg_robot.log.keep import runs
+    from rbtrg_robot.log.read import LogError
     from rbtrg_robot.process.report import pack
     from rbtrg_robot.process.runfiles import read_state
 
@@ -175,6 +205,12 @@ def report(
             answer = bus.ask("status")
     except OperatorError:
         pass  # the report says that no status is in it
+    if run is not None and not run.is_dir():
+        raise LogError(f"there is no folder {run}; `rbtrg-robot log list` lists the runs")
+    if run is None and not newest and answer is None:
+        raise LogError(
+            f"no stack is up and no run lies in {log_dir}; name a run's folder: `rbtrg-robot report RUN`"
+        )
     target = out or Path(f"report-{time.strftime('%Y%m%d-%H%M%S')}.tar.gz")
     for line in pack(target, run or (newest[0] if newest else None), answer, port):
         say(f"missing: {line}")

@@ -111,6 +111,8 @@ def keys_list(folder: Folder = None) -> None:
     from rbtrg_robot.access.identity import ROBOT
 
     base = _folder(folder)
+    if not (base / ROBOT).is_dir():
+        raise certificates.KeysError(f"there are no keys in {base}; `rbtrg-robot keys init` makes them")
     listed = certificates.listed(base / ROBOT)
     for file in sorted(base.glob("*/certificate.pem")):
         certificate = certificates.certificate_of(file.parent)

@@ -247,11 +247,21 @@ def log_film(
 
 
 @log_app.command("list")
-def log_list(base: Annotated[Path, typer.Argument(help="Folder of the runs.")] = Path("logs")) -> None:
+def log_list(
+    base: Annotated[Path, typer.Argument(help="Folder of the runs.")] = Path("logs"), as_json: Json = False
+) -> None:
     """The runs on the disk: size, and which are kept."""
     from rbtrg_robot.log.keep import GIGABYTE, runs
 
     found = runs(base)
+    if as_json:
+        say_json(
+            [
+                {"folder": str(run.folder), "bytes": run.size, "kept": run.kept, "being_written": run.active}
+                for run in found
+            ]
+        )
+        return
     for run in found:
         words = "kept" if run.kept else "being written" if run.active else ""
         say(f"{run.folder.name:48s} {run.size / 1e6:9.1f} MB  {words}".rstrip())

@@ -34,7 +34,6 @@ app = typer.Typer(
     name="rbtrg-robot",
     help="Bring a wheeled-legged robot up, send it goals, watch it, and replay what it did.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},

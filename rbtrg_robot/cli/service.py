@@ -23,6 +23,9 @@ def register(main: typer.Typer) -> None:
 def install(
     config: Annotated[Path | None, typer.Option(help="YAML configuration of the stack.")] = None,
     set_: Annotated[list[str] | None, typer.Option("--set", metavar="A.B=C", help="Set one key.")] = None,
+    robot: Annotated[
+        str | None, typer.Option("--robot", envvar=NAMED, help="Name of the robot, over the configuration's.")
+    ] = None,
     user: User = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the unit file, write nothing.")] = False,
 ) -> None:
@@ -30,10 +33,11 @@ def install(
     from rbtrg_robot.config import load
     from rbtrg_robot.process import service
 
-    loaded = load(config, set_ or ())  # a wrong key fails here, not at the next boot
+    loaded = load(config, set_ or (), robot=robot)  # a wrong key fails here, not at the next boot
     options = [] if config is None else ["--config", str(config.resolve())]
     for one in set_ or ():
         options += ["--set", one]
+    options += [] if robot is None else ["--robot", robot]
     text = service.unit(loaded.robot, options, user=user)
     if dry_run:
         say_text(text)

@@ -14,15 +14,17 @@ from pathlib import Path
 import pytest
 import yaml
 from rich.console import Console
+from typer.testing import CliRunner
 
 from hal.types import NS
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli import logs, stack
-from rbtrg_robot.cli.main import main
+from rbtrg_robot.cli.main import app, main
 from rbtrg_robot.cli.table import Screen, render
 from rbtrg_robot.config import load
 from rbtrg_robot.log.read import CONFIG, first_of
 from rbtrg_robot.log.write import LogWriter
+from rbtrg_robot.process import doctor
 from rbtrg_robot.process.runfiles import AlreadyRunning, NotRunning, RunLock, read_state
 from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.terminal import say
@@ -65,6 +67,9 @@ BAD = [
     (("log", "info", "/nowhere.mcap"), "/nowhere.mcap"),
     (("topic", "hz", "/coffee"), "coffee"),
     (("scene", "show", "moon"), "moon"),
+    (("report", "--log-dir", "/nowhere"), "no run lies in /nowhere"),
+    (("report", "/nowhere"), "there is no folder /nowhere"),
+    (("keys", "list", "--dir", "/nowhere"), "keys init"),
 ]
 
 
@@ -222,6 +227,33 @@ def test_config_show_and_schema(here: Here) -> None:
     assert "max_speed: 0.3" in shown.stdout
     schema = json.loads(here("config", "schema").stdout)
     assert schema["additionalProperties"] is False
+
+
+def test_what_is_listed_is_listed_for_programs_too(
+    here: Here, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finding = doctor.Finding("port", doctor.Level.FAULT, "taken")
+    monkeypatch.setattr(doctor, "examine", lambda _port: iter([finding]))
+    done = here("doctor", "--json")
+    assert json.loads(done.stdout) == [{"what": "port", "level": "fault", "words": "taken"}]
+    assert done.returncode == 1
+    shown = json.loads(here("config", "show", "--set", "tracker.max_speed=0.3", "--json").stdout)
+    assert shown["tracker"]["max_speed"] == 0.3
+    assert "flat" in [scene["name"] for scene in json.loads(here("scene", "list", "--json").stdout)]
+    (tmp_path / "runs" / "one").mkdir(parents=True)
+    (tmp_path / "runs" / "one" / "config.yaml").touch()
+    found = json.loads(here("log", "list", str(tmp_path / "runs"), "--json").stdout)
+    assert [(run["folder"], run["kept"]) for run in found] == [(str(tmp_path / "runs" / "one"), False)]
+
+
+def test_a_shell_completes_commands() -> None:
+    asked = {
+        "_RBTRG_ROBOT_COMPLETE": "complete_bash",
+        "COMP_WORDS": "rbtrg-robot mission r",
+        "COMP_CWORD": "2",
+    }
+    done = CliRunner().invoke(app, [], env=asked, prog_name="rbtrg-robot")
+    assert done.output.split() == ["run", "resume", "record"]
 
 
 def test_scene_show_gives_goals_and_a_picture(here: Here, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import errno
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO
 
 import numpy as np
@@ -17,7 +18,7 @@ from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.cli.inspect import map_save
 from rbtrg_robot.orders.map import FetchMap, save
-from rbtrg_robot.process.runfiles import RunLock
+from rbtrg_robot.process.runfiles import NotRunning, RunLock
 from rbtrg_robot.stages.elevation import ElevationStage
 from rbtrg_robot.wire.bus import Bus
 from rbtrg_robot.wire.convert import map_parts
@@ -80,7 +81,7 @@ def refused(monkeypatch: pytest.MonkeyPatch, file: Path) -> str:
 
     monkeypatch.setattr("rbtrg_robot.orders.order.follow", fetched)
     with pytest.raises(MapError) as error:
-        map_save(file)
+        map_save(file, force=True)
     return str(error.value)
 
 
@@ -118,6 +119,22 @@ def test_a_map_is_written_through_no_link(tmp_path: Path) -> None:
     assert (tmp_path / "secret").read_text() == "key"
     assert not (tmp_path / "map.npz").is_symlink()
     assert ElevationMap().load_prior(tmp_path / "map.npz") > 0
+
+
+def test_a_map_that_is_there_stays_unless_somebody_says_so(
+    endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "map.npz").write_text("of before")
+    with pytest.raises(MapError, match="--force"):
+        map_save(tmp_path / "map.npz")
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    for answer, error in ((False, MapError), (True, NotRunning)):
+        monkeypatch.setattr("typer.confirm", lambda _words, answer=answer: answer)
+        with pytest.raises(error):
+            map_save(tmp_path / "map.npz")
+    with pytest.raises(NotRunning):  # it goes on to ask the stack
+        map_save(tmp_path / "map.npz", force=True)
+    assert (tmp_path / "map.npz").read_text() == "of before"
 
 
 def test_a_folder_that_does_not_exist_is_told(tmp_path: Path) -> None:

@@ -5,11 +5,18 @@ from __future__ import annotations
 import pytest
 
 from rbtrg_robot.cli.drive import _target
+from rbtrg_robot.config import ConfigError
 from rbtrg_robot.stages.navigation.goal import goal_request
+
+
+@pytest.mark.parametrize("words", [[], ["1"], ["1", "b"], ["1", "2", "3"], ["nowhere"]], ids=str)
+def test_what_is_no_goal_is_told_what_a_goal_is(words: list[str]) -> None:
+    with pytest.raises(ConfigError, match="a goal is X Y in metres or a NAME"):
+        _target(words, lambda: ("flat", {}))
 
 
 @pytest.mark.parametrize(("name", "asks"), [("a", True), ("far", False)])
 def test_a_named_goal_without_a_heading_asks_for_none(name: str, asks: bool) -> None:
-    x, y, yaw, called = _target([name], "flat", {})
+    x, y, yaw, called = _target([name], lambda: ("flat", {}))
     request = goal_request(0, "one", x, y, yaw, name=called)
     assert (request.name, request.has_yaw) == (name, asks)

@@ -218,6 +218,10 @@ def test_install_writes_the_unit_with_this_executable_and_configuration(
     assert "systemctl --user enable --now rbtrg-robot-rex" in done.output
     shown = CliRunner().invoke(app, ["service", "show", "--user", "--robot", "rex"])
     assert shown.output.endswith(text)
+    monkeypatch.setenv("RBTRG_ROBOT", "max")  # install and show mean the same robot
+    CliRunner().invoke(app, ["service", "install", "--user", "--config", str(config)])
+    shown = CliRunner().invoke(app, ["service", "show", "--user"])
+    assert f'up --config "{config}" --robot max --log-dir %L/rbtrg-robot-max' in shown.output
 
 
 def test_install_dry_run_writes_nothing_and_a_wrong_configuration_is_refused(

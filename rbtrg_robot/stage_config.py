@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -218,6 +218,10 @@ class ConsoleConfig(BaseModel):
     )
     port: int = Field(
         7480, ge=0, le=65535, description="TCP port; another free one where it is taken on 127.0.0.1; 0 = any"
+    )
+
+    webhooks: tuple[Annotated[str, Field(pattern=r"^https?://[^\s/]+(/\S*)?$")], ...] = Field(
+        (), description="addresses that every event is posted to as JSON (http or https)"
     )
 
     @field_validator("address")

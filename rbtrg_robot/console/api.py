@@ -7,17 +7,19 @@ the page's wishes: the desk judges role and lease, and hands them to the same or
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import logging
 import re
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.json_schema import models_json_schema
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from hal.errors import OperatorError
@@ -39,6 +41,8 @@ LARGEST = 100_000
 """Bytes of a body: a mission of some hundred steps."""
 STATE = ("robot", "goal", "mission", "mission_order", "map", "pose", "route", "stop")
 """Kinds of the page's frames that are kept while nobody looks."""
+ALIVE = 2.0
+"""[s] between two signs of life on a stream of events."""
 ASK_AGAIN, PATIENCE = 1.0, 15.0
 """[s] between two requests for a picture, and for all of them: the camera's process loads what it needs with the first."""
 
@@ -143,6 +147,7 @@ CALLS = (
     Call("GET", "/api", "This description."),
     Call("GET", "/api/state", "The newest word of each part, and how old each topic is [s]."),
     Call("GET", "/api/photo", "A picture of now. Header `x-age`: seconds since its exposure.", media="image/jpeg"),
+    Call("GET", "/api/events", "What happens, as a stream (SSE): the id counts up, `Last-Event-ID` tells the newest that is known; without it those from now on.", media="text/event-stream"),
     Call("POST", STOP, "The emergency stop, for every role. `state` of GET /api/state tells when the robot confirms."),
     Call("POST", "/api/goal", "Drive to a place; answers once the robot moves or why not. `found.id` names the goal.", Goal, wish="goal"),
     Call("POST", "/api/ask", "How would it go? The planner answers, nothing moves.", Place, wish="ask"),
@@ -233,6 +238,7 @@ class Api:
             Route("/api", self._describe),
             Route("/api/state", self._state),
             Route("/api/photo", self._photo),
+            Route("/api/events", self._events),
             *(Route(path, self._order, methods=["POST"]) for path in ORDERS),
         ]
 
@@ -257,6 +263,30 @@ class Api:
             "ages": self._feed.ages(),
         }
         return JSONResponse(content | {kind: known[kind] for kind in STATE if kind in known})
+
+    async def _events(self, request: Request) -> Response:
+        known = request.headers.get("last-event-id", "")
+        if known and not (known.isascii() and known.isdigit() and len(known) < 12):
+            return _said(400, "Last-Event-ID is the id of an event")
+        newest = max((event["number"] for event in self._feed.events), default=0)
+        told = int(known) if known else newest
+        told = told if told <= newest else 0  # of a stack before this one
+        return StreamingResponse(self._stream(request.scope[WHO], told), media_type="text/event-stream")
+
+    async def _stream(self, who: Visitor, told: int) -> AsyncIterator[str]:
+        """Events after number `told`, until the cookie ends. What a slow program misses it asks for again."""
+        came = asyncio.Event()
+        with self._feed.listening(t.EVENTS, lambda _: came.set()):
+            while not who.ended:
+                newer = [event for event in self._feed.events if event["number"] > told]
+                for event in newer:
+                    told = event["number"]
+                    yield f"id: {told}\ndata: {json.dumps(event)}\n\n"
+                if not newer:
+                    yield ": alive\n\n"  # also finds out that nobody listens
+                came.clear()
+                with contextlib.suppress(TimeoutError):
+                    await asyncio.wait_for(came.wait(), ALIVE)
 
     async def _photo(self, _request: Request) -> Response:
         taken: asyncio.Future[msg.CompressedImage] = asyncio.get_running_loop().create_future()

@@ -261,10 +261,10 @@ class Feed:
         ears = [hear for heard, hear in self._ears if heard is topic]
         if not (topic in KEPT or self._pages or ears) or (message := self._bus.open(received)) is None:
             return
-        for hear in ears:
-            self._loop.call_soon_threadsafe(hear, message)
         if topic in KEPT or self._pages:
             self._show(topic, message, now)
+        for hear in ears:
+            self._loop.call_soon_threadsafe(hear, message)
 
     def status(self, answer: bytes) -> None:
         """What the supervisor says, with its lines in words."""

@@ -68,7 +68,7 @@ class MissionFiles:
         return parse(own, "this mission") if own is not None else self.load(str(wish.get("file")))
 
     async def _explore(self, page: Page, wish: dict[str, Any]) -> Answer:
-        ground = {key: wish[key] for key in ("area", "minutes", "until") if key in wish}
+        ground: dict[str, Any] = {key: wish[key] for key in ("area", "minutes", "until") if key in wish}
         back, accept = wish.get("back") is not False, wish.get("accept") is True
         owner = self._desk.owner(page)
         order = exploration(ground, back=back, accept=accept).order(uuid.uuid4().hex[:12], owner=owner)

@@ -17,6 +17,7 @@ from typing import Any
 import uvicorn
 
 from hal.errors import OperatorError
+from rbtrg_robot import topics as t
 from rbtrg_robot.access.certificates import check
 from rbtrg_robot.access.identity import CERTIFICATE, KEY, ROBOT, keys_dir
 from rbtrg_robot.config import StackConfig
@@ -24,6 +25,7 @@ from rbtrg_robot.console.app import Site
 from rbtrg_robot.console.desk import Desk
 from rbtrg_robot.console.door import Door
 from rbtrg_robot.console.feed import HEARD, Feed
+from rbtrg_robot.console.webhooks import hooks
 from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.bus import Bus
@@ -121,6 +123,10 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     feed = Feed(bus, config.capabilities(), loop, folder=Path(config.log_dir))
     desk = Desk(config, bus, feed, loop)
     site = Site(config, door, desk, feed, loop)
+    listeners = contextlib.ExitStack()
+    for hook in hooks(config.console.webhooks, config.robot):
+        listeners.enter_context(feed.listening(t.EVENTS, hook))
+        listeners.callback(hook.close)
     bus.subscribe(tuple(dict.fromkeys((*HEARD, *desk.HEARS))))
     server = uvicorn.Server(
         uvicorn.Config(
@@ -181,6 +187,7 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
         yield Serving(desk, feed, site, door, listener, worker)
     finally:
         ended.set()
+        listeners.close()
         asker.join(2 * STATUS_PERIOD)
         server.should_exit = True
         worker.join()  # it ends within a second; closing its sockets under it would hit whoever gets their numbers next

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import http.client
+import http.server
 import json
 import math
+import threading
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from rbtrg_robot import msg
+from rbtrg_robot.config import ConfigError, load
 from rbtrg_robot.console.api import CALLS, LARGEST, ORDERS
 from rbtrg_robot.console.desk import ONLY_SEE, TAKEN, Page
 from rbtrg_robot.console.feed import Slots
+from rbtrg_robot.console.webhooks import hooks
 from rbtrg_robot.topics import Role
 from tests.places import extension
 from tests.rbtrg_robot.strangers import until
@@ -112,6 +117,80 @@ def test_a_picture_of_now(robot: Program) -> None:
     with robot.robot.http.open(f"{robot.robot.base}/api/photo", timeout=60) as answer:
         assert answer.read(2) == b"\xff\xd8"
         assert 0.0 <= float(answer.headers["x-age"]) < 5.0
+
+
+def test_what_happens_is_a_stream_that_can_be_taken_up_again(console: Console, robot: Program) -> None:
+    def stream(**headers: str) -> tuple[http.client.HTTPConnection, Any]:
+        client = http.client.HTTPConnection(robot.robot.base.partition("//")[2], timeout=20)
+        client.request("GET", "/api/events", headers={**robot.headers, **headers})
+        return client, client.getresponse()
+
+    def event(answer: Any) -> dict[str, Any]:
+        while not (line := answer.readline()).startswith(b"data: "):
+            assert line, "the stream ended"
+        return dict(json.loads(line.removeprefix(b"data: ")))
+
+    client, answer = stream()
+    assert answer.getheader("content-type").startswith("text/event-stream")
+    assert answer.readline() == b": alive\n"
+    assert robot.call("/api/goal", {"x": 2.0, "y": 0.0})["ok"]
+    first = event(answer)
+    while first["kind"] != "goal":
+        first = event(answer)
+    assert first["severity"] == "info"
+    client.close()
+    robot.call("/stop", {})
+    client, answer = stream(**{"Last-Event-ID": str(first["number"])})
+    later = event(answer)
+    while later["kind"] != "stop":
+        assert later["number"] > first["number"]
+        later = event(answer)
+    assert (later["severity"], later["place"] is not None) == ("error", True)
+    client.close()
+    client, answer = stream(**{"Last-Event-ID": "-1"})
+    assert answer.status == 400
+    client.close()
+    robot.call("/api/resume", {})
+
+
+def test_events_are_posted_to_the_addresses_of_the_configuration_and_nowhere_else() -> None:
+    asked: list[tuple[str, dict[str, Any]]] = []
+    answers = {"/elsewhere": 200, "/moved": 302, "/shy": 500}
+    done = threading.Event()
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+            asked.append((self.path, body))
+            status = answers.get(self.path, 200)
+            if self.path == "/shy":
+                answers["/shy"] = 200
+            self.send_response(status)
+            self.send_header("Location", "/elsewhere")
+            self.end_headers()
+            if len({path for path, _ in asked}) == 2 and sum(path == "/shy" for path, _ in asked) == 2:
+                done.set()
+
+        do_GET = do_POST
+
+        def log_message(self, *_: Any) -> None:
+            """Quiet."""
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever).start()
+        base = f"http://127.0.0.1:{server.server_port}"
+        made = hooks((f"{base}/moved", f"{base}/shy"), "rex")
+        for hook in made:
+            hook(msg.Event(number=7, kind="stop", severity=2, text="e-stop: operator", has_place=True, x=1.0))
+        assert done.wait(20.0)
+        for hook in made:
+            hook.close()
+        server.shutdown()
+    event = {"robot": "rex", "number": 7, "kind": "stop", "severity": "error", "text": "e-stop: operator"}
+    assert all(event.items() <= body.items() for _, body in asked)
+    assert "/elsewhere" not in {path for path, _ in asked}
+    with pytest.raises(ConfigError, match="webhooks"):
+        load(None, ["console.webhooks=[file:///etc/passwd]"])
 
 
 def test_one_operates_at_a_time(console: Console, robot: Program) -> None:

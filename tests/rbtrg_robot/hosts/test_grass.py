@@ -21,6 +21,7 @@ def inside(x: np.ndarray, y: np.ndarray, box: tuple[float, ...]) -> np.ndarray:
     return (abs(x - box[0]) < box[2] / 2) & (abs(y - box[1]) < box[3] / 2)
 
 
+@pytest.mark.campaign
 def test_a_goal_behind_a_belt_of_grass_is_driven_to_through_it(monkeypatch: pytest.MonkeyPatch) -> None:
     belt, box = (-0.5, 0.0, 0.5, 5.8, 0.30), (-0.5, 1.0, 0.4, 0.4, 0.30)
     meadow = importlib.import_module("hal.scenes.meadow")  # its package has a function of that name

@@ -30,8 +30,10 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", STAGES)
 def test_nothing_is_compiled_after_the_warm_up(name: str, log: Path) -> None:
-    # A process of its own for each: what one stage compiled would hide what another lacks.
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
+    # A process of its own for each: what one stage compiled would hide what another lacks. They share the imports.
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([__name__, "rbtrg_robot.hosts.offline", "rbtrg_robot.stages.planner"])
+    with context.Pool(1) as pool:
         assert pool.apply(_late, (name, log)) == []
 
 

@@ -95,13 +95,16 @@ def run(args: list[str]) -> Report:
     parser.add_argument("--goals", default="a,b,rough,platform,behind_wall", help="named goals of the scene")
     parser.add_argument("--scene", default="yard")
     parser.add_argument("--set", action="append", default=[], help="set one key of the stack: a.b=c")
+    parser.add_argument("--cold", action="store_true", help="no kernel is kept, as at the first start of all")
     parser.add_argument("--keep", type=Path, help="keep the log in this folder")
     options = parser.parse_args(args)
     report = Report("live")
     with tempfile.TemporaryDirectory() as scratch:
         logs = options.keep or Path(scratch) / "logs"
         settings = [word for one in options.set for word in ("--set", one)]
-        with running(report, Path(scratch), logs, "--scene", options.scene, *settings) as bus:
+        with running(
+            report, Path(scratch), logs, "--scene", options.scene, *settings, cold=options.cold
+        ) as bus:
             _drive(bus, options.scene, options.goals.split(","), report)
     return report
 

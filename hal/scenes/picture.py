@@ -92,12 +92,16 @@ class TopView:
         """Beside x, y [m]."""
         _label(self._draw, self.pixel(x, y), text, self._font)
 
-    def save(self, path: str | Path) -> None:
-        """As PNG, with a bar of one metre."""
+    def image(self) -> Image.Image:
+        """With a bar of one metre."""
         left, bottom = 8, self._image.height - 10
         self._draw.line([(left, bottom), (left + self.metre, bottom)], fill=WHITE, width=3)
         _label(self._draw, (left + self.metre, self._image.height - 2.2 * self._letter), "1 m", self._font)
-        self._image.save(path)
+        return self._image
+
+    def save(self, path: str | Path) -> None:
+        """As PNG."""
+        self.image().save(path)
 
 
 def render_scene_png(scene: Scene, path: str | Path, *, size: int = 900) -> None:

@@ -87,8 +87,11 @@ def plan(
             lead = f"({place[0]:g}, {place[1]:g}) -> ({end[0]:g}, {end[1]:g}): " if pairs else ""
             say(lead + route.words)
         if png is not None:
-            planner.picture(route, end, png)
-            say(f"picture -> {png}", error=as_json)
+            try:
+                planner.image(route).save(png)
+                say(f"picture -> {png}", error=as_json)
+            except ConfigError as error:
+                say(f"no picture: {error}", error=True)
     if geojson is not None:
         geojson.write_text(json.dumps(_features(routes)))
     if as_json:

@@ -9,17 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
 
 from hal.scenes import SceneError, load_scene, scene_names
 from hal.scenes.picture import GREEN, RED, WHITE, TopView
 from mapping.elevation.exchange import MapError
 from mapping.elevation.map import ElevationMap
+from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.path import PathLimits
 from planning.risk.body import BodyModel
 from planning.risk.table import RiskTable
 from rbtrg_robot import msg
-from rbtrg_robot.config import ConfigError, StackConfig
+from rbtrg_robot.config import ConfigError, StackConfig, load
 from rbtrg_robot.stages.map_graph import MapGraph
 from rbtrg_robot.stages.navigation.goal import arrival
 from rbtrg_robot.stages.navigation.reasons import Reason
@@ -79,17 +82,33 @@ class Route:
 class MapPlanner:
     """One map, many questions."""
 
-    def __init__(self, file: str, config: StackConfig, start: tuple[float, float] | None = None) -> None:
-        """Read `file`: a built-in scene, a scene file or a saved map. `start` x, y [m]: where the questions begin; a
-        file without a level place to start on needs it. Raises ConfigError, SceneError, MapError."""
-        self.config = config
+    def __init__(
+        self,
+        ground: str | ElevationGrid,
+        config: StackConfig | None = None,
+        start: tuple[float, float] | None = None,
+    ) -> None:
+        """`ground`: a built-in scene, a scene file or a saved map to read, or a grid of heights. `start` x, y [m]: where
+        the questions begin; a file without a level place to start on needs it. Raises ConfigError, SceneError, MapError."""
+        self.config = config = config or load()
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
         elevation = ElevationMap(config.elevation)
-        self.start, self.goals, self.taken = _load(file, config, elevation, start)
+        if isinstance(ground, ElevationGrid):
+            _take(
+                elevation, np.where(ground.trusted, ground.height, np.nan), ground.resolution, ground.origin
+            )
+            none: dict[str, tuple[float, float, float | None]] = {}
+            self.start, self.goals, self.taken = (*(start or ground.origin), 0.0), none, ""
+        else:
+            self.start, self.goals, self.taken = _load(ground, config, elevation, start)
+        self._asked: tuple[float, float] | None = None
+        """The goal of the newest question that was searched."""
         self._patches = [elevation.read(box) for box in elevation.boxes()]
         if not self._patches:
-            raise ConfigError(f"{file} holds no ground to plan on")
+            raise ConfigError(
+                f"{ground if isinstance(ground, str) else 'the grid'} holds no ground to plan on"
+            )
         self._terrain: MapGraph | None = None
         low = np.min([patch.origin for patch in self._patches], axis=0)
         high = np.max(
@@ -101,6 +120,14 @@ class MapPlanner:
         )
         self.extent: tuple[float, float, float, float] = (*map(float, low), *map(float, high))  # type: ignore[assignment]
         """x, y of the lowest and of the highest corner [m]."""
+
+    @classmethod
+    def of_array(
+        cls, height: NDArray[np.floating], resolution: float, origin: tuple[float, float] = (0.0, 0.0)
+    ) -> MapPlanner:
+        """Of heights (rows, cols) [m], NaN where the ground is not known; row and column grow with y and x. `resolution`: cell size [m]; `origin`:
+        x, y [m] of the centre of cell [0, 0]. Raises GridError, ConfigError."""
+        return cls(ElevationGrid(height, np.isfinite(height), origin, resolution))
 
     def plan(
         self,
@@ -123,7 +150,7 @@ class MapPlanner:
         for patch in self._patches:
             terrain.apply(patch)
         terrain.sync(start)
-        self._terrain = terrain
+        self._terrain, self._asked = terrain, goal
         asked = msg.PlanRequest(
             goal_id="plan",
             start_x=float(start[0]),
@@ -175,9 +202,11 @@ class MapPlanner:
         refused = f" (above planner.accept_risk, {100 * accepted:.0f} %: a goal is refused without --accept)"
         return arrival(told.p_fail, told.worst) + (refused if told.p_fail > accepted else "")
 
-    def picture(self, route: Route, goal: tuple[float, float], out: Path) -> None:
-        """The route over the risk of the ground: edges of the graph from green to red, the path, the worst place. Raises OSError."""
-        assert self._terrain is not None
+    def image(self, route: Route) -> Image.Image:
+        """The answer to the newest question over the risk of the ground: edges of the graph from green to red, the path, the worst place. A
+        notebook shows it. Raises ConfigError where there is no ground."""
+        if self._terrain is None or self._asked is None:
+            raise ConfigError("nothing was searched yet: there is nothing to draw")
         grid = self._terrain.grid
         if grid is None:
             raise ConfigError("there is no ground at the start: nothing to draw")
@@ -202,8 +231,8 @@ class MapPlanner:
         if route.worst:
             view.disc(route.worst["x"], route.worst["y"], RED, 6)
             view.label(route.worst["x"], route.worst["y"], "worst")
-        view.disc(*goal, WHITE, 5)
-        view.save(out)
+        view.disc(*self._asked, WHITE, 5)
+        return view.image()
 
 
 def _worst(told: msg.RouteReport, body: BodyModel) -> dict[str, Any]:
@@ -255,9 +284,16 @@ def _load(
                 f"{file} is neither a file nor a scene; scenes are {', '.join(scene_names())}"
             ) from error
         raise
-    with tempfile.TemporaryDirectory() as folder:
-        grid = Path(folder) / "scene.npz"
-        height = scene.survey if scene.survey is not None else scene.height
-        np.savez(grid, height=height, resolution=scene.resolution, origin=scene.origin)
-        elevation.load_prior(grid)
+    height = scene.survey if scene.survey is not None else scene.height
+    _take(elevation, height, scene.resolution, scene.origin)
     return scene.start, dict(scene.goals), scene.taken
+
+
+def _take(
+    elevation: ElevationMap, height: NDArray[np.floating], resolution: float, origin: tuple[float, float]
+) -> None:
+    """Heights as a prior map."""
+    with tempfile.TemporaryDirectory() as folder:
+        grid = Path(folder) / "grid.npz"
+        np.savez(grid, height=height, resolution=resolution, origin=origin)
+        elevation.load_prior(grid)

@@ -66,7 +66,7 @@ def test_what_cannot_be_planned_is_told_with_its_reason(planner: MapPlanner) -> 
 
 def test_the_picture_shows_route_and_risk(planner: MapPlanner, tmp_path: Path) -> None:
     route = planner.plan((2.0, 2.0), (6.0, 2.0))
-    planner.picture(route, (6.0, 2.0), tmp_path / "plan.png")
+    planner.image(route).save(tmp_path / "plan.png")
     pixels = np.asarray(Image.open(tmp_path / "plan.png").convert("RGB"), int)
     assert (np.abs(pixels - (255, 170, 40)).sum(axis=2) < 40).sum() > 200
     assert (np.abs(pixels - (80, 200, 120)).sum(axis=2) < 40).sum() > 200

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from hal.named import PATTERN
 from hal.types import Capabilities
 from planning.graph.params import GraphParams, GraphSettings
 
@@ -146,6 +147,11 @@ class ElevationStageConfig(BaseModel):
     publish_every: int = Field(5, ge=1, description="scans between two map updates")
     window: float = Field(2.8, gt=0, le=10.0, description="half width of the window around the robot [m]")
     clean_every: int = Field(3, ge=1, description="scans between two visibility clean-ups")
+    finder: str = Field(
+        "branch_and_bound",
+        pattern=PATTERN,
+        description="who finds the robot in a prior map: the project's, an installed finder (entry point of rbtrg.finders) or package.module:function (docs/extend.md)",
+    )
 
 
 class PlannerConfig(BaseModel):
@@ -155,7 +161,7 @@ class PlannerConfig(BaseModel):
 
     method: str = Field(
         "rb_trg",
-        pattern=r"^([A-Za-z_][\w-]*|[A-Za-z_][\w.]*:[A-Za-z_]\w*)$",
+        pattern=PATTERN,
         description="rb_trg: the project's planner; t_hybrid, art: baselines, for comparison; an installed planner (entry point of rbtrg.planners) or package.module:function (docs/extend.md)",
     )
     variant: Literal["native", "edge-only", "mean-only", "full", "refined"] = Field(

@@ -19,9 +19,10 @@ needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason="reference data do
 """Only the absence of the whole folder skips: a file that is missing in it fails."""
 
 
-def extension(number: int) -> str:
-    """The code of the planner (0) or the program (1) of `docs/extend.md`."""
-    return (ROOT / "docs" / "extend.md").read_text().split("```python\n")[number + 1].split("```")[0]
+def extension(name: str) -> str:
+    """The code of `name`.py in `docs/extend.md`."""
+    lead = f'"""{name}.py'
+    return lead + (ROOT / "docs" / "extend.md").read_text().split(f"```python\n{lead}")[1].split("```")[0]
 
 
 @cache

@@ -39,7 +39,7 @@ ROOMS: dict[str, str] = {
     # turns are made, and a path backward ends, where the guard would let the robot and hold it: one rule
     "planning.search": "hal hal.safety mapping planning planning.graph planning.risk",
     "planning.path": "hal hal.safety mapping planning planning.graph planning.risk planning.search",
-    "planning.baselines": "mapping planning planning.risk planning.search",
+    "planning.baselines": "hal mapping planning planning.risk planning.search",
     "planning.baselines.t_hybrid": "mapping planning planning.search planning.baselines",
     "planning.baselines.art": "mapping planning planning.search planning.baselines",
     "planning.tracking": "hal planning",
@@ -65,7 +65,8 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.console": "hal mapping mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.access "
     "rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.hosts rbtrg_robot.process",
     "rbtrg_robot.cli": "hal hal.locomotion hal.mujoco.view hal.scenes hal.unitree mapping.elevation planning.baselines rbtrg_robot "
-    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process",
+    "rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.missions rbtrg_robot.bridge rbtrg_robot.orders rbtrg_robot.log rbtrg_robot.importer rbtrg_robot.hosts rbtrg_robot.process "
+    "rbtrg_robot.console",
 }
 FLOORS = ("hal", "mapping", "planning", "rbtrg_robot", "tools")
 FILES = [f.relative_to(ROOT) for floor in FLOORS for f in sorted((ROOT / floor).rglob("*.py"))]

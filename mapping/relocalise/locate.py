@@ -71,11 +71,14 @@ def locate(
     `told`: by an operator, nothing else is searched.
     """
     found = possible(prior, submap, hint if told else None)
-    if found is None:
-        return Verdict("open_ground")
+    return Verdict("open_ground") if found is None else decide(found, submap.stands, hint)
+
+
+def decide(found: list[Candidate], stands: int, hint: tuple[float, float, float] | None = None) -> Verdict:
+    """Whether one of these places, the most certain first, is it after `stands` looks."""
     if not found or found[0].certainty < ENOUGH:
         return Verdict("not_found", tuple(found))
-    margin = MARGIN / min(submap.stands, LOOKS)
+    margin = MARGIN / max(1, min(stands, LOOKS))
     alike = [c for c in found if found[0].certainty - c.certainty < margin]
     if len(alike) == 1:
         return Verdict("located", tuple(found))

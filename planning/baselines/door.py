@@ -7,12 +7,11 @@ is `package.module:function`, or that of an entry point of the group `rbtrg.plan
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
-from importlib.metadata import entry_points
 from typing import Any
 
 import numpy as np
 
+from hal.named import NamedError, named
 from mapping.grid import ElevationGrid
 from planning.baselines.route import as_plan
 from planning.errors import NoRoute, NoRouteReason, PlanningError
@@ -26,28 +25,12 @@ ENDS = 0.5
 Planner = Callable[[ElevationGrid, PlanRequest], Plan]
 
 
-def known() -> list[str]:
-    """Names that need no module."""
-    return [OURS, *KNOWN, *sorted(point.name for point in entry_points(group=GROUP))]
-
-
 def planner_of(method: str) -> Planner:
     """The planner of a name. Raises PlanningError for one that cannot be imported."""
-    target = KNOWN.get(method, method)
-    if ":" not in target:
-        found = [point.value for point in entry_points(group=GROUP, name=method)]
-        if not found:
-            raise PlanningError(
-                f"no planner {method!r}: use {', '.join(known())}, or package.module:function of your own"
-            )
-        target = found[0]
-    module, _, name = target.partition(":")
     try:
-        function = getattr(import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise PlanningError(
-            f"planner {method}: {error}; install the package, or name its folder in PYTHONPATH"
-        ) from error
+        function = named(KNOWN.get(method, method), "planner", GROUP, (OURS, *KNOWN))
+    except NamedError as error:
+        raise PlanningError(str(error)) from error
     return lambda grid, request: _ask(method, function, grid, request)
 
 

@@ -7,12 +7,22 @@ from enum import StrEnum
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.named import PATTERN
+
+OURS = "line_of_sight"
+"""The controller of `PathTracker`."""
+
 
 class TrackerConfig(BaseModel):
     """Limits and gains of the tracker. Keep the limits below the robot's `Capabilities`: the gate clips silently."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    method: str = Field(
+        default=OURS,
+        pattern=PATTERN,
+        description="line_of_sight: the project's; an installed controller (entry point of rbtrg.trackers) or package.module:function (docs/extend.md)",
+    )
     max_speed: float = Field(default=0.8, gt=0, description="[m/s] of the base, whatever the path allows")
     min_speed: float = Field(default=0.12, gt=0, description="[m/s] slowest speed the drive follows reliably")
     step_speed: float = Field(

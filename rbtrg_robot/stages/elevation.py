@@ -21,6 +21,7 @@ from mapping.elevation.poses import Course
 from mapping.elevation.sensor import Sensor
 from mapping.odometry.contacts import wheel_contacts
 from mapping.relocalise import warm_up
+from mapping.relocalise.door import OURS, OwnFinder
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -94,7 +95,8 @@ class ElevationStage:
         self._waiting = Scans(self._sensors)
         self._frame = MapFrame()
         self._course = Course()
-        self._prior = Prior(prior, name, start, later=later)
+        self._finder = None if params.finder == OURS else OwnFinder(params.finder)
+        self._prior = Prior(prior, name, start, later=later, finder=self._finder)
         self._location = Location()
         if prior and later is None:
             self._prior.take(elevation)
@@ -273,7 +275,9 @@ class ElevationStage:
         cloud = cloud_points(message.cloud) if message.cloud.point_step else NOTHING
         cloud = checked_cloud(cloud, "the loaded map")
         start = (self._frame.x, self._frame.y, self._frame.yaw)
-        self._prior = Prior(message.id, "the loaded map", start, patches, cloud, patches[0].stamp)
+        self._prior = Prior(
+            message.id, "the loaded map", start, patches, cloud, patches[0].stamp, finder=self._finder
+        )
         self._location = self._prior.search()
         return self._begin("the map was loaded")
 

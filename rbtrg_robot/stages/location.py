@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from hal.rotation import wrap
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.sensor import Sensor
-from mapping.relocalise import Candidate, PriorMap, Submap, locate
+from mapping.relocalise import Candidate, PriorMap, Submap, Verdict, locate
+from mapping.relocalise.door import FinderError, OwnFinder
 from rbtrg_robot import msg
 from rbtrg_robot.stages.navigation.reasons import LOCATED
 from rbtrg_robot.wire.convert import xyz, xyzw, yaw_of
@@ -52,7 +53,9 @@ class State(StrEnum):
 class Location:
     """Where `odom` lies in a prior map."""
 
-    def __init__(self) -> None:
+    def __init__(self, finder: OwnFinder | None = None) -> None:
+        """`finder`: of others; None: ours."""
+        self._finder = finder
         self.state = State.NONE
         self.words = ""
         self.offset: Planar | None = None
@@ -71,10 +74,15 @@ class Location:
 
     @classmethod
     def begin(
-        cls, name: str, patches: Sequence[MapPatch], cloud: NDArray[np.float32], hint: Planar
+        cls,
+        name: str,
+        patches: Sequence[MapPatch],
+        cloud: NDArray[np.float32],
+        hint: Planar,
+        finder: OwnFinder | None = None,
     ) -> Location:
         """Search in a map that came as patches, called `name`. hint: offset of `odom` in `map` as it is thought to be."""
-        out = cls()
+        out = cls(finder)
         out._name, out._hint = name, hint
         if len(cloud):
             out._map = cloud, patches
@@ -140,12 +148,11 @@ class Location:
         return True
 
     def _decide(self, odom: msg.Odometry) -> None:
-        assert self._map is not None
-        if self._prior is None:
-            cloud, patches = self._map
-            self._prior = PriorMap(cloud, [patch.grid() for patch in patches])
-        hint = pose_of(self._hint, odom)
-        verdict = locate(self._prior, self._submap, hint, self._told)
+        try:
+            verdict = self._verdict(pose_of(self._hint, odom))
+        except FinderError as error:
+            self._say(State.NOT_FOUND, str(error))
+            return
         self.candidates = verdict.candidates
         best = verdict.candidates[0] if verdict.candidates else None
         if verdict.answer == "located" and best is not None:
@@ -173,6 +180,16 @@ class Location:
         else:
             self._say(State.NOT_FOUND, f"not found in {self._name}")
         self._told = False
+
+    def _verdict(self, hint: Planar) -> Verdict:
+        """Where the robot is thought to stand: `hint`. Raises FinderError."""
+        assert self._map is not None
+        cloud, patches = self._map
+        if self._finder is not None:
+            return self._finder.locate(cloud, self._submap, hint, self._told)
+        if self._prior is None:
+            self._prior = PriorMap(cloud, [patch.grid() for patch in patches])
+        return locate(self._prior, self._submap, hint, self._told)
 
     def _say(self, state: State, words: str) -> None:
         self.state, self.words = state, words

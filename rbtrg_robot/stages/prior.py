@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mapping.elevation.exchange import MapPatch
 from mapping.elevation.map import ElevationMap
+from mapping.relocalise.door import OwnFinder
 from rbtrg_robot.stages.location import Location
 from rbtrg_robot.wire.frames import Planar
 
@@ -32,6 +33,8 @@ class Prior:
     """Of the message that brought it [ns]; 0 for one from a file."""
     later: Callable[[], ElevationMap] | None = None
     """Reads it; None where that is done. It takes seconds for a large map."""
+    finder: OwnFinder | None = None
+    """Who finds the robot in it; None: the project's."""
 
     def read(self) -> None:
         """Now it is needed. Raises MapError."""
@@ -45,4 +48,4 @@ class Prior:
 
     def search(self) -> Location:
         """Where the robot is in it is looked for from now on."""
-        return Location.begin(self.name, self.patches, self.cloud, self.start)
+        return Location.begin(self.name, self.patches, self.cloud, self.start, self.finder)

@@ -9,7 +9,9 @@ import numpy as np
 
 from hal.safety.monitors import TRACKER_STALE
 from hal.types import NS
+from planning.tracking.door import OwnTracker
 from planning.tracking.tracker import PathError, PathTracker, TrackerConfig, TrackOutput, TrackPhase
+from planning.tracking.types import OURS
 from rbtrg_robot import msg
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import StackConfig
@@ -38,7 +40,7 @@ class TrackerStage:
     outputs = (t.CMD_VEL, t.TRUNK, t.TRACKER_STATE)
 
     def __init__(self, params: TrackerConfig, freshness: FreshnessConfig) -> None:
-        self._tracker = PathTracker(params)
+        self._tracker = PathTracker(params) if params.method == OURS else OwnTracker(params.method, params)
         self._frame = MapFrame()
         self._limits: dict[Topic, float] = {
             t.POSE: freshness.pose,

@@ -29,7 +29,7 @@ PAGES = {"/", "/enter", "/live", "/page", "/robots", "/robots/{name}"}
 
 
 CLIENT: dict[str, Any] = {"__name__": "errand"}
-exec(extension(1), CLIENT)
+exec(extension("errand"), CLIENT)
 
 
 class Program:

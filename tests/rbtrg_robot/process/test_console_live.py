@@ -56,7 +56,7 @@ def address(folder: Path) -> str:
 
 def test_the_program_of_the_docs_drives_the_robot(folder: Path, address: str, tmp_path: Path) -> None:
     script = tmp_path / "errand.py"
-    script.write_text(extension(1))
+    script.write_text(extension("errand"))
     status = command(folder, "status", "--json", "--robot", NAME)
     robot = json.loads(status.stdout)["robot"]
     x, y = robot["x"] + 0.8, robot["y"]

@@ -25,6 +25,7 @@ from rbtrg_robot.cli import (
     policy,
     service,
     stack,
+    step,
     teleop,
     topic,
 )
@@ -63,6 +64,7 @@ mission.register(app)
 teleop.register(app)
 logs.register(app)
 judging.register(app)
+step.register(app)
 importing.register(app)
 plan.register(app)
 foxglove.register(app)

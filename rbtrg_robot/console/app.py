@@ -106,9 +106,11 @@ class Site:
         desk: Desk,
         feed: Feed,
         loop: asyncio.AbstractEventLoop,
+        step: list[str] | None = None,
     ) -> None:
+        """`step`: stages that are run again on a log here, where there is no robot."""
         self._config = config
-        self._facts = facts_of(config)
+        self._facts = {**facts_of(config), "step": step}
         self._door = door
         self._desk = desk
         self._feed = feed

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import uvicorn
+from starlette.concurrency import run_in_threadpool
 
 from hal.errors import OperatorError
 from rbtrg_robot import topics as t
@@ -25,6 +26,7 @@ from rbtrg_robot.console.app import Site
 from rbtrg_robot.console.desk import Desk
 from rbtrg_robot.console.door import Door
 from rbtrg_robot.console.feed import HEARD, Feed
+from rbtrg_robot.console.steps import StepFeed, Steps
 from rbtrg_robot.console.webhooks import hooks
 from rbtrg_robot.crowd import CrowdedSocket
 from rbtrg_robot.topics import Topic
@@ -104,8 +106,9 @@ class Serving:
 
 
 @contextlib.contextmanager
-def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
-    """The server in a thread of its own; its door's address is in the run folder."""
+def serving(config: StackConfig, bus: Bus, lead: tuple[Path, list[str]] | None = None) -> Iterator[Serving]:
+    """The server in a thread of its own; its door's address is in the run folder. `lead`: instead of a robot, a run and the stages that are
+    run on it again, step by step."""
     host, port = config.console.address, config.console.port
     tls: dict[str, Any] = {}
     if host != LOOPBACK:
@@ -120,9 +123,11 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     name = f"[{host}]" if ":" in host else host
     door = Door(config.robot, f"{'https' if tls else 'http'}://{name}:{listener.getsockname()[1]}")
     loop = asyncio.new_event_loop()
-    feed = Feed(bus, config.capabilities(), loop, folder=Path(config.log_dir))
+    made = StepFeed if lead else Feed
+    feed = made(bus, config.capabilities(), loop, replayed=lead is not None, folder=Path(config.log_dir))
     desk = Desk(config, bus, feed, loop)
-    site = Site(config, door, desk, feed, loop)
+    site = Site(config, door, desk, feed, loop, lead[1] if lead else None)
+    steps = Steps(*lead, config, desk, feed, loop) if lead and isinstance(feed, StepFeed) else None
     listeners = contextlib.ExitStack()
     for hook in hooks(config.console.webhooks, config.robot):
         listeners.enter_context(feed.listening(t.EVENTS, hook))
@@ -153,6 +158,8 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
         finally:
             beat.cancel()
             await site.replays.close()
+            if steps is not None:
+                await run_in_threadpool(steps.stepper.close)
 
     ended = threading.Event()
 
@@ -171,7 +178,8 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
                 log.exception("the supervisor's status cannot be shown")
 
     asker = threading.Thread(target=ask, name="status", daemon=True)
-    asker.start()
+    if lead is None:  # else there is none
+        asker.start()
     failed: list[BaseException] = []
 
     def thread() -> None:
@@ -188,7 +196,8 @@ def serving(config: StackConfig, bus: Bus) -> Iterator[Serving]:
     finally:
         ended.set()
         listeners.close()
-        asker.join(2 * STATUS_PERIOD)
+        if lead is None:
+            asker.join(2 * STATUS_PERIOD)
         server.should_exit = True
         worker.join()  # it ends within a second; closing its sockets under it would hit whoever gets their numbers next
         listener.close()

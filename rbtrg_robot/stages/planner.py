@@ -145,6 +145,16 @@ class PlannerStage:
         known_behind(around, here, stage._map.params.max_gap, 0.1)
         free_turn(around, here, 1.0, Capabilities("", max_step=stage._map.params.max_step))
 
+    @property
+    def terrain(self) -> MapGraph:
+        """The map of now and the graph on it."""
+        return self._map
+
+    @property
+    def now(self) -> int:
+        """[ns] of the newest tick."""
+        return self._now
+
     def put_on(self, folder: FilePath) -> None:
         """See `KeepsMap`."""
         self._map.mirror.put_on(folder)

@@ -4,6 +4,7 @@ import { makeDrive } from "./drive.js";
 import { makeEvents } from "./events.js";
 import { makeHalt } from "./halt.js";
 import { makeHealth } from "./health.js";
+import { makeLead } from "./lead.js";
 import { open } from "./link.js";
 import { makeMaps } from "./maps.js";
 import { makeMissions } from "./missions.js";
@@ -23,6 +24,7 @@ let why,
   missions,
   maps,
   picture,
+  lead,
   spoken = "",
   was = "",
   timer = 0;
@@ -49,6 +51,7 @@ const view = mount($("view"), {
   said: (words) => (picture ? picture.hint(words) : put("hint", words)),
   followed: (on) => $("follow").setAttribute("aria-pressed", on),
   pick(x, y, yaw) {
+    if (lead) return lead.pick(x, y);
     if (maps.pick(x, y, yaw)) return;
     const k = yaw === null && !$("why").hidden ? why.near(x, y) : null;
     if (k !== null) return why.choose(k);
@@ -80,6 +83,7 @@ maps = makeMaps(link, view, free);
 const health = makeHealth(link, about),
   archive = makeArchive(link, free),
   events = makeEvents(link, view, about, free, archive);
+lead = about.step && makeLead(link, view, about, free);
 
 // --- views --------------------------------------------------------------------------------------------------
 function show(name) {
@@ -91,7 +95,7 @@ function show(name) {
   ({ events: events.show, health: health.show, logs: archive.runs, maps: maps.show, missions: missions.show, why: why.gate })[name]?.();
 }
 for (const made of document.querySelectorAll("nav button")) made.onclick = () => show(made.dataset.view);
-show("drive");
+show(lead ? "lead" : "drive");
 
 // A replay is another picture: what was drawn goes. Whoever looks at one commands nothing but the stop.
 function replayed({ run, state, seconds, paused, wrong }) {
@@ -140,7 +144,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
     "replay-said",
     wrong
       ? `${run}: ${wrong}`
-      : `${run}, ${state === "ended" ? "at its end" : `${paused ? "paused at " : ""}${figure(seconds ?? 0, 0)} s`}. Nothing here moves the robot; STOP stops the real one.`,
+      : `${run}, ${state === "ended" ? "at its end" : `${paused ? "paused at " : ""}${figure(seconds ?? 0, 0)} s`}. ${lead ? "There is no robot here." : "Nothing here moves the robot; STOP stops the real one."}`,
   );
   put("replay-pause", paused ? "Go on" : "Pause");
   $("replay-pause").hidden = !run || state === "ended" || link.role !== "operator";

@@ -154,8 +154,11 @@ def main(config: StackConfig, bus: Bus, stopping: Callable[[], bool], restored: 
     told = False
     """To end, and not by an error: after one, the next process takes the robot as it stands, on a stair or a ramp."""
     try:
+        if not config.simulated:
+            keep_what_is_loaded()  # a real robot is held from then on: nothing may take long between its first words
         stage.warm_up()
-        keep_what_is_loaded()
+        if config.simulated:
+            keep_what_is_loaded()  # the making of its model took much
         changes: deque[tuple[str, bool]] = deque()
 
         def changed(process: str, alive: bool) -> None:

@@ -31,7 +31,8 @@ def test_the_robot_is_stopped_and_lies_down_at_the_end_of_the_stack_alone(
     """Whatever ends the process by an error, another one starts: until then the robot stands where it is, on a stair too."""
     world = World(options=UnitreeConfig(lidars=only("xt16")))
     monkeypatch.setattr(robot_process, "_hardware", lambda _config, _clock: world.backend)
-    monkeypatch.setattr(robot_process, "keep_what_is_loaded", lambda: None)  # pytest goes on
+    loaded: list[int] = []
+    monkeypatch.setattr(robot_process, "keep_what_is_loaded", lambda: loaded.append(len(world.sent)))
     bus = FakeBus(clocks, world.advance)
     end = 4 * NS
 
@@ -52,6 +53,7 @@ def test_the_robot_is_stopped_and_lies_down_at_the_end_of_the_stack_alone(
         robot_process.main(config, bus, lambda: not fails and clocks.elapsed >= end, {})  # type: ignore[arg-type]
     except ZeroDivisionError:
         assert fails
+    assert loaded == [0], "before the first word to the robot, which then waits for the next"
     world.advance(2.0)
     assert abs(world.body.v) < 0.05
     assert (Sport.STAND_DOWN in world.apis()) is not fails

@@ -373,9 +373,8 @@ CENTIMETRE, DEGREE = 0.01, math.radians(1.0)
 def limits(envelope: Envelope) -> dict[str, float]:
     """Limits by the names of `Capabilities`: the largest of each size with `ROUTINE_RISK` at most, and a way.
 
-    Steps are met head-on on level ground; `max_oblique` is for a face of `max_step`; `max_slope` holds in every
-    direction; `max_posts` is for the fastest drive that was tried. `step_vx` is the slowest at which such posts fail no
-    more than twice as often; zero where each does.
+    Steps are met head-on on level ground; `max_slope` holds in every direction; `max_posts` is for the fastest drive that
+    was tried. `step_vx` is the slowest at which such posts fail no more than twice as often; zero where each does.
     """
 
     def largest(names: tuple[str, ...], step: float, *rest: Array | float) -> float:
@@ -393,17 +392,9 @@ def limits(envelope: Envelope) -> dict[str, float]:
 
     out = {
         "max_step": largest(("up", "down"), CENTIMETRE, 0.0, 0.0),
-        "max_step_back": largest(("back_up", "back_down"), CENTIMETRE, 0.0, 0.0),
         "max_slope": largest(("slope",), DEGREE, np.radians([0, 45, 90, 135, 180])),
         "max_gap": largest(("gap",), CENTIMETRE),
     }
-    angles = [
-        a * DEGREE
-        for a in range(1, 91)
-        if max(float(envelope.mean(m, out["max_step"], a * DEGREE, 0.0)) for m in ("up", "down"))
-        <= ROUTINE_RISK
-    ]
-    out["max_oblique"] = max(angles, default=0.0)
     speeds = envelope.manoeuvres["posts"].axes[1].si
     out["max_posts"] = largest(("posts",), CENTIMETRE, speeds[-1])
     slow = [v for v in speeds if float(envelope.mean("posts", out["max_posts"], v)) <= 2.0 * ROUTINE_RISK]

@@ -7,7 +7,6 @@ trunk centre, x forward, y left, z up. Arrays are float64 unless said otherwise 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
@@ -217,15 +216,10 @@ class Capabilities:
     """[rad/s] slowest turn on the spot of which at least half is turned, to both sides. The default is such a guess, too."""
     max_step: float = 0.10
     """Highest vertical face driven over [m]."""
-    max_step_back: float | None = None
-    """Highest face climbed backward [m] (`tools.bench envelope`, rows `back_*`); None: as forward."""
     max_slope: float = 0.436
     """[rad]."""
     max_gap: float = 0.10
     """Widest gap crossed [m]."""
-    max_oblique: float = math.radians(30.0)
-    """Angle between travel and the normal of a face of `max_step` from which crossing it is a risk [rad]: both simulated controllers
-    pass such faces up to here at 0.5 m/s (`tools.bench envelope`, rows `oblique_*`)."""
     max_trunk_tilt: float = 0.0
     """Roll and pitch [rad] to which the trunk tilts by command while the robot stands; 0: it cannot."""
     max_posts: float = 0.05

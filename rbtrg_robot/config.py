@@ -267,7 +267,7 @@ class StackConfig(BaseModel):
         """Settings of the graph; its limits are the robot's own, or tighter. Where a LiDAR in the head sees the ground at the feet,
         none around the start is taken for granted.
         """
-        params = self.graph.params(self.capabilities())
+        params = self.graph.params(self.capabilities(), self.controller if self.simulated else SPORT)
         head = any(lidar.name == "head" for lidar in self.lidars)
         return params.model_copy(update={"blind_radius": 0.0}) if head else params
 

@@ -68,41 +68,28 @@ class GraphConfig(GraphSettings):
         None, ge=0.0, description="widest gap or unseen slit driven over [m]; None = what the robot can"
     )
 
-    max_oblique: float | None = Field(
-        None,
-        gt=0.0,
-        le=0.5 * math.pi,
-        description="angle to the normal from which crossing a face of max_step costs more [rad]; None = the robot's",
-    )
-
     max_posts: float | None = Field(
         None,
         gt=0.0,
         description="highest posts of a stepfield that is driven through [m]; None = what robot and controller can",
     )
 
-    max_step_back: float | None = Field(
-        None, gt=0.0, description="highest face driven over backward at no extra cost [m]; None = the robot's"
-    )
-
     keep_step: float = Field(
         0.03, ge=0.0, description="ground found drivable stays so up to this much above max_step [m]"
     )
 
-    def params(self, robot: Capabilities) -> GraphParams:
-        """For a robot that can so much."""
+    def params(self, robot: Capabilities, controller: str) -> GraphParams:
+        """For a robot that can so much, driven by a controller with an envelope."""
         limits = {
             name: own if (wanted := getattr(self, name)) is None else min(wanted, own)
             for name, own in (
                 ("max_step", robot.max_step),
                 ("max_slope", robot.max_slope),
                 ("max_gap", robot.max_gap),
-                ("max_oblique", robot.max_oblique),
                 ("max_posts", robot.max_posts),
-                ("max_step_back", robot.max_step if robot.max_step_back is None else robot.max_step_back),
             )
         }
-        return GraphParams(**(self.model_dump() | limits))
+        return GraphParams(**(self.model_dump() | limits), controller=controller)
 
 
 FAR = 2.4

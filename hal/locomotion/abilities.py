@@ -43,16 +43,12 @@ tilted. The hybrid controller has the slow speeds and the tilt of the model-base
 KEPT: dict[Controller, dict[str, float]] = {
     "vmc": {
         "max_step": 0.10,
-        "max_step_back": 0.10,
-        "max_oblique": math.radians(30.0),
         "max_slope": math.radians(25.0),
         "max_gap": 0.10,
         "max_posts": 0.05,
     },
     "policy": {
         "max_step": 0.25,
-        "max_step_back": 0.10,
-        "max_oblique": math.radians(30.0),
         "max_slope": math.radians(30.0),
         "max_gap": 0.12,
         "max_posts": 0.20,
@@ -60,8 +56,6 @@ KEPT: dict[Controller, dict[str, float]] = {
     },
     "hybrid": {
         "max_step": 0.20,
-        "max_step_back": 0.10,
-        "max_oblique": math.radians(15.0),
         "max_slope": math.radians(30.0),
         "max_gap": 0.12,
         "max_posts": 0.12,

@@ -19,8 +19,6 @@ _TOPICS = {"l1": "rt/utlidar/cloud", "xt16": "rt/lidar_points", "mid360": "rt/li
 
 KEPT = {
     "max_step": 0.15,
-    "max_step_back": 0.15,
-    "max_oblique": math.radians(30.0),
     "max_slope": math.radians(25.0),
     "max_gap": 0.10,
     "max_posts": 0.05,

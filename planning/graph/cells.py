@@ -25,8 +25,9 @@ class Cells:
         drawn: (ny, nx) int16 which of the samples the candidates of a lattice cell are from; 0 until others are drawn there (`Lattice.redraw`).
         chosen: (ny, nx) int8 number of the candidate that is the node of a lattice cell, -1 = none.
         where: (ny, nx, 2) x, y of the node [m].
-        frontier, headings, turn_edge: (ny, nx) as in `TraversalGraph`.
-        risk: (ny, nx, 12, 2) float32 native risk of the edge to each of `OFFSETS`, there and back, -1 = no edge.
+        frontier, headings: (ny, nx) as in `TraversalGraph`; turn_price: (ny, nx, 2).
+        risk: (ny, nx, 12) float32 native risk of the edge to each of `OFFSETS`, -1 = no edge.
+        price: (ny, nx, 12, 2, 2) float32 [m] what crossing it costs: there and back, driven forward and backward.
         node_revision, edge_revision: the version at which terrain under any pose there last changed.
     """
 
@@ -34,11 +35,12 @@ class Cells:
         "drawn",
         "chosen",
         "where",
-        "turn_edge",
+        "turn_price",
         "frontier",
         "headings",
         "node_revision",
         "risk",
+        "price",
         "edge_revision",
     )
 
@@ -58,11 +60,12 @@ class Cells:
         self.drawn = np.zeros((ny, nx), dtype=np.int16)
         self.chosen = np.full((ny, nx), -1, dtype=np.int8)
         self.where = np.zeros((ny, nx, 2))
-        self.turn_edge = np.zeros((ny, nx), dtype=np.float32)
+        self.turn_price = np.zeros((ny, nx, 2), dtype=np.float32)
         self.frontier = np.zeros((ny, nx), dtype=np.bool_)
         self.headings = np.zeros((ny, nx), dtype=np.uint64)
         self.node_revision = np.zeros((ny, nx), dtype=np.int32)
-        self.risk = np.full((ny, nx, len(OFFSETS), 2), -1.0, dtype=np.float32)
+        self.risk = np.full((ny, nx, len(OFFSETS)), -1.0, dtype=np.float32)
+        self.price = np.zeros((ny, nx, len(OFFSETS), 2, 2), dtype=np.float32)
         self.edge_revision = np.zeros((ny, nx, len(OFFSETS)), dtype=np.int32)
 
     def copy(self) -> Cells:

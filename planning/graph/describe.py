@@ -7,8 +7,10 @@ import math
 import numpy as np
 from numba import njit
 
+from planning.graph.edge_price import EVEN_TAN, LEAST_FACE
 from planning.graph.flags import FACE, HIGH, LOW, UNSEEN
 from planning.graph.nodes import step_distance2
+from planning.graph.prices import angle_at, size_at
 from planning.graph.risk import select
 
 RAYS = 16
@@ -24,14 +26,6 @@ NOISE, MOST_NOISE = 3.5, 0.02
 rough ground, or a crest between two ramps, where half of all rises go up and half go down."""
 EDGE_BASE = 0.12
 """Distance over which an edge under the wheels is measured [m]."""
-TURN_SLOPE = math.radians(20.0)
-"""Steepest ground [rad] on which turns on the spot were measured (`tools.bench envelope`, rows `turn_ramp_*`)."""
-STEEP, SLOPE_NOISE = 4, 1.15
-"""One part of so many of what is under the wheels may be steeper. Factor on the tangent, for map noise: on a ramp of just that slope turns are free."""
-ONE_WAY = 0.7
-"""Least length of the mean of the steep rises, as a share of their mean length."""
-FACE_SLOPE = math.radians(40.0)
-"""What rises steeper [rad] is a face, and an edge under the wheels."""
 UNKNOWN_RUN = 0.20
 """Unseen ground this long on a ray, after at most half a body and one ring of free ground, is a frontier [m]."""
 
@@ -124,13 +118,12 @@ def turn_is_free(headings, yaw_in, turn):
 
 
 @njit(cache=True)
-def turn_edge(height, trusted, x0, y0, res, x, y, least, climbed):
-    """Highest edge [m] where the wheels go in a turn on the spot: rise over `EDGE_BASE` less the ground's own slope. Infinite where a
-    part of the ground is steeper than `TURN_SLOPE`.
+def turn_ground(height, trusted, x0, y0, res, x, y, climbed):
+    """Highest edge [m] where the wheels go in a turn on the spot, and the slope [m/m] of the ground there.
 
-    Along x and along y, between means of about 5 cm. The ground's slope is the median of all the rises, so neither a ramp
-    nor part of a plate counts; what the map's noise makes of even ground is taken off.
-    What is higher than `climbed` [m] is a wall, and counts only where no other edge is higher than `least` [m]: in a narrow lane a wall is beside every kerb.
+    An edge is a rise over `EDGE_BASE` less the ground's own slope. Along x and along y, between means of about 5 cm. The
+    slope is the median of all the rises, so neither a ramp nor part of a plate counts; what the map's noise makes of even
+    ground is taken off. What is higher than `climbed` [m] is a wall, beside which a turn has room or not.
     """
     rows, cols = height.shape
     stride = max(1, round(0.04 / res))
@@ -143,7 +136,7 @@ def turn_edge(height, trusted, x0, y0, res, x, y, least, climbed):
     mean = np.full((side, side), np.nan)
     inner = (WHEEL_RING[0] / (stride * res)) ** 2
     outer = (WHEEL_RING[1] / (stride * res)) ** 2
-    most = wall = 0.0
+    most = steep = 0.0
     for i in range(side):
         r = r_mid + (i - n) * stride
         for j in range(side):
@@ -159,10 +152,7 @@ def turn_edge(height, trusted, x0, y0, res, x, y, least, climbed):
                         count += 1
                         low = min(low, height[a, b])
                         high = max(high, height[a, b])
-            if high - low > climbed:  # the mean of a wall and its foot would look like a kerb
-                if inner <= (i - n) ** 2 + (j - n) ** 2 <= outer:
-                    wall = max(wall, high - low)
-            elif count > 0:
+            if count > 0 and high - low <= climbed:  # the mean of a wall and its foot would look like a kerb
                 mean[i, j] = total / count
     rises = np.empty(side * side, np.float64)
     for axis in range(2):
@@ -178,42 +168,29 @@ def turn_edge(height, trusted, x0, y0, res, x, y, least, climbed):
                     count += 1
         if count > 0:
             slope = select(rises, count, count // 2)
+            steep += (slope / (base * stride * res)) ** 2
             for i in range(count):
                 rises[i] = abs(rises[i] - slope)
             noise = min(NOISE * select(rises, count, count // 2), MOST_NOISE)
             for i in range(count):
                 edge = rises[i] - noise
-                if edge > climbed:
-                    wall = max(wall, edge)
-                else:
+                if edge <= climbed:
                     most = max(most, edge)
-    if _steep(mean, base, n, inner, outer, base * stride * res):
-        return np.inf
-    return wall if most <= least and wall > 0.0 else most
+    return most, math.sqrt(steep)
 
 
 @njit(cache=True)
-def _steep(mean, base, n, inner, outer, run):
-    """Whether one part of `STEEP` of the ring is a slope steeper than `TURN_SLOPE`, with rises over `run` [m]. What is steeper than `FACE_SLOPE`, and
-    what rises now this way and now that, are faces."""
-    low = (run * math.tan(TURN_SLOPE) * SLOPE_NOISE) ** 2
-    high = (run * math.tan(FACE_SLOPE)) ** 2
-    steep = total = 0
-    size = sum_x = sum_y = 0.0
-    for i in range(len(mean) - base):
-        for j in range(len(mean) - base):
-            d2 = (i + 0.5 * base - n) ** 2 + (j + 0.5 * base - n) ** 2
-            if inner <= d2 <= outer:
-                rise_x, rise_y = mean[i, j + base] - mean[i, j], mean[i + base, j] - mean[i, j]
-                rise2 = rise_x * rise_x + rise_y * rise_y
-                if rise2 == rise2:
-                    total += 1
-                    if low < rise2 < high:
-                        steep += 1
-                        size += math.sqrt(rise2)
-                        sum_x += rise_x
-                        sum_y += rise_y
-    return steep * STEEP > total and math.hypot(sum_x, sum_y) > ONE_WAY * size
+def turn_price(height, trusted, x0, y0, res, x, y, prices, climbed):
+    """[m/rad] of a bend and of a turn on the spot at x, y [m]."""
+    edge, slope = turn_ground(height, trusted, x0, y0, res, x, y, climbed)
+    if edge < LEAST_FACE:
+        edge = 0.0
+    if slope < EVEN_TAN:
+        slope = 0.0
+    if edge == 0.0 and slope == 0.0:
+        return 0.0, 0.0
+    i, j = size_at(edge), angle_at(math.atan(slope))
+    return prices.turn[0, i, j], prices.turn[1, i, j]
 
 
 @njit(cache=True)
@@ -244,9 +221,10 @@ def in_sight(flags, x0, y0, res, xa, ya, points, reach):
 @njit(cache=True)
 def describe_nodes(
     height, trusted, flags, x0, y0, res, chosen, where, todo, near, ring, length, width,
-    frontier, headings, edge, least, climbed,
+    frontier, headings, price, prices, climbed,
 ):  # fmt: skip
-    """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `edge` of those that are in `near` as well; least, climbed: as in `turn_edge`."""
+    """Set `frontier` (ny, nx) of the lattice cells in `todo`, `headings` and `price` (ny, nx, 2) of those that are in
+    `near` as well; climbed: as in `turn_ground`."""
     for j in range(todo.shape[0]):
         for i in range(todo.shape[1]):
             if not todo[j, i]:
@@ -259,4 +237,4 @@ def describe_nodes(
                 if not near[j, i]:
                     continue
                 headings[j, i] = free_headings(flags, x0, y0, res, x, y, length, width)
-                edge[j, i] = turn_edge(height, trusted, x0, y0, res, x, y, least, climbed)
+                price[j, i] = turn_price(height, trusted, x0, y0, res, x, y, prices, climbed)

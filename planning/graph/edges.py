@@ -7,19 +7,12 @@ import math
 import numpy as np
 from numba import njit
 
-from hal.go2w import HIP_Y, THIGH_Y, TREAD_WIDTH, TREAD_Y
-from planning.graph.faces import BASE, FACE_NOISE, LEAST, OBLIQUE_RISK, TIPS, askew, tipping
-from planning.graph.flags import ASSUMED, FACE, FIELD, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
+from planning.graph.edge_price import edge_price
+from planning.graph.flags import ASSUMED, FACE, HOLE, PLANTS, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.risk import F32, edge_risk
 
 MARGIN = 0.02
 """The footprint is this much larger on each side [m]: a low ledge's corner cell averages out, and nobody tracks exactly."""
-SIDE = 0.08
-"""Faces that are met too obliquely count this far beside the footprint as well [m]: a robot that drives along an edge strays this far, and a wheel drops off it."""
-AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
-"""Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
-LINES = 3
-"""Of each wheel's track: its middle and both sides."""
 SECTION = 0.04
 """Length of one cross-section of the corridor [m]."""
 SMOOTH = 0.30
@@ -33,9 +26,6 @@ VIRTUAL_RISK = 4.0 / 3.0
 seen ground."""
 PLANTS_RISK = 0.5
 """The same of an edge whose whole corridor is grass: a metre counts as 2.5, as it is driven at 0.2 instead of 0.5 m/s."""
-FIELD_RISK = 10.0 / 3.0
-"""The same of an edge that lies in a stepfield with high posts (`planning.graph.fields`): a metre costs as much as eleven. Of 18 drives that entered a
-field of 3.6 m with posts up to 20 cm 7 ended in it, one for each 9 m, and a fall weighs as much as 100 m of driving (`planning.risk.turns`)."""
 
 
 @njit(cache=True)
@@ -94,16 +84,12 @@ def corridor(
     max_tan,
     max_gap,
     min_coverage,
-    faces,
-    max_step,
-    max_oblique,
     sums,
     stood=False,
 ):
-    """-1, -1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk, that way and from b to a: for the
-    share of its width that meets a face more obliquely than `max_oblique` [rad] allows (`planning.graph.faces`), for the
-    share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and for the shares of its
-    area that are grass and a stepfield with high posts.
+    """-1 if the footprint (length x width) cannot be moved straight from a to b, else what is added to the native risk: for
+    the share of its length that is not driven on before it was seen to `min_coverage` (`planning.path.confirmed`), and for
+    the share of its area that is grass.
 
     Not both sides of a step under it, no tip of a wide pit, no field of too high posts, no line along the travel over a hole for more than
     `max_gap` (a crack is driven across, not along), every cross-section seen to at least `min_coverage`, and nowhere
@@ -131,12 +117,12 @@ def corridor(
         or min(xa, xb) - reach_x < x0 - res
         or max(xa, xb) + reach_x > x0 + cols * res
     ):
-        return -1.0, -1.0
+        return -1.0
     met = _covered(flags, x0, y0, res, xa, ya, ux, uy, d + front, front, half, r_lo, r_hi)
     if met & FACE == FACE or met & (TIP | POSTS):
-        return -1.0, -1.0
+        return -1.0
     strip = half / 3.0
-    field = plants = 0
+    plants = 0
     for r in range(r_lo, r_hi + 1):
         y = y0 + r * res
         low, high = row_span(y, xa, ya, ux, uy, -front, d + front, half)
@@ -144,7 +130,6 @@ def corridor(
         c_hi = min(cols - 1, math.floor((high - x0) / res))
         for c in range(c_lo, c_hi + 1):
             flag = flags[r, np.uint64(c)]
-            field += flag & FIELD > 0
             plants += flag & PLANTS > 0
             ex = x0 + c * res - xa
             ey = y - ya
@@ -175,82 +160,14 @@ def corridor(
     for k in range(n):
         area += sums[k, 0]
         if sums[k, 1] > (1.0 - min_coverage) * sums[k, 0]:
-            return -1.0, -1.0
+            return -1.0
         virtual += sums[k, 8] > (1.0 - min_coverage) * sums[k, 0]
     if met & HOLE and _falls_in(flags, x0, y0, res, xa, ya, ux, uy, -front, d + front, half, max_gap):
-        return -1.0, -1.0
+        return -1.0
     under = int(2.0 * front / SECTION) if stood else 0
     if not _not_steep(sums, n, max_tan * SLOPE_TOLERANCE, 4.0 * strip, under):
-        return -1.0, -1.0
-    share = _faced(faces, x0, y0, res, xa, ya, ux, uy, d + front, front, half, max_step, max_oblique)
-    there = back = 0.0
-    if share > 0.0:
-        there, back = _tipped(height, flags, faces, x0, y0, res, xa, ya, ux, uy, d, max_step, max_oblique)
-    more = OBLIQUE_RISK * share + VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
-    more += FIELD_RISK * field / area
-    return more + TIPS * there, more + TIPS * back
-
-
-@njit(cache=True, error_model="numpy")
-def _faced(faces, x0, y0, res, xa, ya, ux, uy, end, front, half, max_step, max_oblique):
-    """The share of the body's width that meets a face too obliquely, by how much (`askew`): under the corridor, as in `_covered`, and up to
-    `SIDE` beside it, where what is higher than the robot climbs is a wall to drive along."""
-    rows, cols, _ = faces.shape
-    wide = half + SIDE
-    reach = abs(uy) * front + abs(ux) * wide
-    yb = ya + (end - front) * uy
-    count = 0
-    total = 0.0
-    r_lo = max(0, math.ceil((min(ya, yb) - reach - y0) / res))
-    r_hi = min(rows - 1, math.floor((max(ya, yb) + reach - y0) / res))
-    for r in range(r_lo, r_hi + 1):
-        y = y0 + r * res
-        low, high = row_span(y, xa, ya, ux, uy, -front, end, wide)
-        c_lo = max(0, math.ceil((low - x0) / res))
-        c_hi = min(cols - 1, math.floor((high - x0) / res))
-        for c in range(c_lo, c_hi + 1):
-            face_x = faces[r, np.uint64(c), 0]
-            face_y = faces[r, np.uint64(c), 1]
-            if face_x == 0 and face_y == 0:
-                continue
-            across = (y - ya) * ux - (x0 + c * res - xa) * uy
-            if abs(across) > half and 0.001 * max(abs(face_x), abs(face_y)) > max_step + FACE_NOISE:
-                continue
-            weight = askew(face_x, face_y, ux, uy, max_step, max_oblique)
-            count += weight > 0.0
-            total += weight
-    return min(1.0, count * res * res / (BASE * 2.0 * (half - MARGIN))) * total / max(count, 1)
-
-
-@njit(cache=True)
-def _tipped(height, flags, faces, x0, y0, res, xa, ya, ux, uy, d, max_step, max_oblique):
-    """The shares of a wheel that climb a face much too obliquely (`tipping`) on the way from a and on the way back: ground rises along their tracks there. Among the posts
-    of a stepfield nothing is told: it has its own price."""
-    rows, cols = height.shape
-    n = math.ceil((d + 2.0 * AXLE) / res)
-    there = back = 0
-    for line in range(2 * LINES):
-        across = (TREAD if line < LINES else -TREAD) + TREAD_WIDTH * ((line % LINES) / (LINES - 1) - 0.5)
-        climbs = falls = False
-        before = last = np.nan
-        r_last = c_last = 0
-        for k in range(n + 1):
-            along = min(k * res, d + 2.0 * AXLE) - AXLE
-            c = math.floor((xa + along * ux - across * uy - x0) / res + 0.5)
-            r = math.floor((ya + along * uy + across * ux - y0) / res + 0.5)
-            here = np.nan
-            if 0 <= r < rows and 0 <= c < cols and not flags[r, c] & (UNSEEN | VIRTUAL | FIELD):
-                here = height[r, c]
-            rise = here - before
-            if abs(rise) > LEAST * max_step:
-                tips = tipping(faces, r_last, c_last, res, ux, uy, max_step, max_oblique)
-                climbs |= rise > 0.0 and tips > 0
-                falls |= rise < 0.0 and tips < 0
-            before, last = last, here
-            r_last, c_last = r, c
-        there += climbs
-        back += falls
-    return min(1.0, there / LINES), min(1.0, back / LINES)
+        return -1.0
+    return VIRTUAL_RISK * virtual / n + PLANTS_RISK * plants / area
 
 
 @njit(cache=True)
@@ -322,8 +239,8 @@ def _not_steep(sums, n, limit, track, under):
 
 @njit(cache=True)
 def connect(
-    height, flags, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
-    length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, radius, risk, revision, version,
+    height, flags, faces, xs, ys, x0, y0, res, chosen, where, offsets, reach, moved, boxes, margin, rank,
+    length, width, max_tan, max_gap, min_coverage, radius, prices, risk, price, revision, version,
 ):  # fmt: skip
     """Test again every edge with a moved end or whose surroundings touch one of `boxes` (k, 4: x0, y0, x1, y1 [m])."""
     ny, nx = chosen.shape
@@ -335,7 +252,7 @@ def connect(
                 ii = i + offsets[o, 1]
                 outside = jj >= ny or ii < 0 or ii >= nx  # the map may have become smaller
                 if outside or chosen[j, i] < 0 or chosen[jj, ii] < 0:
-                    risk[j, i, o, 0] = risk[j, i, o, 1] = -1.0
+                    risk[j, i, o] = -1.0
                     continue
                 xa = where[j, i, 0]
                 ya = where[j, i, 1]
@@ -358,18 +275,18 @@ def connect(
                             break
                 if not again:
                     continue
-                risk[j, i, o, 0] = risk[j, i, o, 1] = -1.0
+                risk[j, i, o] = -1.0
                 revision[j, i, o] = version
                 if (xb - xa) ** 2 + (yb - ya) ** 2 > reach * reach:
                     continue
-                there, back = corridor(
-                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap,
-                    min_coverage, faces, max_step, max_oblique, sums,
+                more = corridor(
+                    height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums
                 )  # fmt: skip
-                if there >= 0.0:
-                    found = edge_risk(
-                        height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
-                    )
-                    if found >= 0.0:
-                        risk[j, i, o, 0] = found + F32(there)
-                        risk[j, i, o, 1] = found + F32(back)
+                if more < 0.0:
+                    continue
+                found = edge_risk(
+                    height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False
+                )
+                if found >= 0.0:
+                    risk[j, i, o] = found + F32(more)
+                    edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, price[j, i, o])

@@ -14,15 +14,16 @@ from hal.npzfile import read_npz
 from planning.errors import PlanningError
 from planning.graph.params import GraphParams
 
-FORMAT = 3
+FORMAT = 4
 """Version of the layout; `read_graph` refuses others."""
 _ARRAYS: dict[str, tuple[type, str, int]] = {
     "nodes": (np.float64, "node", 2),
     "indptr": (np.int64, "row", 1),
     "indices": (np.int32, "edge", 1),
     "risk": (np.float32, "edge", 1),
+    "price": (np.float32, "edge", 2),
     "frontier": (np.bool_, "node", 1),
-    "turn_edge": (np.float32, "node", 1),
+    "turn_price": (np.float32, "node", 2),
     "free_headings": (np.uint64, "node", 1),
     "node_ids": (np.int64, "node", 1),
     "node_revision": (np.int64, "node", 1),

@@ -38,10 +38,12 @@ class TraversalGraph:
         nodes: (n, 3) float64 x, y, z in the grid's frame [m].
         indptr: (n + 1,) int64; the edges that leave node i are `indptr[i]:indptr[i + 1]`, targets ascending.
         indices: (nnz,) int32 target nodes.
-        risk: (nnz,) float32 native risk; up a face that is met askew it may be more than down it.
+        risk: (nnz,) float32 native risk.
+        price: (nnz, 2) float32 [m] what driving the edge forward and backward costs beyond eq. 5, by the controller's
+            envelope (`planning.graph.prices`).
         frontier: (n,) bool, terrain not seen yet begins within about one `expand_dist` of the robot's front there.
-        turn_edge: (n,) float32 highest edge under the wheels of a robot that turns on the spot at the node [m]; infinite on
-            ground too steep for turns, 0 where not known (native, `from_edges`).
+        turn_price: (n, 2) float32 [m/rad] of a bend and of a turn on the spot at the node, by the envelope; 0 where not
+            known (native, `from_edges`).
         free_headings: (n,) uint64, bit h set where the footprint at heading h * 5 deg (the same turned by 180 deg) is
             clear of obstacles at the node; `planning.graph.describe.turn_is_free` reads it. All set where not known.
         node_ids: (n,) int64, the same place keeps its id over updates; never reused for another place.
@@ -56,8 +58,9 @@ class TraversalGraph:
     indptr: NDArray[np.int64]
     indices: NDArray[np.int32]
     risk: NDArray[np.float32]
+    price: NDArray[np.float32]
     frontier: NDArray[np.bool_]
-    turn_edge: NDArray[np.float32]
+    turn_price: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     node_ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
@@ -136,7 +139,7 @@ class TraversalGraph:
         graph = cls(GraphParams(), 0, None)
         n = len(nodes)
         graph._publish(
-            nodes, edges, _alike(risk), frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
+            nodes, edges, risk, None, frontier, None, None, np.arange(n), np.ones(n), np.ones(len(edges))
         )
         return graph
 
@@ -161,7 +164,8 @@ class TraversalGraph:
         self._publish(
             nodes,
             edges,
-            _alike(risk),
+            risk,
+            None,
             None,
             None,
             None,
@@ -189,14 +193,15 @@ class TraversalGraph:
         nodes: NDArray[np.floating],
         edges: NDArray[np.integer],
         risk: NDArray[np.floating],
+        price: NDArray[np.float32] | None,
         frontier: NDArray[np.bool_] | None,
-        turn_edge: NDArray[np.float32] | None,
+        turn_price: NDArray[np.float32] | None,
         free_headings: NDArray[np.uint64] | None,
         ids: NDArray[np.integer],
         node_revision: NDArray[Any],
         edge_revision: NDArray[Any],
     ) -> None:
-        """Set all public arrays from an undirected edge list (m, 2), its risk there and back (m, 2), and raise `version`."""
+        """Set all public arrays from an undirected edge list (m, 2), its price (m, 2, 2) there and back, and raise `version`."""
         n = len(nodes)
         source = np.concatenate([edges[:, 0], edges[:, 1]]).astype(np.int64)
         target = np.concatenate([edges[:, 1], edges[:, 0]]).astype(np.int64)
@@ -204,15 +209,18 @@ class TraversalGraph:
         self.nodes = np.ascontiguousarray(nodes, dtype=np.float64)
         self.indptr = np.concatenate([[0], np.cumsum(np.bincount(source, minlength=n))]).astype(np.int64)
         self.indices = target[order].astype(np.int32)
-        self.risk = np.asarray(risk, dtype=np.float32).T.ravel()[order]
+        self.risk = np.tile(np.asarray(risk, dtype=np.float32), 2)[order]
+        if price is None:
+            price = np.zeros((len(edges), 2, 2), np.float32)
+        self.price = np.ascontiguousarray(price.transpose(1, 0, 2).reshape(-1, 2)[order])
         self.edge_revision = np.tile(np.asarray(edge_revision, dtype=np.int64), 2)[order]
         self.node_revision = np.asarray(node_revision, dtype=np.int64)
         self.node_ids = np.asarray(ids, dtype=np.int64)
         self.frontier = (
             np.zeros(n, dtype=np.bool_) if frontier is None else np.asarray(frontier, dtype=np.bool_)
         )
-        self.turn_edge = (
-            np.zeros(n, dtype=np.float32) if turn_edge is None else np.asarray(turn_edge, dtype=np.float32)
+        self.turn_price = (
+            np.zeros((n, 2), np.float32) if turn_price is None else np.asarray(turn_price, np.float32)
         )
         self.free_headings = np.full(n, ALL_HEADINGS) if free_headings is None else free_headings
         self.version += 1
@@ -261,11 +269,8 @@ class TraversalGraph:
         out = copy.copy(self)
         out._lattice, out._discs = None, np.asarray(discs, np.float64)
         out.indptr = np.concatenate([[0], np.cumsum(np.bincount(source[keep], minlength=len(self.nodes)))])
-        out.indices, out.risk, out.edge_revision = (
-            self.indices[keep],
-            self.risk[keep],
-            self.edge_revision[keep],
-        )
+        out.indices, out.risk, out.price = self.indices[keep], self.risk[keep], self.price[keep]
+        out.edge_revision = self.edge_revision[keep]
         return out
 
     def allows(self, places: NDArray[np.float64]) -> bool:
@@ -335,11 +340,6 @@ class TraversalGraph:
         graph.version = int(header["version"])
         graph._next_id = int(graph.node_ids.max(initial=-1)) + 1
         return graph
-
-
-def _alike(risk: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(m, 2) risk there and back of edges with one risk (m,)."""
-    return np.column_stack([risk, risk])
 
 
 def _clear(a: NDArray[np.float64], b: NDArray[np.float64], disc: NDArray[np.floating]) -> NDArray[np.bool_]:

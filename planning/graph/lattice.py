@@ -16,12 +16,14 @@ from mapping.grid import ElevationGrid
 from planning.graph.blind import assume_blind
 from planning.graph.cells import OFFSETS, Cells
 from planning.graph.describe import UNKNOWN_RUN, describe_nodes
-from planning.graph.edges import MARGIN, SECTION, SIDE, connect
+from planning.graph.edge_price import BEYOND
+from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
 from planning.graph.flags import PLANTS, halo, update_flags
 from planning.graph.nodes import CLEAR_LEVELS, place_nodes
 from planning.graph.params import GraphParams, Window, merge_windows
+from planning.graph.prices import prices_of
 from planning.graph.reachable import Built, reachable
 from planning.graph.risk import F32, window_minmax
 
@@ -42,6 +44,7 @@ class Lattice:
         self.first = first_xy
         self.cells = Cells(0.5 * (params.expand_dist + params.robot_size))
         self.side = self.cells.side
+        self.prices = prices_of(params.controller, params.fall_cost)
 
     def refresh(self, grid: ElevationGrid, changed: Sequence[Window], version: int) -> bool:
         """Compute again what depends on the changed windows or on new extent; False if there was nothing to do."""
@@ -134,9 +137,10 @@ class Lattice:
         xs, ys = _axes(grid)
         rank = math.ceil((REACH * self.side + p.length + 2.0 * MARGIN) / SECTION) + 2
         connect(
-            grid.height, cells.flags, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
+            grid.height, cells.flags, cells.faces, xs, ys, *cells.origin, cells.res, cells.chosen, cells.where, OFFSETS,
             REACH * self.side, moved, boxes, self._around, rank, p.length, p.width, math.tan(p.max_slope),
-            p.max_gap, p.min_coverage, cells.faces, p.max_step, p.max_oblique, F32(p.robot_size), cells.risk, cells.edge_revision, version,
+            p.max_gap, p.min_coverage, F32(p.robot_size), self.prices, cells.risk, cells.price, cells.edge_revision,
+            version,
         )  # fmt: skip
 
     def _describe(self, grid: ElevationGrid, boxes: Array, moved: Mask, version: int) -> None:
@@ -152,7 +156,7 @@ class Lattice:
         cells.node_revision[moved] = version
         describe_nodes(
             grid.height, grid.trusted, cells.flags, *cells.origin, cells.res, cells.chosen, cells.where, todo, near,
-            ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_edge, p.max_turn_step, p.climbed,
+            ring, p.length, p.width, cells.frontier, cells.headings, cells.turn_price, self.prices, p.climbed,
         )  # fmt: skip
 
     @property
@@ -160,7 +164,7 @@ class Lattice:
         """[m] from a node or an edge's end within which terrain matters to it."""
         p = self.params
         return (
-            max(0.5 * math.hypot(p.length, p.width + 2.0 * SIDE) + 2.0 * MARGIN, p.robot_size)
+            max(0.5 * math.hypot(p.length, p.width) + 2.0 * MARGIN, 0.5 * p.length + BEYOND, p.robot_size)
             + self.cells.res
         )
 

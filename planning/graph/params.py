@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from hal.envelope import FALL_COST
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason, PlanningError
 from planning.graph.faces import FACE_NOISE
@@ -38,10 +38,10 @@ class GraphSettings(BaseModel):
     collision_threshold: float = Field(
         default=0.30, ge=0.0, lt=1.0, description="largest share of outliers in the disc"
     )
-    max_turn_step: float = Field(
-        default=0.03,
+    fall_cost: float = Field(
+        default=FALL_COST,
         ge=0.0,
-        description="corrected: highest edge turned over on the spot at no extra cost [m]",
+        description="corrected: what a failure costs: a probability of 1 % adds a hundredth of it [m]",
     )
     min_coverage: float = Field(
         default=0.70,
@@ -72,27 +72,21 @@ class GraphParams(GraphSettings):
     max_gap: float = Field(
         default=0.10, ge=0.0, description="corrected: widest gap or unseen slit driven over [m]"
     )
-    max_oblique: float = Field(
-        default=0.5 * math.pi,
-        gt=0.0,
-        le=0.5 * math.pi,
-        description="corrected: angle to the normal from which crossing a face of max_step costs more [rad]; pi/2 = never",
-    )
     max_posts: float | None = Field(
         default=None,
         gt=0.0,
         description="corrected: highest posts of a stepfield that is driven through [m]; None = any up to max_step",
-    )
-    max_step_back: float | None = Field(
-        default=None,
-        gt=0.0,
-        description="corrected: highest face driven over backward at no extra cost [m]; None = max_step",
     )
     keep_step: float = Field(
         default=0.0,
         ge=0.0,
         description="corrected: ground found drivable stays so up to this much above max_step [m]; 0 = a graph that depends "
         "on the map alone, not on how it came about",
+    )
+
+    controller: str | None = Field(
+        default=None,
+        description="corrected: whose measured envelope prices faces, slopes, turns, posts and gaps; None = they cost nothing",
     )
 
     @property

@@ -15,13 +15,14 @@ from planning.graph.risk import nearest_height
 
 
 class Built(NamedTuple):
-    """Arrays of `TraversalGraph`, edges as an undirected list (m, 2), their risk there and back (m, 2)."""
+    """Arrays of `TraversalGraph`, edges as an undirected list (m, 2), their price (m, 2, 2) there and back."""
 
     nodes: NDArray[np.float64]
     edges: NDArray[np.int64]
     risk: NDArray[np.float32]
+    price: NDArray[np.float32]
     frontier: NDArray[np.bool_]
-    turn_edge: NDArray[np.float32]
+    turn_price: NDArray[np.float32]
     free_headings: NDArray[np.uint64]
     ids: NDArray[np.int64]
     node_revision: NDArray[np.int64]
@@ -60,7 +61,7 @@ def reachable(
     j, i = np.nonzero(cells.chosen >= 0)
     index = np.full(cells.chosen.shape, -1, dtype=np.int64)
     index[j, i] = np.arange(len(j))
-    ej, ei, eo = np.nonzero(cells.risk[..., 0] >= 0.0)
+    ej, ei, eo = np.nonzero(cells.risk >= 0.0)
     edges = np.stack([index[ej, ei], index[ej + OFFSETS[eo, 0], ei + OFFSETS[eo, 1]]], axis=1)
     xy, ids = cells.where[j, i], cells.ids(j, i)
     label = components(len(j), edges)
@@ -79,8 +80,9 @@ def reachable(
         nodes,
         new[edges[kept]],
         cells.risk[ej, ei, eo][kept],
+        cells.price[ej, ei, eo][kept],
         cells.frontier[j, i][keep],
-        cells.turn_edge[j, i][keep],
+        cells.turn_price[j, i][keep],
         cells.headings[j, i][keep],
         ids[keep],
         cells.node_revision[j, i][keep].astype(np.int64),

@@ -9,7 +9,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from planning.graph.graph import TraversalGraph
-from planning.risk.turns import forward_only, turn_rates
 
 
 class Arcs(NamedTuple):
@@ -29,10 +28,10 @@ class Arcs(NamedTuple):
     risk: NDArray[np.float32]
     room: NDArray[np.uint64]
     """(nodes,) `TraversalGraph.free_headings`: where the robot may turn in place."""
-    turn_rate: NDArray[np.float64]
-    """(nodes,) [m/rad] what an edge under the wheels or steep ground adds to a turn in place."""
-    forward_only: NDArray[np.bool_]
-    """(nodes,) a face under the wheels is too high to be climbed backward."""
+    price: NDArray[np.float32]
+    """(slots, 2) [m], see `TraversalGraph`."""
+    turn_price: NDArray[np.float32]
+    """(nodes, 2) [m/rad], see `TraversalGraph`."""
 
 
 def arcs_of(graph: TraversalGraph, old: Arcs | None = None, was: NDArray[np.int64] | None = None) -> Arcs:
@@ -67,8 +66,8 @@ def arcs_of(graph: TraversalGraph, old: Arcs | None = None, was: NDArray[np.int6
         heading,
         np.ascontiguousarray(graph.risk, dtype=np.float32),
         np.ascontiguousarray(graph.free_headings, dtype=np.uint64),
-        turn_rates(graph.turn_edge, graph.params),
-        forward_only(graph.turn_edge, graph.params),
+        np.ascontiguousarray(graph.price, dtype=np.float32),
+        np.ascontiguousarray(graph.turn_price, dtype=np.float32),
     )
 
 

@@ -6,7 +6,7 @@ them rises or falls over a face (`planning.graph.faces`) it makes a quarter of a
 all wheels is one crossing, one under the left wheels is half of one. Faces that follow each other like treads are
 stairs. Hazards add along the route.
 
-A failure is what ends a drive (`ENDING`): the tracker leads a robot back that slid 0.1 m off its line. Ground that
+A failure is what ends a drive (`planning.graph.prices.ENDING`): the tracker leads a robot back that slid 0.1 m off its line. Ground that
 nobody saw has no hazard.
 """
 
@@ -19,23 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from hal.envelope import FAILURES, Envelope, Table
+from hal.envelope import Envelope
 from hal.rotation import wrap
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
-from planning.graph.edges import AXLE, TREAD
+from planning.graph.edge_price import AXLE, HIGHEST_FACE, LEAST_FACE, TREAD
 from planning.graph.flags import FIELD, HOLE
-from planning.risk.hazard import hazards
+from planning.graph.prices import ending, hazards
 from planning.risk.pose_sets import turn_angle
+from planning.risk.turns import BEND
 
 Array = NDArray[np.float64]
 
-ENDING = ("fell", "stuck", "touched")
-"""Kinds of `hal.envelope.FAILURES` that end a drive."""
-LEAST_FACE = 0.03
-"""Lower faces [m] are noise of the map."""
-HIGHEST_FACE = 0.35
-"""Higher ones [m] were never tried: walls, which a route stays off."""
 SPACING, SWEEP = 0.02, math.radians(5.0)
 """Of the poses along a move [m] and in a turn [rad]."""
 SLOPE_SPACING = 0.10
@@ -47,8 +42,6 @@ BESIDE = 0.10
 EDGE = 10
 """So many of the samples under and beside the wheels, 3 cm apart, may be higher than the edge there: the highest one is
 noise."""
-BEND = math.radians(30.0)
-"""Larger turns [rad] are made on the spot."""
 LEAST_TOLD = 0.001
 """What fails more seldom is no place to tell of."""
 NEAR = 0.6
@@ -93,13 +86,6 @@ class Way:
     start_yaw: float
     goal_yaw: float
     """[rad], NaN = any."""
-
-
-def ending(table: Table) -> float:
-    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys)."""
-    first = len(table.axes) + 1
-    each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
-    return (sum(each[kind] for kind in ENDING) + 0.5) / (sum(each.values()) + 1.0)
 
 
 def chance(envelope: Envelope, grid: ElevationGrid, cells: Cells, way: Way) -> Chance:

@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 
 from mapping.grid import ElevationGrid
 from planning.graph.cells import Cells
-from planning.graph.describe import free_headings, in_sight, turn_edge
+from planning.graph.describe import free_headings, in_sight, turn_price
+from planning.graph.edge_price import edge_price
 from planning.graph.edges import MARGIN, SECTION, corridor
-from planning.graph.faces import FACE_NOISE
 from planning.graph.flags import FACE, FIELD, HOLE, POSTS, TIP, UNSEEN, VIRTUAL
 from planning.graph.graph import TraversalGraph
 from planning.graph.lattice import REACH
+from planning.graph.prices import prices_of
 from planning.graph.risk import F32, edge_risk, height_near
-from planning.risk.turns import FREE_TURN, HIGH_EDGES, forward_only, turn_rates
-from planning.search.guarded import REACH as GUARDED
-from planning.search.guarded import guarded_turn, known_around, without
-from planning.search.wheels import climbs_back
+from planning.risk.turns import BEND
+from planning.search.guarded import guarded_turn, without
 
 XY = tuple[float, float]
 STAND = 0.05
@@ -36,9 +35,8 @@ SAME = 0.05
 """A node this near to a place [m] is that place: a move this short has no direction worth turning to."""
 ALONG = math.radians(20.0)
 """The robot stands along a move that leads so little aside [rad]."""
-BACK_OFF = 20.0
-"""[m] Of two robots that backed onto a kerb of 20 cm, down which their front wheels had come already, one fell and one was wedged (lanes 518, 574); a fall weighs as much as
-100 m of driving (`planning.risk.turns`)."""
+DEAR_BEND = 5.0
+"""[m/rad] A robot that can bend its way at this price only drives straight on, if there is a way."""
 AHEAD = (0.35, 0.7, -0.35, -0.7)
 """[m] Places ahead and behind of a start that can hardly turn; they become nodes as well."""
 ASIDE = (-12.0, -6.0, 0.0, 6.0, 12.0)
@@ -54,28 +52,33 @@ class Spot:
     xy: XY
     nodes: NDArray[np.int64]
     """(k,) the graph's nodes a straight move leads to."""
-    risk: NDArray[np.float32]
-    """(k, 2) native risk of these moves, there and back."""
-    turn_edge: float
-    """As of a node."""
+    moves: NDArray[np.float32]
+    """(k, 5) native risk and prices of these moves, see `Ground.moves`."""
+    turn_price: NDArray[np.float32]
+    """(2,) as of a node."""
     headings: np.uint64
     """`TraversalGraph.free_headings` at the place."""
     from_start: NDArray[np.float32] | None = None
-    """(2,) native risk of the move from the start of the query and of the one back; None where none leads here."""
+    """(5,) the same of the move from the start of the query; None where none leads here."""
 
 
-def face_astride(graph: TraversalGraph, stand: tuple[float, float, float]) -> float:
-    """Height [m] of the highest face under a body at x, y [m], yaw [rad], if turns over it are dear and the robot climbs it; 0 where there is none, at any heading (NaN), and
-    among the posts of a stepfield, where the robot is always astride one."""
-    p, cells, (x, y, yaw) = graph.params, graph.cells, stand
-    if cells is None or math.isnan(yaw) or math.isinf(p.max_turn_step):
-        return 0.0
-    rows, cols, dx, dy = _around(cells, x, y, 0.5 * math.hypot(p.length, p.width))
-    c, s = math.cos(yaw), math.sin(yaw)
-    under = (np.abs(dx * c + dy * s) <= 0.5 * p.length) & (np.abs(dy * c - dx * s) <= 0.5 * p.width)
-    under &= cells.flags[rows, cols] & FIELD == 0
-    height = 0.001 * np.abs(cells.faces[rows, cols][under]).max(axis=-1, initial=0)
-    return float(height[(height > HIGH_EDGES[0][0]) & (height <= p.climbed)].max(initial=0.0))
+def dear_to_turn(graph: TraversalGraph, grid: ElevationGrid, stand: tuple[float, float, float]) -> bool:
+    """Whether a robot at x, y [m], yaw [rad] stands astride something that makes bends dear. Not among the posts of a
+    stepfield, where it is always astride one, and at no heading (NaN)."""
+    c, p, (x, y, yaw) = graph.cells, graph.params, stand
+    if c is None or math.isnan(yaw):
+        return False
+    col, row = (math.floor((v - o) / c.res + 0.5) for v, o in ((x, c.origin[0]), (y, c.origin[1])))
+    if c.flags[row, col] & FIELD:
+        return False
+    prices = prices_of(p.controller, p.fall_cost)
+    bend, _ = turn_price(grid.height, grid.trusted, *c.origin, c.res, x, y, prices, p.climbed)
+    return float(bend) >= DEAR_BEND
+
+
+def there(moves: NDArray[np.float32], back: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(n,) prices [m] of `moves` (n, 5) as they are driven, forward or `back` (n,)."""
+    return moves[np.arange(len(moves)), 1 + back.astype(np.int64)].astype(np.float64)
 
 
 def _around(
@@ -104,7 +107,7 @@ class Ground:
         self._held = held
         self.graph, self._grid = graph, grid
         self._cells: Cells = graph.cells
-        self._flags, self._faces = self._cells.flags, self._cells.faces
+        self._flags = self._cells.flags
         self.reach = REACH * self._cells.side + SAME
         rows, cols = grid.shape
         self._xs = (grid.origin[0] + np.arange(cols) * grid.resolution).astype(np.float32)
@@ -112,10 +115,9 @@ class Ground:
         rank = math.ceil((self.reach + graph.params.length + 2.0 * MARGIN) / SECTION) + 2
         self._sums = np.empty((rank, 9))
         self._stand = stand
-        self.astride = 0.0 if stand is None else face_astride(graph, stand)
-        """[m] Height of the face that the robot stands astride; 0: none."""
+        self._prices = prices_of(graph.params.controller, graph.params.fall_cost)
         if stand is not None:
-            self._flags, self._faces = self._flags.copy(), self._faces.copy()
+            self._flags = self._flags.copy()
             self._free(*stand)
 
     def _free(self, x: float, y: float, yaw: float) -> None:
@@ -128,7 +130,6 @@ class Ground:
             np.abs(dy * c - dx * s) <= 0.5 * width + STAND
         )
         self._flags[rows, cols][under] &= ~np.uint16(FACE | UNSEEN | HOLE | TIP | POSTS | VIRTUAL)
-        self._faces[rows, cols][under] = 0
 
     def _stood(self, a: XY, b: XY) -> bool:
         """Whether the robot stands at a along the move to b, or the other way round."""
@@ -136,23 +137,18 @@ class Ground:
             return False
         return abs(math.sin(math.atan2(b[1] - a[1], b[0] - a[0]) - self._stand[2])) < math.sin(ALONG)
 
-    def risk(self, a: XY, b: XY) -> NDArray[np.float32]:
-        """(2,) native risk of a straight move from a to b, at most `reach` apart, and of one back, as of an edge; negative where it cannot be driven."""
-        return self._risks(np.array([a, b]))[0]
-
-    def risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
-        """(n - 1,) native risk of the moves between places (n, 2), each at most `reach` from the next; all after the first that cannot be driven
-        are negative as well."""
-        return self._risks(places)[:, 0]
-
-    def _risks(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
+    def moves(self, places: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n - 1, 5) of the straight moves between places (n, 2), each at most `reach` from the next: native risk, then the
+        prices [m] there driven forward and backward, and back driven forward and backward. Risk is negative where a move
+        cannot be driven, and after the first such one."""
         p, c = self.graph.params, self._cells
-        ground = (self._grid.height, self._xs, self._ys, self._flags, self._faces, *c.origin, c.res)
-        limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, p.max_step)
+        ground = (self._grid.height, self._xs, self._ys, self._flags, self._cells.faces, *c.origin, c.res)
+        limits = (p.length, p.width, math.tan(p.max_slope), p.max_gap, p.min_coverage, F32(p.robot_size))
         a, b = (tuple(place) for place in places[:2].tolist())
-        return _risks(
-            *ground, places, *limits, p.max_oblique, F32(p.robot_size), self._sums, self._stood(a, b)
+        out: NDArray[np.float32] = _moves(
+            *ground, places, *limits, self._prices, self._sums, self._stood(a, b)
         )
+        return out
 
     def headings(self, xy: NDArray[np.float64]) -> NDArray[np.uint64]:
         """(n,) `TraversalGraph.free_headings` at places (n, 2), less those that a turn of the robot from where it stands would come to and the guard holds."""
@@ -161,20 +157,12 @@ class Ground:
         if any(self._held) and self._stand is not None and not math.isnan(self._stand[2]):
             for k in np.flatnonzero((xy == self._stand[:2]).all(axis=1)):
                 for held, turn in zip(self._held, (math.pi / 2.0, -math.pi / 2.0), strict=True):
-                    out[k] = without(out[k], self._stand[2], turn, FREE_TURN) if held else out[k]
+                    out[k] = without(out[k], self._stand[2], turn, BEND) if held else out[k]
         return out
 
     def guarded_turn(self, xy: XY, yaw: float, turn: float, spare: float) -> float:
         """How far [rad] the guard lets the body turn there, see `planning.search.guarded`: it counts what lies beside the robot."""
         return guarded_turn(self._grid, self.graph.params, xy, yaw, turn, spare)
-
-    def back_cost(self, xy: XY, yaw: float) -> float:
-        """What it costs more [m] to begin backward from a pose: `BACK_OFF` where the front wheels came down a face too high to be climbed backward."""
-        p = self.graph.params
-        if p.max_step_back is None or math.isnan(yaw):
-            return 0.0
-        around = known_around(self._grid, xy, GUARDED)
-        return BACK_OFF if climbs_back(around, (*xy, yaw), p.max_step_back + FACE_NOISE, p.max_slope) else 0.0
 
     def near(self, xy: XY, reach: float) -> NDArray[np.int64]:
         """Nodes within `reach` [m] of x, y that are not at the same place, nearest first."""
@@ -187,20 +175,19 @@ class Ground:
     def spot(self, xy: XY) -> Spot:
         """x, y [m] with all moves to nodes around it; none where there is no way."""
         moves = [(k, self.move(xy, self._at(k))) for k in self.near(xy, self.reach).tolist()]
-        known = [(k, r) for k, r in moves if r is not None]
+        known = [(k, m) for k, m in moves if m is not None]
+        here = np.array([xy])
         return Spot(
             xy,
             np.array([k for k, _ in known], np.int64),
-            np.array([r for _, r in known], np.float32).reshape(-1, 2),
-            float(self._turn_edges(np.array([xy]))[0]),
-            self.headings(np.array([xy]))[0],
+            np.array([m for _, m in known], np.float32).reshape(-1, 5),
+            self.turn_prices(here)[0],
+            self.headings(here)[0],
         )
 
     def held(self, xy: XY, yaw: float) -> bool:
         """Whether the guard held a turn of the robot, or by the map lets it turn by less than what is driven as a bend, to one side at least."""
-        return any(self._held) or any(
-            self.guarded_turn(xy, yaw, turn, 0.0) < FREE_TURN for turn in (FREE_TURN, -FREE_TURN)
-        )
+        return any(self._held) or any(self.guarded_turn(xy, yaw, turn, 0.0) < BEND for turn in (BEND, -BEND))
 
     def ahead(self, xy: XY, yaw: float) -> list[Spot]:
         """Places along the heading of a robot that the guard hardly lets turn, as nodes: with its side at a wall all moves but those along its heading sweep the
@@ -210,26 +197,19 @@ class Ground:
             for aside in ASIDE:
                 at = yaw + math.radians(aside)
                 place = (xy[0] + way * math.cos(at), xy[1] + way * math.sin(at))
-                risk = self.move(xy, place)
-                if risk is not None:
+                move = self.move(xy, place)
+                if move is not None:
                     spot = self.spot(place)
-                    spot.from_start = risk
+                    spot.from_start = move
                     out.append(spot)
         return out
 
-    def _turn_edges(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n,) `TraversalGraph.turn_edge` at places (n, 2) [m]; negative where the robot stands astride it."""
-        c, grid, p = self._cells, self._grid, self.graph.params
+    def turn_prices(self, xy: NDArray[np.float64]) -> NDArray[np.float32]:
+        """(n, 2) `TraversalGraph.turn_price` at places (n, 2) [m]."""
+        c, grid = self._cells, self._grid
         ground = grid.height, grid.trusted, *c.origin, c.res
-        out: NDArray[np.float64] = _turn_edges(*ground, xy, p.max_turn_step, p.climbed)
-        if self.astride > 0.0 and self._stand is not None:
-            out[(xy == self._stand[:2]).all(axis=1)] = -self.astride
+        out: NDArray[np.float32] = _turn_prices(*ground, xy, self._prices, self.graph.params.climbed)
         return out
-
-    def under_wheels(self, xy: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """`turn_rate` [m/rad] and `forward_only` of `Arcs` at places (n, 2), each (n,)."""
-        edge, params = self._turn_edges(xy), self.graph.params
-        return turn_rates(edge, params), forward_only(edge, params)
 
     def may_join(self, places: NDArray[np.float64]) -> bool:
         """Whether straight moves between places (n, 2) are neither too short nor too long, and touch nothing that is to be avoided."""
@@ -237,9 +217,12 @@ class Ground:
         return bool(((length > SAME) & (length <= self.reach)).all()) and self.graph.allows(places)
 
     def move(self, a: XY, b: XY) -> NDArray[np.float32] | None:
-        """`risk` of the straight move from a to b; None where none may lead there."""
-        risk = self.risk(a, b) if self.may_join(np.array([a, b])) else None
-        return None if risk is None or risk[0] < 0.0 else risk
+        """(5,) `moves` of the straight move from a to b; None where none may lead there."""
+        places = np.array([a, b])
+        if not self.may_join(places):
+            return None
+        move = self.moves(places)[0]
+        return None if move[0] < 0.0 else move
 
     def end_near(self, xy: XY, reach: float) -> XY | None:
         """Where a route to x, y can end: there, or as near as a straight move from a node within `reach` [m] comes.
@@ -257,7 +240,9 @@ class Ground:
             low, high = 0.0, 1.0
             for _ in range(5):
                 t = 0.5 * (low + high)
-                low, high = (t, high) if self.risk(a, _along(a, xy, t))[0] >= 0.0 else (low, t)
+                low, high = (
+                    (t, high) if self.moves(np.array([a, _along(a, xy, t)]))[0, 0] >= 0.0 else (low, t)
+                )
             here = _along(a, xy, low)
             if best is None or math.dist(here, xy) < math.dist(best, xy):
                 best = here
@@ -269,40 +254,26 @@ class Ground:
 
 
 @njit(cache=True)
-def _risks(
-    height,
-    xs,
-    ys,
-    flags,
-    faces,
-    x0,
-    y0,
-    res,
-    places,
-    length,
-    width,
-    max_tan,
-    max_gap,
-    min_coverage,
-    max_step,
-    max_oblique,
-    radius,
-    sums,
-    stood,
-):
-    out = np.full((len(places) - 1, 2), np.float32(-1.0))
+def _moves(
+    height, xs, ys, flags, faces, x0, y0, res, places, length, width, max_tan, max_gap, min_coverage, radius,
+    prices, sums, stood,
+):  # fmt: skip
+    out = np.full((len(places) - 1, 5), np.float32(-1.0))
+    price = np.empty((2, 2), np.float32)
     for k in range(len(out)):
         xa, ya, xb, yb = places[k, 0], places[k, 1], places[k + 1, 0], places[k + 1, 1]
-        there, back = corridor(
-            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, faces, max_step, max_oblique, sums, stood and k == 0,
+        more = corridor(
+            height, flags, x0, y0, res, xa, ya, xb, yb, length, width, max_tan, max_gap, min_coverage, sums,
+            stood and k == 0,
         )  # fmt: skip
-        if there < 0.0:
+        if more < 0.0:
             break
         found = edge_risk(height, xs, ys, x0, y0, res, F32(xa), F32(ya), F32(xb), F32(yb), radius, False)
         if found < 0.0:
             break
-        out[k, 0] = np.float32(found + F32(there))
-        out[k, 1] = np.float32(found + F32(back))
+        out[k, 0] = found + F32(more)
+        edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, price)
+        out[k, 1:] = price.ravel()
     return out
 
 
@@ -315,10 +286,11 @@ def _headings(flags, x0, y0, res, places, length, width):
 
 
 @njit(cache=True)
-def _turn_edges(height, trusted, x0, y0, res, places, least, climbed):
-    out = np.empty(len(places))
+def _turn_prices(height, trusted, x0, y0, res, places, prices, climbed):
+    out = np.empty((len(places), 2), np.float32)
     for k in range(len(places)):
-        out[k] = turn_edge(height, trusted, x0, y0, res, places[k, 0], places[k, 1], least, climbed)
+        x, y = places[k, 0], places[k, 1]
+        out[k, 0], out[k, 1] = turn_price(height, trusted, x0, y0, res, x, y, prices, climbed)
     return out
 
 
@@ -342,19 +314,20 @@ def attached(
     -> the graph and (nnz,) where each slot of `graph` went.
     """
     n = len(graph.nodes)
-    pairs = [(n + i, int(k), *r) for i, p in enumerate(places) for k, r in zip(p.nodes, p.risk, strict=True)]
+    pairs = [(n + i, int(k), *m) for i, p in enumerate(places) for k, m in zip(p.nodes, p.moves, strict=True)]
     pairs += [(start, n + i, *p.from_start) for i, p in enumerate(places) if p.from_start is not None]
-    both = np.array([(a, b, r) for a, b, r, _ in pairs] + [(b, a, r) for a, b, _, r in pairs], np.float64)
-    both = both.reshape(-1, 3)
+    one = np.array(pairs, np.float64).reshape(-1, 7)
+    both = np.concatenate([one[:, :5], one[:, [1, 0, 2, 5, 6]]])
     source, target = both[:, 0].astype(np.int64), both[:, 1].astype(np.int64)
     order = np.lexsort((target, source))
-    source, target, risk = source[order], target[order], both[order, 2].astype(np.float32)
+    source, target, cost = source[order], target[order], both[order, 2:].astype(np.float32)
     indptr = np.concatenate([graph.indptr, np.full(len(places), graph.indptr[-1])])
     # New targets are larger than all old ones, so they stand at the end of each row.
     where = indptr[source + 1]
     out = copy.copy(graph)
     out.indices = np.insert(graph.indices, where, target.astype(np.int32))
-    out.risk = np.insert(graph.risk, where, risk)
+    out.risk = np.insert(graph.risk, where, cost[:, 0])
+    out.price = np.insert(graph.price, where, cost[:, 1:], axis=0)
     out.edge_revision = np.insert(graph.edge_revision, where, graph.version)
     added = np.bincount(source, minlength=n + len(places))
     out.indptr = indptr + np.concatenate([[0], np.cumsum(added)])
@@ -363,7 +336,8 @@ def attached(
     )
     out.nodes = with_places(graph, grid, [p.xy for p in places])
     out.frontier = np.append(graph.frontier, np.zeros(len(places), np.bool_))
-    out.turn_edge = np.append(graph.turn_edge, np.array([p.turn_edge for p in places], np.float32))
+    turns = np.array([p.turn_price for p in places], np.float32).reshape(-1, 2)
+    out.turn_price = np.concatenate([graph.turn_price, turns])
     out.free_headings = np.append(graph.free_headings, np.array([p.headings for p in places], np.uint64))
     out.node_ids = np.append(graph.node_ids, np.arange(-len(places), 0))
     out.node_revision = np.append(graph.node_revision, np.full(len(places), graph.version))

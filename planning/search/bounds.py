@@ -20,7 +20,7 @@ from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import back_factor, may_turn_to, turn_cost
+from planning.risk.turns import may_turn_to, turn_cost
 from planning.search.heap import grown, most_out, pop, push
 
 
@@ -42,7 +42,7 @@ def cost_to_come(
     then costs, together with the straight line to (gx, gy), at least as much; that is its bound. inf: no end can be reached.
     """
     work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, _, risk, _, _, _ = arcs
+    x, y, indptr, source, target, reverse, length, _, risk, _, price, _ = arcs
     edge = tables.edge
     count = x.size
     g = np.full(count, np.inf)
@@ -65,7 +65,7 @@ def cost_to_come(
             if via >= 0:  # an edge not evaluated when it was pushed
                 if np.isnan(edge[via, 0]):
                     evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, via)
-                cost = g[source[via]] + transition_cost(w, length[via], risk[via], edge[via, 0], edge[via, 1])
+                cost = g[source[via]] + least_cost(w, length, risk, price, edge, via)
                 if cost < g[i]:
                     g[i] = cost
                     n = push(f, s, e, n, cost + np.hypot(gx - x[i], gy - y[i]), i, -1)
@@ -78,8 +78,7 @@ def cost_to_come(
                 if closed[k]:
                     continue
                 known = not np.isnan(edge[out, 0])
-                b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-                cost = g[i] + transition_cost(w, length[out], risk[out], b, u)
+                cost = g[i] + least_cost(w, length, risk, price, edge, out)
                 if cost >= g[k]:
                     continue
                 if known:
@@ -103,14 +102,12 @@ class Asked(NamedTuple):
     goal_yaw: float
     """Of the body [rad], NaN = any."""
     sweeps: bool
-    """Turns count: the risk of their poses, `turning` [m/rad] and more over edges, and there must be room for them."""
+    """Turns count: the risk of their poses, `turning` [m/rad] and their price, and there must be room for them."""
     once: bool
     """No route comes back to the start: it is a pose, no node."""
     backward: float
-    """An edge driven backward costs so many times as much, more over faces that are climbed forward only; inf: none is."""
+    """An edge driven backward costs so many times as much, and its own price; inf: none is."""
     turning: float
-    start_back: float
-    """[m] more for a route that begins backward."""
 
 
 class ToGo(NamedTuple):
@@ -142,7 +139,7 @@ def begin_to_go(
     backward: float,
 ) -> tuple[ToGo, Heap]:
     """The states that end at an end, none settled yet, and the heap of them. Arguments as in `cost_to_go`."""
-    _, _, indptr, source, target, reverse, length, _, risk, _, _, forward_only = arcs
+    _, _, indptr, source, target, reverse, length, _, risk, _, price, _ = arcs
     edge = tables.edge
     h = np.full(2 * target.size, np.inf)
     count = 0
@@ -158,7 +155,7 @@ def begin_to_go(
             out = reverse[back]
             for way in range(2):
                 h[2 * out + way] = exit_cost[k]
-                drive = drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
+                drive = drive_cost(w, length, risk, price, edge, out, way, backward)
                 n = push(f, s, e, n, exit_cost[k] + come[source[out]] + drive, 2 * out + way, 0)
     return ToGo(h, np.zeros(h.size, np.bool_)), Heap(f, s, e, n)
 
@@ -181,9 +178,9 @@ def cost_to_go(
     A state is twice the slot of an edge, plus one if it is driven backward; `come` is that of `cost_to_come`.
     """
     work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
+    x, y, indptr, source, target, reverse, length, heading, risk, room, price, turn_price = arcs
     edge = tables.edge
-    start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning, start_back = asked
+    start, is_end, _, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
     ways = 1 if np.isinf(backward) else 2
     h, settled = go
     f, s, e, n = heap
@@ -200,25 +197,19 @@ def cost_to_go(
             at, k = source[out], target[out]
             if np.isnan(edge[out, 0]):
                 evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
-                dearer = (
-                    h[state]
-                    + come[at]
-                    + drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward)
-                )
+                dearer = h[state] + come[at] + drive_cost(w, length, risk, price, edge, out, way, backward)
                 if dearer > bound:
                     n = push(f, s, e, n, dearer, state, 0)
                     continue
             settled[state] = True
-            cost = h[state] + drive_cost(
-                w, length, risk, source, target, forward_only, edge, out, way, backward
-            )
+            cost = h[state] + drive_cost(w, length, risk, price, edge, out, way, backward)
             yaw = heading[out] + (np.pi if way else 0.0)
             if sweeps and is_end[k]:
-                cost += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
+                cost += last_turn(room[k], turn_price[k], yaw, goal_yaw, turning)
             if at == start:
                 whole = cost
                 if sweeps:
-                    whole += first_turn(room[at], turn_rate[at], start_yaw, yaw, turning) + way * start_back
+                    whole += first_turn(room[at], turn_price[at], start_yaw, yaw, turning)
                 least = min(least, whole)
                 if once:
                     continue
@@ -231,18 +222,13 @@ def cost_to_go(
                     new = cost
                     if sweeps:
                         new += turn_between(
-                            room[at], turn_rate[at], heading, into, out, way != before, turning
+                            room[at], turn_price[at], heading, into, out, way != before, turning
                         )
                     if new >= h[to]:
                         continue
                     h[to], settled[to] = new, False
-                    bound = (
-                        new
-                        + come[source[into]]
-                        + drive_cost(
-                            w, length, risk, source, target, forward_only, edge, into, before, backward
-                        )
-                    )
+                    drive = drive_cost(w, length, risk, price, edge, into, before, backward)
+                    bound = new + come[source[into]] + drive
                     n = push(f, s, e, n, bound, to, 0)
     return least, Heap(f, s, e, n)
 
@@ -253,36 +239,42 @@ def _due(bound: float, limit: float, least: float) -> bool:
 
 
 @njit(cache=True)
-def drive_cost(w, length, risk, source, target, forward_only, edge, out, way, backward) -> float:
+def drive_cost(w, length, risk, price, edge, out, way, backward) -> float:
     """Cost of slot `out` without turns [m], in the best case where it is not evaluated yet."""
     known = not np.isnan(edge[out, 0])
     b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
     step = transition_cost(w, length[out], risk[out], b, u)
-    if way:
-        return back_factor(backward, forward_only[source[out]], forward_only[target[out]]) * step
-    return step
+    return (backward * step if way else step) + price[out, way]
 
 
 @njit(cache=True)
-def turn_between(room, rate, heading, before, out, change, turning) -> float:
+def least_cost(w, length, risk, price, edge, out) -> float:
+    """The same, driven the way that costs less."""
+    known = not np.isnan(edge[out, 0])
+    b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
+    return transition_cost(w, length[out], risk[out], b, u) + min(price[out, 0], price[out, 1])
+
+
+@njit(cache=True)
+def turn_between(room, price, heading, before, out, change, turning) -> float:
     """What the turn from slot `before` to slot `out` costs beyond its risk [m]; inf: no room. `change`: with the other end ahead after it."""
     d = turn_angle(heading[before], heading[out] + (np.pi if change else 0.0))
-    return turn_cost(rate, d, turning) if turn_is_free(room, heading[before], d) else np.inf
+    return turn_cost(price[0], price[1], d, turning) if turn_is_free(room, heading[before], d) else np.inf
 
 
 @njit(cache=True)
-def first_turn(room, rate, start_yaw, yaw, turning) -> float:
+def first_turn(room, price, start_yaw, yaw, turning) -> float:
     """The same for the turn at the start, 0 where any heading (NaN) will do."""
     if np.isnan(start_yaw):
         return 0.0
     d = turn_angle(start_yaw, yaw)
-    return turn_cost(rate, d, turning) if turn_is_free(room, start_yaw, d) else np.inf
+    return turn_cost(price[0], price[1], d, turning) if turn_is_free(room, start_yaw, d) else np.inf
 
 
 @njit(cache=True)
-def last_turn(room, rate, yaw, goal_yaw, turning) -> float:
+def last_turn(room, price, yaw, goal_yaw, turning) -> float:
     """The same for the turn at the goal."""
     if np.isnan(goal_yaw):
         return 0.0
     d = turn_angle(yaw, goal_yaw)
-    return turn_cost(rate, d, turning) if may_turn_to(room, yaw, d) else np.inf
+    return turn_cost(price[0], price[1], d, turning) if may_turn_to(room, yaw, d) else np.inf

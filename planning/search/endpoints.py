@@ -13,7 +13,7 @@ from mapping.grid import ElevationGrid
 from planning.errors import NoRoute, NoRouteReason
 from planning.graph.graph import SNAP_DISTANCE, TraversalGraph
 from planning.risk.table import RiskTable
-from planning.search.attach import SAME, Ground, Spot, attached, face_astride
+from planning.search.attach import SAME, Ground, Spot, attached, dear_to_turn
 from planning.search.request import Place, PlanRequest
 
 _DISC = 0.30
@@ -38,8 +38,6 @@ class Endpoints:
     """The goal without a node lies on seen ground and in no obstacle."""
     exact: bool = False
     """The start is the pose itself, not the node next to it."""
-    start_back: float = 0.0
-    """[m] more for a route that begins backward."""
     ground: Ground | None = None
     """What tests a move beside the graph's edges; None on graphs that cannot."""
     _origin: RiskTable | None = None
@@ -107,7 +105,6 @@ def endpoints(table: RiskTable, request: PlanRequest, ahead: Sequence[Spot] = ()
         short,
         seen,
         not is_node(request.start),
-        0.0 if is_node(request.start) else ground.back_cost(start_xy, yaw),
         ground,
         table,
     )
@@ -120,7 +117,7 @@ def places_ahead(table: RiskTable, request: PlanRequest, astride: bool) -> list[
     start, yaw = position(table.graph, request.start, "start"), request.start_yaw
     if not on_map(table.grid, start):
         return []
-    if astride and face_astride(table.graph, (*start, yaw)) == 0.0:
+    if astride and not dear_to_turn(table.graph, table.grid, (*start, yaw)):
         return []  # most starts: a Ground copies the flags of the whole map
     ground = Ground(table.graph, table.grid, (*start, yaw), request.held)
     return ground.ahead(start, yaw) if astride or ground.held(start, yaw) else []

@@ -18,7 +18,7 @@ from planning.risk.cost import Weights, transition_cost
 from planning.risk.pose_sets import route_moments
 from planning.risk.table import RiskTable
 from planning.risk.terrain import Sampler
-from planning.risk.turns import FORWARD_ONLY, turn_cost
+from planning.risk.turns import turn_cost
 from planning.search.request import SETS, DriveRules, Plan, PlanRequest, Transition
 
 
@@ -39,14 +39,12 @@ class Route:
     start_yaw: float
     goal_yaw: float
     """[rad], NaN = any."""
-    turn_rate: NDArray[np.float64]
-    """(n,) [m/rad] what an edge under the wheels adds to a turn at each point."""
-    forward_only: NDArray[np.bool_]
-    """(n,) faces at each point are too high to be climbed backward."""
+    price: NDArray[np.float64]
+    """(n - 1,) [m] of the edges beyond eq. 5, the way they are driven; a moved edge keeps that of the graph's."""
+    turn_price: NDArray[np.float64]
+    """(n, 2) [m/rad] of a bend and of a turn on the spot at each point."""
     moments: NDArray[np.float64]
     """(n - 1, 3, 3, 4), see `route_moments`; nothing before `evaluate`."""
-    start_back: float = 0.0
-    """[m] more where it begins backward."""
 
     @classmethod
     def along(
@@ -57,7 +55,6 @@ class Route:
         start_yaw: float,
         goal_yaw: float,
         rules: DriveRules = DriveRules(),
-        start_back: float = 0.0,
     ) -> Route:
         """The route over these states (`planning.search.pairs`) from node `start`."""
         arcs = table.arcs
@@ -74,10 +71,9 @@ class Route:
             rules,
             start_yaw,
             goal_yaw,
-            arcs.turn_rate[list(nodes)],
-            arcs.forward_only[list(nodes)],
+            arcs.price[slots, states % 2].astype(np.float64),
+            arcs.turn_price[list(nodes)].astype(np.float64),
             np.empty((len(slots), 3, 3, 4)),
-            start_back,
         )
 
     def evaluate(self, sampler: Sampler, w: Weights, first: int, last: int) -> None:
@@ -108,16 +104,17 @@ class Route:
         return np.hypot(*np.diff(self.xy[first : last + 1], axis=0).T)
 
     def turn_cost(self, first: int, last: int) -> NDArray[np.float64]:
-        """(last - first,) [m] for each transition's turns, more with edges under the wheels and on steep ground."""
+        """(last - first,) [m] for each transition's turns."""
         turn = np.nan_to_num(wrap(np.diff(self.yaws(first, last))))  # NaN where no heading was asked for
-        under = self.turn_rate[first : last + 1]
+        under = self.turn_price[first : last + 1].tolist()
         cost = np.array(
-            [turn_cost(*each, self.rules.turning) for each in zip(under.tolist(), turn.tolist(), strict=True)]
+            [
+                turn_cost(bend, spin, by, self.rules.turning)
+                for (bend, spin), by in zip(under, turn.tolist(), strict=True)
+            ]
         )
         if 0 < last == len(self.risk):
             cost[-2] += cost[-1]
-        if first == 0 < last and self.back[0]:
-            cost[0] += self.start_back
         return cost[:-1]
 
     def terms(self, w: Weights, first: int, last: int, sweeps: bool = True) -> NDArray[np.float64]:
@@ -134,13 +131,11 @@ class Route:
         last = len(self.risk) if last is None else last
         b, u = self.terms(w, first, last).max(axis=1).T
         edges = transition_cost(w, self.length(first, last), self.risk[first:last], b, u)
-        return self.factor(first, last) * edges + self.turn_cost(first, last)
+        return self.factor(first, last) * edges + self.price[first:last] + self.turn_cost(first, last)
 
     def factor(self, first: int, last: int) -> NDArray[np.float64]:
         """(last - first,) by which the direction makes each edge dearer."""
-        only = self.forward_only[first : last + 1]
-        dearer = self.rules.backward * np.where(only[:-1] | only[1:], FORWARD_ONLY, 1.0)
-        return np.where(self.back[first:last], dearer, 1.0)
+        return np.where(self.back[first:last], self.rules.backward, 1.0)
 
 
 def with_chance(found: Plan, graph: TraversalGraph, grid: ElevationGrid, envelope: Envelope) -> Plan:
@@ -171,7 +166,7 @@ def describe(
     body_term, unknown_term = terms[each, decided[:, 0], 0], terms[each, decided[:, 1], 1]
     native = transition_cost(w, length, route.risk, 0.0, 0.0)
     full = route.factor(0, count) * transition_cost(w, length, route.risk, body_term, unknown_term)
-    cost = native if request.variant == "native" else full
+    cost = (native if request.variant == "native" else full) + route.price
     turns = (
         route.turn_cost(0, count) if request.variant not in ("native", "edge-only") else np.zeros(len(length))
     )
@@ -190,6 +185,7 @@ def describe(
                 float(unknown_term[t]),
                 float(cost[t] + turns[t]),
                 float(turns[t]),
+                float(route.price[t]),
                 bool(route.back[t]),
                 SETS[decided[t, 0]],
                 SETS[decided[t, 1]],

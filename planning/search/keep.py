@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.terrain import Sampler
-from planning.search.attach import SAME, XY, Ground
+from planning.search.attach import SAME, XY, Ground, there
 from planning.search.endpoints import Endpoints
 from planning.search.explain import Route, describe
 from planning.search.frontier import worth_keeping
@@ -32,9 +32,7 @@ def kept(at: Endpoints, request: PlanRequest, found: Plan, start_yaw: float, goa
         return found
     nodes, body = at.table.graph.nodes, at.table.body
     ends, places = (found.nodes[0], found.nodes[-1]), (_xy(found.points[0]), _xy(found.points[-1]))
-    route = rest(
-        at.ground, at.table.sampler, body, nodes, request, ends, places, start_yaw, goal_yaw, at.start_back
-    )
+    route = rest(at.ground, at.table.sampler, body, nodes, request, ends, places, start_yaw, goal_yaw)
     if route is None or not worth_keeping(float(route.cost(weights_of(body)).sum()), found.cost):
         return found
     same = {
@@ -58,7 +56,6 @@ def rest(
     places: tuple[XY, XY],
     start_yaw: float,
     goal_yaw: float,
-    start_back: float,
 ) -> Route | None:
     """The rest of `request.driven` as a route between two of the `nodes` (n, 3), `ends` at `places` [m], tested and evaluated on the map of now; None where it cannot be driven or ends
     elsewhere."""
@@ -72,25 +69,24 @@ def rest(
     xy = np.array([here, *(place for place, _ in legs)])
     if math.dist(legs[-1][0], end) > SAME or not ground.may_join(xy):
         return None
-    risk = ground.risks(xy)
-    if risk[-1] < 0.0:
+    back = np.array([b for _, b in legs])
+    moves = ground.moves(xy)
+    if moves[-1, 0] < 0.0:
         return None
     near = nearest(nodes[:, :2], xy[1:-1])
     count = len(legs)
-    turn_rate, only = ground.under_wheels(xy)
     route = Route(
         (ends[0], *near, ends[1]),
         xy,
-        risk.astype(np.float64),
+        moves[:, 0].astype(np.float64),
         np.zeros(count, np.bool_),
-        np.array([b for _, b in legs]),
+        back,
         request.rules,
         start_yaw,
         goal_yaw,
-        turn_rate,
-        only,
+        there(moves, back),
+        ground.turn_prices(xy).astype(np.float64),
         np.empty((count, 3, 3, 4)),
-        start_back,
     )
     if not has_room_everywhere(ground, route):
         return None

@@ -18,7 +18,7 @@ def search_nodes(
 
     No exit costs less than the way to (gx, gy) is long. Returns what `search_pairs` does.
     """
-    x, y, indptr, source, target, _, length, _, risk, _, _, _ = arcs
+    x, y, indptr, source, target, _, length, _, risk, _, price, _ = arcs
     count = x.size
     g = np.full(count, np.inf)
     parent = np.full(count, -1, np.int64)
@@ -46,7 +46,7 @@ def search_nodes(
                 n = push(f, s, e, n, g[i] + exit_cost[i], i, 1)
             for out in range(indptr[i], indptr[i + 1]):
                 k = target[out]
-                cost = g[i] + transition_cost(w, length[out], risk[out], 0.0, 0.0)
+                cost = g[i] + transition_cost(w, length[out], risk[out], 0.0, 0.0) + price[out, 0]
                 if not closed[k] and cost < g[k]:
                     g[k] = cost
                     parent[k] = out

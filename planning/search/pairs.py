@@ -22,7 +22,6 @@ from planning.risk.footprint import scratch
 from planning.risk.pose_sets import turn_angle, turn_risk
 from planning.risk.tables import Tables, evaluate_edge
 from planning.risk.terrain import Sampler
-from planning.risk.turns import back_factor
 from planning.search.bounds import (
     Asked,
     Heap,
@@ -30,6 +29,7 @@ from planning.search.bounds import (
     begin_to_go,
     cost_to_come,
     cost_to_go,
+    drive_cost,
     first_turn,
     last_turn,
     turn_between,
@@ -117,12 +117,12 @@ def _forward(
     limited: int,
 ) -> tuple[float, np.ndarray, int, np.ndarray]:
     """The best route over settled states, none of which is looked at where it makes a route dearer than `limit`. Result as of `search_pairs`."""
-    start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning, start_back = asked
+    start, is_end, exit_cost, start_yaw, goal_yaw, sweeps, once, backward, turning = asked
     ways = 1 if np.isinf(backward) else 2
     none = np.empty(0, np.int64)
     h, settled = go.h, go.settled
     work = scratch(sampler)
-    x, y, indptr, source, target, reverse, length, heading, risk, room, turn_rate, forward_only = arcs
+    x, y, indptr, source, target, reverse, length, heading, risk, room, price, turn_price = arcs
     edge, turn_at, _, _ = tables
     used = tables.used[0]
     states = 2 * target.size
@@ -159,16 +159,12 @@ def _forward(
                 for out in range(indptr[at], indptr[at + 1]):
                     k = target[out]
                     known = not np.isnan(edge[out, 0])
-                    b, u = (edge[out, 0], edge[out, 1]) if known else (0.0, 0.0)
-                    step = transition_cost(w, length[out], risk[out], b, u)
                     for way in range(ways):
                         to = 2 * out + way
                         if been[to] == CLOSED or not settled[to]:
                             continue
                         least = best[to] if been[to] == REACHED else np.inf
-                        cost = g + step
-                        if way:
-                            cost = g + back_factor(backward, forward_only[at], forward_only[k]) * step
+                        cost = g + drive_cost(w, length, risk, price, edge, out, way, backward)
                         if cost >= least:
                             continue
                         turned = 0.0
@@ -178,15 +174,12 @@ def _forward(
                             if state >= 0:
                                 change = way != state % 2
                                 turned = turn_between(
-                                    room[at], turn_rate[at], heading, state // 2, out, change, turning
+                                    room[at], turn_price[at], heading, state // 2, out, change, turning
                                 )
                             else:
-                                turned = (
-                                    first_turn(room[at], turn_rate[at], start_yaw, yaw, turning)
-                                    + way * start_back
-                                )
+                                turned = first_turn(room[at], turn_price[at], start_yaw, yaw, turning)
                             if is_end[k]:
-                                turned += last_turn(room[k], turn_rate[k], yaw, goal_yaw, turning)
+                                turned += last_turn(room[k], turn_price[k], yaw, goal_yaw, turning)
                             cost += turned
                         if cost >= least or cost + h[to] > limit:
                             continue
@@ -210,11 +203,11 @@ def _forward(
                     break
                 out, way = to // 2, to % 2
                 at, k = source[out], target[out]
-                factor = back_factor(backward, forward_only[at], forward_only[k]) if way else 1.0
+                factor = backward if way else 1.0
                 if np.isnan(edge[out, 0]):
                     evaluate_edge(sampler, work, w, x, y, source, target, reverse, edge, out)
-                b, u = edge[out, 0], edge[out, 1]
-                cost = base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
+                b, u, fixed = edge[out, 0], edge[out, 1], base[entry] + price[out, way] + extra[entry]
+                cost = fixed + factor * transition_cost(w, length[out], risk[out], b, u)
                 stage[entry] += 1
                 if sweeps and (stage[entry] == 2 or cost + h[to] <= bound):
                     stage[entry] = 2
@@ -240,9 +233,7 @@ def _forward(
                     if is_end[k] and not np.isnan(goal_yaw):
                         b2, u2 = turn_risk(sampler, work, w, x[k], y[k], yaw, turn_angle(yaw, goal_yaw))
                         b, u = max(b, b2), max(u, u2)
-                    cost = (
-                        base[entry] + factor * transition_cost(w, length[out], risk[out], b, u) + extra[entry]
-                    )
+                    cost = fixed + factor * transition_cost(w, length[out], risk[out], b, u)
                 elif not sweeps:
                     stage[entry] = 2
                 if not cost < (best[to] if been[to] == REACHED else np.inf):

@@ -83,9 +83,11 @@ class Transition:
     unknown: float
     """U [-]."""
     cost: float
-    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, and `turn_cost`."""
+    """[m]: length (1 + sigma r + lambda_b B + lambda_u U) under the searched variant, `turn_cost` and `price`."""
     turn_cost: float
-    """[m] for turning before the edge (or after it, at the goal), more over an edge of the ground, see `planning.risk.turns`."""
+    """[m] for turning before the edge (or after it, at the goal), its price included, see `planning.risk.turns`."""
+    price: float
+    """[m] for what the edge crosses, by the controller's envelope (`planning.graph.prices`)."""
     backward: bool
     """Driven with the rear of the body ahead."""
     body_from: str

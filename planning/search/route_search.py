@@ -47,7 +47,6 @@ class RouteSearch:
             at.exact,
             request.rules.backward if sweeps else np.inf,
             request.rules.turning,
-            at.start_back,
         )
         self._guide: Guide | None = None
 
@@ -65,9 +64,7 @@ class RouteSearch:
         if not np.isfinite(cost):
             return None
         rules = self._request.rules
-        return Route.along(
-            table, asked.start, route, asked.start_yaw, asked.goal_yaw, rules, asked.start_back
-        )
+        return Route.along(table, asked.start, route, asked.start_yaw, asked.goal_yaw, rules)
 
     def _over_pairs(self) -> tuple[float, NDArray[np.int64]]:
         """Cost and states of the best route over pairs of nodes."""

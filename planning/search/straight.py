@@ -16,8 +16,8 @@ from planning.graph.describe import turn_is_free
 from planning.risk.body import weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
-from planning.risk.turns import FREE_TURN
-from planning.search.attach import Ground
+from planning.risk.turns import BEND
+from planning.search.attach import Ground, there
 from planning.search.explain import Route
 from planning.search.guarded import SPARE
 
@@ -72,32 +72,28 @@ def _chord(
         return False
     if not ground.may_join(points):
         return False
-    risk = ground.risks(points)
-    if risk[-1] < 0.0:
+    moves = ground.moves(points)
+    if moves[-1, 0] < 0.0:
         return False
     inner = slice(i + 1, j)
-    before = route.xy[i : j + 1].copy(), route.risk[i:j].copy(), route.moments[i:last].copy()
-    faces = route.turn_rate[inner].copy(), route.forward_only[inner].copy()
+    before = (
+        route.xy[i : j + 1].copy(),
+        route.risk[i:j].copy(),
+        route.price[i:j].copy(),
+        route.moments[i:last].copy(),
+    )
     route.xy[i : j + 1] = points
-    route.risk[i:j] = risk
-    if route.back[i]:
-        _look_under(ground, route, inner)
+    route.risk[i:j], route.price[i:j] = moves[:, 0], there(moves, route.back[i:j])
     if has_room(ground, route, i) and has_room(ground, route, j):
         route.evaluate(table.sampler, w, i, last)
         new = route.cost(w, i, last)
         if new.sum() < cost[i:last].sum() and (_peaks(route.moments[i:last]) <= most).all():
             cost[i:last] = new
-            if not route.back[i]:  # nothing turns there now, but a later chord may
-                _look_under(ground, route, inner)
+            # nothing turns there now, but a later chord may
+            route.turn_price[inner] = ground.turn_prices(points[1:-1])
             return True
-    route.xy[i : j + 1], route.risk[i:j], route.moments[i:last] = before
-    route.turn_rate[inner], route.forward_only[inner] = faces
+    route.xy[i : j + 1], route.risk[i:j], route.price[i:j], route.moments[i:last] = before
     return False
-
-
-def _look_under(ground: Ground, route: Route, points: slice) -> None:
-    """Bring what the ground under some points of the route says up to date."""
-    route.turn_rate[points], route.forward_only[points] = ground.under_wheels(route.xy[points])
 
 
 def has_room(ground: Ground, route: Route, k: int) -> bool:
@@ -127,7 +123,7 @@ def free_at(ground: Ground, route: Route, k: int, known: tuple[float, float] | N
     turned back in the middle of a turn. What is driven as a bend is no turn on the spot.
     """
     yaw, turn = turn_at(route, k) if known is None else known
-    if abs(turn) <= FREE_TURN:
+    if abs(turn) <= BEND:
         return abs(turn)
     x, y = route.xy[k].tolist()
     return ground.guarded_turn((x, y), yaw, turn, SPARE if k else 0.0)

@@ -24,7 +24,7 @@ OBSTACLE = 0.25
 CLOSED = 1e3
 """Added where known obstacles close every way to the goal [m]: such a frontier comes last."""
 IN_FIELD = 11.0
-"""What a metre of the way to go counts in a stepfield with high posts, as the metre of an edge (`planning.graph.edges.FIELD_RISK`)."""
+"""What a metre of the way to go counts in a stepfield with high posts."""
 
 
 def way_to_go(

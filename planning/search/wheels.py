@@ -10,10 +10,8 @@ from numba import njit
 from hal.go2w import TREAD_WIDTH
 from hal.safety.planned import Pose
 from hal.safety.swept import Surroundings, turn_step
-from planning.graph.edges import AXLE, TREAD
+from planning.graph.edge_price import AXLE, TREAD
 
-BEHIND = 0.20
-"""[m] Who begins backward goes this far at least."""
 TURN_FACE = 0.09
 """[m] Of turns on the spot with a bar of 6 cm and more under the robot half ended with a wheel at the bar (`docs/simulated_robot.md`); 3 cm are the noise
 of the map."""
@@ -38,25 +36,6 @@ def wheels_turn(around: Surroundings, pose: Pose, turn: float, max_slope: float)
         math.tan(max_slope),
     )
     return min(at * turn_step(), abs(turn))
-
-
-def climbs_back(around: Surroundings, pose: Pose, limit: float, max_slope: float) -> bool:
-    """Whether a face higher than `limit` [m] rises behind a wheel of a body at `pose`: between its axles, or as far behind it as it goes backward at least.
-    Ground may rise as steeply as `max_slope` [rad] besides."""
-    x, y, yaw = (float(v) for v in pose)
-    step, rows, cols = 0.5 * around.resolution, *around.height.shape
-    u = np.arange(AXLE, -AXLE - BEHIND, -step)
-    v = np.array([[side * TREAD + k * TREAD_WIDTH] for side in (1.0, -1.0) for k in (-0.5, 0.0, 0.5)])
-    col = np.floor((x + u * math.cos(yaw) - v * math.sin(yaw) - around.origin[0]) / around.resolution + 0.5)
-    row = np.floor((y + u * math.sin(yaw) + v * math.cos(yaw) - around.origin[1]) / around.resolution + 0.5)
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    ground = np.full(inside.shape, np.nan)
-    ground[inside] = around.height[row[inside].astype(int), col[inside].astype(int)]
-    # a face rises within two cells, which are four steps
-    return any(
-        bool((ground[:, k:] - ground[:, :-k] - math.tan(max_slope) * step * k > limit).any())
-        for k in range(1, 5)
-    )
 
 
 @njit(cache=True)

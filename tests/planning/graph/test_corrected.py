@@ -183,7 +183,7 @@ def test_the_graph_is_deterministic_and_seeded() -> None:
     a = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=5)
     b = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=5)
     c = TraversalGraph.build(_grid(z), (1.0, 2.0), PARAMS, seed=6)
-    for name in ("nodes", "indices", "risk", "node_ids", "turn_edge"):
+    for name in ("nodes", "indices", "risk", "node_ids", "turn_price"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
     assert a.nodes.tobytes() != c.nodes.tobytes()
 

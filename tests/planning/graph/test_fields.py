@@ -89,7 +89,9 @@ def test_a_way_around_a_field_is_taken_where_its_posts_are_above_a_third_of_the_
     grid = ElevationGrid(z.astype(np.float32), np.ones(z.shape, bool), (0.0, 0.0), RES)
 
     def highest(limit: float | None) -> float:
-        graph = TraversalGraph.build(grid, (0.7, 0.6), GraphParams(max_posts=limit, blind_radius=0.0))
+        graph = TraversalGraph.build(
+            grid, (0.7, 0.6), GraphParams(max_posts=limit, controller="vmc", blind_radius=0.0)
+        )
         found = plan(graph, grid, PlanRequest((0.7, 0.6), (3.3, 0.6)))
         middle = np.linspace(1.5, 2.5, 20)
         return float(np.interp(middle, *found.points.T[:2]).max())
@@ -103,7 +105,7 @@ def test_what_may_lead_around_a_field_is_looked_at_before_the_field_is_entered()
     z = np.where(Y < 1.3, posts(0.08, 1), 0.004 * np.random.default_rng(2).standard_normal(X.shape))
     z[(X < 0.1) | (X > 3.86) | (Y < 0.1) | (Y > 2.26)] = 0.6
     hidden = (Y > 1.3) & (np.abs(X - 2.0) < 0.7)
-    params = GraphParams(max_posts=0.10, blind_radius=0.0)
+    params = GraphParams(max_posts=0.10, controller="vmc", blind_radius=0.0)
     request = PlanRequest((0.7, 0.6), (3.3, 0.6), allow_frontier=True, been=())
     for seen in (np.ones(z.shape, bool), ~hidden):
         grid = ElevationGrid(z.astype(np.float32), seen, (0.0, 0.0), RES)

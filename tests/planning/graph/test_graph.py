@@ -40,7 +40,7 @@ def test_save_and_load_give_the_same_graph(tmp_path) -> None:
     graph = TraversalGraph.from_edges(NODES, EDGES, RISK, frontier=np.array([False, True, False, False]))
     graph.save(tmp_path / "g.npz")
     again = TraversalGraph.load(tmp_path / "g.npz")
-    for name in ("nodes", "indptr", "indices", "risk", "frontier", "turn_edge", "node_ids", "edge_revision"):
+    for name in ("nodes", "indptr", "indices", "risk", "frontier", "turn_price", "node_ids", "edge_revision"):
         np.testing.assert_array_equal(getattr(again, name), getattr(graph, name))
         assert getattr(again, name).dtype == getattr(graph, name).dtype
     assert again.params == graph.params
@@ -70,7 +70,7 @@ def test_load_refuses_a_file_of_another_version_or_with_arrays_that_do_not_fit(t
 
     header = json.loads(str(arrays["header"]))
     write(header=np.array(json.dumps(header | {"format": 99})))
-    with pytest.raises(PlanningError, match="format 99, this program reads 3"):
+    with pytest.raises(PlanningError, match="format 99, this program reads 4"):
         TraversalGraph.load(tmp_path / "h.npz")
     write(header=np.array(json.dumps(header | {"params": {"mode": "best"}})))
     with pytest.raises(PlanningError, match="mode"):

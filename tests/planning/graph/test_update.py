@@ -14,7 +14,7 @@ from planning.graph.graph import GraphParams, TraversalGraph
 from tests.planning.graph.scenes import random_scene
 
 PARAMS = GraphParams(blind_radius=0.0)
-ARRAYS = ("nodes", "indptr", "indices", "risk", "frontier", "turn_edge", "free_headings", "node_ids")
+ARRAYS = ("nodes", "indptr", "indices", "risk", "frontier", "turn_price", "free_headings", "node_ids")
 
 
 def _with(grid: ElevationGrid, height: np.ndarray) -> ElevationGrid:

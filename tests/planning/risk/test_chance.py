@@ -11,8 +11,8 @@ import pytest
 from hal.envelope import Envelope, stored
 from mapping.grid import ElevationGrid
 from planning.graph import GraphParams, TraversalGraph
-from planning.risk.chance import ENDING, Chance, Drive, Part, Way, chance, ending
-from planning.risk.hazard import hazards
+from planning.graph.prices import ENDING, ending, hazards
+from planning.risk.chance import Chance, Drive, Part, Way, chance
 
 RES = 0.04
 LINE = np.array([(1.0, 2.0), (2.0, 2.0), (3.0, 2.0), (4.0, 2.0)])
@@ -39,7 +39,7 @@ def drive(
     yaw: float = math.nan,
 ) -> tuple[Chance, list[Part]]:
     """The chance of a way over it, and its parts that may go wrong."""
-    params = GraphParams(max_step=0.3, max_turn_step=0.03)
+    params = GraphParams(max_step=0.3)
     graph = TraversalGraph.build(grid, (1.0, 2.0), params, 0)
     assert graph.cells is not None
     way = Way(xy, np.full(len(xy) - 1, back), yaw, math.nan)

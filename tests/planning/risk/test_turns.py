@@ -12,23 +12,13 @@ from hal.safety.swept import FLAT, Surroundings, reach_of, turn_step, turn_track
 from hal.types import Capabilities
 from mapping.grid import ElevationGrid
 from planning.errors import NoRoute
-from planning.graph.describe import ALL_HEADINGS, turn_edge
+from planning.graph.describe import ALL_HEADINGS, turn_ground
+from planning.graph.edge_price import LEAST_FACE
 from planning.graph.graph import GraphParams, TraversalGraph
 from planning.path import make_path
-from planning.risk.arcs import arcs_of
 from planning.risk.body import BodyModel, sweep_poses
 from planning.risk.table import RiskTable
-from planning.risk.turns import (
-    BEND,
-    FREE_TURN,
-    HIGH_EDGES,
-    STEEP_COST,
-    TURN_COST,
-    forward_only,
-    may_turn_to,
-    turn_cost,
-    turn_rates,
-)
+from planning.risk.turns import ASKEW, BEND, may_turn_to, turn_cost
 from planning.search.guarded import SPARE
 from planning.search.plan import DriveRules, Plan, PlanRequest, Variant, plan
 from tests.planning.graph.scenes import LENGTH, WIDTH, Scene, random_scene
@@ -95,7 +85,14 @@ def ground(height: np.ndarray, res: float = 0.025) -> tuple[ElevationGrid, Trave
     """The graph of seen ground around (1.5, 1.5)."""
     noisy = height + 0.003 * np.random.default_rng(0).standard_normal(height.shape)
     grid = ElevationGrid(noisy.astype(np.float32), np.ones(height.shape, bool), (0.0, 0.0), res)
-    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(blind_radius=0.0), 0)
+    return grid, TraversalGraph.build(grid, (1.5, 1.5), GraphParams(controller="vmc", blind_radius=0.0), 0)
+
+
+def edges_of(grid: ElevationGrid, graph: TraversalGraph) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) highest edge under the wheels [m] and slope [m/m] at each node."""
+    ground = grid.height, grid.trusted, *grid.origin, grid.resolution
+    told = [turn_ground(*ground, x, y, graph.params.climbed) for x, y, _ in graph.nodes.tolist()]
+    return np.array(told).T[0], np.array(told).T[1]
 
 
 def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
@@ -106,19 +103,21 @@ def test_an_edge_under_the_wheels_is_told_from_a_ramp() -> None:
         (0.05 * (np.abs((x - 2.0) * 0.8 + (y - 1.5) * 0.6) < 0.05), 0.03, 0.07),
         (0.05 * (np.abs(x - 1.9) < 0.6), 0.03, 0.07),
     ):
-        _, graph = ground(height)
+        grid, graph = ground(height)
+        edge, _ = edges_of(grid, graph)
         if most < 0.03:
-            assert graph.turn_edge.max() < most
-            assert graph.turn_edge.min() >= least
+            assert edge.max() < most
+            assert edge.min() >= least
         else:
             # where the break runs: the bar's middle, the plate's two ends
             broken = height[np.round(graph.nodes[:, 1] / 0.025).astype(int), :]
             faces = np.abs(np.diff(broken, axis=1)) > 0.02
             near = np.abs(np.arange(1, 200) * 0.025 - graph.nodes[:, :1])
             away = np.where(faces, near, np.inf).min(axis=1)
-            assert graph.turn_edge[away < 0.15].min() > least
-            assert graph.turn_edge.max() < most
-            assert graph.turn_edge[away > 0.75].max() < 0.02
+            assert edge[away < 0.15].min() > least
+            assert edge.max() < most
+            assert edge[away > 0.75].max() < 0.02
+            assert graph.turn_price[away < 0.15, 1].min() > 0.2 > graph.turn_price[away > 0.75, 1].max()
 
 
 def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -> None:
@@ -131,11 +130,11 @@ def test_on_a_crest_between_two_ramps_and_on_rough_ground_a_turn_is_not_free() -
         for along in np.linspace(-reach, reach, 9):
             p = GraphParams()
             ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, 0.04
-            assert turn_edge(*ground, 2.5 + along, 1.5, p.max_turn_step, p.climbed) > p.max_turn_step
+            assert turn_ground(*ground, 2.5 + along, 1.5, p.climbed)[0] > LEAST_FACE
 
 
 @pytest.mark.parametrize("res", [0.025, 0.04, 0.05])
-def test_a_wall_beside_a_kerb_does_not_hide_it_and_without_a_kerb_counts_itself(res: float) -> None:
+def test_a_wall_beside_a_kerb_does_not_hide_it_and_is_no_edge(res: float) -> None:
     p = GraphParams(max_step=0.2)
     rng = np.random.default_rng(0)
     y, x = np.mgrid[0 : round(3.0 / res), 0 : round(4.0 / res)] * res
@@ -145,26 +144,27 @@ def test_a_wall_beside_a_kerb_does_not_hide_it_and_without_a_kerb_counts_itself(
                 height = np.where((y > at) & (y < at + thick), wall, kerb * (x > 2.0 + 0.4 * (y - 1.5)))
                 noisy = (height + 0.003 * rng.standard_normal(x.shape)).astype(np.float32)
                 ground = noisy, np.ones(x.shape, bool), 0.0, 0.0, res
-                edge = turn_edge(*ground, 2.1, 1.5, p.max_turn_step, p.climbed)
+                edge, _ = turn_ground(*ground, 2.1, 1.5, p.climbed)
                 if kerb > 0.0:
                     assert edge == pytest.approx(kerb, abs=0.03), "0.5 while the highest edge counted"
-                elif wall > 0.0:
-                    assert edge < 0.02 or p.climbed < edge < 0.55, "the wheels reach it or they do not"
-                    assert edge > p.climbed or at > 1.8
                 else:
                     assert edge < 0.02
 
 
 @pytest.mark.parametrize("towards", [(1.0, 0.0), (0.7, -0.7)])
-def test_turns_cost_more_on_ground_that_is_too_steep_for_them(towards: tuple[float, float]) -> None:
+def test_turns_cost_more_the_steeper_the_ground(towards: tuple[float, float]) -> None:
     y, x = np.mgrid[0:120, 0:200] * 0.025
-    for degrees, steep in ((18, False), (24, True)):
-        _, graph = ground(
-            np.tan(np.radians(degrees)) * (x * towards[0] + y * towards[1]) / np.hypot(*towards)
-        )
+    means = []
+    for degrees in (0, 8, 16, 24):
+        tilted = np.tan(np.radians(degrees)) * (x * towards[0] + y * towards[1]) / np.hypot(*towards)
+        grid, graph = ground(tilted)
         assert len(graph.nodes) > 50
-        assert (np.isinf(graph.turn_edge) == steep).all()
-        assert (arcs_of(graph).turn_rate == (STEEP_COST if steep else 0.0)).all()
+        _, slope = edges_of(grid, graph)
+        np.testing.assert_allclose(np.degrees(np.arctan(slope)), degrees, atol=1.5)
+        means.append(graph.turn_price.mean(axis=0))
+    assert (means[0] == 0.0).all()
+    assert (np.diff(means, axis=0) > 0.0).all()
+    assert means[-1][1] > 5.0, "a turn on the spot at 24 deg"
 
 
 def test_a_robot_drives_off_a_bar_before_it_turns_round() -> None:
@@ -177,15 +177,14 @@ def test_a_robot_drives_off_a_bar_before_it_turns_round() -> None:
         results.append((found, graph))
     grid, _ = ground(bar)
     (off, graph), (level, _) = results
-    limit = graph.params.max_turn_step
-    assert sum(t.turn_cost for t in off.transitions) == 0.0
+    assert sum(t.turn_cost for t in off.transitions) < 0.1
     yaw = [0.0, *(float(np.arctan2(*(b - a)[::-1])) for a, b in pairwise(off.points[:, :2]))]
     sharp = [
         k for k, (a, b) in enumerate(pairwise(yaw)) if abs(np.angle(np.exp(1j * (b - a)))) > np.radians(31)
     ]
     assert sharp
     assert sharp[0] > 0, "it drives off the bar first"
-    assert all(graph.turn_edge[off.nodes[k]] <= limit for k in sharp)
+    assert all(graph.turn_price[off.nodes[k]].max() == 0.0 for k in sharp)
     assert sum(t.turn_cost for t in level.transitions) == 0.0
     assert level.length < off.length
     path = make_path(off, grid, BODY)
@@ -233,7 +232,7 @@ def held(grid: ElevationGrid, graph: TraversalGraph, found: Plan) -> int:
     count = 0
     for poses in turns_of(found):
         turn = float(poses[-1, 2] - poses[0, 2])
-        if abs(turn) > FREE_TURN:
+        if abs(turn) > BEND:
             tracks = turn_tracks(abs(turn), np.sign(turn), spare=SPARE)
             place = (float(poses[0, 0]), float(poses[0, 1]), float(poses[0, 2]))
             count += reach_of(tracks, turn_step(), around, place, FLAT, robot, seen=False).kind > 0
@@ -287,30 +286,11 @@ def test_a_turn_at_the_goal_ends_beside_no_blocked_heading() -> None:
     assert not may_turn_to(room, deg(90), deg(-33))
 
 
-def test_bends_are_free_over_low_edges_alone() -> None:
-    (_, low), (_, high) = HIGH_EDGES
-    for rate, bend, most in (
-        (0.0, 0.0, 4.0),
-        (TURN_COST, 0.0, FREE_TURN),
-        (low, low, BEND),
-        (high, low, BEND),
-        (STEEP_COST, STEEP_COST, BEND),
-        (-high, high, BEND),
-    ):
-        for turn in (0.1, 0.2, -0.4, -0.5, 0.6, -3.0):
-            more = bend if abs(turn) <= most else abs(rate)
-            assert turn_cost(rate, turn, 0.3) == pytest.approx((0.3 + more) * abs(turn))
-
-
-def test_a_turn_costs_more_the_higher_the_edge_under_the_wheels() -> None:
-    params = GraphParams(max_step=0.2)
-    edges = np.array([0.0, 0.5 * params.max_turn_step, 0.08, 0.12, 0.19, 0.5, np.inf], np.float32)
-    wanted = [0.0, 0.0, TURN_COST, 13.0, 50.0, TURN_COST, STEEP_COST]
-    assert turn_rates(edges, params).tolist() == wanted, "walls stand beside the robot"
-    assert turn_rates(-edges[3:5], params).tolist() == [-13.0, -50.0]
-    assert forward_only(-edges, params).tolist() == forward_only(edges, params).tolist()
-    paper = params.model_copy(update={"max_turn_step": np.inf})
-    assert not turn_rates(edges, paper).any(), "the paper knows no edges"
+def test_bends_and_turns_on_the_spot_have_their_own_prices() -> None:
+    for turn in (0.01, 0.1, 0.2, -0.4, -0.5, 0.6, -3.0):
+        size = abs(turn)
+        wanted = 13.0 * max(size - ASKEW, 0.0) if size <= BEND else 20.0 * size
+        assert turn_cost(13.0, 20.0, turn, 0.3) == pytest.approx(0.3 * size + wanted)
 
 
 @pytest.mark.parametrize("seed", [1, 3])
@@ -318,14 +298,18 @@ def test_a_robot_askew_before_a_kerb_that_goes_down_turns_away_from_it(seed: int
     _, x = np.mgrid[0:200, 0:200] * 0.025
     height = np.where(x < 2.5, 0.19, 0.0).astype(np.float32)
     grid = ElevationGrid(height, np.ones(x.shape, bool), (0.0, 0.0), 0.025)
-    graph = TraversalGraph.build(grid, (1.0, 2.5), GraphParams(max_step=0.2, blind_radius=0.0), seed)
+    graph = TraversalGraph.build(
+        grid, (1.0, 2.5), GraphParams(max_step=0.2, controller="hybrid", blind_radius=0.0), seed
+    )
     yaw, rules = np.radians(-80), DriveRules(backward=1.3, turning=0.3, straight=True)
     found = plan(graph, grid, PlanRequest((2.32, 2.0), (4.0, 2.0), yaw, rules=rules), BODY)
     course = np.arctan2(*np.diff(found.points[:, :2], axis=0).T[::-1])
     heading = course + np.pi * np.array([t.backward for t in found.transitions])
     turn = np.abs(wrap(np.diff(np.append(yaw, heading))))
     beside = np.abs(found.points[:-1, 0] - 2.5) < 0.3
-    assert turn[beside].max() <= BEND, "26 and 28 deg while such a turn cost as much as one on a bar"
+    assert turn[beside].max() <= np.radians(15), (
+        "26 and 28 deg while such a turn cost as much as one on a bar"
+    )
     assert turn[~beside].sum() > np.radians(60)
 
 
@@ -334,7 +318,9 @@ def test_a_robot_turns_round_before_a_ramp_and_not_on_it() -> None:
     rise = np.tan(np.radians(27)) * np.clip(x - 2.2, 0.0, 2.4)
     noisy = rise + 0.003 * np.random.default_rng(0).standard_normal(x.shape)
     grid = ElevationGrid(noisy.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), 0.025)
-    graph = TraversalGraph.build(grid, (0.8, 1.5), GraphParams(max_slope=0.53, blind_radius=0.0), 0)
+    graph = TraversalGraph.build(
+        grid, (0.8, 1.5), GraphParams(max_slope=0.53, controller="hybrid", blind_radius=0.0), 0
+    )
     rules = DriveRules(backward=1.3, turning=0.3)
     # up on the ramp it has to look back down
     found = plan(graph, grid, PlanRequest((0.8, 1.5), (3.4, 1.5), 0.0, np.pi, rules=rules))
@@ -343,13 +329,13 @@ def test_a_robot_turns_round_before_a_ramp_and_not_on_it() -> None:
     assert all(up)
 
 
-@pytest.mark.parametrize(("least", "backward"), [(None, True), (0.10, False)])
-def test_faces_that_are_climbed_forward_only_are_turned_to(least: float | None, backward: bool) -> None:
+@pytest.mark.parametrize(("controller", "backward"), [(None, True), ("hybrid", False)])
+def test_faces_that_are_climbed_forward_only_are_turned_to(controller: str | None, backward: bool) -> None:
     _, x = np.mgrid[0:120, 0:240] * 0.025
     bar = 0.15 * (np.abs(x - 2.6) < 0.06)
     noisy = bar + 0.003 * np.random.default_rng(0).standard_normal(x.shape)
     grid = ElevationGrid(noisy.astype(np.float32), np.ones(x.shape, bool), (0.0, 0.0), 0.025)
-    params = GraphParams(max_step=0.20, max_step_back=least, blind_radius=0.0)
+    params = GraphParams(max_step=0.20, controller=controller, blind_radius=0.0)
     graph = TraversalGraph.build(grid, (4.0, 1.5), params, 0)
     rules = DriveRules(backward=1.1, turning=1.0, straight=True)
     found = plan(graph, grid, PlanRequest((4.0, 1.5), (1.2, 1.5), 0.0, rules=rules))

@@ -9,7 +9,7 @@ from planning.graph.describe import turn_is_free
 from planning.risk.body import BodyModel, weights_of
 from planning.risk.pose_sets import turn_angle
 from planning.risk.table import RiskTable
-from planning.risk.turns import back_factor, may_turn_to, turn_cost
+from planning.risk.turns import may_turn_to, turn_cost
 from planning.search.bounds import Asked, begin_to_go, cost_to_come, cost_to_go
 from planning.search.plan import DriveRules, PlanRequest, plan
 from tests.planning.worlds import lattice, rough
@@ -23,7 +23,11 @@ RULES = DriveRules(backward=1.2, turning=0.3)
 @pytest.fixture(scope="module")
 def world():
     grid = rough(5, size=3.0, resolution=0.1)
-    return grid, lattice(grid, 0.55, seed=2)
+    graph = lattice(grid, 0.55, seed=2)
+    rng = np.random.default_rng(4)
+    graph.price = rng.exponential(0.2, graph.price.shape).astype(np.float32)
+    graph.turn_price = rng.exponential(1.0, graph.turn_price.shape).astype(np.float32)
+    return grid, graph
 
 
 def table_of(world):
@@ -38,16 +42,14 @@ def table_of(world):
     return table, 0, is_end, beyond
 
 
-def steps_of(a, edge):
-    """(slots, 2) cost of each edge, forward and backward, without turns."""
+def steps_of(a, edge, least=False):
+    """(slots, 2) cost of each edge, forward and backward, without turns; (slots,) a bound of both."""
     ahead = a.length * (
         1.0 + W.native * a.risk.astype(np.float64) + W.body * edge[:, 0] + W.unknown * edge[:, 1]
     )
-    factor = [
-        back_factor(RULES.backward, a.forward_only[i], a.forward_only[k])
-        for i, k in zip(a.source, a.target, strict=True)
-    ]
-    return np.column_stack([ahead, ahead * factor])
+    if least:
+        return ahead + a.price.min(axis=1)
+    return np.column_stack([ahead, ahead * RULES.backward]) + a.price
 
 
 def plain_cost(a, start, step):
@@ -62,7 +64,7 @@ def plain_cost(a, start, step):
 
 def test_cost_to_come_is_plain_dijkstra_where_it_settled_and_a_bound_elsewhere(world):
     table, start, is_end, beyond = table_of(world)
-    want = plain_cost(table.arcs, start, steps_of(table.arcs, table.tables(BODY).edge)[:, 0])
+    want = plain_cost(table.arcs, start, steps_of(table.arcs, table.tables(BODY).edge, least=True))
     a = table.arcs
     goal = table.graph.nodes[-1, :2]
     total, got = cost_to_come(
@@ -86,7 +88,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
         if is_end[k]:
             d = turn_angle(heading[s], YAWS[1])
             own[s] += (
-                turn_cost(a.turn_rate[k], d, RULES.turning)
+                turn_cost(*a.turn_price[k], d, RULES.turning)
                 if may_turn_to(a.room[k], heading[s], d)
                 else np.inf
             )
@@ -94,7 +96,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
     def turned(node, before, after):
         d = turn_angle(before, after)
         free = turn_is_free(a.room[node], before, d)
-        return turn_cost(a.turn_rate[node], d, RULES.turning) if free else np.inf
+        return turn_cost(*a.turn_price[node], d, RULES.turning) if free else np.inf
 
     pairs = np.array([
         (s, 2 * o + way)
@@ -109,7 +111,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
         before = want.copy()
         np.minimum.at(want, pairs[:, 0], turns + own[pairs[:, 1]] + before[pairs[:, 1]])
     tables, come = table.tables(BODY), np.zeros(len(a.x))
-    asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning, 0.0)
+    asked = Asked(start, is_end, beyond, *YAWS, True, False, RULES.backward, RULES.turning)
     go, heap = begin_to_go(W, a, tables, is_end, beyond, come, RULES.backward)
     least, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, np.inf)
     for limit in (least, 1.1 * least):
@@ -117,7 +119,7 @@ def test_cost_to_go_is_exact_on_all_states_that_may_be_on_the_best_route(world, 
             _, heap = cost_to_go(table.sampler, W, a, tables, asked, come, go, heap, limit)
         np.testing.assert_allclose(go.h[go.settled], want[go.settled], atol=1e-9)
         assert go.settled[want + own < limit - 1e-9].all()
-        assert not go.settled[want + own > limit + 1e-9].any()
+        assert not go.settled[want + step.ravel() > limit + 1e-9].any(), "the last turn is not in its bound"
     first = [s for s in range(states) if a.source[s // 2] == start]
     assert least == pytest.approx(min(turned(start, YAWS[0], heading[s]) + own[s] + want[s] for s in first))
 

@@ -273,9 +273,7 @@ def test_a_closed_narrow_lane_is_left_backward():
     pytest.fail("no graph holds the lane")
 
 
-CLIMBER = GraphParams(
-    max_step=0.20, max_step_back=0.10, max_oblique=np.radians(15), max_slope=np.radians(30), blind_radius=0.0
-)
+CLIMBER = GraphParams(max_step=0.20, max_slope=np.radians(30), controller="hybrid", blind_radius=0.0)
 RULES = DriveRules(backward=1.3, turning=0.3)
 
 
@@ -284,7 +282,7 @@ def test_a_robot_whose_front_wheels_are_down_a_high_kerb_does_not_begin_backward
     height = np.where(x > 2.4, 0.0, 0.18).astype(np.float32)
     grid = ElevationGrid(height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
     graph = TraversalGraph.build(grid, (2.45, 2.0), CLIMBER, 0)
-    off = plan(graph, grid, PlanRequest((2.45, 2.0), (2.3, 2.0), 0.0, 0.0, rules=RULES))
+    off = plan(graph, grid, PlanRequest((2.45, 2.0), (1.2, 2.0), 0.0, rules=RULES))
     assert not off.transitions[0].backward
     low = ElevationGrid(0.4 * height, np.ones(height.shape, bool), (0.0, 0.0), 0.04)
     back = plan(

@@ -105,11 +105,11 @@ def test_turns_over_edges_cost_more_and_the_optimum_stays_one(world):
     grid, graph = world
     last = len(graph.nodes) - 1
     edgy = TraversalGraph.from_edges(graph.nodes, graph.edges, graph.risk[edge_slots(graph)])
-    edgy.turn_edge[::2] = 0.06
+    edgy.turn_price[::2, 1] = 4.0
     changed = 0
 
     def over_edge(node: int, turn: float) -> float:
-        return 4.0 * abs(turn) if edgy.turn_edge[node] > 0.0 and abs(turn) > np.radians(30) else 0.0
+        return 4.0 * abs(turn) if edgy.turn_price[node, 1] > 0.0 and abs(turn) > np.radians(30) else 0.0
 
     for start, goal, yaws in ((0, last, (None, None)), (last, 3, (1.0, -2.0)), (2, last, (3.0, 0.5))):
         got = plan(edgy, grid, PlanRequest(start, goal, *yaws), BODY)

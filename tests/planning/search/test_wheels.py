@@ -11,7 +11,7 @@ from hal.go2w import TREAD_WIDTH
 from hal.safety.planned import free_turn, mapped
 from hal.safety.swept import turn_step
 from hal.types import Capabilities
-from planning.search.wheels import AXLE, BEHIND, TREAD, TURN_FACE, climbs_back, wheels_turn
+from planning.search.wheels import AXLE, TREAD, TURN_FACE, wheels_turn
 from tests.hal.safety.ground import CORNER, RES, N, X, Y
 
 
@@ -56,21 +56,3 @@ def test_of_wheels_that_turn() -> None:
         assert told == pytest.approx(min(first * turn_step(), abs(turn)))
         met += told < abs(turn)
     assert 5 < met < 35
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.0])
-def test_a_face_behind_a_wheel_is_one_to_climb_on_the_way_back(yaw: float) -> None:
-    def stands(x: float, height: float) -> bool:
-        """Whether it climbs back where it is `x` [m] past an edge that goes down `height` [m]."""
-        along = X * math.cos(yaw) + Y * math.sin(yaw)
-        down = mapped(np.where(along > -x, -height, 0.0).astype(np.float32), CORNER, RES)
-        return climbs_back(down, (0.0, 0.0, yaw), 0.13, 0.44)
-
-    assert not stands(-AXLE - 0.1, 0.2), "before the edge"
-    assert stands(-AXLE + 0.1, 0.2), "its front wheels are down"
-    assert stands(AXLE + 0.5 * BEHIND, 0.2), "all wheels are down, the edge is right behind them"
-    assert not stands(AXLE + BEHIND + 0.1, 0.2), "it is far behind"
-    assert not stands(0.0, 0.1), "low"
-    assert not stands(0.0, -0.2), "down on the way back"
-    ramp = mapped((-math.tan(0.4) * (X * math.cos(yaw) + Y * math.sin(yaw))).astype(np.float32), CORNER, RES)
-    assert not climbs_back(ramp, (0.0, 0.0, yaw), 0.13, 0.44)

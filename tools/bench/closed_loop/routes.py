@@ -91,9 +91,7 @@ def _on_one_graph(name: str, query: int, methods: list[str]) -> list[Route]:
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
     try:
-        built = TraversalGraph.build(
-            grid, scene.start[:2], GraphParams(mode="native", max_turn_step=np.inf), query
-        )
+        built = TraversalGraph.build(grid, scene.start[:2], GraphParams(mode="native"), query)
         graph = through_file(built)
         table = RiskTable(graph, grid, body)
         ends = snapped(graph, grid, start, goal)
@@ -129,7 +127,7 @@ def _as_it_drives(name: str, query: int, controller: Controller) -> Route:
     grid, body = survey_grid(scene), BodyModel()
     start, goal = scene.pairs[query]
     robot = CAPABILITIES[controller]
-    params = GraphConfig().params(robot)
+    params = GraphConfig().params(robot, controller)
     limits = PathLimits(
         max_speed=SPEED,
         max_step=params.max_step,

@@ -139,7 +139,7 @@ def counted(envelope: Envelope) -> Report:
             )
     if set(envelope.manoeuvres) == set(PARTS):
         for name, value in limits(envelope).items():
-            angle = name in ("max_slope", "max_oblique")
+            angle = name == "max_slope"
             unit = "deg" if angle else "m/s" if name == "step_vx" else "m"
             report.add(f"{name}.{envelope.controller}", math.degrees(value) if angle else value, unit)
     return report

@@ -74,9 +74,7 @@ def study(seeds: int, pairs: int) -> tuple[list[Instance], dict[str, Any], list[
         for mode in MODES:
             for seed in range(seeds):
                 try:
-                    graph = TraversalGraph.build(
-                        grid, scene.start[:2], GraphParams(mode=mode, max_turn_step=np.inf), seed
-                    )
+                    graph = TraversalGraph.build(grid, scene.start[:2], GraphParams(mode=mode), seed)
                 except NoRoute as none:
                     missing += [f"{name}, {mode}, seed {seed}, pair {k}: {none}" for k in range(pairs)]
                     continue

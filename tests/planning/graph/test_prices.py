@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hal.envelope import FALL_COST, Axis, Envelope, Table
-from planning.risk.hazard import hazards
+from hal.envelope import FALL_COST, Axis, Envelope, Table, stored
+from planning.graph.prices import ANGLES, SIZES, angle_at, ending, free, hazards, prices_of, size_at
 
 # Faces up that the hybrid controller was driven over: height [m], angle [deg], trials, failures.
 TRIALS = [
@@ -83,3 +83,35 @@ def test_a_hazard_is_the_mean_of_three_heights(envelope, height, sigma, angle, s
     assert float(hazards(envelope, "up", sigma, height, angle, slope, share=share)) == pytest.approx(
         -np.log1p(-min(p, share * (1 - 1e-9))), rel=1e-9, abs=1e-12
     )
+
+
+@pytest.mark.parametrize("controller", ["hybrid", "vmc", "policy", "sport"])
+def test_the_tables_hold_what_the_envelope_says_and_rise_with_size(controller: str) -> None:
+    envelope, prices = stored(controller), prices_of(controller, 100.0)
+
+    def hazard(name: str, *values: float) -> float:
+        share = ending(envelope.manoeuvres[name])
+        return 100.0 * float(hazards(envelope, name, 0.01, *values, share=share))
+
+    i, j = size_at(0.152), angle_at(np.radians(-31.0))
+    assert prices.face[0, 0, i, j] == pytest.approx(0.25 * hazard("up", 0.15, np.radians(30), 0.0))
+    assert prices.face[1, 1, i, j] == pytest.approx(0.25 * hazard("back_down", 0.15, np.radians(30), 0.0))
+    assert prices.turn[0, i, 2] == pytest.approx(hazard("bend", 0.15, np.radians(10), 1.0))
+    assert prices.turn[1, i, 0] == pytest.approx(hazard("spin", 0.15, 0.0, 1.0))
+    assert prices.posts[size_at(0.1)] == pytest.approx(hazard("posts", 0.10, 0.5))
+    assert prices.gap[size_at(0.08)] == pytest.approx(0.25 * hazard("gap", 0.08))
+    for table in (*prices.face.reshape(4, SIZES, ANGLES), *prices.turn):
+        assert (np.diff(table, axis=0) >= -1e-12).all(), "the higher the dearer"
+    half = prices.face[..., : (ANGLES + 1) // 2]
+    assert (np.diff(half, axis=-1) >= -1e-12).all(), "the more askew the dearer"
+    np.testing.assert_allclose(prices.face, prices.face[..., ::-1], err_msg="from either side")
+    assert all((table >= 0.0).all() and np.isfinite(table).all() for table in prices)
+    assert prices.face[0, 0, 0, 0] == prices.posts[0] == prices.gap[0] == 0.0
+
+
+def test_without_a_controller_or_at_no_cost_of_a_failure_nothing_has_a_price() -> None:
+    for prices in (prices_of(None, 100.0), prices_of("hybrid", 0.0)):
+        for table, zero in zip(prices, free(), strict=True):
+            np.testing.assert_array_equal(table, zero)
+    double, single = prices_of("hybrid", 200.0), prices_of("hybrid", 100.0)
+    np.testing.assert_allclose(double.face, 2.0 * single.face)

@@ -1,0 +1,160 @@
+"""Price of a straight move: what its four wheels cross and stand on, by the prices of the controller.
+
+A wheel that rises or falls over a face makes a quarter of a crossing: a kerb under all wheels is one crossing, one under
+the left wheels is half of one. A crossing belongs to the move in whose part of the wheel's track its middle lies, so
+moves that follow each other in a line count it once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hal.go2w import HIP_Y, THIGH_Y, TREAD_Y
+from planning.graph.faces import BASE
+from planning.graph.flags import FIELD, HOLE, UNSEEN, VIRTUAL
+from planning.graph.prices import SIZE_STEP, SIZES, angle_at, size_at
+
+AXLE, TREAD = 0.21, HIP_Y + THIGH_Y + TREAD_Y
+"""Where the wheels of a standing robot touch the ground, ahead of base_link and beside it [m]."""
+LEAST_FACE = 0.03
+"""Lower faces [m] are noise of the map."""
+HIGHEST_FACE = (SIZES - 1) * SIZE_STEP
+"""Higher ones [m] are walls, which a move stays off."""
+BEYOND = 0.30
+"""A wheel's track is looked at so far [m] before and after the move: a face at its end is told as a whole."""
+EVEN_TAN = math.tan(math.radians(5.0))
+"""Slopes below [m/m] are noise of the map."""
+NO_SIGN, UP, DOWN = 0, 1, 2
+
+
+@njit(cache=True)
+def face_normal(faces, res, r, c):
+    """Unit vector of the normal of the face at a cell, uphill: one cell tells it to 45 deg, because both parts of a step
+    that lies askew are as high as the step. Those around it that rise the same way tell it to 2 deg."""
+    rows, cols, _ = faces.shape
+    n = round(BASE / res)
+    fx, fy = float(faces[r, c, 0]), float(faces[r, c, 1])
+    x = y = 0.0
+    for i in range(max(0, r - n), min(rows, r + n + 1)):
+        for j in range(max(0, c - n), min(cols, c + n + 1)):
+            ax, ay = float(faces[i, j, 0]), float(faces[i, j, 1])
+            if ax * fx + ay * fy > 0.0 and max(abs(ax), abs(ay)) <= 1000.0 * HIGHEST_FACE:
+                x += ax
+                y += ay
+    size = math.hypot(x, y)
+    if size == 0.0:
+        return 1.0, 0.0
+    return x / size, y / size
+
+
+@njit(cache=True)
+def edge_price(height, flags, faces, x0, y0, res, prices, xa, ya, xb, yb, out):
+    """Write the prices [m] of the straight move from a to b into `out` (2, 2): there and back, driven forward and backward.
+
+    `faces` [mm] as of `planning.graph.faces`; coordinates in m, `map`.
+    """
+    rows, cols = height.shape
+    d = math.hypot(xb - xa, yb - ya)
+    ux, uy = (xb - xa) / d, (yb - ya) / d
+    step = 0.5 * res
+    beyond = int(BEYOND / step)
+    n = math.ceil(d / step)
+    out[:] = 0.0
+    highest_post = 0
+    in_field = samples = 0
+    for wheel in range(4):
+        ahead = AXLE if wheel < 2 else -AXLE
+        aside = TREAD if wheel % 2 == 0 else -TREAD
+        xw, yw = xa + ahead * ux - aside * uy, ya + ahead * uy + aside * ux
+        sign, begin, low, high, first = NO_SIGN, 0, 0.0, 0.0, 0.0
+        hole = 0
+        for k in range(-beyond, n + beyond + 2):
+            c = math.floor((xw + k * step * ux - x0) / res + 0.5)
+            r = math.floor((yw + k * step * uy - y0) / res + 0.5)
+            inside = 0 <= r < rows and 0 <= c < cols and k <= n + beyond
+            now, over, z = NO_SIGN, False, 0.0
+            if inside:
+                flag = flags[r, c]
+                big = max(abs(faces[r, c, 0]), abs(faces[r, c, 1]))
+                over = flag & HOLE > 0
+                if 0 <= k < n:
+                    samples += 1
+                    if flag & FIELD:
+                        in_field += 1
+                        if big <= 1000.0 * HIGHEST_FACE:
+                            highest_post = max(highest_post, big)
+                if big >= 1000.0 * LEAST_FACE and not flag & (FIELD | HOLE | UNSEEN | VIRTUAL):
+                    rise = faces[r, c, 0] * ux + faces[r, c, 1] * uy
+                    now = UP if rise > 0.0 else (DOWN if rise < 0.0 else NO_SIGN)
+                    z = float(height[r, c])
+            if now != sign:
+                middle = (begin + k - 1) // 2
+                if sign != NO_SIGN and 0 <= middle < n:
+                    size = high - first if sign == UP else first - low
+                    _cross(faces, x0, y0, res, prices, xw, yw, ux, uy, step, middle, size, sign, out)
+                sign, begin, low, high, first = now, k, z, z, z
+            elif now != NO_SIGN:
+                low, high = min(low, z), max(high, z)
+            if over:
+                hole += 1
+            elif hole > 0:
+                middle = k - 1 - (hole - 1) // 2
+                if 0 <= middle < n:
+                    out += prices.gap[size_at((hole - 1) * step)]
+                hole = 0
+    if in_field:
+        out += prices.posts[size_at(0.001 * highest_post)] * d * in_field / samples
+    _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out)
+
+
+@njit(cache=True)
+def _cross(faces, x0, y0, res, prices, xw, yw, ux, uy, step, middle, size, sign, out):
+    """Add what one wheel's crossing of a face costs, `size` [m] high by the ground under the track."""
+    c = math.floor((xw + middle * step * ux - x0) / res + 0.5)
+    r = math.floor((yw + middle * step * uy - y0) / res + 0.5)
+    size = min(size, 0.001 * max(abs(faces[r, c, 0]), abs(faces[r, c, 1])))
+    if size < LEAST_FACE or size > HIGHEST_FACE:
+        return
+    nx, ny = face_normal(faces, res, r, c)
+    i, j = size_at(size), angle_at(math.acos(min(abs(nx * ux + ny * uy), 1.0)))
+    there = 0 if sign == UP else 1
+    for back in range(2):
+        out[0, back] += prices.face[there, back, i, j]
+        out[1, back] += prices.face[1 - there, back, i, j]
+
+
+@njit(cache=True)
+def _slopes(height, flags, faces, x0, y0, res, prices, xa, ya, ux, uy, d, out):
+    """Add the price of the slopes under the wheels, where no wheel stands on a face."""
+    rows, cols = height.shape
+    n = math.ceil(d / (2.0 * res))
+    z = np.empty(4)
+    for k in range(n):
+        along = (k + 0.5) * d / n
+        known = True
+        for wheel in range(4):
+            ahead = along + (AXLE if wheel < 2 else -AXLE)
+            aside = TREAD if wheel % 2 == 0 else -TREAD
+            c = math.floor((xa + ahead * ux - aside * uy - x0) / res + 0.5)
+            r = math.floor((ya + ahead * uy + aside * ux - y0) / res + 0.5)
+            if not (0 <= r < rows and 0 <= c < cols) or flags[r, c] & (FIELD | HOLE | UNSEEN | VIRTUAL):
+                known = False
+                break
+            if max(abs(faces[r, c, 0]), abs(faces[r, c, 1])) >= 1000.0 * LEAST_FACE:
+                known = False
+                break
+            z[wheel] = height[r, c]
+        if not known:
+            continue
+        pitch = (z[0] + z[1] - z[2] - z[3]) / (4.0 * AXLE)
+        roll = (z[0] + z[2] - z[1] - z[3]) / (4.0 * TREAD)
+        steep = math.hypot(pitch, roll)
+        if not steep > EVEN_TAN:  # NaN: not known
+            continue
+        i, direction = angle_at(math.atan(steep)), math.atan2(abs(roll), pitch)
+        there, back = prices.slope[i, angle_at(direction)], prices.slope[i, angle_at(math.pi - direction)]
+        out[0] += there * d / n
+        out[1] += back * d / n

@@ -1,0 +1,131 @@
+"""What a controller was measured to do, as prices that the planner's kernels look up.
+
+The hazard of a motion is -ln(1 - p), with p the probability that it ends the drive (`hal.envelope`). Hazards add along a
+route, so a route's cost may hold them: `fall_cost` metres for each (`GraphParams`). What is no motion of the table costs nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from hal.envelope import FAILURES, Envelope, Table, stored
+
+Array = NDArray[np.float64]
+
+ENDING = ("fell", "stuck", "touched")
+"""Kinds of `hal.envelope.FAILURES` that end a drive: the tracker leads a robot back that slid 0.1 m off its line."""
+SPREAD = math.sqrt(3.0)
+"""Of the outer points, in standard deviations."""
+MIDDLE, OUTER = 2.0 / 3.0, 1.0 / 6.0
+"""Weights of the points."""
+MAP_SIGMA = 0.01
+"""Standard deviation of a face on the map [m]."""
+SIZE_STEP, SIZES = 0.01, 36
+"""Heights and widths of the tables [m]: 0 to 0.35, beyond which nothing was tried."""
+ANGLE_STEP, ANGLES = math.radians(5.0), 37
+"""Angles of the tables [rad]: 0 to 180 deg."""
+POSTS_SPEED = 0.5
+"""At which posts are driven over [m/s]."""
+
+
+class Prices(NamedTuple):
+    """Prices by size (`SIZES`) and angle (`ANGLES`)."""
+
+    face: Array
+    """(2, 2, sizes, angles) [m] of one wheel that crosses a face: up or down, driven forward or backward, by the face's
+    height and the angle between travel and its normal."""
+    slope: Array
+    """(angles, angles) [m/m] by steepness and the angle between travel and uphill."""
+    turn: Array
+    """(2, sizes, angles) [m/rad] of a bend and of a turn on the spot, by the highest edge under the wheels and steepness."""
+    posts: Array
+    """(sizes,) [m/m] in a stepfield, by the height of its posts."""
+    gap: Array
+    """(sizes,) [m] of one wheel that crosses a gap, by its width."""
+
+
+def free() -> Prices:
+    """Where nothing has a price: the paper's cost."""
+    return Prices(
+        np.zeros((2, 2, SIZES, ANGLES)),
+        np.zeros((ANGLES, ANGLES)),
+        np.zeros((2, SIZES, ANGLES)),
+        np.zeros(SIZES),
+        np.zeros(SIZES),
+    )
+
+
+@cache
+def prices_of(controller: str | None, fall_cost: float) -> Prices:
+    """Prices by the stored envelope of a controller, None: none; `fall_cost` [m] is what a failure costs.
+
+    Raises EnvelopeError.
+    """
+    if controller is None or fall_cost == 0.0:
+        return free()
+    envelope = stored(controller)
+    share = {name: ending(table) for name, table in envelope.manoeuvres.items()}
+    size = np.arange(SIZES) * SIZE_STEP
+    angle = np.arange(ANGLES) * ANGLE_STEP
+    steep = np.minimum(angle, math.radians(60.0))
+    out = free()
+
+    def price(name: str, sigma: float, *values: ArrayLike) -> Array:
+        if name not in envelope.manoeuvres:
+            return np.zeros(np.broadcast_shapes(*(np.shape(v) for v in values)))
+        return fall_cost * hazards(envelope, name, sigma, *values, share=share[name])
+
+    across = np.minimum(angle, np.pi - angle)
+    for way, name in enumerate(("up", "down")):
+        for back, prefix in enumerate(("", "back_")):
+            out.face[way, back] = 0.25 * price(prefix + name, MAP_SIGMA, size[:, None], across, 0.0)
+    out.slope[:] = price("slope", 0.0, steep[:, None], angle)
+    for k, name in enumerate(("bend", "spin")):
+        out.turn[k] = price(name, MAP_SIGMA, size[:, None], steep, 1.0)
+    out.posts[:] = price("posts", MAP_SIGMA, size, POSTS_SPEED)
+    out.gap[:] = 0.25 * price("gap", MAP_SIGMA, size)
+    # No height is no face, whatever the map's noise makes of it.
+    out.face[:, :, 0], out.posts[0], out.gap[0] = 0.0, 0.0, 0.0
+    return out
+
+
+def hazards(
+    envelope: Envelope, name: str, sigma: ArrayLike, height: ArrayLike, *rest: ArrayLike, share: float = 1.0
+) -> Array:
+    """-ln(1 - p) of units of a manoeuvre, as far as the fit reaches. SI units, broadcast.
+
+    p is the mean over height - sqrt(3) sigma, height and height + sqrt(3) sigma with weights 1/6, 2/3, 1/6 (Gauss and
+    Hermite with three points, exact for the first five moments of the height), times `share`. What is no way is the
+    business of `Envelope.hazard`.
+    """
+    height, aside = np.asarray(height, np.float64), SPREAD * np.asarray(sigma, np.float64)
+    p = MIDDLE * envelope.mean(name, height, *rest) + OUTER * (
+        envelope.mean(name, np.maximum(height - aside, 0.0), *rest)
+        + envelope.mean(name, height + aside, *rest)
+    )
+    return np.asarray(-np.log1p(-share * np.minimum(p, 1.0 - 1e-9)))
+
+
+def ending(table: Table) -> float:
+    """Share of a manoeuvre's failures that end a drive, with half a failure more of each sort (Jeffreys)."""
+    first = len(table.axes) + 1
+    each = dict(zip(FAILURES, np.sum(table.cells, axis=0)[first:].tolist(), strict=True))
+    return (sum(each[kind] for kind in ENDING) + 0.5) / (sum(each.values()) + 1.0)
+
+
+@njit(cache=True)
+def size_at(size: float) -> int:
+    """Row of a table for a height or width [m]."""
+    return min(int(abs(size) / SIZE_STEP + 0.5), SIZES - 1)
+
+
+@njit(cache=True)
+def angle_at(angle: float) -> int:
+    """Column of a table for an angle [rad] from -pi to pi."""
+    return min(int(abs(angle) / ANGLE_STEP + 0.5), ANGLES - 1)

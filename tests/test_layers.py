@@ -57,7 +57,7 @@ ROOMS: dict[str, str] = {
     "rbtrg_robot.orders": "hal mapping.elevation rbtrg_robot rbtrg_robot.wire rbtrg_robot.stages.navigation rbtrg_robot.missions",
     "rbtrg_robot.bridge": "hal rbtrg_robot rbtrg_robot.wire rbtrg_robot.orders",
     "rbtrg_robot.log": "hal hal.scenes mapping.elevation hal.mujoco.view rbtrg_robot rbtrg_robot.wire",
-    "rbtrg_robot.importer": "hal hal.lidar hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.log",
+    "rbtrg_robot.importer": "hal mapping hal.lidar hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.log",
     "rbtrg_robot.hosts": "hal hal.scenes mapping mapping.closing mapping.elevation mapping.odometry planning planning.path planning.risk hal.mujoco hal.mujoco.view hal.safety hal.unitree rbtrg_robot rbtrg_robot.wire "
     "rbtrg_robot.stages.stage rbtrg_robot.stages.navigation rbtrg_robot.stages rbtrg_robot.log",
     "rbtrg_robot.process": "hal hal.safety hal.safety.monitors hal.unitree rbtrg_robot rbtrg_robot.wire rbtrg_robot.access rbtrg_robot.stages.navigation rbtrg_robot.stages.mission rbtrg_robot.log "

@@ -117,18 +117,20 @@ def config_schema() -> None:
 
 @map_app.command("save")
 def map_save(
-    file: Annotated[Path, typer.Argument(help="FILE.npz.")],
+    file: Annotated[Path, typer.Argument(help="FILE.npz; .tif, .pcd, or .png (and .yaml) for Nav2.")],
     force: Annotated[bool, typer.Option("--force", help="Overwrite FILE without asking.")] = False,
     robot: Robot = ROBOT,
 ) -> None:
-    """Write the present map to FILE (.npz); `up --map FILE` loads it."""
+    """Write the present map to FILE. `up --map FILE` loads .npz and .pcd."""
     from mapping.elevation import MapError
+    from mapping.elevation.export import WRITERS, Limits
     from rbtrg_robot.cli.link import connect
+    from rbtrg_robot.config import load
     from rbtrg_robot.orders.map import FetchMap, save
     from rbtrg_robot.orders.order import follow
 
-    if file.suffix != ".npz":
-        raise MapError(f"{file} must end in .npz: `up --map` reads it by that")
+    if file.suffix not in WRITERS:
+        raise MapError(f"{file} must end in .npz, as `up --map` reads it, or in .tif, .pcd or .png")
     if not file.resolve().parent.is_dir():
         raise MapError(f"there is no folder {file.resolve().parent}")
     if os.path.isfile(file) and not force:  # False for a name that no file can have
@@ -141,7 +143,9 @@ def map_save(
     if not order.patches:
         raise MapError(end.words)
     try:
-        known = save(order.patches, order.cloud, file)
+        params = load().graph_params()
+        limits = Limits(params.max_step, params.max_slope)
+        known = save(order.patches, order.cloud, file, limits)
     except OSError as error:
         raise MapError(f"cannot write {file}: {error.strerror}; make room or name another file") from error
     say(f"{known} known cells -> {file}")

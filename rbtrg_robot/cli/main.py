@@ -11,6 +11,7 @@ from rbtrg_robot import __version__
 from rbtrg_robot.cli import (
     build,
     calibrate,
+    convert,
     drive,
     explore,
     foxglove,
@@ -71,6 +72,7 @@ foxglove.register(app)
 topic.register(app)
 inspect.register(app)
 build.register(app)
+convert.register(app)
 service.register(app)
 keys.register(app)
 calibrate.register(app)

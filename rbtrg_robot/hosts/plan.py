@@ -94,14 +94,7 @@ class MapPlanner:
         self._body: BodyModel = config.body
         self._limits: PathLimits = limits_of(config)
         elevation = ElevationMap(config.elevation)
-        if isinstance(ground, ElevationGrid):
-            _take(
-                elevation, np.where(ground.trusted, ground.height, np.nan), ground.resolution, ground.origin
-            )
-            none: dict[str, tuple[float, float, float | None]] = {}
-            self.start, self.goals, self.taken = (*(start or ground.origin), 0.0), none, ""
-        else:
-            self.start, self.goals, self.taken = _load(ground, config, elevation, start)
+        self.start, self.goals, self.taken = _fill(elevation, ground, config, start)
         self._asked: tuple[float, float] | None = None
         """The goal of the newest question that was searched."""
         self._patches = [elevation.read(box) for box in elevation.boxes()]
@@ -235,6 +228,29 @@ class MapPlanner:
         return view.image()
 
 
+def map_of(ground: str | ElevationGrid, config: StackConfig) -> tuple[ElevationMap, str]:
+    """What `MapPlanner` reads, as a map, and what had to be guessed of it. Raises ConfigError, SceneError, MapError."""
+    elevation = ElevationMap(config.elevation)
+    _, _, taken = _fill(elevation, ground, config, None)
+    return elevation, taken
+
+
+Goals = dict[str, tuple[float, float, float | None]]
+
+
+def _fill(
+    elevation: ElevationMap,
+    ground: str | ElevationGrid,
+    config: StackConfig,
+    start: tuple[float, float] | None,
+) -> tuple[tuple[float, float, float], Goals, str]:
+    """See `_load`."""
+    if isinstance(ground, str):
+        return _load(ground, config, elevation, start)
+    _take(elevation, np.where(ground.trusted, ground.height, np.nan), ground.resolution, ground.origin)
+    return (*(start or ground.origin), 0.0), {}, ""
+
+
 def _worst(told: msg.RouteReport, body: BodyModel) -> dict[str, Any]:
     """The transition with the largest body risk, and the feature that made it so."""
     if not len(told.transition_body):
@@ -263,7 +279,7 @@ def _worst(told: msg.RouteReport, body: BodyModel) -> dict[str, Any]:
 
 def _load(
     file: str, config: StackConfig, elevation: ElevationMap, start: tuple[float, float] | None
-) -> tuple[tuple[float, float, float], dict[str, tuple[float, float, float | None]], str]:
+) -> tuple[tuple[float, float, float], Goals, str]:
     """Start and named goals of what is read into `elevation`, and what had to be guessed of it."""
     if Path(file).suffix.lower() == ".npz" and Path(file).is_file():
         try:

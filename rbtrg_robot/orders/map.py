@@ -7,7 +7,7 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,9 @@ from rbtrg_robot.provenance import fingerprint
 from rbtrg_robot.topics import Topic
 from rbtrg_robot.wire.convert import MAP, LayoutError, cloud_msg, cloud_points, map_patch, patch_msg
 from rbtrg_robot.wire.messages import header, stamp_of
+
+if TYPE_CHECKING:
+    from mapping.elevation.export import Limits
 
 AGAIN, LIMIT = 3.0, 15.0
 """[s] between two requests, and until it is given up."""
@@ -134,8 +137,12 @@ def read(file: Path, config: ElevationConfig) -> msg.MapPrior:
     return msg.MapPrior(header=header(stamp, MAP), id=fingerprint(str(file)), map=blocks, cloud=cloud)
 
 
-def save(patches: list[MapPatch], cloud: NDArray[np.float32], file: Path) -> int:
-    """Write it as `up --map` reads it; returns the number of known cells. Raises OSError, MapError."""
+def save(
+    patches: list[MapPatch], cloud: NDArray[np.float32], file: Path, limits: Limits | None = None
+) -> int:
+    """Write it as `up --map` reads it, with `limits` as other programs do (see `mapping.elevation.export`); returns the number of known cells.
+    Raises OSError, MapError."""
+    from mapping.elevation.export import write
     from mapping.elevation.map import ElevationMap
 
     try:
@@ -145,5 +152,7 @@ def save(patches: list[MapPatch], cloud: NDArray[np.float32], file: Path) -> int
     elevation = ElevationMap(config)
     known = sum(map(elevation.restore, patches))
     elevation.cloud.enter(cloud)
+    if limits is not None:
+        return write(elevation, file, limits)
     elevation.save(file)
     return known

@@ -25,6 +25,7 @@ from rbtrg_robot.config import StackConfig
 from rbtrg_robot.console import frames, robots
 from rbtrg_robot.console.api import Api
 from rbtrg_robot.console.archive import Archive
+from rbtrg_robot.console.areas import Areas
 from rbtrg_robot.console.desk import FAILED, Desk, Page
 from rbtrg_robot.console.door import ENDED, OUTSIDE, STOP, VALID, WHO, Door, Guard, Visitor
 from rbtrg_robot.console.feed import Feed, Slots
@@ -129,6 +130,7 @@ class Site:
             WebSocketRoute("/live", self._live),
             *Archive(self._config).routes(),
             *Maps(self._config, self._desk).routes(),
+            *Areas(self._config).routes(),
             *MissionFiles(self._config, self._desk).routes(),
             *robots.ROUTES,
             *Api(self._config.robot, self._desk, self._feed, self._numbers.__next__).routes(),

@@ -23,7 +23,12 @@ export function makeArchive(link, free) {
             post(`/runs/${run.name}/keep`, { keep: !run.kept }).then(runs).catch(say),
           ),
         );
-        return [run.name, figure(run.megabytes, 1), [run.now ? "this run" : run.kept ? "kept" : "", "text"], act];
+        return [
+          [run.name, "wrap"],
+          figure(run.megabytes, 1),
+          [run.now ? "this run" : run.kept ? "kept" : "", "wrap"],
+          act,
+        ];
       }),
     );
   }
@@ -42,7 +47,7 @@ export function makeArchive(link, free) {
     table(
       $("run-topics"),
       ["topic", "messages", "Hz"],
-      topics.map((x) => [x.topic, String(x.count), figure(x.rate, 1)]),
+      topics.map((x) => [[x.topic, "wrap"], String(x.count), figure(x.rate, 1)]),
     );
     $("run-card").scrollIntoView();
   }

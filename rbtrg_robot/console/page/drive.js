@@ -2,7 +2,6 @@
 import { ACTIVE } from "./state.js";
 import { $, button, degrees, figure, list, number, put, twice } from "./tell.js";
 
-
 export function makeDrive(link, view, about, free) {
   const { world } = view;
   let asked = 0;
@@ -73,14 +72,21 @@ export function makeDrive(link, view, about, free) {
     world.shown = plan;
     world.chosen = null;
     const risky = plan.p_fail > about.accept_risk;
-    const end = plan.reaches_goal ? "It would go." : "It would go to the edge of what is seen, and look again from there.";
+    const end = plan.reaches_goal
+      ? "It would go."
+      : "It would go to the edge of what is seen, and look again from there.";
     const box = verdict(risky ? "It may well fail, and would not go by itself." : end, !risky);
-    const facts = document.createElement("dl");
-    list(facts, facts_of(plan));
-    box.append(facts);
+    for (const line of lines_of(plan)) {
+      const made = document.createElement("p");
+      made.textContent = line;
+      box.append(made);
+    }
     const go = $(risky ? "accept" : "go");
     go.hidden = false;
-    go.setAttribute("aria-label", `${risky ? "Accept the risk and go" : "Go"} to x ${figure(goal.x)}, y ${figure(goal.y)}`);
+    go.setAttribute(
+      "aria-label",
+      `${risky ? "Accept the risk and go" : "Go"} to x ${figure(goal.x)}, y ${figure(goal.y)}`,
+    );
     go.scrollIntoView({ block: "nearest" });
     view.show();
     free.plan(plan, "preview");
@@ -114,7 +120,10 @@ export function makeDrive(link, view, about, free) {
   };
   $("clear").onclick = () => forget();
   for (const id of ["gx", "gy", "gyaw"])
-    $(id).oninput = noGo; // what was asked for is not what stands there now
+    $(id).oninput = () => {
+      noGo();
+      $("answer").replaceChildren(); // what was asked for is not what stands there now
+    };
   function noGo() {
     for (const id of ["go", "accept"]) $(id).hidden = true;
   }
@@ -131,7 +140,11 @@ export function makeDrive(link, view, about, free) {
     }
   }
   $("go").onclick = () => go($("go"), false);
-  twice($("accept"), () => "It may fall. Really?", () => go($("accept"), true));
+  twice(
+    $("accept"),
+    () => "It may fall. Really?",
+    () => go($("accept"), true),
+  );
 
   const locked = () => !free.may();
   function lock() {
@@ -142,8 +155,7 @@ export function makeDrive(link, view, about, free) {
   link.on("robot", showRobot);
   link.on("goal", (goal) => {
     showRobot();
-    if (!world.preview)
-      world.goal = ACTIVE.includes(goal.state) ? goal : null;
+    if (!world.preview) world.goal = ACTIVE.includes(goal.state) ? goal : null;
     if (!world.goal && world.route) {
       world.route = null;
       free.plan(null);
@@ -177,21 +189,15 @@ export function readPlan(found) {
 export const unseen = (plan) =>
   plan.transition_length.reduce((sum, length, k) => sum + length * plan.transition_unknown[k], 0);
 
-export function facts_of(plan) {
-  const worst = plan.worst;
-  const rows = [
-    ["Length", `${figure(plan.length, 1)} m`],
-    ["Time", `about ${figure(plan.duration, 0)} s`],
-    ["Cost", `${figure(plan.cost, 1)} m`],
-    ...(plan.chance ? [["Chance", plan.chance]] : []),
-    ["Nobody saw", `up to ${figure(unseen(plan), 1)} m of it`],
-  ];
-  if (worst >= 0)
-    rows.push(
-      ["Worst place", `x ${figure(plan.worst_x[worst])} y ${figure(plan.worst_y[worst])} m`],
-      ["Body risk there", `${figure(plan.transition_body[worst])} (${grade(plan.transition_body[worst])})`],
-      ["Unseen there", `${Math.round(100 * plan.transition_unknown[worst])} %`],
-    );
-  return rows;
+function lines_of(plan) {
+  const k = plan.worst;
+  const way = `${figure(plan.length, 1)} m, about ${figure(plan.duration, 0)} s, cost ${figure(plan.cost, 1)} m, up to ${figure(unseen(plan), 1)} m of it nobody saw.`;
+  if (k < 0) return [way, plan.chance].filter(Boolean);
+  const body = plan.transition_body[k];
+  return [
+    way,
+    plan.chance ?? "",
+    `Worst place: x ${figure(plan.worst_x[k])} y ${figure(plan.worst_y[k])} m, body risk ${figure(body)} (${grade(body)}), ${Math.round(100 * plan.transition_unknown[k])} % unseen.`,
+  ].filter(Boolean);
 }
 export const grade = (risk) => (risk < 0.3 ? "easy" : risk < 0.7 ? "rough" : "hard");

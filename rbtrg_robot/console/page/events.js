@@ -25,7 +25,8 @@ export function makeEvents(link, view, about, free, archive) {
           $("scene").scrollIntoView({ block: "nearest" });
         }),
       );
-    if (link.replay || about.run) acts.append(button("Log", () => archive.at(link.replay || about.run, logged - BEFORE)));
+    if (link.replay || about.run)
+      acts.append(button("Log", () => archive.at(link.replay || about.run, logged - BEFORE)));
     for (const act of acts.children) act.setAttribute("aria-label", `${act.textContent} of: ${text}`);
     made.append(words, acts);
     return made;

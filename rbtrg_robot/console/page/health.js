@@ -26,7 +26,7 @@ export function makeHealth(link, about) {
         status.topics
           .filter((x) => x.nominal)
           .map((x) => [
-            x.topic,
+            [x.topic, "wrap"],
             figure(x.rate, 1),
             figure(x.nominal, 0),
             x.age === null ? "–" : figure(x.age),

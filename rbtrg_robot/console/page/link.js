@@ -109,7 +109,16 @@ export function open() {
     const topics = STEADY.map((name) => (name in ages ? ages[name] + since : Infinity));
     const lost = socket?.readyState !== 1;
     link.age = Math.max(since, link.delay, ...topics);
-    link.silent = lost || since > STALE ? "console" : topics[1] > STALE ? "robot" : topics[0] > STALE ? "odometry" : link.delay > STALE ? "link" : "";
+    link.silent =
+      lost || since > STALE
+        ? "console"
+        : topics[1] > STALE
+          ? "robot"
+          : topics[0] > STALE
+            ? "odometry"
+            : link.delay > STALE
+              ? "link"
+              : "";
     link.since = { console: since, robot: topics[1], odometry: topics[0], link: link.delay }[link.silent] ?? 0;
     const fresh = lost || link.age > STALE ? "stale" : link.age > OLD ? "old" : "live";
     const changed = fresh !== link.fresh;
@@ -170,7 +179,10 @@ export function open() {
   }
 
   setInterval(look, 100);
-  setInterval(() => quick({ do: "alive", seen: link.seen, watched: !document.hidden && !link.replay && link.fresh !== "stale" }), 500);
+  setInterval(
+    () => quick({ do: "alive", seen: link.seen, watched: !document.hidden && !link.replay && link.fresh !== "stale" }),
+    500,
+  );
   dial();
   return link;
 }

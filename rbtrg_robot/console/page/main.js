@@ -1,5 +1,6 @@
 // The page: one connection, one picture, seven views, and STOP on all of them.
 import { makeArchive } from "./archive.js";
+import { makeDraw } from "./draw.js";
 import { makeDrive } from "./drive.js";
 import { makeEvents } from "./events.js";
 import { makeHalt } from "./halt.js";
@@ -7,6 +8,7 @@ import { makeHealth } from "./health.js";
 import { makeLead } from "./lead.js";
 import { open } from "./link.js";
 import { makeMaps } from "./maps.js";
+import { makeMeasure } from "./measure.js";
 import { makeMissions } from "./missions.js";
 import { makePicture } from "./picture.js";
 import { makeState } from "./state.js";
@@ -19,6 +21,7 @@ const link = open();
 makeHalt(link);
 const about = await (await fetch("/about")).json();
 let why,
+  draw,
   drive,
   stick,
   missions,
@@ -52,7 +55,7 @@ const view = mount($("view"), {
   followed: (on) => $("follow").setAttribute("aria-pressed", on),
   pick(x, y, yaw) {
     if (lead) return lead.pick(x, y);
-    if (maps.pick(x, y, yaw)) return;
+    if (maps.pick(x, y, yaw) || draw.pick(x, y, yaw)) return;
     const k = yaw === null && !$("why").hidden ? why.near(x, y) : null;
     if (k !== null) return why.choose(k);
     if (link.fresh !== "stale" && free.operating()) {
@@ -73,10 +76,12 @@ view.world.body = about.body;
 put("name", about.robot);
 document.title = `${about.robot} console`;
 
+makeMeasure(view);
 picture = makePicture(link, view, about);
 if (!$("hint").textContent) picture.hint();
 why = makeWhy(link, view);
 drive = makeDrive(link, view, about, free);
+draw = makeDraw(link, view, about, free);
 stick = makeStick(link, view, about, free);
 missions = makeMissions(link, view, free);
 maps = makeMaps(link, view, free);
@@ -92,7 +97,14 @@ function show(name) {
     (made.toggleAttribute("aria-current", made.dataset.view === name),
       made.dataset.view === name && made.setAttribute("aria-current", "page"));
   for (const panel of document.querySelectorAll(".panel")) panel.hidden = panel.id !== name;
-  ({ events: events.show, health: health.show, logs: archive.runs, maps: maps.show, missions: missions.show, why: why.gate })[name]?.();
+  ({
+    events: events.show,
+    health: health.show,
+    logs: archive.runs,
+    maps: maps.show,
+    missions: missions.show,
+    why: why.gate,
+  })[name]?.();
 }
 for (const made of document.querySelectorAll("nav button")) made.onclick = () => show(made.dataset.view);
 show(lead ? "lead" : "drive");
@@ -128,6 +140,7 @@ function replayed({ run, state, seconds, paused, wrong }) {
       candidates: null,
       arc: null,
       mark: null,
+      drawn: null,
     });
     picture.clear();
     why.show(null);
@@ -221,8 +234,15 @@ function banner(words, kind = "") {
   at.className = kind;
   at.textContent = words;
 }
+// The answer to a goal floats above STOP on a phone: what lies below it can be scrolled out as well.
+new ResizeObserver(([dock]) => {
+  const floats = getComputedStyle(dock.target).position === "fixed";
+  document.body.style.setProperty("--dock", `${floats ? dock.borderBoxSize[0].blockSize : 0}px`);
+}).observe($("verdict"));
 // What stands at the end of the page can be scrolled out from behind the bar, however high its warnings make it.
-new ResizeObserver(([bar]) => document.body.style.setProperty("--bar", `${bar.borderBoxSize[0].blockSize}px`)).observe($("stopbar"));
+new ResizeObserver(([bar]) => document.body.style.setProperty("--bar", `${bar.borderBoxSize[0].blockSize}px`)).observe(
+  $("stopbar"),
+);
 
 makeState(link, free);
 picture.begin();

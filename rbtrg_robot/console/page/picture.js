@@ -1,12 +1,13 @@
 // The tools over the picture, what the colours mean, and what comes for it.
 import { $, figure, put } from "./tell.js";
 import { makeVideo } from "./video.js";
+import { COLOUR, wear } from "./view/palette.js";
 
 const TRUST = 2,
   AGE = 3;
 const NOTES = {
-  [TRUST]: "· yellow: bridged between rays; orange: assumed, nobody saw it; empty: not seen; hatched: not trusted",
-  [AGE]: "· grey: not known when",
+  [TRUST]: "yellow: bridged between rays; orange: assumed, nobody saw it; empty: not seen; hatched: not trusted",
+  [AGE]: "grey: not known when",
 };
 
 export function makePicture(link, view, about) {
@@ -55,7 +56,7 @@ export function makePicture(link, view, about) {
   });
   $("top").onclick = () => put("top", view.above() ? "From the side" : "From above");
   const LAYERS = [
-    ["low", "high", ["#66878c", "#a8ad8f", "#dbbf94"]],
+    ["low", "high", null],
     ["flat", "limit", ["#4c998c", "#e5cc66", "#9e1a38"]],
     ["not trusted", "wheels", ["#8c8c8c", "#599ebf", "#40b373"]],
     ["now", "1 min", ["#4db8db", "#ccb880", "#7a4238"]],
@@ -67,15 +68,18 @@ export function makePicture(link, view, about) {
     bar.width = 110;
     bar.height = 12;
     const shade = paint.createLinearGradient(0, 0, 110, 0);
-    colours.forEach((colour, k) => shade.addColorStop(k / 2, colour));
+    (colours ?? COLOUR.ramp.map((rgb) => `rgb(${rgb})`)).forEach((colour, k) => shade.addColorStop(k / 2, colour));
     paint.fillStyle = shade;
     paint.fillRect(0, 0, 110, 12);
-    $("legend").replaceChildren(
-      view.world.layer ? from : `${figure(view.ground.low, 1)} m`,
-      bar,
-      view.world.layer ? to : `${figure(view.ground.high, 1)} m`,
-      small ? "" : NOTES[view.world.layer] ?? "· hatched: not trusted or assumed",
-    );
+    const { low, high } = view.ground;
+    const words = [view.world.layer ? from : `${figure(low, 1)} m`, view.world.layer ? to : `${figure(high, 1)} m`];
+    const note = small ? "" : (NOTES[view.world.layer] ?? "hatched: not trusted or assumed");
+    const [before, after, last] = [...words, note].map((text) => {
+      const made = document.createElement("span");
+      made.textContent = text;
+      return made;
+    });
+    $("legend").replaceChildren(before, bar, after, ...(note ? [last] : []));
   }
   $("layer").onchange = () => {
     view.world.layer = Number($("layer").value);
@@ -101,7 +105,8 @@ export function makePicture(link, view, about) {
   }
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const sky = () => {
-    view.world.sky = dark.matches ? [0.114, 0.149, 0.176] : [0.875, 0.902, 0.918];
+    wear(dark.matches ? "dark" : "light");
+    legend();
     view.show();
   };
   dark.onchange = sky;

@@ -168,10 +168,7 @@ export function makeStick(link, view, about, free) {
                 : `Hold the stick${link.lag()}`,
     );
     const limits = link.newest.limits;
-    put(
-      "hand-why",
-      held ? robot.held || limits?.slowed || "" : "",
-    );
+    put("hand-why", held ? robot.held || limits?.slowed || "" : "");
   });
 
   // The colour of the arc, in words.

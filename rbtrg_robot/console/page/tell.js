@@ -50,6 +50,7 @@ export function table(at, titles, rows) {
   const head = document.createElement("thead"),
     body = document.createElement("tbody");
   head.append(line("th", titles));
+  for (const empty of head.querySelectorAll("th:empty")) empty.outerHTML = "<td></td>"; // it is the head of nothing
   body.append(...rows.map((cells) => line("td", cells)));
   if (!rows.length) body.append(line("td", ["none yet"]));
   at.replaceChildren(...[at.caption, head, body].filter(Boolean));

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -10,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, BrowserContext, Page
 
 from rbtrg_robot import msg
@@ -17,6 +21,7 @@ from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.log.read import CONFIG
 from rbtrg_robot.log.write import LogWriter
+from rbtrg_robot.processes import PROCESSES
 from rbtrg_robot.wire.convert import odometry_msg, patch_msg, transform_msg
 from rbtrg_robot.wire.messages import encode, header
 from tests.rbtrg_robot.console.pages import LIMIT, chromium, on_screen, soon, until
@@ -189,6 +194,90 @@ def test_why_names_what_is_worst(visit: Callable[..., Page]) -> None:
     assert "The native cost alone would have gone 3.1 m" in page.inner_text("#why-sum")
     assert "up to 0.0 m over ground that nobody saw" in page.inner_text("#why-sum")
     assert page.evaluate("consoleView.world.chosen") == 2
+
+
+# --- what people can see and reach -----------------------------------------------------------------------------
+
+SIZES = {"desk": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
+VIEWS = ("drive", "missions", "why", "events", "health", "logs", "maps")
+ON_TOP = """name => { const at = document.querySelector(name), box = at.getBoundingClientRect();
+    return [[.5, .5], [.1, .5], [.9, .5], [.5, .1], [.5, .9]].every(([a, b]) =>
+        at.contains(document.elementFromPoint(box.x + a * box.width, box.y + b * box.height))); }"""
+"""Whether nothing covers an element."""
+CUT = """() => [...document.querySelectorAll('.scroll')].filter(x => x.scrollWidth > x.clientWidth + 1).map(x => x.ariaLabel)"""
+CONTRAST = """async () => {
+    const { THEMES } = await import('/page/view/palette.js');
+    const light = ([r, g, b]) => [r, g, b].map(v => v / 255).map(v => v <= .03928 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4)
+        .reduce((sum, v, k) => sum + v * [.2126, .7152, .0722][k], 0);
+    const contrast = (a, b) => (Math.max(light(a), light(b)) + .05) / (Math.min(light(a), light(b)) + .05);
+    const lines = ['route', 'preview', 'goal', 'home', 'worst', 'step', 'allowed', 'keepout', 'drawn'];
+    const { ramp, shade, grid } = THEMES.light;
+    return [...Object.values(THEMES).flatMap(theme => lines.map(name => contrast(theme[name], theme.casing))),
+        ...ramp.map(ground => contrast(ground.map(v => v * shade[0]), grid[0]))];
+}"""
+"""Of every line to its casing, and of the grid to the darkest ground in sunlight."""
+
+
+def full_status() -> bytes:
+    """What the supervisor says of a whole stack."""
+    row = {"state": "ready", "restarts": 12, "cpu": 123.0, "memory_mb": 1024.0, "heartbeat_age": 0.44}
+    processes = [{"process": process.name, **row} for process in PROCESSES]
+    topics = [
+        {"topic": topic.name, "rate": topic.rate, "nominal": topic.rate, "age": 0.04, "ok": True}
+        for topic in t.TOPICS
+    ]
+    return json.dumps({"processes": processes, "topics": topics, "robot": {}}).encode()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_view_is_whole_and_can_be_read_and_reached(
+    visit: Callable[..., Page], robot: Robot, console: Console, tmp_path: Path, size: str
+) -> None:
+    run = Path(console.config.log_dir).parent / "20260102-000000_a_scene_with_a_name_1234567"
+    if not run.exists():
+        write_run(run)
+    robot.status = full_status()
+    with robot.lock:
+        robot.events.happened(
+            "process", "planner ended (signal SIGKILL); restarting in 0.5 s", msg.Event.ERROR
+        )
+        robot.events.happened(
+            "touch", "touched something that no LiDAR sees", msg.Event.WARNING, at=(2.0, 1.0)
+        )
+    width, height = SIZES[size]
+    phone: dict[str, Any] = {"has_touch": True, "is_mobile": True} if size == "phone" else {}
+    page = visit(size={"width": width, "height": height}, **phone)
+    page.evaluate(Axe().axe_script)
+    pictures = Path(os.environ.get("RBTRG_PICTURES", tmp_path))
+    page.fill("#gx", "4.3")
+    page.fill("#gy", "0.5")
+    page.click("#ask")
+    page.wait_for_selector("#go:not([hidden])")
+    for name in ("#go", "#answer .verdict", "#halt"):
+        assert page.evaluate(ON_TOP, name), name
+    go, halt, stick = (page.locator(name).bounding_box() for name in ("#go", "#halt", "#stick"))
+    assert go is not None
+    assert halt is not None
+    assert stick is not None
+    assert go["y"] + go["height"] <= halt["y"]
+    if size == "desk":
+        assert stick["y"] + stick["height"] < halt["y"], "hands are below the fold"
+    if size == "phone":
+        assert go["y"] > 0.6 * height, "no thumb reaches Go"
+    for view in VIEWS:
+        page.click(f"nav [data-view={view}]")
+        if view == "health":
+            until(page, "document.querySelectorAll('#processes tbody tr').length > 5")
+        if view == "logs":
+            page.locator("#runs button", has_text="Look").first.click()
+            page.wait_for_selector("#run-card:not([hidden])")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(CUT) == [], view
+        assert page.evaluate(ON_TOP, "#halt"), view
+        found = page.evaluate("axe.run({ exclude: ['#view'] })")["violations"]
+        assert [(x["id"], [node["target"] for node in x["nodes"]]) for x in found] == [], view
+        page.screenshot(path=pictures / f"console_{view}_{size}.png")
+    assert min(page.evaluate(CONTRAST)) >= 7.0
 
 
 # --- stop ---------------------------------------------------------------------------------------------------
@@ -536,7 +625,7 @@ def test_a_mission_is_seen_run_answered_and_ended_on_a_phone(
     until(page, "document.querySelector('#mission-said').textContent.includes('paused')")
     soon(page, lambda: robot.state == "cancelled")
     robot.pace = PACE
-    page.click("[data-mission=resume]")
+    page.click("#act-goon")
     page.click("nav [data-view=drive]")
     until(page, "document.querySelector('#why-still').textContent === 'Is the valve open?'")
     assert (robot.x, robot.y) == pytest.approx((1.5, 0.5), abs=0.15)
@@ -562,6 +651,54 @@ def test_a_page_that_nobody_looks_at_is_no_contact(visit: Callable[..., Page], r
     before = robot.present
     page.wait_for_timeout(1500)
     assert robot.present == before
+
+
+# --- drawn on the ground ----------------------------------------------------------------------------------------
+
+
+def test_places_that_are_drawn_are_driven_and_an_area_is_saved_and_explored(
+    visit: Callable[..., Page], robot: Robot, console: Console
+) -> None:
+    page = visit()
+    assert page.evaluate("consoleView.world.allowed.length") >= 3
+    page.click("#follow")
+    page.click("#draw summary")
+    page.click("#draw-way")
+    assert page.is_disabled("#draw-go")
+    for x, y in ((1.0, 0.4), (1.5, -0.6)):
+        page.mouse.click(*on_screen(page, x, y))
+    page.mouse.move(*on_screen(page, 1.6, 0.2))
+    page.mouse.down()
+    page.mouse.move(*on_screen(page, 1.6, 1.0), steps=4)
+    page.mouse.up()
+    assert page.inner_text("#draw-hint") == "3 places"
+    page.keyboard.press("Control+z")
+    page.click("#draw-undo")
+    assert page.inner_text("#draw-hint") == "1 place"
+    page.mouse.click(*on_screen(page, 1.5, -0.6))
+    assert robot.goals == []
+    page.click("#draw-go")
+    soon(page, lambda: len(robot.goals) == 2)
+    places = [(goal.x, goal.y) for goal in robot.goals]
+    assert places == [pytest.approx((1.0, 0.4), abs=0.1), pytest.approx((1.5, -0.6), abs=0.1)]
+    assert page.evaluate("consoleView.world.drawn") is None
+    soon(page, lambda: robot.state == "reached")
+    page.click("#follow")  # what was sent off is followed again
+    page.click("#draw-area")
+    for x, y in ((0.5, -0.5), (2.5, -0.5), (2.5, 1.0)):
+        page.mouse.click(*on_screen(page, x, y))
+    page.fill("#area-name", "ramp")
+    page.click("#area-save")
+    until(page, "document.querySelector('#draw-said').textContent.includes('3 corners in')")
+    saved = Path(console.config.log_dir).parent / "areas" / "ramp.yaml"
+    corners = yaml.safe_load(saved.read_text())
+    assert [tuple(corner) for corner in corners] == [
+        pytest.approx(corner, abs=0.1) for corner in ((0.5, -0.5), (2.5, -0.5), (2.5, 1.0))
+    ]
+    page.click("#draw-clear")
+    page.click("#area-list button")
+    page.click("#draw-explore")
+    until(page, "consoleView.world.mission?.steps[0].step === 'explore'")
 
 
 # --- maps ---------------------------------------------------------------------------------------------------

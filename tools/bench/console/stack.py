@@ -87,7 +87,9 @@ class Robot:
                 *(t.MISSION_REQUEST, t.PRESENCE, t.INITIAL_POSE, t.MAP_PRIOR, t.CAMERA_REQUEST),
             ]
         )
-        self.bus.serve("status", lambda _: b"{}")
+        self.status = b"{}"
+        """What the supervisor answers."""
+        self.bus.serve("status", lambda _: self.status)
         self.events = Events(lambda _: None, 0.1, time.time_ns, time.time_ns)
         self.bus.serve("events", lambda _: json.dumps(self.events.newest()).encode())
         self.lock = threading.Lock()
@@ -163,6 +165,7 @@ class Robot:
         turn = rpy_quaternion((0.0, 0.0, yaw))
         frames = msg.TFMessage(transforms=[transform_msg(stamp, MAP, ODOM, at, turn)])
         self.events.take(t.TF_STATIC, frames)
+        self._do(self.mission.on(t.TF_STATIC, frames))
         self.bus.publish(t.TF_STATIC, frames, stamp)
         self.mission.on(t.TF_STATIC, frames)
 
@@ -283,14 +286,13 @@ class Robot:
             told.has_yaw, told.yaw = self.goal.has_yaw, self.goal.yaw
             told.distance_left = math.hypot(self.goal.x - self.x, self.goal.y - self.y)
         self.bus.publish(t.GOAL_STATUS, told, stamp)
-        for topic, message in ((t.ROBOT_STATE, state), (t.GOAL_STATUS, told)):
-            self._do(self.mission.on(topic, message))
         news: tuple[tuple[t.Topic, msg.Message], ...] = (
             *((t.ODOM, odom), (t.ROBOT_STATE, state)),
             *((t.MAP_STATUS, status), (t.GOAL_STATUS, told)),
         )
         for new in news:
             self.events.take(*new)
+            self._do(self.mission.on(*new))
         for event in self.events.due():
             self.bus.publish(t.EVENTS, event, stamp_of(event))
         self._do(self.mission.tick(stamp))

@@ -1,13 +1,15 @@
 // The same world from above on a 2D canvas, for browsers without WebGL2 and after a context that does not come back.
 import { doubtful, NEVER, UNKNOWN } from "./ground.js";
-import { bodies, COLOUR, places, rim, risky } from "./shapes.js";
+import { COLOUR } from "./palette.js";
+import { bodies, places, rim, risky } from "./shapes.js";
 
 const css = ([r, g, b, a = 255]) => `rgb(${r} ${g} ${b} / ${a / 255})`;
 
 export function makeFlat(canvas, world, ground, camera) {
   const context = canvas.getContext("2d", { alpha: false });
   const pictures = new Map();
-  let layer = -1;
+  let layer = -1,
+    theme = null;
   const scale = () => camera.height / (2 * camera.distance * Math.tan(camera.fov / 2));
   const spot = (x, y) => [
     camera.width / 2 + (x - camera.at[0]) * scale(),
@@ -24,8 +26,10 @@ export function makeFlat(canvas, world, ground, camera) {
         if (h === UNKNOWN) continue;
         const t = Math.max(0, Math.min(1, (h / 1000 - ground.low) / (ground.high - ground.low)));
         const next = c < 63 && tile.height[k + 1] !== UNKNOWN ? tile.height[k + 1] : h,
-          light = 1 + Math.max(-0.35, Math.min(0.35, (h - next) / 120));
-        let paint = [102 + 117 * t, 135 + 56 * t, 140 + 8 * t];
+          light = Math.max(COLOUR.shade[0], Math.min(1.1, 1 + (h - next) / 120));
+        const [low, middle, high] = COLOUR.ramp,
+          half = t < 0.5 ? [low, middle, 2 * t] : [middle, high, 2 * t - 1];
+        let paint = half[0].map((v, i) => v + (half[1][i] - v) * half[2]);
         if (world.layer === 1) paint = tile.risk[k] === 255 ? [128, 128, 128] : risky((tile.risk[k] / 200) * 1.2);
         if (world.layer === 2)
           paint = [
@@ -45,7 +49,8 @@ export function makeFlat(canvas, world, ground, camera) {
                 ? [77 + 254 * old, 184, 219 - 184 * old]
                 : [286 - 164 * old, 302 - 236 * old, 199 - 143 * old];
         }
-        if (doubtful(tile.trust[k]) && world.layer !== 3 && (r + c) % 6 < 2) paint = paint.map((v) => (v + 110) / 2);
+        if (doubtful(tile.trust[k]) && world.layer !== 3 && (r + c) % 6 < 2)
+          paint = paint.map((v, i) => (v + COLOUR.doubt[i]) / 2);
         for (let i = 0; i < 3; i++) image.data[at + i] = paint[i] * light;
         image.data[at + 3] = 255;
       }
@@ -54,14 +59,25 @@ export function makeFlat(canvas, world, ground, camera) {
     made.getContext("2d").putImageData(image, 0, 0);
     return made;
   }
-  function path(points, wide, paint, dash = []) {
+  function path(points, wide, paint, dash = [], cased = true) {
     context.beginPath();
     points.forEach(([x, y], k) => context[k ? "lineTo" : "moveTo"](...spot(x, y)));
-    context.lineWidth = wide;
-    context.strokeStyle = css(paint);
     context.setLineDash(dash);
-    context.stroke();
+    for (const [width, colour] of [...(cased ? [[wide + 3, COLOUR.casing]] : []), [wide, paint]]) {
+      context.lineWidth = width;
+      context.strokeStyle = css(colour);
+      context.stroke();
+    }
     context.setLineDash([]);
+  }
+  // A line every metre, while they stand apart.
+  function grid() {
+    const [ink, share] = COLOUR.grid,
+      [w, h] = [camera.width / scale() / 2, camera.height / scale() / 2],
+      [x, y] = camera.at;
+    if (scale() < 12) return;
+    for (let k = Math.ceil(x - w); k <= x + w; k++) path([[k, y - h], [k, y + h]], 1, [...ink, 255 * share], [], false); // prettier-ignore
+    for (let k = Math.ceil(y - h); k <= y + h; k++) path([[x - w, k], [x + w, k]], 1, [...ink, 255 * share], [], false); // prettier-ignore
   }
   function body(x, y, yaw, paint, fill) {
     path(rim(x, y, yaw, ...world.body), 3, paint);
@@ -79,15 +95,16 @@ export function makeFlat(canvas, world, ground, camera) {
     );
   }
   function draw() {
-    if (world.layer !== layer || world.layer === 3) {
+    if (world.layer !== layer || world.layer === 3 || theme !== COLOUR.sky) {
       layer = world.layer;
+      theme = COLOUR.sky;
       pictures.clear();
     }
     for (const key of ground.dirty) pictures.delete(key);
     ground.dirty.clear();
     const ratio = canvas.width / camera.width;
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
-    context.fillStyle = css(world.sky.map((v) => 255 * v));
+    context.fillStyle = css(COLOUR.sky);
     context.fillRect(0, 0, camera.width, camera.height);
     context.imageSmoothingEnabled = false;
     for (const [key, tile] of ground.tiles) {
@@ -96,6 +113,7 @@ export function makeFlat(canvas, world, ground, camera) {
         [x, y] = spot((tile.col - 0.5) * ground.res, (tile.row - 0.5) * ground.res + size);
       context.drawImage(pictures.get(key), x, y, size * scale() + 0.5, size * scale() + 0.5);
     }
+    grid();
     if (world.graph && world.showGraph) {
       const { at } = world.graph;
       for (let k = 0; k < at.length; k += 6)
@@ -106,7 +124,23 @@ export function makeFlat(canvas, world, ground, camera) {
           ],
           1,
           [0, 90, 150, 90],
+          [],
+          false,
         );
+    }
+    if (world.allowed) path([...world.allowed, world.allowed[0]], 3, COLOUR.allowed);
+    if (world.drawn?.points.length) {
+      const { mode, points } = world.drawn;
+      const ring = points.map(({ x, y }) => [x, y]);
+      if (mode === "area" && ring.length > 2) ring.push(ring[0]);
+      path(ring, 3, COLOUR.drawn);
+      for (const { x, y, yaw } of points) {
+        context.beginPath();
+        context.arc(...spot(x, y), 7, 0, 7);
+        context.fillStyle = css(COLOUR.drawn);
+        context.fill();
+        if (yaw !== null) path([[x, y], [x + 0.5 * Math.cos(yaw), y + 0.5 * Math.sin(yaw)]], 4, COLOUR.drawn); // prettier-ignore
+      }
     }
     for (const [plan, paint] of [
       [world.route, COLOUR.route],

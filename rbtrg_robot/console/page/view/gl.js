@@ -1,5 +1,6 @@
 // The 3D view on WebGL2. Everything is uploaded in `draw`, the newest only; a lost context is made anew from what the page has.
 import { NEVER, UNKNOWN } from "./ground.js";
+import { COLOUR, parts as share } from "./palette.js";
 import { build } from "./shapes.js";
 
 const TERRAIN = [
@@ -10,22 +11,23 @@ out vec3 at; flat out uvec3 mark;
 void main() { int k = gl_VertexID; at = vec3(corner + res * vec2(k % 65, k / 65), float(height) / 1000.0); mark = marks; gl_Position = lens * vec4(at, 1.0); }`,
   `#version 300 es
 precision highp float; precision highp int;
-in vec3 at; flat in uvec3 mark; uniform int layer; uniform vec2 span; uniform float since; uniform vec3 sky; uniform vec3 eye;
+in vec3 at; flat in uvec3 mark; uniform int layer; uniform vec2 span; uniform float since; uniform vec3 sky; uniform vec3 eye; uniform vec3 low; uniform vec3 middle; uniform vec3 high; uniform vec3 doubt; uniform vec2 shade; uniform vec4 ink;
 out vec4 colour;
 vec3 ramp(float t, vec3 a, vec3 b, vec3 c) { return t < 0.5 ? mix(a, b, 2.0 * t) : mix(b, c, 2.0 * t - 1.0); }
 void main() {
   vec3 n = normalize(cross(dFdx(at), dFdy(at))); n = n.z < 0.0 ? -n : n;
   float t = clamp((at.z - span.x) / (span.y - span.x), 0.0, 1.0);
-  vec3 paint = ramp(t, vec3(0.40, 0.53, 0.55), vec3(0.66, 0.68, 0.56), vec3(0.86, 0.75, 0.58));
+  vec3 paint = ramp(t, low, middle, high);
   if (layer == 1) { float r = float(mark.x) / 200.0; paint = mark.x == 255u ? vec3(0.5) : r < 1.0 ? ramp(r, vec3(0.30, 0.60, 0.55), vec3(0.90, 0.80, 0.40), vec3(0.90, 0.45, 0.20)) : vec3(0.62, 0.10, 0.22); }
   if (layer == 2) paint = mark.y <= 1u ? vec3(0.55) : mark.y == 5u ? vec3(0.88, 0.55, 0.25) : mark.y == 2u ? vec3(0.72, 0.72, 0.45) : mark.y == 3u ? vec3(0.35, 0.62, 0.75) : vec3(0.25, 0.70, 0.45);
   if (layer == 3) paint = mark.z == 255u ? vec3(0.5) : ramp(clamp((float(mark.z) + since) / 60.0, 0.0, 1.0), vec3(0.30, 0.72, 0.86), vec3(0.80, 0.72, 0.50), vec3(0.48, 0.26, 0.22));
-  if ((mark.y <= 1u || mark.y == 5u) && layer != 3) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, vec3(0.45), h < 0.35 ? 0.45 : 0.15); }
+  if ((mark.y <= 1u || mark.y == 5u) && layer != 3) { float h = fract((at.x + at.y) * 4.0); paint = mix(paint, doubt, h < 0.35 ? 0.45 : 0.15); }
   if (layer == 1 && mark.x >= 200u && mark.x < 255u) { float h = fract((at.x - at.y) * 8.0); paint *= h < 0.4 ? 0.65 : 1.0; }
-  float light = 0.55 + 0.5 * max(0.0, dot(n, normalize(vec3(0.35, -0.45, 0.85))));
+  float light = shade.x + shade.y * max(0.0, dot(n, normalize(vec3(0.35, -0.45, 0.85))));
   vec2 g = abs(fract(at.xy - 0.5) - 0.5) / fwidth(at.xy);
   float grid = 1.0 - min(min(g.x, g.y), 1.0);
-  paint = mix(paint * light, paint * light * 0.75, 0.5 * grid);
+  vec2 fine = fwidth(at.xy);
+  paint = mix(paint * light, ink.rgb, ink.a * grid * (1.0 - smoothstep(0.05, 0.25, max(fine.x, fine.y))));
   colour = vec4(mix(paint, sky, smoothstep(30.0, 70.0, distance(at, eye))), 1.0);
 }`,
 ];
@@ -159,7 +161,7 @@ export function makeGl(canvas, world, ground, camera) {
       }
     }
     const lens = new Float32Array(camera.matrix()),
-      sky = world.sky;
+      sky = share(COLOUR.sky);
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(...sky, 1);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
@@ -171,6 +173,10 @@ export function makeGl(canvas, world, ground, camera) {
     gl.uniform2f(terrain.at("span"), ground.low, ground.high);
     gl.uniform3f(terrain.at("sky"), ...sky);
     gl.uniform3f(terrain.at("eye"), ...camera.eye());
+    ["low", "middle", "high"].forEach((name, k) => gl.uniform3f(terrain.at(name), ...share(COLOUR.ramp[k])));
+    gl.uniform3f(terrain.at("doubt"), ...share(COLOUR.doubt));
+    gl.uniform2f(terrain.at("shade"), ...COLOUR.shade);
+    gl.uniform4f(terrain.at("ink"), ...share(COLOUR.grid[0]), COLOUR.grid[1]);
     const corner = terrain.at("corner"),
       since = terrain.at("since"),
       now = performance.now();

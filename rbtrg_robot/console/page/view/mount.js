@@ -22,6 +22,8 @@ export function mount(element, options) {
     candidates: null,
     arc: null,
     mark: null,
+    allowed: null, // corners [x, y] of the area that the robot stays in
+    drawn: null, // { mode, points } on the way to be sent
     cloud: null,
     graph: null,
     chosen: null,
@@ -31,9 +33,21 @@ export function mount(element, options) {
     showGraph: false,
     fresh: "stale",
     body: [0.7, 0.43],
-    sky: [0.87, 0.9, 0.92],
   };
-  const view = { ground, camera, world, show, kind: "", moving: false, follow: true, frames: 0, above, look, chase };
+  const view = {
+    ground,
+    camera,
+    world,
+    show,
+    kind: "",
+    moving: false,
+    follow: true,
+    frames: 0,
+    above,
+    look,
+    chase,
+    place: (x, y) => painter?.place(x, y),
+  };
   let canvas,
     painter,
     asked = false,
@@ -118,6 +132,7 @@ export function mount(element, options) {
       if (view.follow && world.pose) camera.at = [world.pose.x, world.pose.y, world.pose.z - 0.3];
       view.frames++;
       if (painter.draw()) show();
+      view.drawn?.();
     });
   }
   function above() {

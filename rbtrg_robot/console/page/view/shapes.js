@@ -1,18 +1,6 @@
 // What stands on the terrain, as triangles for the 3D view: x, y, z, colour. The 2D view draws the same world by itself.
 
-export const COLOUR = {
-  step: [20, 130, 120, 255],
-  done: [120, 132, 140, 255],
-  robot: [245, 250, 255, 255],
-  dark: [38, 50, 60, 255],
-  route: [0, 133, 224, 255],
-  preview: [180, 70, 220, 255],
-  native: [60, 66, 74, 255],
-  goal: [255, 140, 0, 255],
-  home: [20, 150, 60, 255],
-  worst: [225, 40, 40, 255],
-  chosen: [255, 208, 40, 255],
-};
+import { COLOUR } from "./palette.js";
 
 // From 0 to 1.2: green, amber, red. Also told in words and figures elsewhere.
 export function risky(risk, alpha = 255) {
@@ -34,8 +22,9 @@ export function makeShapes() {
     triangle(a, c, d, paint);
   }
 
-  // A band over points [x, y, z], wide [m]; `paint` of each piece.
-  function ribbon(points, wide, paint, { dash = 0, lift = 0.05 } = {}) {
+  // A band over points [x, y, z], wide [m], with its casing; `paint` of each piece.
+  function ribbon(points, wide, paint, { dash = 0, lift = 0.05, cased = true } = {}) {
+    if (cased) ribbon(points, 1.7 * wide, COLOUR.casing, { dash, lift: lift - 0.012, cased: false });
     let run = 0;
     for (let k = 0; k + 1 < points.length; k++) {
       const [a, b] = [points[k], points[k + 1]],
@@ -168,6 +157,24 @@ export function build(world, ground, camera) {
   };
   const { pose } = world;
   const base = pose ? onGround(pose.x, pose.y, pose.z - 0.4) : 0;
+  const lay = (points) =>
+    dense(
+      points.map((p) => p[0]),
+      points.map((p) => p[1]),
+    ).map(([x, y]) => [x, y, onGround(x, y, base)]);
+  if (world.allowed) shapes.ribbon(lay([...world.allowed, world.allowed[0]]), 0.07, COLOUR.allowed);
+  if (world.drawn?.points.length) {
+    const { mode, points } = world.drawn;
+    const ring = points.map(({ x, y }) => [x, y]);
+    if (mode === "area" && ring.length > 2) ring.push(ring[0]);
+    shapes.ribbon(lay(ring), 0.08, COLOUR.drawn);
+    points.forEach(({ x, y, yaw }, k) => {
+      const z = onGround(x, y, base);
+      shapes.disc(x, y, z + 0.07, 0.14, COLOUR.drawn);
+      if (mode === "way") figures(shapes, k + 1, x, y, z + 0.3, camera, COLOUR.drawn);
+      if (yaw !== null) arrow(shapes, x, y, z + 0.08, yaw, 0.5, COLOUR.drawn);
+    });
+  }
   for (const [plan, paint] of [
     [world.route, COLOUR.route],
     [world.preview, COLOUR.preview],

@@ -40,6 +40,9 @@ class ElevationGrid:
     variance: NDArray[np.float32] | None = None
     """(rows, cols) float32 [m^2] of `height`; NaN where it was not measured. None: not known."""
 
+    holes: NDArray[np.bool_] | None = None
+    """(rows, cols) bool; the cell shows a hole wider than the robot crosses, whatever its height tells. None: no such cell."""
+
     def __post_init__(self) -> None:
         height = np.ascontiguousarray(self.height, dtype=np.float32)
         trusted = np.ascontiguousarray(self.trusted)
@@ -49,7 +52,7 @@ class ElevationGrid:
             raise GridError(f"trusted must be bool, got {trusted.dtype}")
         if trusted.shape != height.shape:
             raise GridError(f"trusted has shape {trusted.shape}, height has {height.shape}")
-        for name, mask in (("virtual", self.virtual), ("plants", self.plants)):
+        for name, mask in (("virtual", self.virtual), ("plants", self.plants), ("holes", self.holes)):
             if mask is not None and (mask.dtype, mask.shape) != (np.bool_, height.shape):
                 raise GridError(f"{name} must be bool of shape {height.shape}")
         if self.variance is not None and self.variance.shape != height.shape:
@@ -92,7 +95,9 @@ class ElevationGrid:
         c1, r1 = (int(v) for v in np.clip(np.ceil(high), 0, (cols - 1, rows - 1)))
         part = (slice(r0, r1 + 1), slice(c0, c1 + 1))
         corner = (self.origin[0] + c0 * self.resolution, self.origin[1] + r0 * self.resolution)
-        virtual, plants = (None if mask is None else mask[part] for mask in (self.virtual, self.plants))
+        virtual, plants, holes = (
+            None if mask is None else mask[part] for mask in (self.virtual, self.plants, self.holes)
+        )
         variance = None if self.variance is None else self.variance[part]
         height, trusted = self.height[part], self.trusted[part]
-        return ElevationGrid(height, trusted, corner, self.resolution, virtual, plants, variance)
+        return ElevationGrid(height, trusted, corner, self.resolution, virtual, plants, variance, holes)

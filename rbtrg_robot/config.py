@@ -26,6 +26,7 @@ from hal.scenes import Scene, load_scene
 from hal.types import Capabilities, Extrinsics, MountedLidar
 from hal.unitree.config import UnitreeConfig
 from mapping.elevation.config import ElevationConfig
+from mapping.elevation.holes import Crossing
 from mapping.grid import FARTHEST
 from mapping.odometry.pipeline import OdometryConfig
 from planning.graph.graph import GraphParams
@@ -270,6 +271,11 @@ class StackConfig(BaseModel):
         params = self.graph.params(self.capabilities(), self.controller if self.simulated else SPORT)
         head = any(lidar.name == "head" for lidar in self.lidars)
         return params.model_copy(update={"blind_radius": 0.0}) if head else params
+
+    def crossing(self) -> Crossing:
+        """Which holes the robot crosses."""
+        params = self.graph_params()
+        return Crossing(params.max_gap, params.climbed)
 
     def tracker_config(self) -> TrackerConfig:
         """Settings of the tracker, which asks for no motion so slow that the robot does not follow."""

@@ -31,7 +31,7 @@ ROOMS: dict[str, str] = {
     "mapping.odometry.registration": "hal",
     "mapping.odometry": "hal hal.safety.monitors mapping.odometry.registration",
     "mapping.relocalise": "hal mapping",
-    "mapping.elevation": "hal hal.lidar hal.scenes mapping",
+    "mapping.elevation": "hal hal.lidar hal.safety.monitors hal.scenes mapping",
     "mapping.closing": "hal mapping mapping.elevation mapping.relocalise",
     "planning": "hal",
     "planning.graph": "hal mapping planning",

@@ -430,6 +430,12 @@ TOUCHED = Monitor(
     "look at the place; drive around it, or forget it with `rbtrg-robot map clear`",
     high=30.0, unit="N", against="map", test="hal/safety/test_touch.py",
 )  # fmt: skip
+HOLE_WIDTH = Monitor(
+    "width of a hole", "elevation map", Check.RANGE, Consequence.HOLD, "elevation",
+    "a hole that is too wide to cross",
+    "drive around it, or lay something over it",
+    setting="graph.max_gap", against="rims on both sides", test="mapping/elevation/test_holes.py",
+)  # fmt: skip
 
 # -- commands and who gives them ------------------------------------------------------------------------------------------
 ROLLS_ON = Monitor(

@@ -34,11 +34,12 @@ BODY_CLEARANCE = 0.55
 POINTS = 3
 """Returns in one cell that count as something there."""
 
-WHEELS, LIDAR, PLANTS, TOUCHED = 1, 2, 5, 6
-"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body; else filled in between."""
+WHEELS, LIDAR, PLANTS, TOUCHED, HOLE = 1, 2, 5, 6, 7
+"""Where the height of a cell comes from: felt by the wheels and taken for granted around them, measured, ground under leaves, touched by the body,
+a hole that is measured from rim to rim and wider than the robot crosses (then the height counts for nothing); else filled in between."""
 
-CLEAR, FACE, DROP, SWEEP, UNSEEN = 0, 1, 2, 3, 4
-"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw."""
+CLEAR, FACE, DROP, SWEEP, UNSEEN, GAP = 0, 1, 2, 3, 4, 5
+"""What ends a track: nothing, ground that is too high, ground that is too low, points of the newest sweep, ground nobody saw, a hole that is too wide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -291,6 +292,7 @@ def nearest_obstacle(
     low = np.empty(samples, np.bool_)  # nothing stands here: unknown, or not believed
     felt = np.empty(samples, np.bool_)
     busy = np.empty(samples, np.bool_)
+    wide = np.empty(samples, np.bool_)
     # No obstacle, because at this sample a shell farther in is in the wall.
     walled = np.zeros((count, samples), np.bool_)
     for layer in range(layers):
@@ -299,11 +301,12 @@ def nearest_obstacle(
                 u, v = tracks[layer, k, i, 0], tracks[layer, k, i, 1]
                 col = math.floor((x + c * u - s * v - x0) / resolution + 0.5)
                 row = math.floor((y + s * u + c * v - y0) / resolution + 0.5)
-                ground[i], low[i], busy[i], felt[i] = np.nan, False, False, False
+                ground[i], low[i], busy[i], felt[i], wide[i] = np.nan, False, False, False, False
                 if 0 <= row < rows and 0 <= col < cols:
                     ground[i] = height[row, col]
                     busy[i] = occupied[row, col] > 0
                     felt[i] = source[row, col] == WHEELS
+                    wide[i] = source[row, col] == HOLE
                     if math.isnan(ground[i]):
                         ground[i] = bound[row, col]
                         low[i] = True
@@ -323,6 +326,11 @@ def nearest_obstacle(
                 if busy[i] and i > BEFORE:
                     if i < end:
                         end, what = i, SWEEP
+                    break
+                if wide[i] and i > BEFORE and not walled[k, i]:
+                    at = min(i, known + 1)
+                    if at <= end:
+                        end, what = at, GAP
                     break
                 if walled[k, i]:
                     known = max(known, i)
@@ -364,6 +372,8 @@ def nearest_obstacle(
                     across = -1
                     if worst < 0.0:
                         for j in range(i + 1, min(samples, last + 1 + gap + 1)):
+                            if wide[j] and j > BEFORE and not walled[k, j]:
+                                break
                             if (
                                 not (low[j] or felt[j] or math.isnan(ground[j]))
                                 and abs(ground[j] - level) <= limit

@@ -19,6 +19,8 @@ PLANTS = 5
 """`source` of ground under leaves."""
 TOUCHED = 6
 """`source` of what the robot touched and no ray tells of; in read-outs only."""
+HOLE = 7
+"""`source` of holes wider than the robot crosses; in read-outs only."""
 LARGEST = 50_000_000
 """Cells of one patch: 280 m x 280 m of 4 cm, 1 GB."""
 
@@ -53,7 +55,8 @@ class MapPatch:
 
     Row grows with y, column with x. Layers are (rows, cols) float32: `elevation` [m] (NaN unknown), `variance` [m^2]
     (NaN unknown), `trusted` 0/1, `upper_bound` [m] (the surface is not above this; NaN when no ray tells),
-    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top), 6 touched by the robot. That of `ElevationMap.complete`
+    `source` 0 unknown, 1 wheels, 2 LiDAR, 3 bridged between LiDAR rings, 4 assumed in a wider gap, 5 ground under leaves (`upper_bound`: their top), 6 touched by the robot,
+    7 a hole wider than the robot crosses (`mapping.elevation.holes`). That of `ElevationMap.complete`
     has `age`, too: seconds since something agreed with the height (NaN: never, as on a prior map and where it is bridged).
     """
 
@@ -101,7 +104,8 @@ class MapPatch:
             upper = self.layers["upper_bound"]
             height = fill_unknown(height, upper)
             virtual = virtual_ground(height, trusted, upper, self.resolution)
-        leaves = self.layers["source"] == PLANTS
-        plants = leaves if leaves.any() else None
+        plants, holes = (
+            mask if mask.any() else None for mask in (self.layers["source"] == x for x in (PLANTS, HOLE))
+        )
         variance = self.layers.get("variance")
-        return ElevationGrid(height, trusted, self.origin, self.resolution, virtual, plants, variance)
+        return ElevationGrid(height, trusted, self.origin, self.resolution, virtual, plants, variance, holes)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hal.errors import one_line
 from hal.npzfile import DamagedFile, read_npz
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import TOUCHED, MapError, MapPatch
+from mapping.elevation.exchange import HOLE, MapError, MapPatch
 from mapping.elevation.tiles import CELL, CONTACT, LIDAR, PLANTS, PRIOR, SAVED, UNKNOWN, TileStore
 
 FORMAT = "rbtrg_elevation_map"
@@ -69,10 +69,11 @@ def restore_store(
     if abs(patch.resolution - params.resolution) > 1e-9:
         raise MapError(f"the copy has cells of {patch.resolution} m, the map {params.resolution} m")
     layers = patch.layers
-    for name, most in (("source", TOUCHED), ("trusted", 1)):
+    for name, most in (("source", HOLE), ("trusted", 1)):
         if not ((layers[name] >= 0) & (layers[name] <= most)).all():
             raise MapError(f"the copy has cells whose {name!r} is not 0 to {most}")
     height, upper, source = layers["elevation"], layers["upper_bound"], layers["source"].astype(np.uint8)
+    source[(source == HOLE) & (layers["trusted"] > 0.0)] = LIDAR  # its floor was seen
     known = (source == CONTACT) | (source == LIDAR) | (source == PLANTS)
     measured = np.where(known, source, UNKNOWN).astype(np.uint8)
     store.take_back(*patch.cell, (height, layers["variance"], upper), measured, params.alone_count, now)

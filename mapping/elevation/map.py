@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +24,7 @@ from mapping.elevation.config import ElevationConfig
 from mapping.elevation.exchange import FuseReport, MapError, MapPatch
 from mapping.elevation.faces import fill_faces
 from mapping.elevation.files import MAX_TILES, load_into, read_cloud, restore_store, save_store
+from mapping.elevation.holes import Crossing
 from mapping.elevation.mirror import BLOCK, PART
 from mapping.elevation.plants import HARD, LEAFY, PlantVolume
 from mapping.elevation.poses import checked_pose
@@ -41,6 +43,9 @@ AT_A_TIME = 300_000
 """Cells of changes that are told at once, 6 MB. A prior map of 100 x 100 m in one go, 125 MB, came in half to its readers."""
 _HITS = 100_000
 """Most cells one clean-up can look through; the rest waits for the next."""
+STEEP_RAYS = 2.0
+"""[m] along the ground that the rays of the head's LiDAR are followed in each scan. They alone look into holes, few into each; `clean` takes the rays
+of one scan in three."""
 FINEST = 0.03
 """Cells [m] in which plants are looked for."""
 UPRIGHT = 0.7
@@ -52,7 +57,8 @@ CLOCK_BACK, CLOCK_AHEAD = 10**9, 3600 * 10**9
 class ElevationMap:
     """A map in the `map` frame. One instance belongs to one thread."""
 
-    def __init__(self, params: ElevationConfig | None = None) -> None:
+    def __init__(self, params: ElevationConfig | None = None, crossing: Crossing = Crossing()) -> None:
+        """`crossing`: what the robot that reads it crosses."""
         self.params = p = params or ElevationConfig()
         self.store = TileStore(p.tile_cells)
         self.epoch = 0
@@ -78,7 +84,8 @@ class ElevationMap:
             ]
         )  # fmt: skip
         self._looks = np.empty(_HITS, np.int64), np.empty(_HITS), np.empty(_HITS, np.int32)
-        self._reader = MapReader(self.store, p)
+        self._no_looks = self._looks[0][:0], self._looks[1][:0], self._looks[2][:0]
+        self._reader = MapReader(self.store, p, crossing)
         # Finer voxels would take 80 MB, and too few rays go through each.
         self._plants = PlantVolume(p.resolution) if p.plants and p.resolution >= FINEST else None
 
@@ -210,6 +217,8 @@ class ElevationMap:
         if self._plants is not None:
             self._plants.add(self._ends, rays, self._sensor, now)
         self._angle = math.hypot(noise[1], noise[2])
+        if not sensor.levels:
+            self._trace(1, 0, STEEP_RAYS, self._no_looks)
         self.scans += 1
         out[kernels.OVERHANG] += overhangs
         return kernels.report_of(len(points), drops, out, self.alignment.height)
@@ -297,13 +306,18 @@ class ElevationMap:
         # neighbouring rays of a dense scan cross the same cells: alternate halves do
         stride = 2 if self._rays > 8000 else 1
         self._half = 1 - self._half if stride == 2 else 0
-        n = trace(
-            self._ends, self._rays, stride, self._half, self._sensor, s.directory, s.first, s.shift,
-            p.resolution, p.clean_range, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
-            s.cells, s.touched, s.mark, *self._looks,
-        )  # fmt: skip
+        n = self._trace(stride, self._half, p.clean_range, self._looks)
         rule = p.clean_passes, int(1000 * p.clean_unseen), p.trust_count, p.clearance, self._clock(self.stamp)
         return int(judge(*self._looks, n, *rule, s.cells, s.touched, 2 * s.shift))
+
+    def _trace(self, stride: int, first: int, reach: float, looks: tuple[NDArray[Any], ...]) -> int:
+        """Along every `stride`-th ray of the last scan, from the `first` on, as far as `reach` [m]; into `looks` what it passed through, so many."""
+        p, s = self.params, self.store
+        return trace(
+            self._ends, self._rays, stride, first, self._sensor, s.directory, s.first, s.shift,
+            p.resolution, reach, p.clean_skip, p.clean_margin, self._angle, p.trust_count,
+            s.cells, s.touched, s.mark, *looks,
+        )  # fmt: skip
 
     def find_plants(self) -> int:
         """Take what the rays of the last scans showed to be leaves for ground, and what turned out to be solid among them back; returns how many

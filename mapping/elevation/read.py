@@ -10,10 +10,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hal.safety.monitors import HOLE_WIDTH
 from mapping.elevation import bridging
 from mapping.elevation.bridging import OVER, bridge, bridge_rule, trust
 from mapping.elevation.config import ElevationConfig
-from mapping.elevation.exchange import LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.exchange import HOLE, LARGEST, PATCH_LAYERS, MapError, MapPatch
+from mapping.elevation.holes import WIDE, Crossing, mark_holes
 from mapping.elevation.mirror import blocks_of
 from mapping.elevation.plants import TALLEST
 from mapping.elevation.tiles import ASSUMED, BRIDGED, PLANTS, Layers, TileStore
@@ -32,9 +34,10 @@ Box = tuple[int, int, int, int]
 class MapReader:
     """Turns the tiles of one store into patches."""
 
-    def __init__(self, store: TileStore, params: ElevationConfig) -> None:
+    def __init__(self, store: TileStore, params: ElevationConfig, crossing: Crossing) -> None:
         self.store = store
         self.params = p = params
+        self._crossing = crossing
         self.granted = True
         """Gaps beside the wheels are bridged that no ray proves; see `ElevationMap.grant`."""
         self.walls = TouchedWalls(round(1e3 * p.touched_fade))
@@ -78,6 +81,8 @@ class MapReader:
             p.trust_sigma**2, p.trust_count, p.alone_count, p.gate_min, p.hole, bound,
         )  # fmt: skip
         bridge(height, source, trusted, bound, self._rules[self.granted], level, gap, marks)
+        if HOLE_WIDTH.active:
+            mark_holes(height, source, trusted, count, bound, p.resolution, *self._crossing, gap)
         _compose(height, variance, upper, source, trusted, i0 - top, j0 - left, p.trust_sigma**2, out)
         self.walls.paint(i0, j0, out, p.trust_sigma**2)
         return out
@@ -163,7 +168,7 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
             a, b = r + top, c + left
             h, s, u = height[a, b], source[a, b], upper[a, b]
             out[0, r, c] = h
-            out[1, r, c] = variance[a, b] if s < OVER else np.float32(sigma2)
+            out[1, r, c] = variance[a, b] if s < OVER or s == WIDE else np.float32(sigma2)
             out[2, r, c] = trusted[a, b]
             if s == PLANTS:
                 out[3, r, c] = min(
@@ -171,4 +176,7 @@ def _compose(height, variance, upper, source, trusted, top, left, sigma2, out): 
                 )  # no ray told its top where the map came back from a reader
             else:
                 out[3, r, c] = h if h == h else (u if u < np.inf else np.nan)
-            out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)
+            if s == WIDE:
+                out[4, r, c] = HOLE
+            else:
+                out[4, r, c] = s if s < OVER else (ASSUMED if s == bridging.ASSUMED else BRIDGED)

@@ -30,7 +30,7 @@ ASSUMED = 16
 HOLE = 32
 """Below what it is bridged at by more than the step limit: driven across, not along (`planning.graph.edges`)."""
 TIP = 64
-"""Bridged, but the tip of a wide pit's corner: nothing of the robot goes over it."""
+"""Bridged, but the tip of a wide pit's corner, or a hole that the map tells to be too wide (`ElevationGrid.holes`): nothing of the robot goes over it."""
 JUDGED = 128
 """The cell was trusted when it was looked at last: what it was found to be counts (`keep_step`)."""
 VIRTUAL = 256

@@ -20,7 +20,7 @@ from planning.graph.edge_price import BEYOND
 from planning.graph.edges import MARGIN, SECTION, connect
 from planning.graph.faces import update_faces
 from planning.graph.fields import mark_fields, reach
-from planning.graph.flags import PLANTS, halo, update_flags
+from planning.graph.flags import PLANTS, TIP, halo, update_flags
 from planning.graph.nodes import CLEAR_LEVELS, place_nodes
 from planning.graph.params import GraphParams, Window, merge_windows
 from planning.graph.prices import prices_of
@@ -94,9 +94,10 @@ class Lattice:
                 wide = pad + reach(cells.res)
                 grown = (max(0, r0 - wide), max(0, c0 - wide), min(rows, r1 + wide), min(cols, c1 + wide))
                 mark_fields(cells.flags, cells.faces, grid.trusted, cells.res, grown, p.max_posts)
-            if grid.plants is not None:
-                here = np.s_[grown[0] : grown[2], grown[1] : grown[3]]
-                cells.flags[here] |= np.where(grid.plants[here], np.uint16(PLANTS), np.uint16(0))
+            here = np.s_[grown[0] : grown[2], grown[1] : grown[3]]
+            for mask, flag in ((grid.plants, PLANTS), (grid.holes, TIP)):
+                if mask is not None:
+                    cells.flags[here] |= np.where(mask[here], np.uint16(flag), np.uint16(0))
             touched.append(grown)
         assumed = assume_blind(cells.flags, *cells.origin, cells.res, *self.first, p.blind_radius)
         if assumed[0] < assumed[2]:

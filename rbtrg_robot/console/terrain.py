@@ -33,8 +33,8 @@ LIMIT = 200
 MOST = 40
 """Tiles of one message: 0.7 MB."""
 UNKNOWN = -32768
-KINDS = np.array([0, 4, 3, 2, 5, 2, 4], np.uint8)
-"""Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed, plants: as bridged, touched: as felt by the wheels."""
+KINDS = np.array([0, 4, 3, 2, 5, 2, 4, 0], np.uint8)
+"""Trust on the wire by the map's `source`: unknown, wheels, LiDAR, bridged, assumed, plants: as bridged, touched: as felt by the wheels, holes: as unknown."""
 MEASURED = (1, 2)
 """Sources of a height that was seen: wheels, LiDAR."""
 AGREES = 0.1

@@ -387,18 +387,20 @@ class ElevationStage:
 
 def build(config: StackConfig) -> ElevationStage:
     """From the stack's configuration. Raises MapError when the prior map cannot be read."""
-    return _build(config, _prior(config) if config.map_file else ElevationMap(config.elevation))
+    return _build(config, _prior(config) if config.map_file else _empty(config))
 
 
 def build_again(config: StackConfig) -> ElevationStage:
     """The same for a process that was started anew and is handed the last status of the one before: to read a large prior map takes seconds."""
-    return _build(
-        config, ElevationMap(config.elevation), partial(_prior, config) if config.map_file else None
-    )
+    return _build(config, _empty(config), partial(_prior, config) if config.map_file else None)
+
+
+def _empty(config: StackConfig) -> ElevationMap:
+    return ElevationMap(config.elevation, config.crossing())
 
 
 def _prior(config: StackConfig) -> ElevationMap:
-    elevation = ElevationMap(config.elevation)
+    elevation = _empty(config)
     elevation.load_prior(Path(config.map_file))
     return elevation
 

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from hal.rotation import rotation
 from hal.safety.contact import contact_at
-from hal.safety.monitors import GUARD_BLIND, MAIN_SILENT
+from hal.safety.monitors import GUARD_BLIND, HOLE_WIDTH, MAIN_SILENT
 from hal.safety.swept import (
     BODY,
     BODY_CLEARANCE,
+    HOLE,
     LIDAR,
     NO_WALL,
     PLANTS,
@@ -77,6 +78,7 @@ WORDS = {
     2: "a {:.2f} m drop",
     3: "something the last sweep saw",
     4: "ground nobody saw",
+    5: HOLE_WIDTH.words,
 }
 
 
@@ -202,7 +204,7 @@ class GuardStage:
         self._around = Surroundings(
             np.where(patch.layers["trusted"] > 0.5, height, np.float32(np.nan)),
             np.where(unknown, upper, np.float32(np.nan)),
-            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, TOUCHED)), source, 0).astype(np.uint8),
+            np.where(np.isin(source, (WHEELS, LIDAR, PLANTS, TOUCHED, HOLE)), source, 0).astype(np.uint8),
             np.zeros(height.shape, np.uint8),
             patch.origin,
             patch.resolution,

@@ -18,6 +18,8 @@ from hal.safety.swept import (
     CLEAR,
     DROP,
     FACE,
+    GAP,
+    HOLE,
     LIDAR,
     NOISE,
     PLANTS,
@@ -200,6 +202,24 @@ def test_a_robot_that_climbs_half_the_depth_of_a_gap_crosses_it_too(
     assert found.kind == CLEAR, (found.kind, found.height, found.free)
 
 
+@pytest.mark.parametrize("floor", [math.nan, -0.05, -0.4])
+def test_a_hole_that_the_map_tells_to_be_wide_ends_the_way_however_few_cells_it_has(floor: float) -> None:
+    """What the guard would cross by its cells, three of them or one, and however little of its depth is known."""
+    height, col = np.zeros_like(X), round(0.8 / RES) + N // 2
+    height[:, col : col + 3] = math.nan
+    source = np.where(np.isnan(height), 0, LIDAR)
+    bound = np.where(np.isnan(height), floor, math.nan)
+    assert look(ground(height, bound=bound, source=source))["ahead"].kind == CLEAR
+    source[N // 2, col + 1] = HOLE
+    found = look(ground(height, bound=bound, source=source))["ahead"]
+    assert found.kind in (GAP, DROP)
+    assert 0.8 - FRONT - 2 * RES < found.free < 0.8 - FRONT + RES
+    beside = np.roll(source, 12, axis=0)
+    assert look(ground(height, bound=bound, source=beside))["ahead"].kind == CLEAR, "the body passes it"
+    under = look(ground(height, bound=bound, source=source), (0.8 - FRONT + 0.08, 0.0, 0.0))["ahead"]
+    assert under.kind == CLEAR, "what lies under the body is crossed"
+
+
 @pytest.mark.parametrize("front", np.arange(0.0, 0.4, 0.04))
 def test_a_face_behind_a_gap_or_a_wide_pit_still_ends_the_way(front: float) -> None:
     col = round(0.8 / RES) + N // 2
@@ -274,6 +294,8 @@ def _walk(
     while i < len(known):
         if busy[i] and i > BEFORE:
             return [*ends, (i, SWEEP)]
+        if source[i] == HOLE and i > BEFORE and not walled[i]:
+            return [(min(i, max(sure) + 1), GAP), *ends]
         if walled[i]:
             sure.append(i)
             i += 1
@@ -316,6 +338,7 @@ def _walk(
                 for j in range(i + 1, min(len(known), last + gap + 2))
                 if source[j] != WHEELS
                 and not walled[j]
+                and not any(source[m] == HOLE and m > BEFORE and not walled[m] for m in range(i + 1, j + 1))
                 and not math.isnan(known[j])
                 and abs(known[j] - level) <= limit
             ]
@@ -353,6 +376,7 @@ def test_the_kernel_does_what_the_oracle_says_on_random_ground(seed: int) -> Non
             np.isnan(height) & (rng.random(X.shape) < 0.3), rng.uniform(-0.4, 0.2, X.shape), np.nan
         )
         source = np.where(np.isnan(height), 0, rng.choice([WHEELS, LIDAR, 3], X.shape, p=[0.05, 0.9, 0.05]))
+        source = np.where(rng.random(X.shape) < rng.choice([0.0, 0.002]), HOLE, source)
         occupied = rng.random(X.shape) < rng.choice([0.0, 0.001])
         around = ground(height, bound=bound, source=source, occupied=occupied)
         pose = (float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-1.5, 1.5)), float(rng.uniform(-3.0, 3.0)))

@@ -350,7 +350,7 @@ def test_a_lost_map_comes_back_from_a_reader() -> None:
     assert np.quantile(off, 0.999) < 0.005  # a bridge may run the other way
     with pytest.raises(MapError, match=r"0\.04 m, the map 0\.05 m"):
         ElevationMap(ElevationConfig(resolution=0.05)).restore(lost)
-    for name, wrong in (("source", np.nan), ("source", 7.0), ("trusted", -1.0)):
+    for name, wrong in (("source", np.nan), ("source", 8.0), ("trusted", -1.0)):
         layer = lost.layers[name].copy()
         layer[3, 4] = wrong
         with pytest.raises(MapError, match=name):

@@ -340,6 +340,25 @@ def test_where_a_bound_tells_of_a_drop_it_begins_behind_the_last_ground_that_was
     assert not (flags[:19] & FACE).any()
 
 
+def test_no_edge_leads_over_a_hole_that_the_map_tells_to_be_wide_and_it_is_free_again_without_it() -> None:
+    z = np.zeros((80, 140), np.float32)
+    free = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)
+    holes = np.zeros(z.shape, bool)
+    holes[::5, 70] = True  # a cell here and there, as rays show them
+    graph = TraversalGraph.build(free, (0.8, 1.6), GraphParams(), 0)
+
+    def across() -> int:
+        source = np.repeat(np.arange(len(graph.nodes)), np.diff(graph.indptr))
+        a, b = graph.nodes[source, 0], graph.nodes[graph.indices, 0]
+        return int(((a < 70 * RES) & (b > 70 * RES)).sum())
+
+    assert across() > 10
+    graph.update(replace(free, holes=holes), [(0, 0, *z.shape)], (0.8, 1.6))
+    assert across() == 0
+    graph.update(free, [(0, 0, *z.shape)], (0.8, 1.6))
+    assert across() > 10
+
+
 def test_a_way_through_leaves_counts_as_long_as_it_takes_and_is_free_again_without_them() -> None:
     z = np.zeros((80, 140), np.float32)
     free = ElevationGrid(z, np.ones(z.shape, bool), (0.0, 0.0), RES)

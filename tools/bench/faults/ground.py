@@ -1,4 +1,4 @@
-"""Ground that is not what it seems: goals that cannot be reached."""
+"""Ground that is not what it seems: holes a little wider than the robot crosses, goals that cannot be reached."""
 
 from __future__ import annotations
 
@@ -7,24 +7,31 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from hal.safety.monitors import GOAL_SPENT
+from hal.safety.monitors import GOAL_SPENT, HOLE_WIDTH
 from rbtrg_robot import topics as t
 from rbtrg_robot.config import load
 from rbtrg_robot.hosts.lockstep import Lockstep
 from rbtrg_robot.stages.navigation.goal import GoalState
 from tools.bench.faults.fault import Fault, Outcome
-from tools.bench.faults.watch import Watch
+from tools.bench.faults.watch import Watch, by_hand
 
 CELL, CORNER = 0.02, (-1.5, -1.5)
 DEPTH = 2.0
 """[m] of holes."""
 SINKS = 0.15
 """[m] that base_link sinks by where the robot is in a hole."""
+EDGE = 1.6
+"""[m] from the start to the near rim of a hole on the way."""
+ANGLES = (0.0, 25.0, 50.0)
+"""[deg] between the way and the normal of a hole, by seed."""
+DIPS = 0.05
+"""[m] that base_link sinks by, at least, when a wheel goes into a hole: more than over a crack that is crossed."""
 GIVEN_UP = 90.0
 """[s] for a goal 2.6 m away."""
 
@@ -48,6 +55,27 @@ def walled(length: float = 6.0, width: float = 3.0) -> tuple[np.ndarray, np.ndar
     height = np.full((len(y), len(x)), DEPTH)
     height[:3] = height[-3:] = height[:, :3] = height[:, -3:] = DEPTH + 1.0
     return height, *np.meshgrid(x, y)
+
+
+def _to_hole(width: float, seed: int, *, hands: bool) -> Outcome:
+    """Driven by hand into a hole of `width` [m] from wall to wall, or sent to a goal beyond it."""
+    angle = math.radians(ANGLES[seed % len(ANGLES)])
+    height, x, y = walled()
+    across = (x - EDGE) * math.cos(angle) + y * math.sin(angle)
+    height[(across > 0.0) & (across < width) & (height == DEPTH)] = 0.0
+    with stack_on(height, seed) as stack:
+        watch = Watch(stack)
+        lowest = level = _height(stack)
+        if not hands:
+            stack.send_goal(EDGE + width + 1.2, 0.0)
+        for _ in range(40):
+            if hands:
+                by_hand(stack, 0.45, 0.0, 0.2)
+            else:
+                stack.run(0.4)
+            lowest = min(lowest, _height(stack))
+        outcome = watch.outcome()
+        return replace(outcome, rest=0.0, fell=outcome.fell or lowest < level - DIPS)
 
 
 def _moat(width: float, seed: int) -> Outcome:
@@ -75,4 +103,10 @@ def _height(stack: Lockstep) -> float:
     return float(stack.newest[t.TRUTH].pose.pose.position.z)
 
 
-FAULTS = (Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),)
+FAULTS = (
+    Fault(
+        "hole by hand", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=True), says=(HOLE_WIDTH.words,)
+    ),
+    Fault("hole before a goal", (HOLE_WIDTH,), (0.16, 0.2), partial(_to_hole, hands=False)),
+    Fault("goal behind a moat", (GOAL_SPENT,), (0.3, 0.5), _moat, rest=40.0, error=0.25),
+)

@@ -321,7 +321,9 @@ class Supervisor:
         age = self._health.beat_age(name)
         if age is None or not self._health.is_ready(name):
             waited, idle = now - child.started, now - child.busy
-            silent = waited > START_LIMIT and (idle > START_IDLE or waited > START_MOST)
+            # A robot that waits for others which compile is idle, and beats.
+            beats = age is not None and age < child.row.hang
+            silent = waited > START_LIMIT and ((idle > START_IDLE and not beats) or waited > START_MOST)
         else:
             silent = age > child.row.hang and now > self._deaf_until
             if child.words:
